@@ -1,0 +1,124 @@
+"""One exception class per cause, each with its exit code.
+
+An error is one to three lines: what failed, what exists, what to type next. The classes build that text
+themselves, so that every door (CLI, client, service answer, log) says the same. Standard library only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from difflib import get_close_matches
+
+EXIT_DONE = 0
+EXIT_REFUSED = 1
+EXIT_USAGE = 2
+EXIT_NO_DAEMON = 3
+EXIT_TIMED_OUT = 4
+EXIT_INTERRUPTED = 130
+
+
+def closest(name: str, known: Iterable[str]) -> str | None:
+    """The known name nearest in spelling, or None when none is near."""
+    matches = get_close_matches(name, list(known), n=1, cutoff=0.6)
+    return matches[0] if matches else None
+
+
+def listing(known: Iterable[str], most: int = 12) -> str:
+    """`a, b, c`, cut after `most` names with the number that was left out; `none` when empty."""
+    names = sorted(known)
+    if not names:
+        return "none"
+    rest = len(names) - most
+    return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
+
+
+class SlidectlError(Exception):
+    """Base of all errors that a user may see. `hint` is a last line that says what to type next."""
+
+    exit_code = EXIT_REFUSED
+
+    def __init__(self, message: str, hint: str | None = None) -> None:
+        super().__init__(message)
+        self.message = message
+        self.hint = hint
+
+    def __str__(self) -> str:
+        return f"{self.message}\n{self.hint}" if self.hint else self.message
+
+
+class Refused(SlidectlError):
+    """A service said no, or a condition is false."""
+
+
+class UsageError(SlidectlError):
+    """The command line or an argument is wrong."""
+
+    exit_code = EXIT_USAGE
+
+
+class BadFile(SlidectlError):
+    """A file of the user is missing or broken. The message begins with `file:line:` where these are known."""
+
+    exit_code = EXIT_USAGE
+
+    def __init__(self, message: str, file: str | None = None, line: int | None = None, hint: str | None = None) -> None:
+        where = "" if file is None else f"{file}: " if line is None else f"{file}:{line}: "
+        super().__init__(where + message, hint)
+        self.file = file
+        self.line = line
+        self.reason = message
+
+
+class NoDaemon(SlidectlError):
+    """Nobody answers on the socket."""
+
+    exit_code = EXIT_NO_DAEMON
+
+
+class TimedOut(SlidectlError):
+    """The answer did not come within the wall-clock time that was allowed."""
+
+    exit_code = EXIT_TIMED_OUT
+
+
+class UnknownName(SlidectlError):
+    """A name that does not exist: says which do, and suggests the closest."""
+
+    def __init__(self, kind: str, name: str, known: Sequence[str], where: str = "") -> None:
+        near = closest(name, known)
+        suggestion = f" Did you mean {near!r}?" if near else ""
+        inside = f" {where}" if where else ""
+        plural = kind if kind.endswith("s") else f"{kind[:-1]}ies" if kind.endswith("y") else f"{kind}s"
+        super().__init__(f"no {kind} {name!r}{inside}.{suggestion}", f"{plural}: {listing(known)}")
+        self.kind = kind
+        self.name = name
+        self.known = list(known)
+
+
+class AmbiguousName(UsageError):
+    """A short name that fits more than one full name."""
+
+    def __init__(self, kind: str, name: str, matches: Sequence[str]) -> None:
+        super().__init__(f"{name!r} fits more than one {kind}: {listing(matches)}", "write the full name, or give --ns")
+        self.matches = list(matches)
+
+
+class BadName(UsageError):
+    """Text that is not a legal graph name."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(
+            f"{name!r} is not a legal name: letters, digits, '_' and '/', and the first is a letter, '/' or '~'"
+        )
+
+
+class BadMessage(UsageError):
+    """A message that does not fit its type. `path` is the field, as `pose.position.x`."""
+
+    def __init__(self, message: str, path: str = "", hint: str | None = None) -> None:
+        super().__init__(message, hint)
+        self.path = path
+
+
+class MessageRefused(Refused):
+    """A subscriber will not take a message that fits its type (a command that is no number, say)."""

@@ -1,0 +1,1 @@
+"""Message, service and action definitions as data, and the one module that builds, checks and defaults them."""

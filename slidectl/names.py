@@ -1,0 +1,70 @@
+"""Graph names: what is legal, how a relative one becomes absolute, and how a short one finds its full name.
+
+ROS's naming rules, plus the rule of the command line that the unique end of a name is enough.
+Standard library only.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+
+from slidectl.errors import AmbiguousName, BadName, UnknownName
+
+_LEGAL = re.compile(r"^[A-Za-z/~][\w/]*$|^/$", re.ASCII)
+
+
+def is_legal(name: str) -> bool:
+    """True for a legal graph name (no double or trailing slash; `/` alone is the root)."""
+    return bool(_LEGAL.match(name)) and "//" not in name and (name == "/" or not name.endswith("/"))
+
+
+def check(name: str) -> str:
+    """The name itself. Raises BadName when it is not legal."""
+    if not is_legal(name):
+        raise BadName(name)
+    return name
+
+
+def join(namespace: str, name: str) -> str:
+    """`name` under `namespace`, absolute; an absolute name stays as it is."""
+    if name.startswith("/"):
+        return name
+    return "/" + "/".join(part for part in (namespace.strip("/"), name.strip("/")) if part)
+
+
+def parent(name: str) -> str:
+    """The namespace that holds `name`; the root's is the root."""
+    return name.rpartition("/")[0] or "/"
+
+
+def is_under(name: str, namespace: str) -> bool:
+    """True when `name` is `namespace` or lies below it, on whole components."""
+    base = namespace.rstrip("/")
+    return not base or name == base or name.startswith(base + "/")
+
+
+def resolve(name: str, known: Iterable[str], *, kind: str, namespace: str = "/") -> str:
+    """The full name that `name` means: exact if absolute, else under `namespace`, else the unique end of a known name.
+
+    Raises:
+        UnknownName: nothing fits. AmbiguousName: several do.
+    """
+    names = set(known)
+    exact = join(namespace, name)
+    if exact in names:
+        return exact
+    if name.startswith("/"):
+        raise UnknownName(kind, name, sorted(names))
+    matches = sorted(n for n in names if n.endswith("/" + name))
+    if len(matches) > 1:
+        matches = _within(matches, namespace) or matches
+    if len(matches) > 1:
+        raise AmbiguousName(kind, name, matches)
+    if not matches:
+        raise UnknownName(kind, name, sorted(names))
+    return matches[0]
+
+
+def _within(names: list[str], namespace: str) -> list[str]:
+    return [n for n in names if is_under(n, namespace)] if namespace.strip("/") else []

@@ -1,0 +1,104 @@
+"""Where things are: the private folder of a daemon instance, and the models and configurations that are shipped.
+
+Standard library only. Nothing here creates a folder except `make_private`.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from slidectl.errors import Refused, UsageError
+
+DEFAULT_INSTANCE = "default"
+_INSTANCE = re.compile(r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")
+# A Unix socket's path is limited by the kernel (sun_path, 108 bytes with its end).
+_LONGEST_SOCKET_PATH = 107
+
+
+@dataclass(frozen=True)
+class InstancePaths:
+    """The files of one daemon instance, all in one private folder."""
+
+    folder: Path
+    socket: Path
+
+    @property
+    def lock(self) -> Path:
+        return self.folder / "lock"
+
+    @property
+    def pid(self) -> Path:
+        return self.folder / "pid"
+
+    @property
+    def log(self) -> Path:
+        return self.folder / "log"
+
+
+def runtime_folder() -> Path:
+    """`$XDG_RUNTIME_DIR/slidectl`, else a folder of the user under the temporary folder."""
+    base = os.environ.get("XDG_RUNTIME_DIR")
+    if base:
+        return Path(base) / "slidectl"
+    return Path(tempfile.gettempdir()) / f"slidectl-{os.getuid()}"
+
+
+def instance(name: str | None = None, socket: str | None = None) -> InstancePaths:
+    """The paths of an instance: by socket path if given, else by name; the environment fills what is missing.
+
+    Raises:
+        UsageError: a name that is no file name, or a socket path that the kernel cannot take.
+    """
+    if socket is None and name is None:
+        socket = os.environ.get("SLIDECTL_SOCKET") or None
+    if socket is not None:
+        path = Path(socket).absolute()
+        return _checked(InstancePaths(path.with_name(path.name + ".d"), path))
+    name = name or os.environ.get("SLIDECTL_INSTANCE") or DEFAULT_INSTANCE
+    if not _INSTANCE.match(name):
+        raise UsageError(f"instance name {name!r} is not a plain file name (letters, digits, '.', '_', '-')")
+    folder = runtime_folder() / name
+    return _checked(InstancePaths(folder, folder / "socket"))
+
+
+def _checked(paths: InstancePaths) -> InstancePaths:
+    if len(os.fsencode(paths.socket)) > _LONGEST_SOCKET_PATH:
+        raise UsageError(
+            f"socket path is longer than {_LONGEST_SOCKET_PATH} bytes: {paths.socket}",
+            "set XDG_RUNTIME_DIR to a shorter folder, or give --socket",
+        )
+    return paths
+
+
+def make_private(folder: Path) -> None:
+    """Create the folder with mode 0700, or check that it is ours and nobody else can enter.
+
+    Raises:
+        Refused: it belongs to somebody else, is a link, or is open to others.
+    """
+    folder.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    folder.mkdir(mode=0o700, exist_ok=True)
+    check_private(folder)
+
+
+def check_private(folder: Path) -> None:
+    """Raise Refused unless the folder is a real one, owned by us and closed to others."""
+    info = folder.lstat()
+    if not stat.S_ISDIR(info.st_mode):
+        raise Refused(f"{folder} is not a folder")
+    if info.st_uid != os.geteuid():
+        raise Refused(f"{folder} belongs to another user (uid {info.st_uid})", "choose another --instance or XDG_RUNTIME_DIR")
+    if stat.S_IMODE(info.st_mode) & 0o077:
+        raise Refused(f"{folder} is open to other users", f"chmod 700 {folder}")
+
+
+def share(kind: str) -> Path:
+    """The folder of shipped `models`, `config` or `launch` files: inside the wheel, else beside the package."""
+    package = Path(__file__).parent
+    inside = package / "share" / kind
+    return inside if inside.is_dir() else package.parent / kind
