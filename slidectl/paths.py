@@ -22,22 +22,21 @@ _LONGEST_SOCKET_PATH = 107
 
 @dataclass(frozen=True)
 class InstancePaths:
-    """The files of one daemon instance, all in one private folder."""
+    """The files of one daemon instance, all in one private folder. `prefix` keeps those of a named socket apart."""
 
     folder: Path
     socket: Path
+    prefix: str = ""
 
     @property
     def lock(self) -> Path:
-        return self.folder / "lock"
-
-    @property
-    def pid(self) -> Path:
-        return self.folder / "pid"
+        """Locked (flock) by the living daemon; it holds the daemon's process id as text."""
+        return self.folder / f"{self.prefix}lock"
 
     @property
     def log(self) -> Path:
-        return self.folder / "log"
+        """The daemon's log; rotated copies are `log.1` and so on."""
+        return self.folder / f"{self.prefix}log"
 
 
 def runtime_folder() -> Path:
@@ -58,7 +57,7 @@ def instance(name: str | None = None, socket: str | None = None) -> InstancePath
         socket = os.environ.get("SLIDECTL_SOCKET") or None
     if socket is not None:
         path = Path(socket).absolute()
-        return _checked(InstancePaths(path.with_name(path.name + ".d"), path))
+        return _checked(InstancePaths(path.parent, path, path.name + "."))
     name = name or os.environ.get("SLIDECTL_INSTANCE") or DEFAULT_INSTANCE
     if not _INSTANCE.match(name):
         raise UsageError(f"instance name {name!r} is not a plain file name (letters, digits, '.', '_', '-')")

@@ -1,0 +1,77 @@
+"""What a controller sees of the graph: a namespace with parameters, topics, services and a log.
+
+Protocols only. The simulation implements them on its graph; tests use a small fake. Control itself
+knows no graph, no socket and no client.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+Message = dict[str, Any]
+MessageCallback = Callable[[Message], None]
+"""Takes a message that was checked against its type. Raises MessageRefused when it will not take it."""
+ServiceHandler = Callable[[Message], Message]
+
+
+class _Missing:
+    """Marks a parameter that is not set (None is a legal default)."""
+
+    def __repr__(self) -> str:
+        return "MISSING"
+
+
+MISSING: Any = _Missing()
+
+
+class Publisher(Protocol):
+    """One publisher of one topic. Ask `wanted` before building a message: nobody may be listening."""
+
+    wanted: bool
+    """True when somebody subscribes, or the topic is latched."""
+
+    def publish(self, message: Message) -> None:
+        """Hand the message on. The publisher numbers `header.seq`; the dict must not be changed afterwards."""
+
+
+class NodeHandle(Protocol):
+    """A namespace of the graph. Relative names are resolved in it; absolute ones stay as they are."""
+
+    namespace: str
+
+    def child(self, name: str) -> NodeHandle:
+        """The node handle of `namespace/name`. What it advertises ends with its root's `shutdown`."""
+
+    def get_param(self, name: str, default: Any = MISSING) -> Any:
+        """The parameter as loaded from YAML (a subtree is a dict), else `default`; KeyError when there is none."""
+
+    def has_param(self, name: str) -> bool:
+        """True when the parameter or a parameter below it is set."""
+
+    def set_param(self, name: str, value: Any) -> None:
+        """Set the parameter; watchers of it are told, this handle's own too."""
+
+    def search_param(self, name: str) -> str | None:
+        """The absolute name of `name` found in this namespace or the nearest one above it, else None."""
+
+    def watch_param(self, name: str, callback: Callable[[], None]) -> None:
+        """Call back whenever the parameter, or one below it, is set or deleted by anybody."""
+
+    def advertise(self, topic: str, type_name: str, latch: bool = False) -> Publisher:
+        """Publish `topic` with messages of `pkg/Type`."""
+
+    def subscribe(self, topic: str, type_name: str, callback: MessageCallback) -> None:
+        """Call back for each message on `topic`, between two cycles."""
+
+    def advertise_service(self, service: str, type_name: str, handler: ServiceHandler) -> None:
+        """Answer calls of `service`, between two cycles. The handler raises SlidectlError to fail the call."""
+
+    def log(self, severity: str, text: str) -> None:
+        """One line on /rosout; severity is `debug`, `info`, `warn`, `error` or `fatal`."""
+
+    def now_ns(self) -> int:
+        """Simulated time in nanoseconds, that of the last cycle."""
+
+    def shutdown(self) -> None:
+        """Take back all that was advertised, subscribed and watched through this handle and its children."""

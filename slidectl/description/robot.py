@@ -1,0 +1,234 @@
+"""A robot on paper: what URDF says, as plain data with the line of each thing.
+
+No parsing and no physics here. SI units, angles in radians, `rpy` fixed-axis roll pitch yaw as in URDF.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+Vector = tuple[float, float, float]
+JointType = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]
+Severity = Literal["info", "warning", "error"]
+Verdict = Literal["used", "converted", "ignored", "wrong"]
+
+
+@dataclass(frozen=True)
+class Notice:
+    """One line of the report: what became of a tag, an attribute or a value."""
+
+    verdict: Verdict
+    subject: str
+    """What it is about, as `<gazebo reference="link2">/<kp>`."""
+    text: str
+    """What happened and why, a clause without a full stop."""
+    file: str
+    line: int | None
+
+    @property
+    def where(self) -> str:
+        """`file:line`, or the file alone."""
+        return self.file if self.line is None else f"{self.file}:{self.line}"
+
+    def __str__(self) -> str:
+        return f"{self.where}: {self.subject}: {self.text}"
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A place and an attitude in the parent's frame: metres, and fixed-axis roll pitch yaw in radians."""
+
+    xyz: Vector = (0.0, 0.0, 0.0)
+    rpy: Vector = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Inertial:
+    """Mass in kg; inertia (ixx, ixy, ixz, iyy, iyz, izz) in kg·m² about the origin's axes at the centre of mass."""
+
+    origin: Pose
+    mass: float
+    inertia: tuple[float, float, float, float, float, float]
+    line: int | None = None
+
+
+@dataclass(frozen=True)
+class Box:
+    size: Vector
+    """Full lengths of the edges, m."""
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    radius: float
+    length: float
+
+
+@dataclass(frozen=True)
+class Sphere:
+    radius: float
+
+
+@dataclass(frozen=True)
+class Mesh:
+    uri: str
+    """As written in the file."""
+    path: str | None
+    """The file on disk, absolute; None when it could not be found (then the report says so)."""
+    scale: Vector = (1.0, 1.0, 1.0)
+
+
+Geometry = Box | Cylinder | Sphere | Mesh
+
+
+@dataclass(frozen=True)
+class Material:
+    name: str
+    rgba: tuple[float, float, float, float] | None = None
+    texture: str | None = None
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A visual or a collision of a link."""
+
+    geometry: Geometry
+    origin: Pose = Pose()
+    name: str | None = None
+    material: Material | None = None
+    line: int | None = None
+
+
+@dataclass(frozen=True)
+class Surface:
+    """What `<gazebo reference="LINK">` says of a link; None where it says nothing."""
+
+    mu1: float | None = None
+    mu2: float | None = None
+    turn_gravity_off: bool = False
+    self_collide: bool | None = None
+    material: str | None = None
+
+
+@dataclass(frozen=True)
+class Link:
+    name: str
+    inertial: Inertial | None = None
+    visuals: tuple[Shape, ...] = ()
+    collisions: tuple[Shape, ...] = ()
+    surface: Surface = Surface()
+    line: int | None = None
+
+
+@dataclass(frozen=True)
+class Limit:
+    """`<limit>`: position in m or rad, velocity in m/s or rad/s, effort in N or N·m."""
+
+    lower: float
+    upper: float
+    velocity: float
+    effort: float
+    line: int | None = None
+
+
+@dataclass(frozen=True)
+class Safety:
+    """`<safety_controller>`: soft limits in m or rad; k_position in 1/s, k_velocity in N·s/m or N·m·s/rad."""
+
+    soft_lower_limit: float
+    soft_upper_limit: float
+    k_position: float
+    k_velocity: float
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """position = multiplier * position of `joint` + offset."""
+
+    joint: str
+    multiplier: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class Joint:
+    name: str
+    type: JointType
+    parent: str
+    child: str
+    origin: Pose = Pose()
+    axis: Vector = (1.0, 0.0, 0.0)
+    limit: Limit | None = None
+    damping: float = 0.0
+    """N·s/m or N·m·s/rad."""
+    friction: float = 0.0
+    """N or N·m."""
+    safety: Safety | None = None
+    mimic: Mimic | None = None
+    line: int | None = None
+
+
+@dataclass(frozen=True)
+class TransmissionJoint:
+    name: str
+    hardware_interfaces: tuple[str, ...]
+    role: str = ""
+    offset: float = 0.0
+    reduction: float = 1.0
+
+
+@dataclass(frozen=True)
+class TransmissionActuator:
+    name: str
+    hardware_interfaces: tuple[str, ...] = ()
+    reduction: float | None = None
+    role: str = ""
+
+
+@dataclass(frozen=True)
+class TransmissionInfo:
+    """One `<transmission>` as the parser of ros_control reads it."""
+
+    name: str
+    type: str
+    joints: tuple[TransmissionJoint, ...]
+    actuators: tuple[TransmissionActuator, ...]
+    line: int | None = None
+
+
+@dataclass(frozen=True)
+class ControlPlugin:
+    """The `libgazebo_ros_control.so` plugin's parameters; None where the tag is absent."""
+
+    robot_namespace: str | None = None
+    robot_param: str = "robot_description"
+    robot_sim_type: str = "gazebo_ros_control/DefaultRobotHWSim"
+    control_period: float | None = None
+    """s."""
+    estop_topic: str | None = None
+    line: int | None = None
+
+
+@dataclass(frozen=True)
+class Robot:
+    """The whole robot. `links` and `joints` keep the order of the file."""
+
+    name: str
+    links: Mapping[str, Link]
+    joints: Mapping[str, Joint]
+    root: str
+    """Name of the one link that is nobody's child."""
+    transmissions: Sequence[TransmissionInfo] = ()
+    plugin: ControlPlugin | None = None
+    report: Sequence[Notice] = field(default=())
+
+    def children_of(self, link: str) -> list[Joint]:
+        """The joints whose parent is `link`, in the order of the file."""
+        return [joint for joint in self.joints.values() if joint.parent == link]
+
+    @property
+    def is_fixed_to_world(self) -> bool:
+        """A root link called `world` is the world itself."""
+        return self.root == "world"
