@@ -1,0 +1,45 @@
+# `make demo` and `make test` do all their own set-up in .venv; everything else is for those who work on slidectl.
+
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+STAMP  := $(VENV)/.installed
+
+.PHONY: help demo test lint types bench examples wheel clean
+.DEFAULT_GOAL := help
+
+help:  ## this list
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /\1|/' | awk -F'|' '{printf "make %-9s %s\n", $$1, $$2}'
+
+$(STAMP): pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "slidectl needs Python 3.11 or newer; give one with: make PYTHON=/path/to/python3.11 $(MAKECMDGOALS)" >&2; exit 1; }
+	@$(PYTHON) -m venv --clear $(VENV) || { echo "python's venv module does not work (on Debian: apt install python3-venv)" >&2; exit 1; }
+	@echo "installing slidectl into $(VENV) ..."
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@
+
+demo: $(STAMP)  ## start a daemon, slide up, to the middle and down, show it moving, stop
+	@$(BIN)/python examples/demo.py
+
+test: $(STAMP)  ## all tests, two at a time
+	@$(BIN)/python -m pytest -n 2 --dist loadfile $(ARGS)
+
+lint: $(STAMP)  ## ruff: rules and formatting
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+
+types: $(STAMP)  ## mypy, strict
+	@$(BIN)/mypy
+
+bench: $(STAMP)  ## measure; prints a table and writes benchmarks/results/*.json
+	@$(BIN)/python -m benchmarks $(ARGS)
+
+examples: $(STAMP)  ## run every script of examples/
+	@PATH="$(CURDIR)/$(BIN):$$PATH" bash examples/run_all.sh
+
+wheel: $(STAMP)  ## build the wheel and try it in a bare environment
+	@bash scripts/try_wheel.sh
+
+clean:  ## remove what the other targets made
+	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
