@@ -1,0 +1,1 @@
+"""Measurements of slidectl, run by `make bench`. Nothing here asserts a time: machines are shared and noisy."""

@@ -1,0 +1,79 @@
+"""`make bench`: runs the measurements, prints a table, writes JSON, and puts the table into README.md.
+
+    python -m benchmarks [NAME ...] [--no-write]
+
+Names are the modules of this folder: commands, cycles, realtime.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import platform
+import re
+import sys
+import time
+from pathlib import Path
+
+from benchmarks.harness import Row
+
+HERE = Path(__file__).parent
+README = HERE.parent / "README.md"
+NAMES = ("commands", "cycles", "realtime")
+BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
+
+
+def main(arguments: list[str]) -> int:
+    """Run the named measurements, or all of them."""
+    write = "--no-write" not in arguments
+    names = [word for word in arguments if not word.startswith("-")] or list(NAMES)
+    results: dict[str, list[Row]] = {}
+    for name in names:
+        print(f"measuring {name} ...", file=sys.stderr, flush=True)
+        results[name] = importlib.import_module(f"benchmarks.{name}").measure()
+    table = markdown([row for rows in results.values() for row in rows])
+    print(table)
+    if write:
+        save(results)
+        if names == list(NAMES):
+            into_readme(table)
+    return 0
+
+
+def markdown(rows: list[Row]) -> str:
+    """The rows as a Markdown table, which reads as well on a terminal."""
+    lines = ["| what | measured | asked | |", "| --- | ---: | ---: | --- |"]
+    for row in rows:
+        asked = "" if row.goal is None else f"{'≤' if row.better == 'lower' else '≥'} {row.goal:g} {row.unit}".strip()
+        verdict = {True: "", False: "**missed** ", None: ""}[row.met]
+        lines.append(f"| {row.name} | {figure(row.value)} {row.unit} | {asked} | {verdict}{row.note} |".replace("  ", " "))
+    return "\n".join(lines)
+
+
+def figure(value: float) -> str:
+    """Three significant digits, without an exponent."""
+    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
+
+
+def save(results: dict[str, list[Row]]) -> None:
+    """One JSON file a run in benchmarks/results/, for the history."""
+    folder = HERE / "results"
+    folder.mkdir(exist_ok=True)
+    stamp = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
+    machine = {"cores": os.cpu_count(), "arch": platform.machine(), "python": platform.python_version()}
+    content = {"taken": stamp, "machine": machine, "results": {k: [r.as_json() for r in v] for k, v in results.items()}}
+    path = folder / f"{stamp}.json"
+    path.write_text(json.dumps(content, indent=1) + "\n")
+    print(f"written: {path.relative_to(HERE.parent)}", file=sys.stderr)
+
+
+def into_readme(table: str) -> None:
+    """Replace the table between the two marks of README.md."""
+    text = README.read_text(encoding="utf-8")
+    pattern = re.compile(re.escape(BEGIN) + ".*?" + re.escape(END), re.DOTALL)
+    README.write_text(pattern.sub(lambda _: f"{BEGIN}\n{table}\n{END}", text), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

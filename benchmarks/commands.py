@@ -1,0 +1,90 @@
+"""How long a whole command takes, from fork to reaped, beside the floor that Python and click set."""
+
+from __future__ import annotations
+
+import shutil
+import statistics
+import subprocess
+import sys
+from collections.abc import Callable
+
+from benchmarks.harness import SLIDECTL, SLIDER_CONTROLLERS, Daemon, Row, daemon, timed
+
+RUNS = 21
+GOAL_S = 0.070
+
+
+def measure() -> list[Row]:
+    """Everyday commands against a running slider, then start-up and spawn."""
+    rows = []
+    with daemon() as instance:
+        instance.spawn("slider", SLIDER_CONTROLLERS)
+        rows += [*_commands(instance)]
+    return rows + _start_up() + _spawns()
+
+
+def _commands(instance: Daemon) -> list[Row]:
+    actions: dict[str, Callable[[], object]] = {
+        "python -c 'import click'": _python("import click"),
+        "slidectl pub command 1.0": _slidectl(instance, "pub", "command", "1.0"),
+        "slidectl controller list": _slidectl(instance, "controller", "list"),
+        "slidectl echo joint_states -n 1": _slidectl(instance, "echo", "joint_states", "-n", "1"),
+        "slidectl service call list_controllers": _slidectl(instance, "service", "call", "list_controllers"),
+        "slidectl param get pid/p": _slidectl(instance, "param", "get", "joint1_position_controller/pid/p"),
+        "slidectl --help": _slidectl(instance, "--help"),
+    }
+    medians = interleaved(actions, RUNS)
+    floor = medians["python -c 'import click'"]
+    rows = []
+    for name, seconds in medians.items():
+        everyday = name.startswith("slidectl") and "help" not in name
+        note = f"{seconds / floor:.2f} x import click" if everyday else "the floor" if seconds == floor else ""
+        rows.append(Row(name, 1000 * seconds, "ms", 1000 * GOAL_S if everyday else None, note=note))
+    return rows
+
+
+def interleaved(actions: dict[str, Callable[[], object]], runs: int) -> dict[str, float]:
+    """Median seconds of each action, taken in turns so that a noisy moment hits all alike."""
+    taken: dict[str, list[float]] = {name: [] for name in actions}
+    for run in range(runs + 1):
+        for name, action in actions.items():
+            seconds = timed(action)
+            if run:
+                taken[name].append(seconds)
+    return {name: statistics.median(seconds) for name, seconds in taken.items()}
+
+
+def _python(code: str) -> Callable[[], object]:
+    return lambda: subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def _slidectl(instance: Daemon, *words: str) -> Callable[[], object]:
+    def run() -> None:
+        subprocess.run([SLIDECTL, *words], env=instance.environment, check=True, stdout=subprocess.DEVNULL)
+
+    return run
+
+
+def _start_up(runs: int = 5) -> list[Row]:
+    taken = []
+    for run in range(runs + 1):
+        instance = Daemon()
+        seconds = timed(lambda instance=instance: instance.run("daemon", "start"))
+        instance.run("daemon", "stop")
+        shutil.rmtree(instance.folder, ignore_errors=True)
+        if run:
+            taken.append(seconds)
+    return [Row("slidectl daemon start", 1000 * statistics.median(taken), "ms", 800)]
+
+
+def _spawns(runs: int = 5) -> list[Row]:
+    with daemon() as instance:
+        first = timed(lambda: instance.run("spawn", "slider", "-n", "first"))
+        later = [
+            timed(lambda k=k: instance.run("spawn", "slider", "-n", f"s{k}", "--at", str(k + 1), "0", "0"))
+            for k in range(runs)
+        ]
+    return [
+        Row("slidectl spawn slider, the first", 1000 * first, "ms"),
+        Row("slidectl spawn slider, later ones", 1000 * statistics.median(later), "ms", 300),
+    ]

@@ -1,0 +1,87 @@
+"""The floors of the house: each room imports only from the floors below it, and some libraries stay out of some rooms."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parent.parent / "slidectl"
+
+FLOORS = {
+    "errors": 0, "names": 0, "paths": 0, "msgs": 0,
+    "description": 1, "control": 1, "client": 1,
+    "physics": 2, "launch": 2,
+    "simulation": 3,
+    "daemon": 4,
+    "cli": 5,
+}  # fmt: skip
+
+FORBIDDEN = {
+    "errors": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
+    "names": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
+    "paths": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
+    "msgs": {"click", "mujoco", "socket"},
+    "description": {"click", "mujoco", "socket"},
+    "control": {"click", "mujoco", "socket", "numpy"},
+    "client": {"asyncio", "click", "mujoco", "numpy", "yaml", "rosbags", "lxml", "threading"},
+    "physics": {"click", "socket", "select", "threading"},
+    "simulation": {"click", "mujoco", "socket", "select", "time", "threading", "asyncio"},
+    "daemon": {"click", "asyncio", "threading"},
+    "cli": {"mujoco", "asyncio"},
+}
+
+# The door to the daemon's life cycle is the only thing that the command line takes from the daemon's floor directly.
+CLI_MAY_TAKE = {"errors", "names", "paths", "msgs", "description", "client", "daemon", "cli"}
+
+
+def modules() -> list[Path]:
+    return [path for path in sorted(PACKAGE.rglob("*.py")) if path.parent != PACKAGE or path.stem not in ("__init__", "__main__")]
+
+
+def room_of(path: Path) -> str:
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def imported(path: Path) -> set[str]:
+    """Dotted names of all that the file imports, inside functions too."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            assert node.level == 0, f"{path}: relative import"
+            found.add(node.module)
+            if node.module == "slidectl":
+                found.update(f"slidectl.{alias.name}" for alias in node.names)
+    return found
+
+
+def rooms_used(path: Path) -> set[str]:
+    return {name.split(".")[1] for name in imported(path) if name.startswith("slidectl.") and name.split(".")[1] in FLOORS}
+
+
+@pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_a_room_imports_only_from_lower_floors(path: Path) -> None:
+    room = room_of(path)
+    for used in rooms_used(path) - {room}:
+        same_floor_below = FLOORS[room] == 0 and used == "errors" or (room, used) == ("control", "description")
+        assert FLOORS[used] < FLOORS[room] or same_floor_below or (room, used) == ("msgs", "names"), f"{path} imports {used}"
+
+
+@pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_a_room_keeps_out_the_libraries_that_it_must_not_know(path: Path) -> None:
+    used = {name.split(".")[0] for name in imported(path)}
+    assert not used & FORBIDDEN[room_of(path)]
+
+
+def test_every_room_has_a_floor() -> None:
+    assert {room_of(path) for path in modules()} <= set(FLOORS)
+
+
+@pytest.mark.parametrize("path", sorted((PACKAGE / "cli").rglob("*.py")), ids=lambda path: path.name)
+def test_the_command_line_has_no_private_door(path: Path) -> None:
+    assert rooms_used(path) <= CLI_MAY_TAKE
+    inside = {name for name in imported(path) if name.startswith("slidectl.daemon.")}
+    assert inside <= {"slidectl.daemon.lifecycle", "slidectl.daemon.main"}
