@@ -18,9 +18,15 @@ EXIT_INTERRUPTED = 130
 
 
 def closest(name: str, known: Iterable[str]) -> str | None:
-    """The known name nearest in spelling, or None when none is near."""
-    matches = get_close_matches(name, list(known), n=1, cutoff=0.6)
-    return matches[0] if matches else None
+    """The known name nearest in spelling, or None when none is near. A short name is compared with the ends of full ones."""
+    components = name.count("/") + 1
+    by_end: dict[str, str] = {}
+    for full in known:
+        by_end.setdefault(full, full)
+        if not name.startswith("/"):
+            by_end.setdefault("/".join(full.split("/")[-components:]), full)
+    matches = get_close_matches(name, list(by_end), n=1, cutoff=0.6)
+    return by_end[matches[0]] if matches else None
 
 
 def listing(known: Iterable[str], most: int = 12) -> str:
