@@ -18,7 +18,7 @@ EXIT_INTERRUPTED = 130
 
 
 def closest(name: str, known: Iterable[str]) -> str | None:
-    """The known name nearest in spelling, or None when none is near. A short name is compared with the ends of full ones."""
+    """The known name nearest in spelling, or None; a short name is held against the ends of full ones."""
     components = name.count("/") + 1
     by_end: dict[str, str] = {}
     for full in known:
