@@ -1,1 +1,35 @@
-"""cli"""
+"""The command line: it parses, calls the client and prints. No other room imports this one.
+
+`entry` is the console script. It must stay cheap to import: the command's own module, YAML, rich and the
+rest are imported inside the functions that need them.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import NoReturn
+
+_INTERRUPTED = 130
+
+
+def entry() -> NoReturn:
+    """Run the command line of this process and leave with its exit code."""
+    code = _INTERRUPTED
+    try:
+        from slidectl.cli.main import run
+
+        code = run(sys.argv[1:])
+    except KeyboardInterrupt:
+        pass
+    leave(code)
+
+
+def leave(code: int) -> NoReturn:
+    """Flush and end the process at once: an orderly teardown of the interpreter costs more than most commands."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except (OSError, ValueError, KeyboardInterrupt):
+            continue
+    os._exit(code)

@@ -1,0 +1,184 @@
+"""The command and group classes of this command line.
+
+`@command(examples=[...])` and `@group(...)` replace click's. They add the common options, an Examples section,
+negative numbers as plain values, and options that take values until the next option.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import click
+
+from slidectl.cli.options import common_options
+
+# Marks an argument that must not be taken for an option. No argument of a process can hold a zero byte.
+_GUARD = "\0"
+_NUMBER = re.compile(r"[-+]?((\d[\d_]*\.?\d*|\.\d+)([eE][-+]?\d+)?|\.?(inf|Inf|INF)|\.?(nan|NaN|NAN))")
+
+
+def looks_like_number(token: str) -> bool:
+    """True for what a person writes as a number: `-5`, `1e-3`, `.5`, `-inf`."""
+    return bool(_NUMBER.fullmatch(token))
+
+
+class Variadic(click.Option):
+    """An option that takes values until the next option, and may repeat: `--start A B --stop C`."""
+
+    def __init__(
+        self, param_decls: Sequence[str] | None = None, takes: Callable[[str], bool] | None = None, **attributes: Any
+    ) -> None:
+        attributes["multiple"] = True
+        super().__init__(param_decls, **attributes)
+        self._takes = takes
+
+    def takes(self, token: str) -> bool:
+        """True when `token`, which follows the option, is one of its values."""
+        if self._takes is not None:
+            return self._takes(token)
+        return not token.startswith("-") or token == "-"
+
+
+class _Shared(click.Command):
+    """What commands and groups have in common. `examples` are complete command lines."""
+
+    def __init__(self, *args: Any, examples: Sequence[str] = (), **attributes: Any) -> None:
+        super().__init__(*args, **attributes)
+        self.examples = tuple(examples)
+
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        own = super().get_params(ctx)
+        taken = {name for param in own for name in param.opts}
+        return own + [option for option in common_options() if taken.isdisjoint(option.opts)]
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        common = common_options()
+        own = [param for param in self.get_params(ctx) if param not in common]
+        shared = [param for param in self.get_params(ctx) if param in common]
+        self._write_options(ctx, formatter, "Options", own)
+        self._write_options(ctx, formatter, "Common options", shared)
+        if isinstance(self, click.Group):
+            self.format_commands(ctx, formatter)
+
+    def _write_options(
+        self, ctx: click.Context, formatter: click.HelpFormatter, title: str, params: Sequence[click.Parameter]
+    ) -> None:
+        options = [param for param in params if isinstance(param, click.Option)]
+        records = [record for option in options if (record := option.get_help_record(ctx)) is not None]
+        if records:
+            with formatter.section(title):
+                formatter.write_dl(records)
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        if self.examples:
+            with formatter.section("Examples"):
+                for line in self.examples:
+                    formatter.write(f"{'':>{formatter.current_indent}}{line}\n")
+        super().format_epilog(ctx, formatter)
+
+
+class Command(_Shared):
+    """A command. Override `is_value` to let more tokens that begin with `-` be values (expressions, say)."""
+
+    def is_value(self, token: str, before: Sequence[str]) -> bool:  # noqa: ARG002
+        """True when `token`, which begins with `-` and is no option of this command, is a value.
+
+        `before` holds the arguments to its left as the user typed them.
+        """
+        return looks_like_number(token)
+
+    def make_parser(self, ctx: click.Context) -> Any:
+        """click's parser behind a door that marks values and spreads variadic options."""
+        parser = super().make_parser(ctx)
+        inner = parser.parse_args
+        params = self.get_params(ctx)
+
+        def parse_args(args: list[str]) -> Any:
+            values, rest, order = inner(args=self._guarded(list(args), params))
+            return {key: _unguarded(value) for key, value in values.items()}, _unguarded(rest), order
+
+        parser.parse_args = parse_args  # type: ignore[method-assign]
+        return parser
+
+    def _guarded(self, args: list[str], params: Sequence[click.Parameter]) -> list[str]:
+        variadic = {name: param for param in params if isinstance(param, Variadic) for name in param.opts}
+        options = {name for param in params if isinstance(param, click.Option) for name in param.opts}
+        result: list[str] = []
+        index = 0
+        while index < len(args):
+            token = args[index]
+            index += 1
+            if token == "--":
+                return [*result, *args[index - 1 :]]
+            if token in variadic:
+                end = _end_of_values(variadic[token], args, index)
+                result += [part for value in args[index:end] for part in (token, _GUARD + value)] or [token]
+                index = end
+            elif token.startswith("-") and token not in options and self.is_value(token, args[: index - 1]):
+                result.append(_GUARD + token)
+            else:
+                result.append(token)
+        return result
+
+
+def _end_of_values(option: Variadic, args: Sequence[str], start: int) -> int:
+    end = start
+    while end < len(args) and option.takes(args[end]):
+        end += 1
+    return end
+
+
+def _unguarded(value: Any) -> Any:
+    if isinstance(value, str):
+        return value.removeprefix(_GUARD)
+    if isinstance(value, list | tuple):
+        return type(value)(_unguarded(item) for item in value)
+    return value
+
+
+class Group(_Shared, click.Group):
+    """A group of commands; without one it shows its help on stderr and exits 2."""
+
+    command_class = Command
+
+    def __init__(self, *args: Any, **attributes: Any) -> None:
+        super().__init__(*args, no_args_is_help=False, **attributes)
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        if not args and not ctx.resilient_parsing:
+            click.echo(self.get_help(ctx), err=True)
+            ctx.exit(2)
+        return super().parse_args(ctx, args)
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        name = args[0]
+        if not ctx.resilient_parsing and not name.startswith("-") and name not in self.list_commands(ctx):
+            raise UnknownCommand(name, self.list_commands(ctx), ctx)
+        return super().resolve_command(ctx, args)
+
+
+class UnknownCommand(click.UsageError):
+    """No such command: suggests the closest, lists all."""
+
+    def __init__(self, name: str, known: Sequence[str], ctx: click.Context) -> None:
+        from slidectl.errors import closest
+
+        near = closest(name, known)
+        suggestion = f" Did you mean {ctx.command_path + ' ' + near!r}?" if near else ""
+        super().__init__(f"no command {name!r}.{suggestion}\ncommands: {', '.join(known)}", ctx)
+
+
+def command(name: str | None = None, *, examples: Sequence[str], **attributes: Any) -> Callable[..., Command]:
+    """Decorator of a command that stands on its own. Its first sentence is the short help of the command table."""
+    attributes.setdefault("cls", Command)
+    return click.command(name, examples=examples, **attributes)
+
+
+def group(name: str | None = None, **attributes: Any) -> Callable[..., Group]:
+    """Decorator of a group; add to it with `@thegroup.command("verb", examples=[...])`."""
+    attributes.setdefault("cls", Group)
+    return click.group(name, **attributes)

@@ -1,0 +1,168 @@
+"""What every command gets: which daemon, which namespace, how to print, how long to wait.
+
+Commands take it with `@click.pass_obj def robots(ctx: Context, ...)`. It connects on first use of `client`
+and must not import the client, YAML or rich before they are needed.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from slidectl.cli import output
+from slidectl.errors import UsageError
+
+if TYPE_CHECKING:
+    from slidectl.client import Client
+    from slidectl.paths import InstancePaths
+
+DEFAULT_TIMEOUT_S = 10.0
+
+# kind -> (service, key of the answer that holds the names)
+_LISTS = {
+    "topic": ("/rosapi/topics", "topics"),
+    "service": ("/rosapi/services", "services"),
+    "parameter": ("/rosapi/get_param_names", "names"),
+    "node": ("/rosapi/nodes", "nodes"),
+}
+
+
+class Context:
+    """Options of one invocation and the connection that they lead to."""
+
+    def __init__(self) -> None:
+        self.instance: str | None = None
+        self.socket: str | None = None
+        self.namespace = "/"
+        self.format = "text"
+        self.quiet = False
+        self.verbose = 0
+        self.timeout: float | None = None
+        """Wall seconds of `--timeout`; None when it was not given."""
+        self._client: Client | None = None
+
+    # --- the daemon ---------------------------------------------------------------------------------------------
+
+    @property
+    def paths(self) -> InstancePaths:
+        """Socket, lock and log of the chosen instance. Raises UsageError for a bad name."""
+        from slidectl import paths
+
+        if self.instance and self.socket:
+            raise UsageError("--instance and --socket exclude each other")
+        return paths.instance(self.instance, self.socket)
+
+    @property
+    def client(self) -> Client:
+        """The connection to the daemon, made on first use. Raises NoDaemon when nobody answers."""
+        if self._client is None:
+            from slidectl.client import Client
+
+            if self.instance and self.socket:
+                raise UsageError("--instance and --socket exclude each other")
+            self._client = Client(self.instance, self.socket, timeout=self.wait_limit(DEFAULT_TIMEOUT_S))
+        return self._client
+
+    @property
+    def is_connected(self) -> bool:
+        """True when `client` has been used already."""
+        return self._client is not None
+
+    def close(self) -> None:
+        """Close the connection if there is one."""
+        if self._client is not None:
+            self._client.close()
+            self._client = None
+
+    def wait_limit(self, default_s: float) -> float:
+        """How long this command may wait: `--timeout` if given, else `default_s` (wall seconds)."""
+        return default_s if self.timeout is None else self.timeout
+
+    def call(self, service: str, request: dict[str, Any] | None = None, timeout: float | None = None) -> dict[str, Any]:
+        """Call a service. Raises Refused, TimedOut or NoDaemon as Client.call does."""
+        if timeout is None:
+            return self.client.call(service, request)
+        return self.client.call(service, request, timeout=timeout)
+
+    # --- names --------------------------------------------------------------------------------------------------
+
+    def names(self, kind: str) -> list[str]:
+        """All names of a kind, sorted: `topic`, `service`, `parameter`, `node` or `robot`."""
+        if kind == "robot":
+            return sorted(robot["name"] for robot in self.call("/slidectl/list_robots", {"name": ""})["robots"])
+        service, key = _LISTS[kind]
+        return sorted(self.call(service)[key])
+
+    def resolve(self, kind: str, name: str) -> str:
+        """The full name that the user meant (see names.resolve). Raises UnknownName (1) or AmbiguousName (2)."""
+        from slidectl.names import resolve
+
+        return resolve(name, self.names(kind), kind=kind, namespace=self.namespace)
+
+    # --- printing -----------------------------------------------------------------------------------------------
+
+    def emit(self, record: Mapping[str, Any], text: str | None = None) -> None:
+        """One result. As text it is `text`, else `key: value` lines; csv is a header and one row."""
+        if self.format == "json":
+            output.write(output.as_json(record))
+        elif self.format == "yaml":
+            output.write(output.as_yaml(record))
+        elif self.format == "csv":
+            output.write(output.as_csv([list(record), list(record.values())]))
+        elif text != "":
+            output.write(output.as_lines(record) if text is None else text)
+
+    def emit_rows(self, rows: Sequence[Mapping[str, Any]], columns: Sequence[str], empty: str = "") -> None:
+        """Many results: a table as text, an object a line as json, a list as yaml, a header and rows as csv.
+
+        `columns` are the keys that text and csv show; json and yaml hold all keys of the rows. `empty` is a line
+        for stderr when there are no rows.
+        """
+        if self.format == "yaml":
+            output.write(output.as_yaml(list(rows)))
+        elif self.format == "csv":
+            output.write(output.as_csv([list(columns), *([row.get(key) for key in columns] for row in rows)]))
+        elif not rows:
+            self.say(empty)
+        elif self.format == "json":
+            output.write("\n".join(map(output.as_json, rows)))
+        else:
+            output.write(output.table(rows, columns))
+
+    def emit_names(self, names: Sequence[str], key: str, empty: str = "") -> None:
+        """A list of names: one a line as text, objects `{key: name}` as json, yaml and csv."""
+        if self.format != "text":
+            self.emit_rows([{key: name} for name in names], [key], empty)
+        elif names:
+            output.write("\n".join(names))
+        else:
+            self.say(empty)
+
+    def done(self, record: Mapping[str, Any], text: str) -> None:
+        """What an action did. As text it is one line that `-q` silences; other formats print the record."""
+        if self.format != "text" or not self.quiet:
+            self.emit(record, text)
+
+    def say(self, text: str) -> None:
+        """A remark on stderr, silenced by `-q`."""
+        if text and not self.quiet:
+            print(text, file=sys.stderr, flush=True)
+
+    def warn(self, text: str) -> None:
+        """A warning on stderr, silenced by `-q`."""
+        self.say(f"{paint('warning:', 'yellow')} {text}")
+
+    def detail(self, text: str) -> None:
+        """A remark on stderr that only `-v` shows."""
+        if self.verbose:
+            self.say(text)
+
+
+def paint(text: str, colour: str) -> str:
+    """Coloured for stderr when that is a terminal that wants colours."""
+    if not output.wants_colour(sys.stderr):
+        return text
+    import click
+
+    return click.style(text, fg=colour, bold=True)

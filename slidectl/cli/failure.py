@@ -1,0 +1,64 @@
+"""From an exception to lines on stderr and an exit code. The only place that decides either."""
+
+from __future__ import annotations
+
+import select
+import sys
+from collections.abc import Callable
+
+import click
+
+from slidectl.cli.context import Context, paint
+from slidectl.cli.output import ClosedPipe
+from slidectl.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_REFUSED, EXIT_USAGE, NoDaemon, SlidectlError
+
+
+def guard(action: Callable[[], None], context: Context) -> int:
+    """Run the action; the exit code. Errors are printed, with a traceback when `-v` was given twice."""
+    try:
+        action()
+        return EXIT_DONE
+    except click.exceptions.Exit as leaving:
+        return leaving.exit_code
+    except ClosedPipe:
+        return EXIT_DONE
+    except (KeyboardInterrupt, click.Abort):
+        return EXIT_INTERRUPTED
+    except BrokenPipeError as error:
+        return EXIT_DONE if _reader_has_gone() else _report(NoDaemon(f"the connection broke: {error}"), context)
+    except Exception as error:
+        return _report(error, context)
+
+
+def _report(error: Exception, context: Context) -> int:
+    if context.verbose >= 2:
+        import traceback
+
+        traceback.print_exception(error)
+    text, code = describe(error)
+    first, *rest = text.rstrip().splitlines() or [""]
+    print(paint("error:", "red"), "\n".join([first, *rest]), file=sys.stderr, flush=True)
+    return code
+
+
+def describe(error: Exception) -> tuple[str, int]:
+    """The lines for the user and the exit code of an error."""
+    if isinstance(error, SlidectlError):
+        return str(error), error.exit_code
+    if isinstance(error, click.UsageError):
+        return error.format_message() + _where_to_look(error), EXIT_USAGE
+    if isinstance(error, click.ClickException):
+        return error.format_message(), error.exit_code
+    name = type(error).__name__
+    return f"{name}: {error}\nthis is a fault of slidectl; give -v twice to see where it happened", EXIT_REFUSED
+
+
+def _where_to_look(error: click.UsageError) -> str:
+    return f"\nsee '{error.ctx.command_path} --help'" if error.ctx is not None else ""
+
+
+def _reader_has_gone() -> bool:
+    poll = select.poll()
+    for stream in (sys.stdout, sys.stderr):
+        poll.register(stream.fileno(), 0)
+    return any(event & (select.POLLERR | select.POLLHUP) for _, event in poll.poll(0))

@@ -1,0 +1,160 @@
+"""The root command: a table of all commands, whose modules are imported only when they run.
+
+It parses the options before the command, and nothing else.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import click
+
+from slidectl.cli.commands import Group
+from slidectl.cli.context import Context
+from slidectl.cli.failure import guard
+from slidectl.cli.options import environment_namespace
+
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
+
+COMPLETION_VARIABLE = "_SLIDECTL_COMPLETE"
+
+
+class Entry(NamedTuple):
+    """One line of the command table. The command object has the command's name in its module."""
+
+    section: str
+    module: str
+    help: str
+    """Equal to the first sentence of the command's own help (a test compares them)."""
+
+
+COMMANDS = {
+    "daemon": Entry("The daemon", "daemon", "Start, stop and watch the daemon that holds the world."),
+    "sim": Entry("The daemon", "sim", "Time of the world: status, pause, step, speed, reset."),
+    "spawn": Entry("Robots", "spawn", "Put a robot into the world."),
+    "delete": Entry("Robots", "spawn", "Take robots out of the world."),
+    "robots": Entry("Robots", "spawn", "List the robots, or show one with its joints."),
+    "controller": Entry("Robots", "controller", "Load, start, stop and list controllers."),
+    "pub": Entry("Topics, services, parameters", "pub", "Publish a message."),
+    "echo": Entry("Topics, services, parameters", "echo", "Print the messages of a topic."),
+    "wait": Entry("Topics, services, parameters", "wait", "Wait until a field of a topic has a value."),
+    "topic": Entry("Topics, services, parameters", "topic", "List, inspect and measure topics."),
+    "service": Entry("Topics, services, parameters", "service", "List, inspect and call services."),
+    "param": Entry("Topics, services, parameters", "param", "Get, set, load and dump parameters."),
+    "tf": Entry("Topics, services, parameters", "tf", "Show the frames and the transforms between them."),
+    "msg": Entry("Topics, services, parameters", "msg", "Show message types."),
+    "srv": Entry("Topics, services, parameters", "msg", "Show service types."),
+    "completion": Entry("slidectl", "completion", "Print the completion script of a shell."),
+    "version": Entry("slidectl", "version", "Print the version."),
+}
+
+HELP = """Run the ros_control and Gazebo tutorials from the shell, without ROS and without Gazebo.
+
+A daemon holds the simulated world; every other command talks to it. Start with 'slidectl daemon start' and
+'slidectl spawn slider'.
+
+\b
+Exit codes:
+  0    done
+  1    refused or failed: the service said no, or the condition is false
+  2    wrong usage, or a bad file
+  3    no daemon answers
+  4    timed out
+  130  interrupted (Ctrl-C)
+
+\b
+Environment:
+  SLIDECTL_INSTANCE, SLIDECTL_SOCKET   as --instance and --socket
+  SLIDECTL_NAMESPACE                   as --ns
+  NO_COLOR                             no colours
+"""
+
+
+class Root(Group):
+    """The group at the top. It knows names and short helps from the table alone."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
+        entry = COMMANDS.get(cmd_name)
+        return None if entry is None else load(cmd_name, entry)
+
+    def make_context(self, *args: Any, **extra: Any) -> click.Context:
+        extra.setdefault("obj", Context())
+        return super().make_context(*args, **extra)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
+        width = max(map(len, COMMANDS))
+        for section in dict.fromkeys(entry.section for entry in COMMANDS.values()):
+            rows = [(name.ljust(width), entry.help) for name, entry in COMMANDS.items() if entry.section == section]
+            with formatter.section(section):
+                formatter.write_dl(rows)
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        from click.shell_completion import CompletionItem
+
+        items = [
+            CompletionItem(name, help=entry.help) for name, entry in COMMANDS.items() if name.startswith(incomplete)
+        ]
+        return items + click.Command.shell_complete(self, ctx, incomplete)
+
+
+def load(name: str, entry: Entry) -> click.Command:
+    """Import the module of a command and take the command out of it."""
+    command = getattr(import_module(f"slidectl.cli.{entry.module}"), name)
+    assert isinstance(command, click.Command)
+    return command
+
+
+def _print_version(click_context: click.Context, _param: click.Parameter, value: bool) -> None:
+    if value and not click_context.resilient_parsing:
+        from slidectl import __version__
+
+        click.echo(f"slidectl {__version__}")
+        click_context.exit()
+
+
+root = Root(
+    "slidectl",
+    help=HELP,
+    examples=["slidectl daemon start", "slidectl spawn slider --controllers config/slider_control.yaml"],
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+    params=[
+        click.Option(
+            ["--version"],
+            is_flag=True,
+            expose_value=False,
+            is_eager=True,
+            callback=_print_version,
+            help="Print the version and exit.",
+        )
+    ],
+)
+
+
+def run(argv: Sequence[str]) -> int:
+    """Run one command line; its exit code. Prints errors itself and raises nothing but KeyboardInterrupt."""
+    context = Context()
+    if COMPLETION_VARIABLE in os.environ:
+        return _complete(os.environ[COMPLETION_VARIABLE])
+    for stream in (sys.stdout, sys.stderr):
+        stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
+    return guard(lambda: _invoke(list(argv), context), context)
+
+
+def _invoke(argv: list[str], context: Context) -> None:
+    context.namespace = environment_namespace()
+    with root.make_context("slidectl", argv, obj=context) as click_context:
+        root.invoke(click_context)
+
+
+def _complete(instruction: str) -> int:
+    from click.shell_completion import shell_complete
+
+    return shell_complete(root, {}, "slidectl", COMPLETION_VARIABLE, instruction)

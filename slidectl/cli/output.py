@@ -1,0 +1,156 @@
+"""How results look: text, JSON lines, YAML, CSV; plain in a pipe, rich tables on a terminal.
+
+Pure text building and the one function that writes to stdout. It knows no command and no daemon.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, TextIO
+
+from slidectl.errors import Refused
+
+FORMATS = ("text", "json", "yaml", "csv")
+
+Record = Mapping[str, Any]
+
+
+class ClosedPipe(Exception):  # noqa: N818 - the end of a pipe is no error
+    """Whoever read our output has gone: end quietly."""
+
+
+def write(text: str) -> None:
+    """One result on stdout, with a line end if it has none, flushed at once.
+
+    Raises:
+        ClosedPipe: the reader has gone. Refused: the output cannot be written (a full disk).
+    """
+    try:
+        sys.stdout.write(text if text.endswith("\n") else text + "\n")
+        sys.stdout.flush()
+    except BrokenPipeError:
+        raise ClosedPipe from None
+    except OSError as error:
+        raise Refused(f"cannot write the output: {error.strerror or error}") from None
+
+
+def is_terminal(stream: TextIO) -> bool:
+    """True for a terminal that can do more than lines of text."""
+    return stream.isatty() and os.environ.get("TERM", "") != "dumb"
+
+
+def wants_colour(stream: TextIO) -> bool:
+    """True on a terminal unless NO_COLOR is set (https://no-color.org)."""
+    return is_terminal(stream) and not os.environ.get("NO_COLOR")
+
+
+def as_json(value: Any) -> str:
+    """One line of JSON; NaN and infinities become null, as on the wire."""
+    try:
+        return json.dumps(value, ensure_ascii=False, allow_nan=False)
+    except ValueError:
+        return json.dumps(_finite(value), ensure_ascii=False)
+
+
+def as_yaml(value: Any) -> str:
+    """YAML in block style, keys in their own order."""
+    import yaml
+
+    return str(yaml.safe_dump(_plain(value), sort_keys=False, allow_unicode=True, default_flow_style=False))
+
+
+def as_csv(rows: Iterable[Sequence[Any]]) -> str:
+    """RFC 4180 rows (lines end with a plain newline); nested values are JSON."""
+    import csv
+    import io
+
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerows([_csv_cell(cell) for cell in row] for row in rows)
+    return buffer.getvalue()
+
+
+def as_lines(record: Record) -> str:
+    """`key: value` a line, the values in one column."""
+    width = max((len(key) for key in record), default=0) + 1
+    return "\n".join(f"{key + ':':<{width}} {cell(value)}".rstrip() for key, value in record.items())
+
+
+def cell(value: Any) -> str:
+    """A value in a table: lists are joined by blanks, nothing is `-`, floats have six significant digits."""
+    if value is None or value == "" or value == []:
+        return "-"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list | tuple):
+        return " ".join(cell(item) for item in value)
+    return as_json(value) if isinstance(value, Mapping) else str(value)
+
+
+def as_table(rows: Sequence[Sequence[str]], header: Sequence[str]) -> str:
+    """Columns padded with blanks under a header line, never wrapped, nothing behind the last column."""
+    lines = [tuple(name.upper() for name in header), *rows]
+    widths = [max(len(line[column]) for line in lines) for column in range(len(header))]
+    return "\n".join("  ".join(map(str.ljust, line, widths)).rstrip() for line in lines)
+
+
+def as_rich_table(rows: Sequence[Sequence[str]], header: Sequence[str], colour: bool) -> str:
+    """The same for a terminal: wraps inside its columns, with colours if wanted."""
+    import io
+
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, header_style="bold")
+    for index, name in enumerate(header):
+        table.add_column(name, style="cyan" if index == 0 else "")
+    for row in rows:
+        table.add_row(*(Text(text) for text in row))
+    buffer = io.StringIO()
+    console = Console(file=buffer, force_terminal=True, no_color=not colour, width=_terminal_width(), highlight=False)
+    console.print(table)
+    return buffer.getvalue()
+
+
+def table(rows: Sequence[Record], columns: Sequence[str]) -> str:
+    """A table of records: plain in a pipe, rich on a terminal. Column `a_b` is headed `a b`."""
+    header = [column.replace("_", " ") for column in columns]
+    body = [[cell(row.get(column)) for column in columns] for row in rows]
+    if is_terminal(sys.stdout):
+        return as_rich_table(body, header, wants_colour(sys.stdout))
+    return as_table(body, header)
+
+
+def _terminal_width() -> int:
+    try:
+        return os.get_terminal_size(sys.stdout.fileno()).columns or 80
+    except (OSError, ValueError):
+        return 80
+
+
+def _csv_cell(value: Any) -> Any:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return as_json(value) if isinstance(value, list | tuple | Mapping) else value
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    return [_finite(item) for item in value] if isinstance(value, list | tuple) else value
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
