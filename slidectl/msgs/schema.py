@@ -1,0 +1,66 @@
+"""What a message type is made of: fields, constants, and the primitive types with their ranges.
+
+Plain records. Nothing here reads a file, and nothing here knows a particular message.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+SCALAR = -1
+VARIABLE = 0
+
+INTEGER_RANGES = {
+    **{f"int{bits}": (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) for bits in (8, 16, 32, 64)},
+    **{f"uint{bits}": (0, 2**bits - 1) for bits in (8, 16, 32, 64)},
+    "byte": (-128, 127),
+    "char": (0, 255),
+}
+"""ROS 1's integers with their lowest and highest value. `byte` is an int8 and `char` an uint8 there."""
+FLOATS = frozenset({"float32", "float64"})
+TIMES = frozenset({"time", "duration"})
+BYTES = frozenset({"uint8", "char"})
+"""Arrays of these are base64 text in a message, as on the wire."""
+PRIMITIVES = frozenset(INTEGER_RANGES) | FLOATS | TIMES | {"bool", "string"}
+
+
+class Field(NamedTuple):
+    """One field. `array` is -1 for a single value, 0 for a list of any length, n for a list of exactly n."""
+
+    name: str
+    type: str
+    array: int = SCALAR
+
+    @property
+    def type_text(self) -> str:
+        """The type as a definition writes it: `float64`, `float64[]`, `float64[9]`."""
+        if self.array == SCALAR:
+            return self.type
+        return f"{self.type}[{self.array or ''}]"
+
+
+class Constant(NamedTuple):
+    """A named value of a type. Its value is a str, bool, int or float, after its type."""
+
+    name: str
+    type: str
+    value: str | bool | int | float
+
+
+class Definition(NamedTuple):
+    """A message type. `constant_texts` has the values as they were written: the md5 sum is taken over those."""
+
+    name: str
+    fields: tuple[Field, ...]
+    constants: tuple[Constant, ...]
+    constant_texts: tuple[str, ...]
+    text: str
+
+
+class Service(NamedTuple):
+    """A service type: what is asked and what is answered."""
+
+    name: str
+    request: Definition
+    response: Definition
+    text: str
