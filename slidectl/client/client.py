@@ -1,0 +1,277 @@
+"""The blocking client: connect, call, publish, subscribe. The public Python API for scripts.
+
+It keeps no thread: whatever arrives is sorted into answers, messages and refusals while some call waits. It repairs
+nothing silently: a daemon that dies is NoDaemon, and there is no reconnection.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Any
+
+from slidectl import names, paths
+from slidectl.client.link import Link, command
+from slidectl.client.subscription import LogLines, Subscription
+from slidectl.errors import MessageRefused, NoDaemon, Refused, SlidectlError, TimedOut, UnknownName
+
+Message = dict[str, Any]
+
+_WARN = 4  # rosgraph_msgs/Log
+_PROBE_S = 0.5
+
+
+class Client:
+    """A connection to a daemon. Use it as a context manager: leaving it waits until what was published is taken in.
+
+    Args:
+        instance: the daemon's name; by default `SLIDECTL_SOCKET`, `SLIDECTL_INSTANCE` or `default` decide.
+        socket: the path of its socket instead.
+        timeout: wall seconds that any one wait may take unless it says otherwise; `inf` for ever.
+
+    Raises:
+        NoDaemon: nobody answers. Refused: the socket's folder is not private, or the daemon is another user's.
+    """
+
+    def __init__(self, instance: str | None = None, socket: str | None = None, timeout: float = 10.0) -> None:
+        self.paths = paths.instance(instance, socket)
+        self.timeout = timeout
+        self._link = Link(self.paths, time.monotonic() + timeout)
+        self._serial = 0
+        self._waiting: set[str] = set()
+        self._answers: dict[str, Message] = {}
+        self._refusals: list[SlidectlError] = []
+        self._subscriptions: dict[str, list[Subscription]] = {}
+        self._advertised: set[tuple[str, str | None, bool]] = set()
+        self._published = False
+
+    # --- services -----------------------------------------------------------------------------------------------
+
+    def call(self, service: str, request: Message | None = None, *, timeout: float | None = None) -> Message:
+        """Call a service and wait for its response; missing fields of the request take their defaults.
+
+        Raises:
+            Refused: the service failed; its text and exit code are the daemon's.
+            TimedOut: no answer within `timeout` wall seconds. NoDaemon: the daemon went away.
+        """
+        return self.answer(self.call_async(service, request), timeout=timeout)
+
+    def call_async(self, service: str, request: Message | None = None) -> str:
+        """Send a call and return its id at once; `answer` waits for the response."""
+        call_id = self._next_id("call")
+        self._waiting.add(call_id)
+        self._send(op="call_service", id=call_id, service=names.join("/", service), args=request or {})
+        return call_id
+
+    def answer(self, call_id: str, *, timeout: float | None = None) -> Message:
+        """The response to an earlier `call_async`. Raises as `call` does."""
+        try:
+            self.wait_until(lambda: call_id in self._answers, timeout, "the service did not answer")
+        finally:
+            self._waiting.discard(call_id)
+        answer = self._answers.pop(call_id)
+        values = answer.get("values")
+        if not answer.get("result", True):
+            raise _refusal(Refused, str(values), answer)
+        return values if isinstance(values, dict) else {}
+
+    # --- topics -------------------------------------------------------------------------------------------------
+
+    def advertise(self, topic: str, type: str | None = None, latch: bool = False) -> None:
+        """Become a publisher of the topic until the client is closed; `latch` keeps the last message for latecomers."""
+        if (topic, type, latch) in self._advertised:
+            return
+        self._advertised.add((topic, type, latch))
+        message: Message = {"op": "advertise", "id": self._next_id("advertise"), "topic": names.join("/", topic)}
+        if type is not None:
+            message["type"] = type
+        if latch:
+            message["latch"] = True
+        self._send(**message)
+        self._published = True
+
+    def publish(self, topic: str, message: Message, type: str | None = None, latch: bool = False) -> None:
+        """Send one message. A topic that exists needs no type; `flush` says whether the message was taken."""
+        if type is not None or latch:
+            self.advertise(topic, type, latch)
+        self._send(op="publish", id=self._next_id("publish"), topic=names.join("/", topic), msg=message)
+        self._published = True
+
+    def flush(self, *, timeout: float | None = None) -> None:
+        """Wait until all that was sent has been taken in and has reached the subscribers.
+
+        Raises:
+            MessageRefused: the first of the refusals that came back, with its exit code; TimedOut, NoDaemon.
+        """
+        self._published = False
+        self.call("/rosapi/get_time", timeout=timeout)
+        refusals, self._refusals = self._refusals, []
+        if refusals:
+            raise refusals[0]
+
+    def subscribe(
+        self, topic: str, type: str | None = None, queue_length: int = 0, throttle_rate: int = 0
+    ) -> Subscription:
+        """Receive the topic's messages from now on.
+
+        Args:
+            type: needed only for a topic that nobody has advertised yet.
+            queue_length: messages kept for a slow reader, the newest; 0 means 1000.
+            throttle_rate: least wall milliseconds between two messages.
+
+        Raises:
+            Refused: no such topic, or it has another type.
+        """
+        subscription = Subscription(self, names.join("/", topic), self._next_id("subscribe"), queue_length)
+        options: Message = {"queue_length": queue_length, "throttle_rate": throttle_rate}
+        self._begin(subscription, options | ({} if type is None else {"type": type}))
+        return subscription
+
+    def _begin(self, subscription: Subscription, options: Message) -> None:
+        receivers = self._subscriptions.setdefault(subscription.topic, [])
+        receivers.append(subscription)
+        try:
+            self._send(op="subscribe", id=subscription.id, topic=subscription.topic, **options)
+            self.flush()
+        except BaseException:
+            receivers.remove(subscription)
+            raise
+
+    def unsubscribe(self, subscription: Subscription) -> None:
+        """What `Subscription.close` does."""
+        receivers = self._subscriptions.get(subscription.topic, [])
+        if subscription not in receivers:
+            return
+        receivers.remove(subscription)
+        with suppress(NoDaemon):  # a dead daemon has unsubscribed us already
+            self._send(op="unsubscribe", id=subscription.id, topic=subscription.topic)
+
+    @contextmanager
+    def rosout(self, level: int = _WARN) -> Iterator[list[Message]]:
+        """Collect the /rosout messages of at least `level` that arrive while calls of this client wait."""
+        lines = LogLines(self, "/rosout", self._next_id("subscribe"), level)
+        with lines:
+            self._begin(lines, {"type": "rosgraph_msgs/Log"})
+            yield lines.collected
+
+    # --- names --------------------------------------------------------------------------------------------------
+
+    def topics(self) -> dict[str, str]:
+        """Every topic with its type."""
+        answer = self.call("/rosapi/topics")
+        return dict(zip(answer["topics"], answer["types"], strict=True))
+
+    def resolve_topic(self, name: str, role: str | None = None, namespace: str = "/") -> str:
+        """The full name of the topic that `name` means among those with `publishers` or `subscribers` (the role).
+
+        Raises:
+            UnknownName, AmbiguousName: see `slidectl.names.resolve`.
+        """
+        known = self.topics()
+        near = [topic for topic in known if topic.endswith("/" + name.strip("/"))]
+        try:
+            return names.resolve(name, self._having(role, near), kind="topic", namespace=namespace)
+        except UnknownName:
+            return names.resolve(name, self._having(role, known), kind="topic", namespace=namespace)
+
+    def _having(self, role: str | None, topics: Iterable[str]) -> list[str]:
+        if role is None:
+            return list(topics)
+        calls = {topic: self.call_async(f"/rosapi/{role}", {"topic": topic}) for topic in topics}
+        return [topic for topic, call_id in calls.items() if self.answer(call_id)[role]]
+
+    def resolve_service(self, name: str, namespace: str = "/") -> str:
+        """The full name of the service that `name` means. Raises as `slidectl.names.resolve` does."""
+        return names.resolve(name, self.call("/rosapi/services")["services"], kind="service", namespace=namespace)
+
+    # --- what arrives -------------------------------------------------------------------------------------------
+
+    def events(self, timeout: float = math.inf) -> Iterator[Message]:
+        """Every object that arrives, as it is on the wire, until nothing has come for `timeout` seconds."""
+        while (message := self._link.receive(time.monotonic() + timeout)) is not None:
+            self._sort(message)
+            yield message
+
+    def wait_until(self, condition: Callable[[], bool], timeout: float | None, failure: str) -> None:
+        """Take in what arrives until the condition is true. Raises TimedOut with the text of `failure`, NoDaemon."""
+        seconds = self.timeout if timeout is None else timeout
+        deadline = time.monotonic() + seconds
+        while not condition():
+            message = self._link.receive(deadline)
+            if message is None:
+                raise TimedOut(f"{failure} within {seconds:g} s", self._why_nothing_happens())
+            self._sort(message)
+
+    def _sort(self, message: Message) -> None:
+        op = message.get("op")
+        self._link.farewell = ""
+        if op == "publish":
+            for subscription in self._subscriptions.get(message["topic"], ()):
+                subscription.put(message["msg"])
+        elif op == "service_response" and message.get("id") in self._waiting:
+            self._answers[message["id"]] = message
+        elif op == "status":
+            self._take_status(message)
+
+    def _take_status(self, status: Message) -> None:
+        for subscription in self._subscriptions.get(status.get("topic", ""), ()):
+            subscription.dropped += int(status.get("dropped", 0))
+        text = str(status.get("msg", ""))
+        if status.get("level") == "error":
+            self._refusals.append(_refusal(MessageRefused, text, status))
+        if "id" not in status and "dropped" not in status:
+            self._link.farewell = text
+
+    def _why_nothing_happens(self) -> str | None:
+        """The hint of a TimedOut: the world is paused, so nothing that waits for its time can end; or the daemon hangs."""
+        call_id = self.call_async("/slidectl/status")
+        deadline = time.monotonic() + _PROBE_S
+        while call_id not in self._answers:
+            message = self._link.receive(deadline)
+            if message is None:
+                return "the daemon itself does not answer; see: " + command(self.paths, "daemon logs")
+            self._sort(message)
+        paused = self._answers.pop(call_id).get("values", {})
+        if isinstance(paused, dict) and paused.get("paused"):
+            return "the simulation is paused; let it go on with: " + command(self.paths, "sim resume")
+        return None
+
+    # --- the connection -----------------------------------------------------------------------------------------
+
+    @property
+    def daemon_pid(self) -> int:
+        """The daemon's process id, as the kernel gives it."""
+        return self._link.daemon_pid
+
+    def fileno(self) -> int:
+        """The socket, for a `select` of the caller's."""
+        return self._link.fileno()
+
+    def _send(self, **message: Any) -> None:
+        self._link.send(message, time.monotonic() + self.timeout)
+
+    def _next_id(self, purpose: str) -> str:
+        self._serial += 1
+        return f"{purpose}:{self._serial}"
+
+    def close(self) -> None:
+        """Let go of the connection at once; what it advertised and subscribed ends with it."""
+        self._link.close()
+
+    def __enter__(self) -> Client:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            if kind is None and self._published:
+                self.flush()
+        finally:
+            self.close()
+
+
+def _refusal(cause: type[Refused], text: str, answer: Message) -> Refused:
+    error = cause(text)
+    error.exit_code = int(answer.get("exit_code", cause.exit_code))
+    return error

@@ -1,0 +1,91 @@
+"""JSON lines: one object a line, as both ends of the socket write and read them.
+
+Encoding, decoding and cutting a stream of bytes into lines of bounded length. Knows no socket and no operation.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from typing import Any
+
+from slidectl.errors import UsageError
+
+LONGEST_LINE = 16 * 1024 * 1024
+
+_encode_strictly = json.JSONEncoder(allow_nan=False, check_circular=False, separators=(",", ":")).encode
+
+
+class BadLine(UsageError):
+    """A line that is no JSON object, or is too long."""
+
+
+def encode(message: dict[str, Any]) -> bytes:
+    """The object as one line. NaN and infinities become null, as rosbridge sends them.
+
+    They are rare, so the encoder looks for them first and the object is copied only when there are any.
+    """
+    try:
+        text = _encode_strictly(message)
+    except ValueError:
+        text = _encode_strictly(_without_nan(message))
+    return (text + "\n").encode("ascii")
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if value - value == 0.0 else None
+    if isinstance(value, dict):
+        return {key: _without_nan(member) for key, member in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(member) for member in value]
+    return value
+
+
+def decode(line: bytes) -> dict[str, Any]:
+    """The object that the line holds. Raises BadLine."""
+    try:
+        value = json.loads(line)
+    except (ValueError, RecursionError) as error:
+        raise BadLine(f"a line that is no JSON ({error}): {_beginning(line)}") from None
+    if not isinstance(value, dict):
+        raise BadLine(f"a line that is no JSON object but {type(value).__name__}: {_beginning(line)}")
+    return value
+
+
+def _beginning(line: bytes, most: int = 60) -> str:
+    text = line[:most].decode("utf-8", "replace")
+    return repr(text) + (f" and {len(line) - most} bytes more" if len(line) > most else "")
+
+
+class LineBuffer:
+    """Bytes in, whole lines out. Never holds more of an unfinished line than `longest` bytes."""
+
+    __slots__ = ("_longest", "_rest", "lines")
+
+    def __init__(self, longest: int = LONGEST_LINE) -> None:
+        self._longest = longest
+        self._rest = bytearray()
+        self.lines: deque[bytes] = deque()
+
+    @property
+    def unfinished(self) -> int:
+        """Bytes of a line whose end has not come."""
+        return len(self._rest)
+
+    def feed(self, data: bytes) -> None:
+        """Take in what was received. Raises BadLine when a line outgrows the limit; whole lines before it are kept."""
+        first, *others = data.split(b"\n")
+        self._rest += first
+        for following in others:
+            self._finish()
+            self._rest += following
+        if len(self._rest) > self._longest:
+            self._rest.clear()
+            raise BadLine(f"a line longer than {self._longest} bytes")
+
+    def _finish(self) -> None:
+        line = bytes(self._rest)
+        self._rest.clear()
+        if line and not line.isspace():
+            self.lines.append(line)

@@ -1,0 +1,151 @@
+"""The client's end of the socket: connect to a daemon that is ours, send lines, receive lines, all within deadlines.
+
+Knows lines and the clock, not operations. Nothing waits without looking at the socket, so a daemon's death is noticed.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+import struct
+import time
+from typing import Any
+
+from slidectl.client.lines import LineBuffer, decode, encode
+from slidectl.errors import NoDaemon, Refused, TimedOut
+from slidectl.paths import DEFAULT_INSTANCE, InstancePaths, check_private
+
+_CHUNK = 256 * 1024
+_CREDENTIALS = struct.Struct("3i")
+
+
+def command(paths: InstancePaths, words: str) -> str:
+    """The command line that does `words` with this instance, as a user would type it."""
+    if paths.prefix:
+        return f"slidectl --socket {paths.socket} {words}"
+    name = paths.folder.name
+    return f"slidectl {words}" if name == DEFAULT_INSTANCE else f"slidectl -i {name} {words}"
+
+
+def peer(connection: socket.socket) -> tuple[int, int]:
+    """Process id and user id at the other end, as the kernel vouches for them (SO_PEERCRED)."""
+    raw = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+    pid, uid, _ = _CREDENTIALS.unpack(raw)
+    return pid, uid
+
+
+class Link:
+    """One connection to the daemon of `paths`. Deadlines are on `time.monotonic()`; `inf` is none."""
+
+    def __init__(self, paths: InstancePaths, deadline: float) -> None:
+        self._paths = paths
+        self._incoming = LineBuffer()
+        self._closed = False
+        self.farewell = ""
+        self._socket = self._connect(deadline)
+        self.daemon_pid, uid = peer(self._socket)
+        if uid != os.geteuid():
+            self.close()
+            raise Refused(f"the daemon on {paths.socket} belongs to another user (uid {uid})")
+
+    def fileno(self) -> int:
+        return self._socket.fileno()
+
+    def _connect(self, deadline: float) -> socket.socket:
+        connection = socket.socket(socket.AF_UNIX)
+        try:
+            check_private(self._paths.folder)
+            # The kernel makes a connect wait while the daemon's backlog is full, but only that of a blocking socket.
+            connection.settimeout(max(0.001, min(deadline - time.monotonic(), 1e6)))
+            _connect_patiently(connection, str(self._paths.socket), deadline)
+        except OSError as error:
+            connection.close()
+            raise self._nobody(error) from None
+        except Refused:
+            connection.close()
+            raise
+        connection.setblocking(False)
+        return connection
+
+    def _nobody(self, error: OSError) -> NoDaemon:
+        hint = "start it with: " + command(self._paths, "daemon start")
+        if isinstance(error, FileNotFoundError | ConnectionRefusedError):
+            return NoDaemon(f"no daemon answers on {self._paths.socket}", hint)
+        return NoDaemon(f"no daemon answers on {self._paths.socket}: {error.strerror or error}", hint)
+
+    def send(self, message: dict[str, Any], deadline: float) -> None:
+        """Hand one line to the kernel; lines that arrive meanwhile are kept. Raises TimedOut, NoDaemon."""
+        rest = memoryview(encode(message))
+        while rest:
+            try:
+                rest = rest[self._socket.send(rest) :]
+            except BlockingIOError:
+                self._until_writable(deadline)
+            except OSError:
+                self._read_what_is_left()
+                raise self.gone() from None
+
+    def _until_writable(self, deadline: float) -> None:
+        # A daemon whose answers we do not take stops reading from us, so take them while we wait.
+        readable, writable, _ = select.select([self._socket], [self._socket], [], _remaining(deadline))
+        if not readable and not writable:
+            raise TimedOut("the daemon does not read what is sent to it")
+        if readable:
+            self._read()
+
+    def receive(self, deadline: float) -> dict[str, Any] | None:
+        """The next object from the daemon, or None when the deadline passes first. Raises NoDaemon."""
+        lines = self._incoming.lines
+        while not lines:
+            if self._closed:
+                raise self.gone()
+            if not select.select([self._socket], [], [], _remaining(deadline))[0]:
+                return None
+            self._read()
+        return decode(lines.popleft())
+
+    def _read(self) -> bool:
+        """Take what has arrived; False when there is nothing, now or ever."""
+        try:
+            data = self._socket.recv(_CHUNK)
+        except BlockingIOError:
+            return False
+        except OSError:
+            data = b""
+        self._closed = not data
+        self._incoming.feed(data)
+        return not self._closed
+
+    def _read_what_is_left(self) -> None:
+        while self._read():
+            pass
+        for line in self._incoming.lines:
+            message = decode(line)
+            if message.get("op") == "status":
+                self.farewell = str(message.get("msg", ""))
+
+    def gone(self) -> NoDaemon:
+        """The error that says the daemon closed the connection, with its last words if it said any."""
+        why = f": {self.farewell}" if self.farewell else ""
+        return NoDaemon(f"the daemon went away{why}", "start it with: " + command(self._paths, "daemon start"))
+
+    def close(self) -> None:
+        self._closed = True
+        self._socket.close()
+
+
+def _connect_patiently(connection: socket.socket, path: str, deadline: float) -> None:
+    # A socket with a timeout is non-blocking underneath, and then a full backlog is EAGAIN instead of a wait.
+    while True:
+        try:
+            return connection.connect(path)
+        except BlockingIOError:
+            if time.monotonic() >= deadline:
+                raise
+            select.select([], [], [], 0.005)
+
+
+def _remaining(deadline: float) -> float | None:
+    left = deadline - time.monotonic()
+    return None if left > 1e6 else max(0.0, left)
