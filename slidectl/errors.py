@@ -7,7 +7,6 @@ themselves, so that every door (CLI, client, service answer, log) says the same.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from difflib import get_close_matches
 
 EXIT_DONE = 0
 EXIT_REFUSED = 1
@@ -19,6 +18,8 @@ EXIT_INTERRUPTED = 130
 
 def closest(name: str, known: Iterable[str]) -> str | None:
     """The known name nearest in spelling, or None; a short name is held against the ends of full ones."""
+    from difflib import get_close_matches  # only an error needs it, and every command imports this module
+
     components = name.count("/") + 1
     by_end: dict[str, str] = {}
     for full in known:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import re
 import stat
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -44,7 +43,13 @@ def runtime_folder() -> Path:
     base = os.environ.get("XDG_RUNTIME_DIR")
     if base:
         return Path(base) / "slidectl"
-    return Path(tempfile.gettempdir()) / f"slidectl-{os.getuid()}"
+    return Path(_temporary_folder()) / f"slidectl-{os.getuid()}"
+
+
+def _temporary_folder() -> str:
+    """As `tempfile.gettempdir` finds it; importing that module costs more than all the rest of this one."""
+    named = (os.environ.get(variable) for variable in ("TMPDIR", "TEMP", "TMP"))
+    return next((os.path.abspath(folder) for folder in named if folder and os.path.isdir(folder)), "/tmp")
 
 
 def instance(name: str | None = None, socket: str | None = None) -> InstancePaths:
@@ -91,7 +96,9 @@ def check_private(folder: Path) -> None:
     if not stat.S_ISDIR(info.st_mode):
         raise Refused(f"{folder} is not a folder")
     if info.st_uid != os.geteuid():
-        raise Refused(f"{folder} belongs to another user (uid {info.st_uid})", "choose another --instance or XDG_RUNTIME_DIR")
+        raise Refused(
+            f"{folder} belongs to another user (uid {info.st_uid})", "choose another --instance or XDG_RUNTIME_DIR"
+        )
     if stat.S_IMODE(info.st_mode) & 0o077:
         raise Refused(f"{folder} is open to other users", f"chmod 700 {folder}")
 

@@ -80,3 +80,11 @@ def _option(names: list[str], text: str, callback: Callback, **attributes: Any) 
     # A storage name that no command's own parameter has.
     storage = "common_" + names[-1].lstrip("-")
     return click.Option([*names, storage], help=text, callback=callback, expose_value=False, **attributes)
+
+
+def wait_for_world_s(simulated_s: float) -> float:
+    """Wall-clock limit for something that takes `simulated_s` in the world, where `--timeout` says nothing.
+
+    A minute, plus what a world at a tenth of real time would need.
+    """
+    return 60.0 + 10.0 * simulated_s

@@ -1,0 +1,148 @@
+"""`slidectl sim`: the time of the world. Calls of /gazebo and /slidectl services, no more."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import click
+
+from slidectl.cli.commands import group
+from slidectl.cli.context import Context
+from slidectl.cli.options import wait_for_world_s
+from slidectl.errors import Refused, UsageError
+
+_STEPS = re.compile(r"\d+")
+_SECONDS = re.compile(r"(?P<number>\d+\.?\d*|\.\d+)(e[-+]?\d+)?\s*(?P<unit>s|ms)", re.IGNORECASE)
+
+
+@group(examples=["slidectl sim status", "slidectl sim step 0.5s", "slidectl sim reset --time"])
+def sim() -> None:
+    """Time of the world: status, pause, step, speed, reset."""
+
+
+@sim.command("status", examples=["slidectl sim status", "slidectl sim status --json"])
+@click.pass_obj
+def status(ctx: Context) -> None:
+    """Show time, speed, cycle times, robots, controllers, connections.
+
+    The keys of json, yaml and csv are the fields of the service /slidectl/status: times in s, memory in bytes, speed 0
+    for as fast as possible.
+    """
+    answer = ctx.call("/slidectl/status")
+    ctx.emit(answer, status_text(answer))
+
+
+def status_text(answer: dict[str, Any]) -> str:
+    """The answer of /slidectl/status for people."""
+    cycles = (
+        f"{_micro(answer['cycle_mean'])} mean, {_micro(answer['cycle_p99'])} p99, {_micro(answer['cycle_worst'])} worst"
+    )
+    late = f"{_micro(answer['lateness_p50'])} p50, {_micro(answer['lateness_p99'])} p99"
+    lines = {
+        "time": f"{answer['time']:.3f} s, cycle {answer['cycles']} of {1000 * answer['timestep']:g} ms",
+        "state": "paused" if answer["paused"] else "running",
+        "speed": f"{speed_text(answer['speed'])} asked, {answer['speed_reached'] or 0:.3g} reached",
+        "cycle time": cycles,
+        "lateness": f"{late}, {answer['overruns']} overruns",
+        "robots": " ".join(answer["robots"]) or "none",
+        "controllers": f"{answer['controllers']} loaded, {answer['controllers_running']} running",
+        "connections": str(answer["connections"]),
+        "memory": f"{answer['memory'] / 2**20:.0f} MiB",
+        "daemon": f"{answer['version']}, {answer['instance']}, process {answer['pid']}, up {answer['uptime']:.0f} s",
+    }
+    return "\n".join(f"{key + ':':<12} {text}" for key, text in lines.items())
+
+
+def speed_text(speed: float) -> str:
+    """A real-time factor; 0 means as fast as possible."""
+    return f"{speed:g}" if speed else "max"
+
+
+def _micro(seconds: float | None) -> str:
+    return "-" if seconds is None else f"{1e6 * seconds:.4g} us"
+
+
+@sim.command("pause", examples=["slidectl sim pause"])
+@click.pass_obj
+def pause(ctx: Context) -> None:
+    """Hold the world between two cycles."""
+    ctx.call("/gazebo/pause_physics")
+    _tell(ctx, "paused")
+
+
+@sim.command("resume", examples=["slidectl sim resume"])
+@click.pass_obj
+def resume(ctx: Context) -> None:
+    """Let the world go on."""
+    ctx.call("/gazebo/unpause_physics")
+    _tell(ctx, "running")
+
+
+@sim.command("reset", examples=["slidectl sim reset", "slidectl sim reset --time"])
+@click.option("--time", "with_time", is_flag=True, help="Set the clock to 0, too.")
+@click.pass_obj
+def reset(ctx: Context, with_time: bool) -> None:
+    """Put every robot back to where it was spawned; controllers stay loaded and running."""
+    ctx.call("/gazebo/reset_simulation" if with_time else "/gazebo/reset_world")
+    _tell(ctx, "reset")
+
+
+@sim.command("speed", examples=["slidectl sim speed 2", "slidectl sim speed max"])
+@click.argument("factor", metavar="FACTOR|max")
+@click.pass_obj
+def speed(ctx: Context, factor: str) -> None:
+    """Run so many times faster than the wall clock, or as fast as possible."""
+    wanted = parse_speed(factor)
+    _demand(ctx.call("/slidectl/set_speed", {"speed": wanted}))
+    ctx.done({"speed": wanted}, f"speed {speed_text(wanted)}")
+
+
+def parse_speed(text: str) -> float:
+    """A positive real-time factor, or 0 for `max`. Raises UsageError."""
+    try:
+        value = 0.0 if text == "max" else float(text)
+    except ValueError:
+        value = -1.0
+    if text != "max" and not 0 < value < float("inf"):
+        raise UsageError(f"{text!r} is no speed: write a factor above 0, or max")
+    return value
+
+
+@sim.command("step", examples=["slidectl sim step", "slidectl sim step 100", "slidectl sim step 0.5s"])
+@click.argument("amount", default="1", metavar="[N|SECONDSs]")
+@click.pass_obj
+def step(ctx: Context, amount: str) -> None:
+    """Do N cycles, or so many simulated seconds, and return when they are done.
+
+    Pauses the world first if it runs. Without --timeout it waits a minute longer than the steps take at a tenth of
+    real time.
+    """
+    request = parse_amount(amount)
+    seconds = request["seconds"] or request["cycles"] * 1e-3
+    answer = _demand(ctx.call("/slidectl/step", request, ctx.wait_limit(wait_for_world_s(seconds))))
+    record = {"time": answer["time"], "cycles": answer["cycles"]}
+    ctx.done(record, f"time {answer['time']:.6g} s after {answer['cycles']} cycles")
+
+
+def parse_amount(text: str) -> dict[str, Any]:
+    """`100` or `0.5s` or `20ms` as a request of /slidectl/step. Raises UsageError."""
+    match = _SECONDS.fullmatch(text)
+    if match:
+        scale = 1e-3 if match["unit"].lower() == "ms" else 1.0
+        return {"cycles": 0, "seconds": scale * float(text[: match.start("unit")])}
+    if not _STEPS.fullmatch(text) or int(text) == 0:
+        raise UsageError(f"{text!r} is no amount of steps: write a number of cycles, or a time such as 0.5s")
+    return {"cycles": int(text), "seconds": 0.0}
+
+
+def _demand(answer: dict[str, Any]) -> dict[str, Any]:
+    if not answer["success"]:
+        raise Refused(answer["message"] or "refused without a reason")
+    return answer
+
+
+def _tell(ctx: Context, what: str) -> None:
+    answer = ctx.call("/slidectl/status")
+    record = {"time": answer["time"], "cycles": answer["cycles"], "paused": answer["paused"]}
+    ctx.done(record, f"{what} at {answer['time']:.3f} s")
