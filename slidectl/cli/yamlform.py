@@ -17,7 +17,7 @@ Printer = Callable[[Any], str]
 
 # Text that PyYAML writes without quotes: no number, no word of YAML's own, nothing that begins like a structure.
 _PLAIN_WORD = re.compile(r"[A-Za-z_/][A-Za-z0-9_/]*\Z")
-_YAML_WORDS = frozenset("yes no true false on off null".split())
+_YAML_WORDS = frozenset(("yes", "no", "true", "false", "on", "off", "null"))
 _SIMPLE_TEXT = re.compile(r"[ !#-\[\]-~]+\Z")
 _ESCAPES = {
     "\0": "\\0", "\a": "\\a", "\b": "\\b", "\t": "\\t", "\n": "\\n", "\v": "\\v", "\f": "\\f", "\r": "\\r",

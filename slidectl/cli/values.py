@@ -1,0 +1,143 @@
+"""Values as a person types them: YAML 1.1 as the ROS tools read it, with `1e-3` and `-.5` being numbers.
+
+Numbers, booleans, words and JSON are read without PyYAML, which costs more time to load than a whole command may
+take. What JSON cannot carry (dates, sets, keys that are no text) is refused here.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from typing import Any
+
+from slidectl.errors import UsageError
+
+_INTEGER = re.compile(r"[-+]?(0|[1-9][0-9]*)\Z")
+_FLOAT = re.compile(r"[-+]?([0-9]+\.[0-9]*|\.[0-9]+|(0|[1-9][0-9]*)(?=[eE]))([eE][-+]?[0-9]+)?\Z")
+_WORDS = re.compile(r"[A-Za-z_/][A-Za-z0-9_/.-]*( [A-Za-z0-9_/.-]+)*\Z")
+_PAIR = re.compile(
+    r"(?P<open>\{?)[ ]*(?P<key>[A-Za-z_][A-Za-z0-9_]*):[ ]+(?P<value>[^:#,{}\[\]'\"&*!|>%@`]+?)[ ]*(?P<close>\}?)\Z"
+)
+_CONSTANTS = {
+    "": None, "~": None, "null": None, "Null": None, "NULL": None,
+    ".inf": float("inf"), ".Inf": float("inf"), ".INF": float("inf"), "+.inf": float("inf"), "-.inf": float("-inf"),
+    ".nan": float("nan"), ".NaN": float("nan"), ".NAN": float("nan"),
+}  # fmt: skip
+_BOOLEANS = {"yes": True, "true": True, "on": True, "no": False, "false": False, "off": False}
+# YAML 1.1 wants a point and a signed exponent in a float, and no sign before a bare point; people do not.
+_FLOAT_WITHOUT_POINT = re.compile(r"[-+]?(?:[0-9][0-9_]*\.?[0-9_]*[eE][-+]?[0-9]+|\.[0-9][0-9_]*(?:[eE][-+]?[0-9]+)?)$")
+
+_SHORT = 4096
+_MOST_NODES = 1_000_000
+
+_UNKNOWN: Any = object()
+
+
+def read(text: str) -> Any:
+    """The value of one argument. Raises UsageError for text that is no YAML, or holds what a message cannot."""
+    stripped = text.strip(" ")
+    for attempt in (_scalar, _pair, _json):
+        value = attempt(stripped)
+        if value is not _UNKNOWN:
+            return value
+    return read_yaml(text, f"value {text if len(text) <= 60 else text[:57] + '...'!r}")
+
+
+def read_yaml(text: str, what: str = "value") -> Any:
+    """The value of one YAML document. Raises UsageError as `read` does; `what` names the text in it."""
+    documents = list(read_documents(text, what))
+    if len(documents) > 1:
+        raise UsageError(f"the {what} holds {len(documents)} YAML documents where one was expected")
+    return documents[0] if documents else None
+
+
+def read_documents(text: str, what: str) -> Iterator[Any]:
+    """The values of all YAML documents in a text, in order. Raises UsageError as `read` does."""
+    import yaml
+
+    try:
+        for value in yaml.load_all(text, _loader(len(text))):
+            yield _Checker(what).checked(value)
+    except yaml.YAMLError as error:
+        raise UsageError(f"the {what} is not valid YAML: {_explained(error)}") from None
+    except (ValueError, RecursionError) as error:
+        raise UsageError(f"the {what} cannot be read: {error}") from None
+
+
+def _scalar(text: str) -> Any:
+    if _INTEGER.match(text):
+        return int(text)
+    if _FLOAT.match(text):
+        return float(text)
+    if text in _CONSTANTS:
+        return _CONSTANTS[text]
+    if text.lower() in _BOOLEANS and (text.islower() or text.isupper() or text.istitle()):
+        return _BOOLEANS[text.lower()]
+    return text if _WORDS.match(text) else _UNKNOWN
+
+
+def _pair(text: str) -> Any:
+    """`data: 1.0` and `{data: 1.0}`: what every tutorial types."""
+    match = _PAIR.match(text)
+    if not match or bool(match["open"]) != bool(match["close"]):
+        return _UNKNOWN
+    value = _scalar(match["value"])
+    return _UNKNOWN if value is _UNKNOWN or _scalar(match["key"]) != match["key"] else {match["key"]: value}
+
+
+def _json(text: str) -> Any:
+    if not text.startswith(("{", "[", '"')):
+        return _UNKNOWN
+    try:
+        return json.loads(text, parse_constant=_no_json)
+    except (ValueError, RecursionError):
+        return _UNKNOWN
+
+
+def _no_json(text: str) -> Any:
+    raise ValueError(text)
+
+
+def _loader(length: int) -> Any:
+    import yaml
+
+    # libyaml is faster, and wrong by a line about where an error is.
+    fast = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    base = fast if length > _SHORT else yaml.SafeLoader
+    loader: Any = type("Loader", (base,), {})
+    loader.add_implicit_resolver("tag:yaml.org,2002:float", _FLOAT_WITHOUT_POINT, list("-+0123456789."))
+    return loader
+
+
+def _explained(error: Any) -> str:
+    """One line out of PyYAML's report: the problem and its place."""
+    mark = getattr(error, "problem_mark", None)
+    problem = getattr(error, "problem", None) or str(error).splitlines()[0]
+    return f"{problem} (line {mark.line + 1}, column {mark.column + 1})" if mark else str(problem)
+
+
+class _Checker:
+    """Copies a value, and raises UsageError for what no message holds and for aliases that multiply without end."""
+
+    def __init__(self, what: str) -> None:
+        self.what = what
+        self.left = _MOST_NODES
+
+    def checked(self, value: Any) -> Any:
+        self.left -= 1
+        if self.left < 0:
+            raise UsageError(f"the {self.what} unfolds to more than {_MOST_NODES} values")
+        if isinstance(value, dict):
+            return {self._key(key): self.checked(item) for key, item in value.items()}
+        if isinstance(value, list):
+            return [self.checked(item) for item in value]
+        if value is None or isinstance(value, bool | int | float | str):
+            return value
+        kind = "date" if hasattr(value, "isoformat") else type(value).__name__
+        raise UsageError(f"{value} in the {self.what} is a {kind} to YAML", "write it in quotes if it is text")
+
+    def _key(self, key: Any) -> str:
+        if isinstance(key, str):
+            return key
+        raise UsageError(f"the key {key!r} in the {self.what} is not text", "write it in quotes")

@@ -1,0 +1,116 @@
+"""Expressions: arithmetic and fields, nothing else, and errors before the first message."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+from cli_graph_types import schema
+
+from slidectl.cli.expressions import EvaluationError, Expression, ExpressionError
+
+JOINTS = schema("sensor_msgs/JointState")
+MESSAGE = {
+    "header": {"seq": 7, "stamp": {"secs": 2, "nsecs": 500_000_000}, "frame_id": "base"},
+    "name": ["slide", "latch"],
+    "position": [0.4, None],
+    "velocity": [],
+    "effort": [1.5, -2.0],
+}
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("sin(2*pi*0.2*t)", math.sin(2 * math.pi * 0.2 * 0.5)),
+        ("i % 2", 1),
+        ("-t ** 2 + 1", 0.75),
+        ("1 if t < 1 else 0", 1),
+        ("max(i, 10) // 3", 3),
+        ("hypot(3, 4)", 5.0),
+        ("0 < t < 1 and not i == 4", True),
+        ("round(e, 2)", 2.72),
+        ("10 ** 20", 10**20),
+    ],
+)
+def test_numbers_are_computed_with_the_names_of_the_math_module(text: str, value: float) -> None:
+    assert Expression(text, ("i", "t"))(i=3, t=0.5) == value
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("m.position[0] > 0.3", True),
+        ("m.position[1] > 0.3", False),
+        ("'latch' in m.name", True),
+        ("len(m.velocity) == 0", True),
+        ("m.header.frame_id == 'base' and m.header.seq < 8", True),
+        ("m.header.stamp.secs == 2", True),
+        ("m.header.stamp.to_sec() == 2.5", True),
+        ("m.header.stamp.to_nsec() == 2500000000", True),
+        ("sum(m.effort[0:1]) == 1.5", True),
+        ("m.header.frame_id[0] == 'b'", True),
+        ("min([1, 2]) in (1, 3)", True),
+    ],
+)
+def test_a_filter_sees_the_fields_of_the_message(text: str, value: bool) -> None:
+    assert Expression(text, ("m",), JOINTS)(m=MESSAGE) is value
+
+
+def test_bytes_are_numbers_in_a_filter() -> None:
+    assert Expression("m.data[1] == 65", ("m",), schema("std_msgs/UInt8MultiArray"))(m={"data": "AEH/"})
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("m.data ==", "invalid syntax"),
+        ("m.positon[0] > 1", "Did you mean 'position'?"),
+        ("m.header.stamp.hours", "fields: nsecs, secs"),
+        ("m.position.x", "has no field 'x'"),
+        ("m.header[0]", "is no array"),
+        ("topic == 1", "no name 'topic'"),
+        ("__import__('os')", "there is no function"),
+        ("m.__class__", "no field '__class__'"),
+        ("(lambda: 1)()", "there is no function"),
+        ("[x for x in m.name]", "there is no ListComp"),
+        ("open('/etc/passwd')", "there is no function 'open'"),
+        ("f'{m}'", "there is no JoinedStr"),
+        ("abs(*m.effort)", "plain arguments only"),
+        ("1 << 2", "no operator LShift"),
+        ("~1", "no operator ~"),
+        ("sin", "is a function"),
+        ("b'x'", "neither a number nor text"),
+        ("1" + "+1" * 1990, "nested too deeply"),
+        ("1" * 5000, "longer than"),
+        ("(" * 300, "not a valid expression"),
+    ],
+)
+def test_what_expressions_do_not_have_is_refused_before_the_start(text: str, reason: str) -> None:
+    with pytest.raises(ExpressionError) as caught:
+        Expression(text, ("m",), JOINTS)
+    assert reason in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("1 / (i - i)", {"i": 1}),
+        ("sqrt(-1)", {"i": 1}),
+        ("9 ** 9 ** 9", {"i": 1}),
+        ("2 ** 4000 * 2 ** 4000", {"i": 1}),
+        ("'a' * 3", {"i": 1}),
+        ("exp(1000)", {"i": 1}),
+        ("[1][2]", {"i": 1}),
+        ("len(i)", {"i": 1}),
+    ],
+)
+def test_what_cannot_be_computed_says_so(text: str, names: dict[str, Any]) -> None:
+    with pytest.raises(EvaluationError, match="cannot compute"):
+        Expression(text, ("i",))(**names)
+
+
+def test_an_index_out_of_range_in_a_filter_is_an_error() -> None:
+    with pytest.raises(EvaluationError, match="cannot compute"):
+        Expression("m.position[5] > 0", ("m",), JOINTS)(m=MESSAGE)
