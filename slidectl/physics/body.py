@@ -1,0 +1,194 @@
+"""One robot in the world: where its links, joints and state live in MuJoCo's arrays, and copying that state.
+
+A Body outlives rebuilds of the model; `bind` finds its places again. It steps nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from slidectl.description.robot import Joint, Robot
+from slidectl.errors import UnknownName
+from slidectl.physics.builder import SCALAR_TYPES
+from slidectl.physics.rotation import Pose, wxyz
+
+Array = np.ndarray[Any, np.dtype[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class JointPlace:
+    """A joint with one position: its indices into qpos and into qvel and the forces."""
+
+    joint: Joint
+    qpos: int
+    dof: int
+
+
+@dataclass(frozen=True, slots=True)
+class RobotState:
+    """All that a robot's future depends on besides its model: copies of its parts of MuJoCo's arrays."""
+
+    qpos: Array
+    qvel: Array
+    warmstart: Array
+    joint_forces: Array
+    link_forces: Array
+    ties: Array
+    root_position: Array
+    root_attitude: Array
+
+
+class Body:
+    """A robot that was attached under `name`."""
+
+    def __init__(self, name: str, robot: Robot, pose: Pose) -> None:
+        self.name = name
+        self.robot = robot
+        self.spawn_pose = pose
+        self.links: dict[str, int] = {}
+        """Link name to MuJoCo's body id."""
+        self.joints: dict[str, JointPlace] = {}
+        """Revolute, continuous and prismatic joints by name, in the order of the file."""
+        self._model: Any = None
+        self._data: Any = None
+        self._rebound: list[Callable[[], None]] = []
+        self._slices: dict[str, slice] = {}
+
+    @property
+    def root_id(self) -> int:
+        """MuJoCo's body id of the root link."""
+        return self.links[self.robot.root]
+
+    @property
+    def root_qpos(self) -> int:
+        """Index into qpos of a free root's pose (7 numbers); its 6 velocities start at `root_dof`."""
+        return int(self._slices["qpos"].start)
+
+    @property
+    def root_dof(self) -> int:
+        """Index into qvel of a free root's first velocity."""
+        return int(self._slices["dof"].start)
+
+    @property
+    def dofs(self) -> slice:
+        """The robot's part of qvel."""
+        return self._slices["dof"]
+
+    @property
+    def coordinates(self) -> slice:
+        """The robot's part of qpos."""
+        return self._slices["qpos"]
+
+    def link_id(self, link: str) -> int:
+        """MuJoCo's body id. Raises UnknownName."""
+        try:
+            return self.links[link]
+        except KeyError:
+            raise UnknownName("link", link, list(self.links), f"on robot {self.name!r}") from None
+
+    def place(self, joint: str) -> JointPlace:
+        """Where the joint's state lives. Raises UnknownName; fixed, planar and floating joints have no one position."""
+        try:
+            return self.joints[joint]
+        except KeyError:
+            raise UnknownName("moving joint", joint, list(self.joints), f"on robot {self.name!r}") from None
+
+    def on_rebound(self, callback: Callable[[], None]) -> None:
+        """Call back after every rebuild of the model, when all indices may have changed."""
+        self._rebound.append(callback)
+
+    def bind(self, model: Any, data: Any) -> None:
+        """Find the robot's places in a freshly compiled model."""
+        self._model, self._data = model, data
+        body, joint = mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_JOINT
+        self.links = {link: mujoco.mj_name2id(model, body, f"{self.name}/{link}") for link in self.robot.links}
+        self.joints = {}
+        for made in self.robot.joints.values():
+            if made.type in SCALAR_TYPES:
+                index = mujoco.mj_name2id(model, joint, f"{self.name}/{made.name}")
+                self.joints[made.name] = JointPlace(made, int(model.jnt_qposadr[index]), int(model.jnt_dofadr[index]))
+        self._slices = _slices(model, self.root_id, len(self.links))
+
+    def announce(self) -> None:
+        """Tell those who hold indices or views that `bind` has moved them."""
+        for callback in self._rebound:
+            callback()
+
+    def capture(self) -> RobotState:
+        """A copy of the robot's state."""
+        data, model, part, root = self._data, self._model, self._slices, self.root_id
+        return RobotState(
+            data.qpos[part["qpos"]].copy(),
+            data.qvel[part["dof"]].copy(),
+            data.qacc_warmstart[part["dof"]].copy(),
+            data.qfrc_applied[part["dof"]].copy(),
+            data.xfrc_applied[part["body"]].copy(),
+            data.eq_active[part["tie"]].copy(),
+            model.body_pos[root].copy(),
+            model.body_quat[root].copy(),
+        )
+
+    def put(self, state: RobotState) -> None:
+        """Make `state` the robot's state, to the last bit."""
+        data, model, part, root = self._data, self._model, self._slices, self.root_id
+        data.qpos[part["qpos"]] = state.qpos
+        data.qvel[part["dof"]] = state.qvel
+        data.qacc_warmstart[part["dof"]] = state.warmstart
+        data.qfrc_applied[part["dof"]] = state.joint_forces
+        data.xfrc_applied[part["body"]] = state.link_forces
+        data.eq_active[part["tie"]] = state.ties
+        model.body_pos[root] = state.root_position
+        model.body_quat[root] = state.root_attitude
+
+    def put_at_spawn(self) -> None:
+        """The state right after attaching: at the pose of the spawn, joints at zero, at rest, no forces."""
+        data, model, part = self._data, self._model, self._slices
+        data.qpos[part["qpos"]] = model.qpos0[part["qpos"]]
+        for array in (data.qvel, data.qacc_warmstart, data.qfrc_applied):
+            array[part["dof"]] = 0.0
+        data.xfrc_applied[part["body"]] = 0.0
+        data.eq_active[part["tie"]] = model.eq_active0[part["tie"]]
+        self.put_root(self.spawn_pose)
+        for place in self.joints.values():
+            if place.joint.mimic is not None:
+                data.qpos[place.qpos] = _mimicked(place.joint, self.joints)
+
+    def put_root(self, pose: Pose) -> None:
+        """Put the root link there; velocities stay."""
+        position, attitude = pose[0], wxyz(pose[1])
+        if self.robot.is_fixed_to_world:
+            self._model.body_pos[self.root_id], self._model.body_quat[self.root_id] = position, attitude
+        else:
+            start = self.root_qpos
+            self._data.qpos[start : start + 3], self._data.qpos[start + 3 : start + 7] = position, attitude
+
+
+def _mimicked(joint: Joint, places: dict[str, JointPlace]) -> float:
+    """Where a mimic joint stands while its leaders stand at zero; mimics of mimics are followed."""
+    position, factor = 0.0, 1.0
+    for _ in range(len(places)):
+        if joint.mimic is None:
+            break
+        position, factor = position + factor * joint.mimic.offset, factor * joint.mimic.multiplier
+        joint = places[joint.mimic.joint].joint
+    return position
+
+
+def _slices(model: Any, root: int, links: int) -> dict[str, slice]:
+    """A robot's bodies are consecutive (MuJoCo numbers depth first), and so are their joints, dofs and positions."""
+    ends = [root, root + links]
+    joints = np.searchsorted(model.jnt_bodyid, ends)
+    starts = np.append(model.jnt_qposadr, model.nq)
+    dofs = np.searchsorted(model.dof_bodyid, ends)
+    ties = [i for i in range(model.neq) if joints[0] <= model.eq_obj1id[i] < joints[1]]
+    return {
+        "body": slice(root, root + links),
+        "dof": slice(int(dofs[0]), int(dofs[1])),
+        "qpos": slice(int(starts[joints[0]]), int(starts[joints[1]])),
+        "tie": slice(ties[0], ties[-1] + 1) if ties else slice(0, 0),
+    }

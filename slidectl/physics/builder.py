@@ -1,0 +1,181 @@
+"""A robot on paper becomes bodies, joints and geoms of a MuJoCo specification, named `ROBOT/LINK` and `ROBOT/JOINT`.
+
+Builds only; it compiles nothing and knows no state. Units and frames are URDF's: the child's frame is the joint's.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import mujoco
+
+from slidectl.description.robot import Joint, Link, Robot
+from slidectl.errors import SlidectlError
+from slidectl.physics.inertia import BadInertia, put_inertia
+from slidectl.physics.rotation import Pose, Vector, from_rpy, perpendicular, unit, wxyz
+from slidectl.physics.selfcollision import pairs_apart
+from slidectl.physics.solids import put_shapes
+
+UNDAMPED = 1e-200
+"""Damping of a joint that has none, N·s/m or N·m·s/rad. It vanishes in every sum, but with any damping at all MuJoCo's
+Euler solves once more with the damped inertia: so every robot takes that path, whatever its neighbours have."""
+
+NARROWEST_RANGE = 1e-6
+"""m or rad. MuJoCo wants the lower limit below the upper; a joint locked by equal limits gets this much."""
+
+_HINGE = mujoco.mjtJoint.mjJNT_HINGE
+_SLIDE = mujoco.mjtJoint.mjJNT_SLIDE
+_BALL = mujoco.mjtJoint.mjJNT_BALL
+
+SCALAR_TYPES = {"revolute": _HINGE, "continuous": _HINGE, "prismatic": _SLIDE}
+"""The joints that have one position, with MuJoCo's type."""
+
+
+class BadJoint(SlidectlError):
+    """A joint that cannot be simulated."""
+
+    def __init__(self, robot: str, joint: Joint, trouble: str, hint: str | None = None) -> None:
+        at = f" (line {joint.line})" if joint.line is not None else ""
+        super().__init__(f"joint {joint.name!r} of robot {robot!r}{at}: {trouble}", hint)
+        self.joint = joint.name
+
+
+class RobotBuilder:
+    """Adds one robot to a specification."""
+
+    def __init__(self, spec: Any, robot: Robot, name: str) -> None:
+        self.spec = spec
+        self.robot = robot
+        self.name = name
+
+    def build(self, pose: Pose) -> None:
+        """Add everything, the root at `pose`: welded there when the root link is called `world`, free otherwise.
+
+        Raises:
+            BadInertia, BadJoint, BadShape: naming the robot and the link or joint.
+        """
+        check_moving_masses(self.robot, self.name)
+        bodies = {self.robot.root: self._root(pose)}
+        waiting = [self.robot.root]
+        while waiting:
+            for joint in self.robot.children_of(waiting.pop(0)):
+                bodies[joint.child] = self._child(bodies[joint.parent], joint)
+                waiting.append(joint.child)
+        for joint in self.robot.joints.values():
+            self._mimic(joint)
+        for first, second in pairs_apart(self.robot):
+            self.spec.add_exclude(bodyname1=self._named(first), bodyname2=self._named(second))
+
+    def _named(self, part: str) -> str:
+        return f"{self.name}/{part}"
+
+    def _root(self, pose: Pose) -> Any:
+        position, attitude = pose
+        root = self.spec.worldbody.add_body(name=self._named(self.robot.root), pos=position, quat=wxyz(attitude))
+        if not self.robot.is_fixed_to_world:
+            free = root.add_freejoint(name=self._named(self.robot.root))
+            free.align = False
+            set_damping(free, UNDAMPED)
+        self._fill(root, self.robot.links[self.robot.root])
+        return root
+
+    def _child(self, parent: Any, joint: Joint) -> Any:
+        body = parent.add_body(name=self._named(joint.child), pos=joint.origin.xyz)
+        body.quat = wxyz(from_rpy(joint.origin.rpy))
+        if joint.type in SCALAR_TYPES:
+            self._scalar(body, joint)
+        elif joint.type == "planar":
+            self._planar(body, joint)
+        elif joint.type == "floating":
+            self._floating(body, joint)
+        self._fill(body, self.robot.links[joint.child])
+        return body
+
+    def _fill(self, body: Any, link: Link) -> None:
+        put_inertia(body, self.name, link)
+        body.gravcomp = 1.0 if link.surface.turn_gravity_off else 0.0
+        put_shapes(self.spec, body, self.name, link)
+
+    def _scalar(self, body: Any, joint: Joint) -> None:
+        made = body.add_joint(name=self._named(joint.name), type=SCALAR_TYPES[joint.type], axis=self._axis(joint))
+        self._resist(made, joint)
+        limits = range_of(joint)
+        made.limited = limits is not None
+        if limits is not None:
+            made.range = limits
+
+    def _planar(self, body: Any, joint: Joint) -> None:
+        """Two slides in the plane and a turn about its normal."""
+        normal = self._axis(joint)
+        along, across = perpendicular(normal)
+        for part, kind, axis in (("x", _SLIDE, along), ("y", _SLIDE, across), ("yaw", _HINGE, normal)):
+            self._resist(body.add_joint(name=f"{self._named(joint.name)}/{part}", type=kind, axis=axis), joint)
+
+    def _floating(self, body: Any, joint: Joint) -> None:
+        """Three slides and a ball: a free joint may only hang on the world itself."""
+        axes = (("x", (1, 0, 0)), ("y", (0, 1, 0)), ("z", (0, 0, 1)))
+        for part, axis in axes:
+            self._resist(body.add_joint(name=f"{self._named(joint.name)}/{part}", type=_SLIDE, axis=axis), joint)
+        self._resist(body.add_joint(name=f"{self._named(joint.name)}/turn", type=_BALL), joint)
+
+    def _axis(self, joint: Joint) -> Vector:
+        if not all(map(math.isfinite, joint.axis)) or not any(joint.axis):
+            raise BadJoint(self.name, joint, f"axis {joint.axis} has no direction", '<axis xyz="0 0 1"/>, for example')
+        return unit(joint.axis)
+
+    def _resist(self, made: Any, joint: Joint) -> None:
+        for what, value in (("damping", joint.damping), ("friction", joint.friction)):
+            if not 0.0 <= value < math.inf:
+                raise BadJoint(self.name, joint, f"{what} {value:g} must be 0 or more")
+        set_damping(made, joint.damping or UNDAMPED)
+        made.frictionloss = joint.friction
+
+    def _mimic(self, joint: Joint) -> None:
+        """position = offset + multiplier * leader's position, as a constraint on the two."""
+        if joint.mimic is None or joint.type not in SCALAR_TYPES:
+            return
+        leader = self.robot.joints.get(joint.mimic.joint)
+        if leader is None or leader.type not in SCALAR_TYPES or leader is joint:
+            raise BadJoint(self.name, joint, f"it cannot mimic {joint.mimic.joint!r}: no other joint with one position")
+        tie = self.spec.add_equality(name=self._named(joint.name), type=mujoco.mjtEq.mjEQ_JOINT)
+        tie.objtype = mujoco.mjtObj.mjOBJ_JOINT
+        tie.name1, tie.name2 = self._named(joint.name), self._named(leader.name)
+        tie.data[:5] = [joint.mimic.offset, joint.mimic.multiplier, 0.0, 0.0, 0.0]
+
+
+def set_damping(made: Any, damping: float) -> None:
+    """Linear damping of an MjsJoint: a number, or the first coefficient of a polynomial in newer versions of MuJoCo."""
+    made.damping = damping if isinstance(made.damping, float) else [damping, 0.0, 0.0]
+
+
+def range_of(joint: Joint) -> tuple[float, float] | None:
+    """Lower and upper limit that stop the joint (only revolute and prismatic ones have any), or None."""
+    if joint.limit is None or joint.type not in ("revolute", "prismatic"):
+        return None
+    lower, upper = sorted((joint.limit.lower, joint.limit.upper))
+    if upper - lower < NARROWEST_RANGE:
+        middle = (lower + upper) / 2
+        return middle - NARROWEST_RANGE / 2, middle + NARROWEST_RANGE / 2
+    return lower, upper
+
+
+def check_moving_masses(robot: Robot, name: str) -> None:
+    """Raises BadInertia for a link that moves and has no inertia, neither its own nor of links welded to it."""
+    for head in _moving_heads(robot):
+        if not any(robot.links[link].inertial for link in welded_to(robot, head)):
+            hint = 'add <inertial> with <mass value="..."/> and <inertia .../>'
+            raise BadInertia(name, robot.links[head], "it moves but has no inertia", hint)
+
+
+def _moving_heads(robot: Robot) -> list[str]:
+    heads = [] if robot.is_fixed_to_world else [robot.root]
+    return heads + [joint.child for joint in robot.joints.values() if joint.type != "fixed"]
+
+
+def welded_to(robot: Robot, head: str) -> list[str]:
+    """`head` and all links below it that hang on it by fixed joints alone."""
+    links = [head]
+    for link in links:
+        links.extend(joint.child for joint in robot.children_of(link) if joint.type == "fixed")
+    return links

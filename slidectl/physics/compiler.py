@@ -1,0 +1,91 @@
+"""From robots to a MuJoCo model: the options that every world has, the ground, and errors that name the robot.
+
+The whole specification is built anew each time, so a robot that left cannot leave anything behind.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+
+from slidectl.errors import SlidectlError
+from slidectl.physics import engine
+from slidectl.physics.body import Body
+from slidectl.physics.builder import RobotBuilder
+from slidectl.physics.rotation import Vector
+
+GROUND = "ground_plane"
+
+_ELEMENT = re.compile(r"Element name '([^']*)'")
+
+
+class BadModel(SlidectlError):
+    """MuJoCo does not take a robot. The message names the robot and, where MuJoCo says so, its link or joint."""
+
+    def __init__(self, robot: str, element: str | None, trouble: str) -> None:
+        part = f" ({element})" if element else ""
+        super().__init__(f"robot {robot!r}{part} cannot be simulated: {trouble}")
+
+
+@dataclass
+class Settings:
+    """What a world is compiled with. `timestep` in s, `gravity` in m/s²."""
+
+    timestep: float
+    gravity: Vector
+    ground: bool
+
+
+def compile_world(settings: Settings, bodies: Iterable[Body], newest: str = "") -> Any:
+    """The MjModel of these robots in their world.
+
+    Raises:
+        BadInertia, BadJoint, BadShape, BadModel: about a robot; `newest` is named when MuJoCo does not say which.
+    """
+    spec = _empty(settings)
+    for body in bodies:
+        RobotBuilder(spec, body.robot, body.name).build(body.spawn_pose)
+    try:
+        with engine.warnings_kept():
+            model = spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise _explained(str(error), newest) from error
+    # Older versions scale the solver's tolerance with the mean inertia of the whole world.
+    model.stat.meaninertia = 1.0
+    return model
+
+
+def _empty(settings: Settings) -> Any:
+    spec = mujoco.MjSpec()
+    spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
+    spec.option.timestep, spec.option.gravity = settings.timestep, settings.gravity
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    # A robot must not notice its neighbours: sums over a sparse row are the same wherever the row lies, and the
+    # choice between dense and sparse would otherwise depend on the number of degrees of freedom in the world.
+    spec.option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    spec.worldbody.add_light(name="sun", pos=[0, 0, 10], dir=[-0.5, 0.1, -0.9])
+    if settings.ground:
+        _put_ground(spec)
+    return spec
+
+
+def _put_ground(spec: Any) -> None:
+    """A plane at z = 0 without friction of its own, so that the robot's counts: MuJoCo takes the larger of the two.
+
+    Gazebo takes the smaller one and its ground has mu 100, which comes to the same.
+    """
+    plane = spec.worldbody.add_geom(name=GROUND, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
+    plane.friction[0] = 0.0
+
+
+def _explained(text: str, newest: str) -> BadModel:
+    found = _ELEMENT.search(text)
+    element = found.group(1) if found else ""
+    robot, _, part = element.rpartition("/") if element.count("/") == 1 else element.partition("/")
+    trouble = text.removeprefix("Error: ").split("\n", 1)[0]
+    return BadModel(robot or newest, part or None, trouble)

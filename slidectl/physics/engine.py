@@ -1,0 +1,62 @@
+"""What is done once to the MuJoCo library of this process: its clock removed, its warnings collected.
+
+MuJoCo writes warnings to the console and to MUJOCO_LOG.TXT unless a handler takes them. Nothing here knows a
+world or a robot.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import warnings
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import mujoco
+
+EngineError = mujoco.FatalError
+"""Raised by a step that MuJoCo cannot do at all (contacts without number, say)."""
+
+MOST_WARNINGS = 100
+
+_warnings: deque[str] = deque(maxlen=MOST_WARNINGS)
+
+
+def take_warnings() -> list[str]:
+    """The warnings of MuJoCo since the last call, oldest first; at most `MOST_WARNINGS` are kept."""
+    taken = list(_warnings)
+    _warnings.clear()
+    return taken
+
+
+@contextmanager
+def warnings_kept() -> Iterator[None]:
+    """Collect what the Python layer of MuJoCo says through `warnings` (its compiler does) with the other warnings."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        yield
+    for warning in caught:
+        _keep_warning(str(warning.message))
+
+
+def _keep_warning(text: str) -> None:
+    _warnings.append(" ".join(text.split()))
+
+
+def _library() -> ctypes.CDLL | None:
+    files = sorted(Path(mujoco.__file__).parent.glob("libmujoco*"))
+    return ctypes.CDLL(str(files[0])) if files else None
+
+
+def _remove_clock() -> None:
+    """Null `mjcb_time`: the wheel's clock is read some twenty times a step, and `set_mjcb_time(None)` leaves it in."""
+    library = _library()
+    if library is not None:
+        ctypes.c_void_p.in_dll(library, "mjcb_time").value = None
+
+
+def prepare() -> None:
+    """Make the library quiet and quick. Doing it twice does no harm."""
+    mujoco.set_mju_user_warning(_keep_warning)
+    _remove_clock()

@@ -1,0 +1,103 @@
+"""Forces from outside: joint efforts and wrenches on links, each from a time and for a duration.
+
+They are added to what the robots apply, for one step, and taken off again. Simulated time comes from the world's
+clock; nothing here knows services.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from slidectl.physics.effort import EffortTruncation
+from slidectl.physics.rotation import Vector
+
+if TYPE_CHECKING:
+    from slidectl.physics.body import Body
+
+
+@dataclass(frozen=True, slots=True)
+class _Span:
+    """When: from `start_ns` up to and including `start_ns + duration_ns`; a negative duration never ends."""
+
+    start_ns: int
+    duration_ns: int
+
+    def holds(self, now_ns: int) -> bool:
+        return now_ns >= self.start_ns and not self.is_over(now_ns)
+
+    def is_over(self, now_ns: int) -> bool:
+        return self.duration_ns >= 0 and now_ns > self.start_ns + self.duration_ns
+
+
+@dataclass(frozen=True, slots=True)
+class JointForce:
+    """N or N·m on one joint, cut like every effort by the limits of the joint."""
+
+    body: Body
+    joint: str
+    effort: float
+    span: _Span
+
+
+@dataclass(frozen=True, slots=True)
+class Wrench:
+    """Force (N) and torque (N·m), in the world's axes, on the centre of mass of one link."""
+
+    body: Body
+    link: str
+    force: Vector
+    torque: Vector
+    span: _Span
+
+
+class ExternalForces:
+    """The forces that were asked for and are not over."""
+
+    def __init__(self) -> None:
+        self.joint_forces: list[JointForce] = []
+        self.wrenches: list[Wrench] = []
+        self.efforts: dict[int, float] = {}
+        """What the last step applied, by dof; the robots' read-back adds it."""
+
+    @property
+    def is_empty(self) -> bool:
+        """True when nothing waits and nothing acts."""
+        return not self.joint_forces and not self.wrenches
+
+    def add_joint(self, body: Body, joint: str, effort: float, start_ns: int, duration_ns: int) -> None:
+        """Raises UnknownName when the robot has no such moving joint."""
+        body.place(joint)
+        self.joint_forces.append(JointForce(body, joint, effort, _Span(start_ns, duration_ns)))
+
+    def add_wrench(self, body: Body, link: str, force: Vector, torque: Vector, start_ns: int, duration_ns: int) -> None:
+        """Raises UnknownName when the robot has no such link."""
+        body.link_id(link)
+        self.wrenches.append(Wrench(body, link, force, torque, _Span(start_ns, duration_ns)))
+
+    def drop(self, keep: Callable[[JointForce | Wrench], bool]) -> None:
+        """Forget all forces but those that `keep` says yes to."""
+        self.joint_forces = [force for force in self.joint_forces if keep(force)]
+        self.wrenches = [wrench for wrench in self.wrenches if keep(wrench)]
+
+    def step(self, data: Any, now_ns: int, advance: Callable[[], None]) -> None:
+        """One step with the forces of `now_ns` on top of what is applied, which is put back exactly afterwards."""
+        self.drop(lambda force: not force.span.is_over(now_ns))
+        joint_forces, link_forces = data.qfrc_applied.copy(), data.xfrc_applied.copy()
+        self._apply_efforts(data, now_ns)
+        for wrench in self.wrenches:
+            if wrench.span.holds(now_ns):
+                data.xfrc_applied[wrench.body.links[wrench.link]] += (*wrench.force, *wrench.torque)
+        advance()
+        data.qfrc_applied[:], data.xfrc_applied[:] = joint_forces, link_forces
+
+    def _apply_efforts(self, data: Any, now_ns: int) -> None:
+        self.efforts.clear()
+        for force in self.joint_forces:
+            if force.span.holds(now_ns):
+                place = force.body.joints[force.joint]
+                effort = EffortTruncation.of(place.joint).cut(force.effort, float(data.qvel[place.dof]))
+                self.efforts[place.dof] = self.efforts.get(place.dof, 0.0) + effort
+        for dof, effort in self.efforts.items():
+            data.qfrc_applied[dof] += effort

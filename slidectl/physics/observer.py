@@ -1,0 +1,64 @@
+"""Poses and twists of links, computed beside the running state.
+
+It works on an MjData of its own, so that looking never touches what the next step depends on (warm starts above
+all). It changes nothing in the world.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from slidectl.physics.rotation import Pose, Vector, xyzw
+
+Twist = tuple[Vector, Vector]
+"""Linear (m/s) and angular (rad/s) velocity, in the world's axes."""
+
+
+class Observer:
+    """Kinematics of the present state, computed when first asked for after a change."""
+
+    def __init__(self, model: Any, data: Any) -> None:
+        self._model = model
+        self._data = data
+        self._copy: Any = None
+        self._twist = np.zeros(6)
+        self.invalidate()
+
+    def invalidate(self) -> None:
+        """Say that the state was changed by other means than a step."""
+        self._poses_at = self._twists_at = float("nan")
+
+    def pose(self, body_id: int) -> Pose:
+        """Place of the link's frame in the world: position (m), attitude x y z w."""
+        self._refresh_poses()
+        x, y, z = self._copy.xpos[body_id].tolist()
+        return (x, y, z), xyzw(tuple(self._copy.xquat[body_id].tolist()))
+
+    def twist(self, body_id: int) -> Twist:
+        """Velocity of the origin of the link's frame, and of its turning, in the world's axes."""
+        self._refresh_twists()
+        kind = mujoco.mjtObj.mjOBJ_XBODY
+        mujoco.mj_objectVelocity(self._model, self._copy, kind, body_id, self._twist, 0)
+        wx, wy, wz, vx, vy, vz = self._twist.tolist()
+        return (vx, vy, vz), (wx, wy, wz)
+
+    def _refresh_poses(self) -> None:
+        if self._poses_at == self._data.time:
+            return
+        if self._copy is None:
+            self._copy = mujoco.MjData(self._model)
+        self._copy.qpos[:] = self._data.qpos
+        mujoco.mj_kinematics(self._model, self._copy)
+        self._poses_at = self._data.time
+
+    def _refresh_twists(self) -> None:
+        self._refresh_poses()
+        if self._twists_at == self._data.time:
+            return
+        self._copy.qvel[:] = self._data.qvel
+        mujoco.mj_comPos(self._model, self._copy)
+        mujoco.mj_comVel(self._model, self._copy)
+        self._twists_at = self._data.time

@@ -1,0 +1,81 @@
+"""Rotations in plain Python: fixed-axis roll pitch yaw, quaternions, matrices.
+
+`Quaternion` is x y z w as on messages; `wxyz` turns it for MuJoCo, whose quaternions begin with w.
+"""
+
+from __future__ import annotations
+
+import math
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+Matrix = tuple[Vector, Vector, Vector]
+Pose = tuple[Vector, Quaternion]
+"""Position in m, attitude x y z w."""
+
+IDENTITY: Quaternion = (0.0, 0.0, 0.0, 1.0)
+ORIGIN: Pose = ((0.0, 0.0, 0.0), IDENTITY)
+
+
+def from_rpy(rpy: Vector) -> Quaternion:
+    """The attitude after turning about the fixed x, then y, then z axis by roll, pitch, yaw (rad); URDF's `rpy`."""
+    if rpy == (0.0, 0.0, 0.0):
+        return IDENTITY
+    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(angle / 2), math.sin(angle / 2)) for angle in rpy)
+    return (
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+        cr * cp * cy + sr * sp * sy,
+    )
+
+
+def wxyz(quaternion: Quaternion) -> tuple[float, float, float, float]:
+    """MuJoCo's order."""
+    x, y, z, w = quaternion
+    return (w, x, y, z)
+
+
+def xyzw(quaternion: Quaternion) -> Quaternion:
+    """The order of messages, from MuJoCo's."""
+    w, x, y, z = quaternion
+    return (x, y, z, w)
+
+
+def normalized(quaternion: Quaternion) -> Quaternion:
+    """The quaternion at length one; all zeros mean no rotation, as in messages that leave it out."""
+    length = math.sqrt(sum(part * part for part in quaternion))
+    if length == 0.0:
+        return IDENTITY
+    x, y, z, w = (part / length for part in quaternion)
+    return (x, y, z, w)
+
+
+def matrix(quaternion: Quaternion) -> Matrix:
+    """The rotation matrix of a unit quaternion, by rows."""
+    x, y, z, w = quaternion
+    return (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
+    )
+
+
+def perpendicular(axis: Vector) -> tuple[Vector, Vector]:
+    """Two unit vectors that span the plane normal to `axis`; right-handed with it."""
+    normal = unit(axis)
+    smallest = min(range(3), key=lambda i: abs(normal[i]))
+    helper = (float(smallest == 0), float(smallest == 1), float(smallest == 2))
+    first = unit(cross(helper, normal))
+    return first, cross(normal, first)
+
+
+def unit(vector: Vector) -> Vector:
+    """The vector at length one. Raises ZeroDivisionError for the null vector."""
+    length = math.sqrt(sum(part * part for part in vector))
+    return (vector[0] / length, vector[1] / length, vector[2] / length)
+
+
+def cross(a: Vector, b: Vector) -> Vector:
+    """Vector product."""
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])

@@ -1,0 +1,114 @@
+"""Collision shapes as MuJoCo geoms: boxes, cylinders, spheres and meshes, each with the friction of its link.
+
+Visuals never come here: the simulated world has no picture.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mujoco
+
+from slidectl.description.robot import Box, Cylinder, Link, Mesh, Shape, Sphere, Surface
+from slidectl.errors import SlidectlError
+from slidectl.physics.rotation import from_rpy, wxyz
+
+GAZEBO_FRICTION = 1.0
+"""Gazebo's mu of a surface that says nothing, and MuJoCo's sliding friction too."""
+
+_BINARY_STL_HEADER = 84
+
+
+class BadShape(SlidectlError):
+    """A collision shape that MuJoCo cannot take."""
+
+    def __init__(self, robot: str, link: Link, shape: Shape, trouble: str) -> None:
+        at = f" (line {shape.line})" if shape.line is not None else ""
+        super().__init__(f"link {link.name!r} of robot {robot!r}: collision shape{at}: {trouble}")
+        self.link = link.name
+
+
+def put_shapes(spec: Any, body: Any, robot: str, link: Link) -> None:
+    """Add one geom per collision of the link.
+
+    Raises:
+        BadShape: a size that is not positive, or a mesh that cannot be read.
+    """
+    for number, shape in enumerate(link.collisions):
+        geom = body.add_geom(name=f"{robot}/{link.name}/{number}", pos=shape.origin.xyz)
+        geom.quat = wxyz(from_rpy(shape.origin.rpy))
+        geom.friction[0] = sliding_friction(link.surface)
+        if isinstance(shape.geometry, Mesh):
+            _put_mesh(spec, geom, robot, link, shape)
+        else:
+            geom.type, geom.size = _primitive(robot, link, shape)
+
+
+def sliding_friction(surface: Surface) -> float:
+    """The one coefficient that MuJoCo has for both directions: mu1, else mu2, else Gazebo's default."""
+    for mu in (surface.mu1, surface.mu2):
+        if mu is not None:
+            return mu
+    return GAZEBO_FRICTION
+
+
+def _primitive(robot: str, link: Link, shape: Shape) -> tuple[Any, list[float]]:
+    """MuJoCo's type, and its size: half lengths, and radius before half length."""
+    geometry = shape.geometry
+    if isinstance(geometry, Box):
+        kind, size = mujoco.mjtGeom.mjGEOM_BOX, [edge / 2 for edge in geometry.size]
+    elif isinstance(geometry, Cylinder):
+        kind, size = mujoco.mjtGeom.mjGEOM_CYLINDER, [geometry.radius, geometry.length / 2, 0.0]
+    elif isinstance(geometry, Sphere):
+        kind, size = mujoco.mjtGeom.mjGEOM_SPHERE, [geometry.radius, 0.0, 0.0]
+    else:
+        raise TypeError(f"not a primitive: {geometry!r}")
+    needed = {Box: 3, Cylinder: 2, Sphere: 1}[type(geometry)]
+    if not all(0.0 < length < float("inf") for length in size[:needed]):
+        raise BadShape(robot, link, shape, f"{geometry} needs sizes above 0")
+    return kind, size
+
+
+def _put_mesh(spec: Any, geom: Any, robot: str, link: Link, shape: Shape) -> None:
+    """A mesh collides as its convex hull; files that MuJoCo cannot read go through description.meshes."""
+    source = shape.geometry
+    assert isinstance(source, Mesh)
+    if source.path is None:
+        raise BadShape(robot, link, shape, f"mesh {source.uri!r} was not found")
+    mesh = spec.add_mesh(name=geom.name)
+    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+    if _is_native(Path(source.path)):
+        mesh.file, mesh.scale = source.path, source.scale
+    else:
+        _fill(mesh, source, robot, link, shape)
+    geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_MESH, mesh.name
+
+
+def _fill(mesh: Any, source: Mesh, robot: str, link: Link, shape: Shape) -> None:
+    from slidectl.description import meshes
+
+    assert source.path is not None
+    try:
+        vertices, faces = meshes.load(source.path, source.scale)
+    except OSError as error:
+        raise BadShape(robot, link, shape, f"mesh {source.path}: {error.strerror}") from error
+    mesh.uservert, mesh.userface = vertices.ravel(), faces.ravel()
+
+
+def _is_native(path: Path) -> bool:
+    """MuJoCo reads OBJ, and STL in its binary form (the text form begins with `solid` and has another length)."""
+    suffix = path.suffix.lower()
+    return suffix == ".obj" or (suffix == ".stl" and _is_binary_stl(path))
+
+
+def _is_binary_stl(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            header = file.read(_BINARY_STL_HEADER)
+            size = path.stat().st_size
+    except OSError:
+        return False
+    if len(header) < _BINARY_STL_HEADER:
+        return False
+    return size == _BINARY_STL_HEADER + 50 * int.from_bytes(header[80:84], "little")
