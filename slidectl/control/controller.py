@@ -1,0 +1,154 @@
+"""What every controller is: its life cycle, how it gets its interfaces, and the hooks that a law fills in.
+
+Only the requests here change a controller's state; hooks never do. It knows no other controllers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar, Generic
+
+from slidectl.control.interfaces import ClaimedResources
+from slidectl.control.node import NodeHandle
+from slidectl.control.robot_hw import AnyInterface, I, RobotHW
+from slidectl.control.states import State
+from slidectl.errors import Refused, listing
+
+
+class MissingInterface(Refused):
+    """A controller needs an interface that the robot does not have."""
+
+    def __init__(self, wanted: str, hw: RobotHW) -> None:
+        super().__init__(
+            f"this controller needs {wanted}, which this robot has not",
+            f"interfaces of this robot: {listing(hw.interface_names())}",
+        )
+
+
+class ControllerBase:
+    """States, requests and hooks. Times are nanoseconds of simulated time, periods seconds."""
+
+    def __init__(self) -> None:
+        self.state = State.CONSTRUCTED
+        self.claimed_resources: tuple[ClaimedResources, ...] = ()
+
+    # Hooks: what a controller's author writes.
+
+    def starting(self, time_ns: int) -> None:
+        """Called once when the controller starts, before its first update."""
+
+    def update(self, time_ns: int, period_s: float) -> None:
+        """One cycle: read states, write commands."""
+        raise NotImplementedError
+
+    def stopping(self, time_ns: int) -> None:
+        """Called once when the controller stops, after its last update."""
+
+    def waiting(self, time_ns: int) -> None:
+        """Called each cycle while the hardware is not ready for the start."""
+
+    def aborting(self, time_ns: int) -> None:
+        """Called when the start, or the controller itself, failed."""
+
+    # Requests: what the manager calls.
+
+    def init_request(self, hw: RobotHW, root: NodeHandle, node: NodeHandle) -> None:
+        """Get interfaces, call the init hooks and note the claims. `root` is the robot's namespace, `node` the own one.
+
+        Raises:
+            SlidectlError: this controller was initialised before, an interface is missing, or a hook refused.
+        """
+        if self.state is not State.CONSTRUCTED:
+            raise Refused("a controller is initialised only once")
+        self.claimed_resources = self._claim(hw, root, node)
+        self.state = State.INITIALIZED
+
+    def start_request(self, time_ns: int) -> bool:
+        """Start, also from running. False (and nothing happens) before init; so do the other requests."""
+        return self._enter(State.RUNNING, self.starting, time_ns)
+
+    def stop_request(self, time_ns: int) -> bool:
+        """Stop, also when not running."""
+        return self._enter(State.STOPPED, self.stopping, time_ns)
+
+    def wait_request(self, time_ns: int) -> bool:
+        """Wait for the hardware."""
+        return self._enter(State.WAITING, self.waiting, time_ns)
+
+    def abort_request(self, time_ns: int) -> bool:
+        """Give up."""
+        return self._enter(State.ABORTED, self.aborting, time_ns)
+
+    def give_up(self) -> None:
+        """Be aborted without a hook: for a controller whose hooks fail."""
+        self.state = State.ABORTED
+
+    def update_request(self, time_ns: int, period_s: float) -> None:
+        """Update if running, else nothing."""
+        if self.state is State.RUNNING:
+            self.update(time_ns, period_s)
+
+    def _enter(self, state: State, hook: Callable[[int], None], time_ns: int) -> bool:
+        if self.state is State.CONSTRUCTED:
+            return False
+        hook(time_ns)
+        self.state = state
+        return True
+
+    def _claim(self, hw: RobotHW, root: NodeHandle, node: NodeHandle) -> tuple[ClaimedResources, ...]:
+        raise NotImplementedError
+
+
+class Controller(ControllerBase, Generic[I]):
+    """A controller on one interface, which `interface_type` names. Fill in one of the two init hooks."""
+
+    interface_type: type[I]
+
+    def init(self, interface: I, node: NodeHandle) -> None:
+        """Get handles, parameters and topics. Raises SlidectlError to refuse."""
+
+    def init_in_root(self, interface: I, root: NodeHandle, node: NodeHandle) -> None:
+        """The same, for a controller that needs the robot's namespace too. Called after `init`."""
+
+    def _claim(self, hw: RobotHW, root: NodeHandle, node: NodeHandle) -> tuple[ClaimedResources, ...]:
+        interface = hw.get(self.interface_type)
+        if interface is None:
+            raise MissingInterface(self.interface_type.type_name, hw)
+        interface.take_claims()
+        self.init(interface, node)
+        self.init_in_root(interface, root, node)
+        return (ClaimedResources(interface.type_name, interface.take_claims()),)
+
+
+class MultiInterfaceController(ControllerBase):
+    """A controller on several interfaces, in the order of `interface_types`. Fill in one of the two init hooks."""
+
+    interface_types: ClassVar[tuple[type[AnyInterface], ...]] = ()
+    allow_optional_interfaces: ClassVar[bool] = False
+    """True: an interface that the robot has not is None in `init`."""
+
+    def init(self, hw: RobotHW, node: NodeHandle) -> None:
+        """Get handles, parameters and topics from a hardware that has only the listed interfaces."""
+
+    def init_in_root(self, hw: RobotHW, root: NodeHandle, node: NodeHandle) -> None:
+        """The same, for a controller that needs the robot's namespace too. Called after `init`."""
+
+    def _claim(self, hw: RobotHW, root: NodeHandle, node: NodeHandle) -> tuple[ClaimedResources, ...]:
+        interfaces = self._interfaces(hw)
+        restricted = RobotHW()
+        for interface in interfaces:
+            interface.take_claims()
+            restricted.register_interface(interface)
+        self.init(restricted, node)
+        self.init_in_root(restricted, root, node)
+        return tuple(ClaimedResources(interface.type_name, interface.take_claims()) for interface in interfaces)
+
+    def _interfaces(self, hw: RobotHW) -> list[AnyInterface]:
+        found: list[AnyInterface] = []
+        for interface_type in self.interface_types:
+            interface: Any = hw.get(interface_type)
+            if interface is not None:
+                found.append(interface)
+            elif not self.allow_optional_interfaces:
+                raise MissingInterface(interface_type.type_name, hw)
+        return found

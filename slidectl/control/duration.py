@@ -1,0 +1,50 @@
+"""Durations as ros::Duration computes them: integer nanoseconds inside, seconds as `sec + 1e-9 * nsec`.
+
+The arithmetic is kept to the bit, since control laws multiply and divide by these seconds. It knows no clock.
+"""
+
+from __future__ import annotations
+
+from math import ceil, floor, isfinite
+
+from slidectl.errors import UsageError
+
+NANOSECONDS = 1_000_000_000
+_MOST_SECONDS = 2**31 - 1
+
+
+class BadDuration(UsageError):
+    """Seconds that no duration can hold: not a number, infinite, or beyond 32 bits of seconds."""
+
+    def __init__(self, seconds: float) -> None:
+        super().__init__(f"{seconds!r} s is no duration: it must lie within ±{_MOST_SECONDS} s")
+
+
+def to_seconds(ns: int) -> float:
+    """Seconds of `ns` nanoseconds, rounded as ros::Duration::toSec rounds."""
+    seconds, nanoseconds = divmod(ns, NANOSECONDS)
+    return seconds + 1e-9 * nanoseconds
+
+
+def from_seconds(seconds: float) -> int:
+    """Nanoseconds nearest to `seconds`, halves away from zero, as ros::Duration(double).
+
+    Raises:
+        BadDuration: not finite, or too long for 32 bits of seconds.
+    """
+    if not isfinite(seconds) or abs(seconds) > _MOST_SECONDS:
+        raise BadDuration(seconds)
+    whole = floor(seconds)
+    return whole * NANOSECONDS + _round_half_up((seconds - whole) * 1e9)
+
+
+def to_stamp(ns: int) -> dict[str, int]:
+    """The time as it stands on messages."""
+    seconds, nanoseconds = divmod(ns, NANOSECONDS)
+    return {"secs": seconds, "nsecs": nanoseconds}
+
+
+def _round_half_up(value: float) -> int:
+    """Nearest whole number of a value >= 0. Not floor(value + 0.5): that sum may round up by itself."""
+    above = ceil(value)
+    return above - 1 if above - value > 0.5 else above

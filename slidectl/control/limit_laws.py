@@ -1,0 +1,124 @@
+"""What joint limits make of a command: the formulas of joint_limits_interface, to the bit.
+
+Pure arithmetic on floats, each law once. Units are those of the joint (m or rad, and per s); `dt` in s.
+The order of comparisons is part of the law: it decides what becomes of nan and of bounds the wrong way round.
+"""
+
+from __future__ import annotations
+
+LARGEST = 1.7976931348623157e308
+"""The bound where there is none (DBL_MAX)."""
+
+
+def bounded(value: float, lower: float, upper: float) -> float:
+    """min(max(value, lower), upper): with bounds the wrong way round it is `upper`; nan stays nan."""
+    if value < lower:
+        value = lower
+    if upper < value:
+        value = upper
+    return value
+
+
+def effort_saturation(
+    command: float,
+    position: float,
+    velocity: float,
+    min_position: float,
+    max_position: float,
+    max_velocity: float,
+    max_effort: float,
+) -> float:
+    """At most `max_effort`, and none that pushes further beyond a position or velocity limit.
+
+    Without position limits give -inf and inf.
+    """
+    lower = -max_effort
+    upper = max_effort
+    if position < min_position:
+        lower = 0.0
+    elif position > max_position:
+        upper = 0.0
+    if velocity < -max_velocity:
+        lower = 0.0
+    elif velocity > max_velocity:
+        upper = 0.0
+    if command < lower:
+        command = lower
+    if upper < command:
+        command = upper
+    return command
+
+
+def effort_soft_limits(
+    command: float,
+    velocity: float,
+    min_velocity: float,
+    max_velocity: float,
+    k_velocity: float,
+    max_effort: float,
+) -> float:
+    """Effort that lets the velocity settle between the two bounds."""
+    lower = bounded(-k_velocity * (velocity - min_velocity), -max_effort, max_effort)
+    upper = bounded(-k_velocity * (velocity - max_velocity), -max_effort, max_effort)
+    return bounded(command, lower, upper)
+
+
+def soft_velocity(position: float, soft_limit: float, k_position: float, max_velocity: float) -> float:
+    """The velocity at which a joint may still move towards (or must move back to) its soft limit."""
+    return bounded(-k_position * (position - soft_limit), -max_velocity, max_velocity)
+
+
+def position_saturation(
+    command: float, previous: float, step: float, min_position: float, max_position: float
+) -> float:
+    """Within the position limits, and within one `step` (velocity limit times dt) of the previous command."""
+    lower = previous - step
+    upper = previous + step
+    if lower < min_position:
+        lower = min_position
+    if max_position < upper:
+        upper = max_position
+    return bounded(command, lower, upper)
+
+
+def position_soft_limits(
+    command: float,
+    previous: float,
+    min_velocity: float,
+    max_velocity: float,
+    dt: float,
+    min_position: float,
+    max_position: float,
+) -> float:
+    """Between the places that the velocity bounds reach within dt, and within the hard position limits."""
+    lower = previous + min_velocity * dt
+    upper = previous + max_velocity * dt
+    if lower < min_position:
+        lower = min_position
+    if max_position < upper:
+        upper = max_position
+    return bounded(command, lower, upper)
+
+
+def velocity_saturation(command: float, previous: float, step: float, max_velocity: float) -> float:
+    """Within the velocity limit, and within one `step` (acceleration limit times dt) of the previous command."""
+    lower = previous - step
+    upper = previous + step
+    if lower < -max_velocity:
+        lower = -max_velocity
+    if max_velocity < upper:
+        upper = max_velocity
+    return bounded(command, lower, upper)
+
+
+def velocity_soft_limits(
+    command: float, velocity: float, step: float, min_velocity: float, max_velocity: float
+) -> float:
+    """Within the velocity bounds, and within one `step` (acceleration limit times dt) of the measured velocity."""
+    lower = velocity - step
+    upper = velocity + step
+    if lower < min_velocity:
+        lower = min_velocity
+    if max_velocity < upper:
+        upper = max_velocity
+    return bounded(command, lower, upper)

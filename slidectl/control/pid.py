@@ -1,0 +1,169 @@
+"""The PID law of control_toolbox 1.19 (ROS 1), to the bit: what it computes and what it remembers.
+
+`pid_law` is the equation; `Pid` keeps gains and state around it. Neither knows parameters, topics or time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import isfinite
+from typing import NamedTuple, Self
+
+
+class Gains(NamedTuple):
+    """Gains in effort per error; `i_min` and `i_max` bound the integral term in units of the command."""
+
+    p: float = 0.0
+    i: float = 0.0
+    d: float = 0.0
+    i_max: float = 0.0
+    i_min: float = 0.0
+    antiwindup: bool = False
+
+
+class Terms(NamedTuple):
+    """The three parts of the last command."""
+
+    p: float
+    i: float
+    d: float
+
+
+def pid_law(
+    error: float,
+    error_dot: float,
+    i_error: float,
+    dt: float,
+    p: float,
+    i: float,
+    d: float,
+    i_min: float,
+    i_max: float,
+    antiwindup: bool,
+) -> tuple[float, float]:
+    """(command, integral of the error), `dt` seconds on. command = p error + i integral + d error_dot.
+
+    With anti-windup the integral itself is bounded, without it only its contribution. Bounds the wrong way
+    round yield the upper one.
+    """
+    i_error += dt * error
+    if antiwindup and i != 0.0:
+        lower, upper = i_min / i, i_max / i
+        if upper < lower:
+            lower, upper = upper, lower
+        if i_error < lower:
+            i_error = lower
+        if upper < i_error:
+            i_error = upper
+    i_term = i * i_error
+    if not antiwindup:
+        if i_term < i_min:
+            i_term = i_min
+        if i_max < i_term:
+            i_term = i_max
+    return p * error + i_term + d * error_dot, i_error
+
+
+class Pid:
+    """Gains and state of one loop. A copy has the gains and a state that is reset.
+
+    Errors are in units of the controlled quantity, periods in seconds.
+    """
+
+    __slots__ = (
+        "_p_error_last",
+        "_p_error_last_is_valid",
+        "antiwindup",
+        "command",
+        "d",
+        "d_error",
+        "i",
+        "i_error",
+        "i_max",
+        "i_min",
+        "observer",
+        "p",
+        "p_error",
+    )
+
+    def __init__(
+        self,
+        p: float = 0.0,
+        i: float = 0.0,
+        d: float = 0.0,
+        i_max: float = 0.0,
+        i_min: float = 0.0,
+        antiwindup: bool = False,
+    ) -> None:
+        self.observer: Callable[[float], None] | None = None
+        """Called with the period after each command that was computed, to publish the state."""
+        self.set_gains(Gains(p, i, d, i_max, i_min, antiwindup))
+        self.reset()
+
+    @property
+    def gains(self) -> Gains:
+        """The gains now in use."""
+        return Gains(self.p, self.i, self.d, self.i_max, self.i_min, self.antiwindup)
+
+    def set_gains(self, gains: Gains) -> None:
+        """Use other gains from the next command on. The state stays: the integral is not rescaled."""
+        self.p, self.i, self.d, self.i_max, self.i_min, self.antiwindup = gains
+
+    def reset(self) -> None:
+        """Forget the past. The last error counts as a valid 0, so the next command has d * error / dt in it."""
+        self.p_error = self._p_error_last = self.i_error = self.d_error = self.command = 0.0
+        self._p_error_last_is_valid = True
+
+    def reset_to(self, d_error: float, i_error: float) -> None:
+        """Start from this derivative, used as it is by the next command, and this integral of the error."""
+        self.reset()
+        self.d_error = d_error
+        self.i_error = i_error
+        self._p_error_last_is_valid = False
+
+    def compute_command(self, error: float, period_s: float) -> float:
+        """The command for this error, its derivative taken from the last one.
+
+        0.0 with no change of the state when the period is 0 or the error is not finite.
+        """
+        if period_s == 0.0 or not isfinite(error):
+            return 0.0
+        error_dot = self.d_error
+        if period_s > 0.0:
+            if self._p_error_last_is_valid:
+                error_dot = (error - self._p_error_last) / period_s
+            self._p_error_last = error
+            self._p_error_last_is_valid = True
+        return self.compute_command_from(error, error_dot, period_s)
+
+    def compute_command_from(self, error: float, error_dot: float, period_s: float) -> float:
+        """The command for this error and its derivative. 0.0 when one is not finite or the period is 0."""
+        self.p_error = error
+        self.d_error = error_dot
+        if period_s == 0.0 or not isfinite(error) or not isfinite(error_dot):
+            return 0.0
+        self.command, self.i_error = pid_law(
+            error,
+            error_dot,
+            self.i_error,
+            period_s,
+            self.p,
+            self.i,
+            self.d,
+            self.i_min,
+            self.i_max,
+            self.antiwindup,
+        )
+        if self.observer is not None:
+            self.observer(period_s)
+        return self.command
+
+    def terms(self) -> Terms:
+        """The parts that the last command was made of."""
+        i_term = self.i * self.i_error
+        if not self.antiwindup:
+            i_term = min(max(i_term, self.i_min), self.i_max)
+        return Terms(self.p * self.p_error, i_term, self.d * self.d_error)
+
+    def __copy__(self) -> Self:
+        return type(self)(*self.gains)
