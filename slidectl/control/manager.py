@@ -18,7 +18,6 @@ from slidectl.control.robot_hw import RobotHW
 from slidectl.control.switching import BEST_EFFORT, STRICT, Switch, plan_switch
 from slidectl.errors import BadName, Refused, UnknownName
 
-
 Names = list[str]
 
 

@@ -1,0 +1,215 @@
+"""What a transmission makes of positions, velocities and efforts, in both directions.
+
+The maths of transmission_interface, to the bit. Values are sequences, one per actuator or joint. A simulation
+works in joint space and needs none of it.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import ClassVar
+
+from slidectl.errors import Refused
+
+Values = Sequence[float]
+
+
+class BadTransmission(Refused):
+    """Reductions or offsets that no transmission can have."""
+
+
+class Transmission(ABC):
+    """Base of all transmissions. `reduction` is dimensionless, offsets in m or rad, values in SI units."""
+
+    size: ClassVar[int]
+    """How many actuators it has, and how many joints."""
+
+    @abstractmethod
+    def joint_effort(self, actuator: Values) -> list[float]:
+        """Joint efforts of these actuator efforts; torque sensors map alike."""
+
+    @abstractmethod
+    def joint_velocity(self, actuator: Values) -> list[float]:
+        """Joint velocities of these actuator velocities."""
+
+    @abstractmethod
+    def joint_position(self, actuator: Values) -> list[float]:
+        """Joint positions of these actuator positions."""
+
+    def joint_absolute_position(self, actuator: Values) -> list[float]:
+        """Joint positions of what absolute encoders on the actuators read."""
+        return self.joint_position(actuator)
+
+    def joint_torque_sensor(self, actuator: Values) -> list[float]:
+        """Joint torques of what torque sensors on the actuators read."""
+        return self.joint_effort(actuator)
+
+    @abstractmethod
+    def actuator_effort(self, joint: Values) -> list[float]:
+        """Actuator efforts of these joint efforts."""
+
+    @abstractmethod
+    def actuator_velocity(self, joint: Values) -> list[float]:
+        """Actuator velocities of these joint velocities."""
+
+    @abstractmethod
+    def actuator_position(self, joint: Values) -> list[float]:
+        """Actuator positions of these joint positions."""
+
+
+class SimpleTransmission(Transmission):
+    """One actuator, one joint; a negative reduction turns the direction round."""
+
+    size = 1
+
+    def __init__(self, reduction: float, joint_offset: float = 0.0) -> None:
+        """Raises BadTransmission for a reduction of 0."""
+        _check_reductions("mechanical reduction", (reduction,))
+        self._reduction = reduction
+        self._offset = joint_offset
+
+    def joint_effort(self, actuator: Values) -> list[float]:
+        return [actuator[0] * self._reduction]
+
+    def joint_velocity(self, actuator: Values) -> list[float]:
+        return [actuator[0] / self._reduction]
+
+    def joint_position(self, actuator: Values) -> list[float]:
+        return [actuator[0] / self._reduction + self._offset]
+
+    def actuator_effort(self, joint: Values) -> list[float]:
+        return [joint[0] / self._reduction]
+
+    def actuator_velocity(self, joint: Values) -> list[float]:
+        return [joint[0] * self._reduction]
+
+    def actuator_position(self, joint: Values) -> list[float]:
+        return [(joint[0] - self._offset) * self._reduction]
+
+
+class _TwoDofTransmission(Transmission):
+    """Two actuators and two joints, with a reduction on either side."""
+
+    size = 2
+
+    def __init__(
+        self,
+        actuator_reduction: Values,
+        joint_reduction: Values = (1.0, 1.0),
+        joint_offset: Values = (0.0, 0.0),
+    ) -> None:
+        """Raises BadTransmission unless each has two entries and no reduction is 0."""
+        for what, values in (
+            ("actuator reduction", actuator_reduction),
+            ("joint reduction", joint_reduction),
+            ("joint offset", joint_offset),
+        ):
+            if len(values) != self.size:
+                raise BadTransmission(f"{type(self).__name__} needs 2 of {what}, not {len(values)}")
+        _check_reductions("actuator reduction", actuator_reduction)
+        _check_reductions("joint reduction", joint_reduction)
+        self._actuator = tuple(actuator_reduction)
+        self._joint = tuple(joint_reduction)
+        self._offset = tuple(joint_offset)
+
+
+class DifferentialTransmission(_TwoDofTransmission):
+    """Two actuators that together turn one joint by their sum and the other by their difference."""
+
+    def __init__(
+        self,
+        actuator_reduction: Values,
+        joint_reduction: Values = (1.0, 1.0),
+        joint_offset: Values = (0.0, 0.0),
+        ignore_absolute_encoders: bool = False,
+    ) -> None:
+        """With `ignore_absolute_encoders` the encoders sit on the joints, each read by the other's actuator."""
+        super().__init__(actuator_reduction, joint_reduction, joint_offset)
+        self._ignore_absolute_encoders = ignore_absolute_encoders
+
+    def joint_effort(self, actuator: Values) -> list[float]:
+        (a1, a2), (j1, j2) = self._actuator, self._joint
+        return [
+            j1 * (actuator[0] * a1 + actuator[1] * a2),
+            j2 * (actuator[0] * a1 - actuator[1] * a2),
+        ]
+
+    def joint_velocity(self, actuator: Values) -> list[float]:
+        (a1, a2), (j1, j2) = self._actuator, self._joint
+        return [
+            (actuator[0] / a1 + actuator[1] / a2) / (2.0 * j1),
+            (actuator[0] / a1 - actuator[1] / a2) / (2.0 * j2),
+        ]
+
+    def joint_position(self, actuator: Values) -> list[float]:
+        first, second = self.joint_velocity(actuator)
+        return [first + self._offset[0], second + self._offset[1]]
+
+    def joint_absolute_position(self, actuator: Values) -> list[float]:
+        if self._ignore_absolute_encoders:
+            return [actuator[1], actuator[0]]
+        return self.joint_position(actuator)
+
+    def actuator_effort(self, joint: Values) -> list[float]:
+        (a1, a2), (j1, j2) = self._actuator, self._joint
+        return [
+            (joint[0] / j1 + joint[1] / j2) / (2.0 * a1),
+            (joint[0] / j1 - joint[1] / j2) / (2.0 * a2),
+        ]
+
+    def actuator_velocity(self, joint: Values) -> list[float]:
+        (a1, a2), (j1, j2) = self._actuator, self._joint
+        return [
+            (joint[0] * j1 + joint[1] * j2) * a1,
+            (joint[0] * j1 - joint[1] * j2) * a2,
+        ]
+
+    def actuator_position(self, joint: Values) -> list[float]:
+        return self.actuator_velocity([joint[0] - self._offset[0], joint[1] - self._offset[1]])
+
+
+class FourBarLinkageTransmission(_TwoDofTransmission):
+    """Two actuators on the base, the second of which moves its joint through a four-bar linkage."""
+
+    def joint_effort(self, actuator: Values) -> list[float]:
+        (a1, a2), (j1, j2) = self._actuator, self._joint
+        return [
+            actuator[0] * a1 * j1,
+            j2 * (actuator[1] * a2 - actuator[0] * a1 * j1),
+        ]
+
+    def joint_velocity(self, actuator: Values) -> list[float]:
+        (a1, a2), (j1, j2) = self._actuator, self._joint
+        return [
+            actuator[0] / (j1 * a1),
+            (actuator[1] / a2 - actuator[0] / (j1 * a1)) / j2,
+        ]
+
+    def joint_position(self, actuator: Values) -> list[float]:
+        first, second = self.joint_velocity(actuator)
+        return [first + self._offset[0], second + self._offset[1]]
+
+    def actuator_effort(self, joint: Values) -> list[float]:
+        (a1, a2), (j1, j2) = self._actuator, self._joint
+        return [
+            joint[0] / (a1 * j1),
+            (joint[0] + joint[1] / j2) / a2,
+        ]
+
+    def actuator_velocity(self, joint: Values) -> list[float]:
+        (a1, a2), (j1, j2) = self._actuator, self._joint
+        return [
+            joint[0] * j1 * a1,
+            (joint[0] + joint[1] * j2) * a2,
+        ]
+
+    def actuator_position(self, joint: Values) -> list[float]:
+        (a1, a2), (j1, j2) = self._actuator, self._joint
+        first, second = joint[0] - self._offset[0], joint[1] - self._offset[1]
+        return [first * j1 * a1, (first + second * j2) * a2]
+
+
+def _check_reductions(what: str, reductions: Values) -> None:
+    if 0.0 in reductions:
+        raise BadTransmission(f"{what} must not be 0, but is {list(reductions)}")
