@@ -1,0 +1,87 @@
+"""A model made ready for the daemon: expanded by xacro, meshes found, one element per line, sources noted.
+
+This is the client's side: it reads files, and evaluates what xacro evaluates. The result is plain URDF text.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from slidectl.description import models, xml_tree, xml_writer
+from slidectl.description.mesh_files import MeshFiles
+from slidectl.description.packages import Packages
+from slidectl.description.robot import Notice
+from slidectl.description.xml_tree import Element
+
+
+@dataclass(frozen=True)
+class Document:
+    """`xml` is URDF; `source_map` leads from its lines to the places where they were written."""
+
+    xml: str
+    source_map: xml_writer.SourceMap
+    file: str
+    """The model's file, or `<stdin>` or `<text>`."""
+    report: tuple[Notice, ...] = field(default=())
+    """What xacro warned of, and arguments without effect. What URDF tags became of is in the parsed robot's report."""
+
+
+def load(source: str | Path, arguments: Mapping[str, str] | None = None, packages: Packages | None = None) -> Document:
+    """The document of a model: a `.xacro` or `.urdf` path, a shipped model's name, `-` for stdin, or XML text.
+
+    Raises:
+        BadFile: missing, broken, or refused by xacro. UnknownName: no shipped model of that name.
+    """
+    model = models.read(source)
+    base = model.path.absolute().parent if model.path is not None else Path.cwd()
+    packages = packages.starting_at(base) if packages is not None else Packages(start=base)
+    root = xml_tree.read(model.text, model.file)
+    notices: list[Notice] = []
+    if _is_xacro(model, root):
+        from slidectl.description import xacro_run
+
+        root, notices = xacro_run.expand(root, model.path, arguments or {}, packages)
+    else:
+        notices = [_no_xacro(name, model.file) for name in arguments or {}]
+    _make_meshes_absolute(root, MeshFiles(packages, base))
+    xml, source_map = xml_writer.write(root)
+    return Document(xml, source_map, model.file, tuple(notices))
+
+
+def _is_xacro(model: models.Source, root: Element) -> bool:
+    """By its suffix, or because it has tags or attributes of xacro."""
+    if model.path is not None and model.path.suffix.lower() == ".xacro":
+        return True
+    return any(name.startswith("xacro:") for element in root.walk() for name in (element.tag, *element.attributes))
+
+
+def _no_xacro(name: str, file: str) -> Notice:
+    return Notice("ignored", f"{name}:=", "plain URDF takes no arguments", file, None)
+
+
+def _make_meshes_absolute(root: Element, meshes: MeshFiles) -> None:
+    """Turn the names of meshes into `file://` ones, so that whoever reads the text needs no package path.
+
+    A mesh that is not there keeps its name: the parser decides whether that matters.
+    """
+    for element in root.walk():
+        if element.tag == "mesh" and (uri := element.get("filename")):
+            path, _ = meshes.locate(uri, element.file)
+            if path is not None:
+                element.attributes["filename"] = path.as_uri()
+
+
+def declared_arguments(source: str | Path, packages: Packages | None = None) -> dict[str, str]:
+    """The `<xacro:arg>` of a model and of the files that it includes by plain names, with their defaults.
+
+    Raises:
+        BadFile, UnknownName: as load.
+    """
+    model = models.read(source)
+    base = model.path.absolute().parent if model.path is not None else Path.cwd()
+    packages = packages.starting_at(base) if packages is not None else Packages(start=base)
+    from slidectl.description import xacro_arguments
+
+    return xacro_arguments.declared(xml_tree.read(model.text, model.file), base, packages)

@@ -1,0 +1,69 @@
+"""Where the file of a mesh is: `package://`, `model://`, `file://` and plain paths, absolute or relative.
+
+Finds files and knows their kinds by suffix; reading them is meshes.py.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from urllib.parse import unquote
+
+from slidectl.description.packages import Packages, UnknownPackage
+
+SUFFIXES = (".stl", ".obj", ".dae")
+
+
+class MeshFiles:
+    """Looks mesh files up; `base` is the folder of the robot's file, None when it came without one."""
+
+    def __init__(self, packages: Packages, base: Path | None) -> None:
+        self.packages = packages
+        self.base = base
+
+    def locate(self, uri: str, written_in: str) -> tuple[Path | None, str]:
+        """The file (absolute) or None, and in words why not. `written_in` is the file that names the mesh.
+
+        Relative paths are looked up beside that file, and then beside the robot's own.
+        """
+        try:
+            candidates = self._candidates(uri.strip(), written_in)
+        except UnknownPackage as error:
+            return None, str(error)
+        for path in candidates:
+            if _is_file(path):
+                return path.absolute(), ""
+        places = ", ".join(str(path) for path in dict.fromkeys(candidates))
+        return None, f"no such file; looked for {places}" if candidates else "relative to no file"
+
+    def _candidates(self, uri: str, written_in: str) -> list[Path]:
+        scheme, separator, rest = uri.partition("://")
+        if not separator:
+            return self._beside(uri, written_in)
+        if scheme in ("package", "model"):
+            name, _, inside = rest.partition("/")
+            folder = self.packages.find(unquote(name))
+            return [folder / inside, folder / unquote(inside)]
+        if scheme == "file":
+            path = rest if rest.startswith("/") else rest.partition("/")[1] + rest.partition("/")[2]
+            return [Path(path), Path(unquote(path))]
+        return []
+
+    def _beside(self, path: str, written_in: str) -> list[Path]:
+        if Path(path).is_absolute():
+            return [Path(path)]
+        folders = [Path(written_in).absolute().parent] if Path(written_in).is_file() else []
+        if self.base is not None:
+            folders.append(self.base)
+        return [folder / path for folder in dict.fromkeys(folders)]
+
+
+def has_known_suffix(uri: str) -> bool:
+    """True for STL, OBJ and DAE, in any case."""
+    return uri.strip().lower().endswith(SUFFIXES)
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # too long for a name, or holding a null character
+        return False

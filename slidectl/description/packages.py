@@ -1,0 +1,123 @@
+"""Where a ROS package's folder is: `$(find NAME)` and `package://NAME/...`.
+
+Given names first, then the folders of SLIDECTL_PACKAGE_PATH and ROS_PACKAGE_PATH, then upwards from the file that asks.
+No ROS installation is consulted.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from slidectl.errors import UnknownName
+
+_NAME = re.compile(r"<name\b[^>]*>\s*([^<\s]+)\s*</name>")
+_DEEPEST = 8
+_VARIABLES = ("SLIDECTL_PACKAGE_PATH", "ROS_PACKAGE_PATH")
+_LEAVE_OUT = ("CATKIN_IGNORE", "AMENT_IGNORE", "COLCON_IGNORE")
+
+
+class UnknownPackage(UnknownName):
+    """No package of that name; the hint says where was looked."""
+
+    def __init__(self, name: str, known: list[str], looked: list[str]) -> None:
+        super().__init__("package", name, known)
+        places = "; ".join(looked) or "nowhere: no package path is set"
+        self.hint = f"looked in: {places}\ngive --package {name}=PATH, or set SLIDECTL_PACKAGE_PATH"
+
+
+class Packages:
+    """A lookup of packages. `named` maps names to folders; `start` is the folder from which to walk upwards."""
+
+    def __init__(self, named: Mapping[str, str | Path] | None = None, start: str | Path | None = None) -> None:
+        self.named = {name: Path(path).expanduser().absolute() for name, path in (named or {}).items()}
+        self.start = Path(start).absolute() if start is not None else None
+        self._found: dict[Path, dict[str, Path]] = {}
+
+    def starting_at(self, folder: str | Path) -> Packages:
+        """The same lookup, walking upwards from `folder`."""
+        return Packages(self.named, folder)
+
+    def find(self, name: str) -> Path:
+        """The folder of the package, absolute.
+
+        Raises:
+            UnknownPackage: nowhere; the message lists where it looked.
+        """
+        if name in self.named:
+            return self.named[name]
+        for folder in self._search_path():
+            if name in self._packages_below(folder):
+                return self._packages_below(folder)[name]
+        above = self._above(name)
+        if above is None:
+            raise UnknownPackage(name, self.names(), self._looked())
+        return above
+
+    def names(self) -> list[str]:
+        """The names of all packages that can be found without walking upwards."""
+        below = (name for folder in self._search_path() for name in self._packages_below(folder))
+        return sorted({*self.named, *below})
+
+    def _search_path(self) -> list[Path]:
+        entries = [entry for variable in _VARIABLES for entry in os.environ.get(variable, "").split(os.pathsep)]
+        return list(dict.fromkeys(Path(entry).expanduser().absolute() for entry in entries if entry))
+
+    def _packages_below(self, folder: Path) -> dict[str, Path]:
+        if folder not in self._found:
+            found: dict[str, Path] = {}
+            for package in _crawl(folder):
+                found.setdefault(package_name(package), package)
+            self._found[folder] = found
+        return self._found[folder]
+
+    def _above(self, name: str) -> Path | None:
+        """The package that holds the starting folder, or one beside a folder above it."""
+        for folder in self._ancestors():
+            if folder.name == name or (_is_package(folder) and package_name(folder) == name):
+                return folder
+            if _is_package(folder / name):
+                return folder / name
+        return None
+
+    def _ancestors(self) -> list[Path]:
+        return [self.start, *self.start.parents] if self.start is not None else []
+
+    def _looked(self) -> list[str]:
+        looked = [f"--package {name}" for name in self.named]
+        for variable in _VARIABLES:
+            if value := os.environ.get(variable):
+                looked.append(f"{variable}={value}")
+        if self.start is not None:
+            looked.append(f"{self.start} and the folders above it")
+        return looked
+
+
+def package_name(folder: Path) -> str:
+    """The `<name>` of a folder's package.xml, else the folder's own name."""
+    try:
+        match = _NAME.search((folder / "package.xml").read_text("utf-8", "replace"))
+    except OSError:
+        match = None
+    return match.group(1) if match else folder.name
+
+
+def _is_package(folder: Path) -> bool:
+    try:
+        return (folder / "package.xml").is_file()
+    except OSError:  # a folder that we may not enter is none of our packages
+        return False
+
+
+def _crawl(top: Path) -> Iterator[Path]:
+    """The package folders below `top`; a package's own subfolders are not searched, as rospack does."""
+    for folder, names, files in os.walk(top, followlinks=True):
+        depth = len(Path(folder).relative_to(top).parts)
+        if "package.xml" in files:
+            yield Path(folder)
+            names.clear()
+        elif depth >= _DEEPEST or any(mark in files for mark in _LEAVE_OUT):
+            names.clear()
+        names[:] = sorted(name for name in names if not name.startswith("."))

@@ -1,0 +1,103 @@
+"""URDF text into a Robot: reads the parts in order and lets structure.py check how they hang together.
+
+Safe for texts from anybody: nothing is evaluated, fetched or written. What has no effect is in the robot's report.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+from slidectl.description import values, xml_tree
+from slidectl.description.gazebo_tags import GazeboReader
+from slidectl.description.joints import JointReader
+from slidectl.description.links import LinkReader
+from slidectl.description.materials import Materials
+from slidectl.description.mesh_files import MeshFiles
+from slidectl.description.packages import Packages
+from slidectl.description.report import Report
+from slidectl.description.robot import Robot, Surface, TransmissionInfo
+from slidectl.description.structure import WORLD, Elements, Structure
+from slidectl.description.transmissions import TransmissionReader
+from slidectl.description.xml_tree import Element
+
+_CHILDREN = {"link", "joint", "material", "transmission", "gazebo"}
+
+
+class _Named(Protocol):
+    @property
+    def name(self) -> str: ...
+
+
+Part = TypeVar("Part", bound=_Named)
+
+
+def parse(
+    xml: str | bytes, file: str = "robot_description", packages: Packages | None = None, base: Path | None = None
+) -> Robot:
+    """The robot that a URDF text describes.
+
+    `file` is the name in messages, unless the text carries a note of its sources. `packages` and `base` (the folder
+    for relative paths) find meshes.
+
+    Raises:
+        BadFile: with file and line, and the link or joint by name.
+    """
+    root = xml_tree.read(xml, file)
+    if root.tag != "robot":
+        raise root.error(f"the outermost element is <{root.tag}>, expected <robot>")
+    return _RobotReader(root, MeshFiles(packages or Packages(start=base), base)).read()
+
+
+class _RobotReader:
+    def __init__(self, root: Element, meshes: MeshFiles) -> None:
+        self.root = root
+        self.report = Report()
+        self.materials = Materials(self.report)
+        self.meshes = meshes
+
+    def read(self) -> Robot:
+        root, report = self.root, self.report
+        name = values.required(root, "name", "robot")
+        report.unknown(root, {"name", "version"}, _CHILDREN)
+        self.materials.read_global(root.find_all("material"))
+        links, link_at = _named(root.find_all("link"), LinkReader(report, self.materials, self.meshes).read)
+        joints, joint_at = _named(root.find_all("joint"), JointReader(report).read)
+        base = Structure(links, joints, link_at, joint_at).check(root)
+        self._check_world(base, link_at)
+        transmissions = self._transmissions(TransmissionReader(report, joints))
+        gazebo = GazeboReader(report, links, joints)
+        for element in root.find_all("gazebo"):
+            gazebo.read(element)
+        links = {key: replace(link, surface=gazebo.surfaces.get(key, Surface())) for key, link in links.items()}
+        return Robot(name, links, joints, base, transmissions, gazebo.plugin, tuple(report.notices))
+
+    def _check_world(self, base: str, link_at: Elements) -> None:
+        inertial = link_at[base].find("inertial") if base == WORLD else None
+        if inertial is not None:
+            self.report.ignored(inertial, "the world does not move", f"link {base!r}/<inertial>")
+
+    def _transmissions(self, reader: TransmissionReader) -> tuple[TransmissionInfo, ...]:
+        read = (reader.read(element) for element in self.root.find_all("transmission"))
+        return tuple(info for info in read if info is not None)
+
+
+def _named(elements: Iterable[Element], read: Callable[[Element], Part]) -> tuple[dict[str, Part], dict[str, Element]]:
+    """The parts by name, and their elements by name.
+
+    Raises:
+        BadFile: two of one name.
+    """
+    parts: dict[str, Part] = {}
+    places: dict[str, Element] = {}
+    for element in elements:
+        part = read(element)
+        if part.name in parts:
+            first = places[part.name]
+            other = f"{first.file}:{first.line}"
+            raise element.error(f"{element.tag} {part.name!r} is there twice; the other is at {other}")
+        parts[part.name] = part
+        places[part.name] = element
+    return parts, places

@@ -1,0 +1,56 @@
+"""The report of a robot description: one notice for each thing that is converted, ignored or wrong.
+
+Parsers of elements write into a Report while they read. It only collects: what is an error is raised by them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+from slidectl.description.robot import Notice, Verdict
+from slidectl.description.xml_tree import Element
+
+
+class Report:
+    """Collects notices in the order of reading."""
+
+    def __init__(self) -> None:
+        self.notices: list[Notice] = []
+
+    def add(self, verdict: Verdict, element: Element, text: str, subject: str | None = None) -> None:
+        """One line about `element`; `subject` replaces the element's own tag as what it is about."""
+        self.notices.append(Notice(verdict, subject or element.title, text, element.file, element.line))
+
+    def ignored(self, element: Element, text: str, subject: str | None = None) -> None:
+        self.add("ignored", element, text, subject)
+
+    def converted(self, element: Element, text: str, subject: str | None = None) -> None:
+        self.add("converted", element, text, subject)
+
+    def wrong(self, element: Element, text: str, subject: str | None = None) -> None:
+        self.add("wrong", element, text, subject)
+
+    def unknown(
+        self, element: Element, attributes: Collection[str], children: Collection[str], owner: str | None = None
+    ) -> None:
+        """Report every attribute and child of `element` that is not among the known ones."""
+        place = owner or element.title
+        for name in element.attributes:
+            if name not in attributes and not _is_namespace(name):
+                self.ignored(element, f"attribute {name!r} is unknown here and has no effect", place)
+        for child in element.children:
+            if child.tag not in children:
+                self.ignored(child, "is unknown here and has no effect", f"{place}/{child.title}")
+
+    def only(self, element: Element, tag: str) -> Element | None:
+        """The first child called `tag`, or None; each further one is reported as ignored, as urdfdom reads it."""
+        found = element.find_all(tag)
+        for extra in found[1:]:
+            self.ignored(
+                extra, f"only the first <{tag}> counts, line {found[0].line}", f"{element.title}/{extra.title}"
+            )
+        return found[0] if found else None
+
+
+def _is_namespace(attribute: str) -> bool:
+    return attribute == "xmlns" or attribute.startswith("xmlns:")

@@ -1,0 +1,166 @@
+"""`<transmission>`, by the rules of ros_control's TransmissionParser.
+
+What that parser drops with an error is dropped here with a notice. Reductions and offsets are read for the maths of
+control/, and reported: simulated hardware works on the joint's side of the transmission.
+"""
+
+from __future__ import annotations
+
+from slidectl.description import values
+from slidectl.description.report import Report
+from slidectl.description.robot import Joint, TransmissionActuator, TransmissionInfo, TransmissionJoint
+from slidectl.description.xml_tree import Element
+from slidectl.errors import BadFile, closest, listing
+
+_SIMULATED = ("EffortJointInterface", "PositionJointInterface", "VelocityJointInterface")
+_PREFIX = "hardware_interface/"
+_JOINT_CHILDREN = {"role", "hardwareInterface", "offset", "mechanicalReduction"}
+_ACTUATOR_CHILDREN = {"role", "hardwareInterface", "mechanicalReduction"}
+
+
+class _DroppedError(Exception):
+    """The whole transmission is dropped; the notice is written already."""
+
+
+class TransmissionReader:
+    """Reads the `<transmission>` elements of one robot, in the order of the file."""
+
+    def __init__(self, report: Report, joints: dict[str, Joint]) -> None:
+        self.report = report
+        self.joints = joints
+        self.driven: dict[str, Element] = {}
+
+    def read(self, element: Element) -> TransmissionInfo | None:
+        """One transmission, or None when the parser of ros_control would drop it.
+
+        Raises:
+            BadFile: it drives a joint that is not there, or that cannot move.
+        """
+        try:
+            info = self._info(element)
+        except _DroppedError:
+            return None
+        self._check_simulated(element, info)
+        return info
+
+    def _drop(self, element: Element, why: str) -> _DroppedError:
+        self.report.wrong(element, f"the transmission is dropped: {why}")
+        return _DroppedError()
+
+    def _info(self, element: Element) -> TransmissionInfo:
+        name = (element.get("name") or "").strip()
+        if not name:
+            raise self._drop(element, "it has no name")
+        self.report.unknown(element, {"name", "type"}, {"type", "joint", "actuator"})
+        kind = self.report.only(element, "type")
+        if kind is None or not kind.first_text:
+            raise self._drop(element, f"<type> is {'missing' if kind is None else _emptiness(kind)}")
+        joints = self._joints(element)
+        actuators = self._actuators(element)
+        return TransmissionInfo(name, kind.first_text, joints, actuators, element.line)
+
+    def _joints(self, element: Element) -> tuple[TransmissionJoint, ...]:
+        found = element.find_all("joint")
+        if any("name" not in joint.attributes for joint in found):
+            raise self._drop(element, "a <joint> has no name")
+        joints = tuple(joint for child in found if (joint := self._joint(element, child)) is not None)
+        if not joints:
+            raise self._drop(element, "no valid <joint> is left" if found else "it has no <joint>")
+        return joints
+
+    def _joint(self, element: Element, child: Element) -> TransmissionJoint | None:
+        name = child.attributes["name"].strip()
+        if not name:
+            self.report.wrong(child, "is skipped: its name is empty", f"{element.title}/<joint>")
+            return None
+        place = f"{element.title}/{child.title}"
+        self.report.unknown(child, {"name"}, _JOINT_CHILDREN, place)
+        interfaces = _interfaces(child)
+        if not interfaces:
+            self.report.wrong(child, "is skipped: it has no <hardwareInterface> with a text", place)
+            return None
+        self._check_exists(child, name, element)
+        reduction = self._number(child, "mechanicalReduction", place)
+        offset = self._number(child, "offset", place)
+        reduction = 1.0 if reduction is None else reduction
+        return TransmissionJoint(name, interfaces, _role(child), offset or 0.0, reduction)
+
+    def _actuators(self, element: Element) -> tuple[TransmissionActuator, ...]:
+        found = element.find_all("actuator")
+        if any("name" not in actuator.attributes for actuator in found):
+            raise self._drop(element, "an <actuator> has no name")
+        actuators = tuple(actuator for child in found if (actuator := self._actuator(element, child)) is not None)
+        if not actuators:
+            raise self._drop(element, "no valid <actuator> is left" if found else "it has no <actuator>")
+        return actuators
+
+    def _actuator(self, element: Element, child: Element) -> TransmissionActuator | None:
+        name = child.attributes["name"].strip()
+        if not name:
+            self.report.wrong(child, "is skipped: its name is empty", f"{element.title}/<actuator>")
+            return None
+        place = f"{element.title}/{child.title}"
+        self.report.unknown(child, {"name"}, _ACTUATOR_CHILDREN, place)
+        reduction = self._number(child, "mechanicalReduction", place)
+        return TransmissionActuator(name, _interfaces(child), reduction, _role(child))
+
+    def _number(self, child: Element, tag: str, place: str) -> float | None:
+        """An optional number that changes nothing in simulation: reported when it says anything but "none"."""
+        found = self.report.only(child, tag)
+        if found is None:
+            return None
+        try:
+            value = values.parse_number(found.first_text, found, f"<{tag}>")
+        except BadFile as error:
+            self.report.wrong(found, error.reason, f"{place}/<{tag}>")
+            return None
+        if value != (0.0 if tag == "offset" else 1.0):
+            text = f"{value:g} has no effect: simulated hardware commands and measures the joint itself"
+            self.report.ignored(found, text, f"{place}/<{tag}>")
+        return value
+
+    def _check_exists(self, child: Element, name: str, element: Element) -> None:
+        place = f"transmission {element.attributes['name']!r}"
+        joint = self.joints.get(name)
+        if joint is None:
+            near = closest(name, self.joints)
+            suggestion = f" Did you mean {near!r}?" if near else ""
+            raise child.error(f"{place}: no joint {name!r}.{suggestion}", f"joints: {listing(self.joints)}")
+        if joint.type in ("fixed", "floating", "planar"):
+            raise child.error(f"{place}: joint {name!r} is {joint.type} and cannot be driven")
+
+    def _check_simulated(self, element: Element, info: TransmissionInfo) -> None:
+        """What gazebo_ros_control makes of a transmission that its parser has accepted."""
+        if len(info.joints) > 1:
+            self.report.ignored(element, "simulated hardware takes transmissions with one joint only; this has more")
+            return
+        joint = info.joints[0]
+        if joint.name in self.driven:
+            before = self.driven[joint.name]
+            self.report.wrong(element, f"joint {joint.name!r} is driven by {before.title} already (line {before.line})")
+        self.driven.setdefault(joint.name, element)
+        self._check_interface(element, joint)
+
+    def _check_interface(self, element: Element, joint: TransmissionJoint) -> None:
+        place = f'{element.title}/<joint name="{joint.name}">'
+        first = joint.hardware_interfaces[0]
+        if len(joint.hardware_interfaces) > 1:
+            self.report.ignored(element, f"of several hardware interfaces only the first counts, {first}", place)
+        if first in _SIMULATED:
+            self.report.converted(element, f"{first} is read as {_PREFIX}{first}", place)
+        elif first.removeprefix(_PREFIX) not in _SIMULATED:
+            known = ", ".join(_PREFIX + name for name in _SIMULATED)
+            self.report.wrong(element, f"{first} is no interface of simulated joints; known: {known}", place)
+
+
+def _interfaces(element: Element) -> tuple[str, ...]:
+    return tuple(text for child in element.find_all("hardwareInterface") if (text := child.first_text))
+
+
+def _role(element: Element) -> str:
+    role = element.find("role")
+    return role.first_text if role is not None else ""
+
+
+def _emptiness(element: Element) -> str:
+    return "empty (a comment before its text hides it)" if element.content else "empty"

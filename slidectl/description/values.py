@@ -1,0 +1,92 @@
+"""Attributes of elements as numbers and vectors, with errors that name the element, its file and its line.
+
+Numbers are plain decimal ones, as in "1", "-0.5" and "1e-3", and finite. No meaning of tags here.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+
+from slidectl.description.robot import Pose, Vector
+from slidectl.description.xml_tree import Element
+
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+
+
+def parse_number(text: str, element: Element, what: str) -> float:
+    """`text` as a finite number. `what` names the value in the error."""
+    stripped = text.strip()
+    if not _NUMBER.fullmatch(stripped):
+        raise element.error(f"{what} is {text!r}, which is {_why_not(stripped)}")
+    value = float(stripped)
+    if not math.isfinite(value):
+        raise element.error(f"{what} is {text!r}, which is too large for a number")
+    return value
+
+
+def _why_not(text: str) -> str:
+    if text.lower().lstrip("+-") in {"nan", "inf", "infinity"}:
+        return "not a finite number"
+    if _NUMBER.fullmatch(text.replace(",", ".", 1)):
+        return "not a number (the decimal sign is a point)"
+    return "not a number"
+
+
+def required(element: Element, name: str, owner: str) -> str:
+    """A mandatory attribute, not empty."""
+    value = element.get(name)
+    if value is None:
+        raise element.error(f"{owner}: <{element.tag}> lacks the attribute {name!r}")
+    if not value.strip():
+        raise element.error(f"{owner}: attribute {name!r} of <{element.tag}> is empty")
+    return value
+
+
+def number(element: Element, name: str, owner: str, default: float | None = None) -> float:
+    """A number attribute; mandatory when `default` is None."""
+    if default is not None and name not in element.attributes:
+        return default
+    return parse_number(required(element, name, owner), element, f"{owner}: {name!r} of <{element.tag}>")
+
+
+def not_negative(element: Element, name: str, owner: str, default: float | None = None) -> float:
+    """A number attribute that may not be negative."""
+    value = number(element, name, owner, default)
+    if value < 0:
+        raise element.error(f"{owner}: {name!r} of <{element.tag}> is {value:g}; it must not be negative")
+    return value
+
+
+def positive(element: Element, name: str, owner: str) -> float:
+    """A mandatory number attribute above zero."""
+    value = number(element, name, owner)
+    if value <= 0:
+        raise element.error(f"{owner}: {name!r} of <{element.tag}> is {value:g}; it must be above 0")
+    return value
+
+
+def numbers(element: Element, name: str, count: int, owner: str) -> tuple[float, ...]:
+    """A mandatory attribute of `count` numbers parted by blanks."""
+    text = required(element, name, owner)
+    parts = text.split()
+    what = f"{owner}: {name!r} of <{element.tag}>"
+    if len(parts) != count:
+        raise element.error(f"{what} is {text!r}: {len(parts)} numbers, expected {count}")
+    return tuple(parse_number(part, element, what) for part in parts)
+
+
+def vector(element: Element, name: str, owner: str) -> Vector:
+    """A mandatory attribute of three numbers."""
+    x, y, z = numbers(element, name, 3, owner)
+    return (x, y, z)
+
+
+def pose(origin: Element | None, owner: str) -> Pose:
+    """An `<origin xyz rpy>`; what is missing is zero."""
+    if origin is None:
+        return Pose()
+    zero = (0.0, 0.0, 0.0)
+    xyz = vector(origin, "xyz", owner) if "xyz" in origin.attributes else zero
+    rpy = vector(origin, "rpy", owner) if "rpy" in origin.attributes else zero
+    return Pose(xyz, rpy)

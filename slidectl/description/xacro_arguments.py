@@ -1,0 +1,50 @@
+"""Which arguments a xacro file declares, read without evaluating anything.
+
+Includes are followed when their name needs nothing but `$(find)`; a name made of properties is left out.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from slidectl.description import xml_tree
+from slidectl.description.packages import Packages
+from slidectl.description.xml_tree import Element
+from slidectl.errors import SlidectlError
+
+_FIND = re.compile(r"\$\(find\s+([^\s)]+)\s*\)")
+
+
+def declared(root: Element, base: Path, packages: Packages) -> dict[str, str]:
+    """Names and defaults, in the order of the file; the first declaration of a name counts, as for xacro."""
+    found: dict[str, str] = {}
+    _collect(root, base, packages, found, set())
+    return found
+
+
+def _collect(root: Element, base: Path, packages: Packages, found: dict[str, str], seen: set[Path]) -> None:
+    for element in root.walk():
+        if element.tag == "xacro:arg" and (name := element.get("name")):
+            found.setdefault(name, element.get("default") or "")
+        elif element.tag == "xacro:include" and (filename := element.get("filename")):
+            path = _included(filename, base, packages)
+            if path is not None and path not in seen:
+                seen.add(path)
+                _follow(path, packages, found, seen)
+
+
+def _follow(path: Path, packages: Packages, found: dict[str, str], seen: set[Path]) -> None:
+    try:
+        root = xml_tree.read(path.read_bytes(), str(path))
+    except (OSError, SlidectlError):
+        return  # running xacro will name the fault at the include
+    _collect(root, path.parent, packages, found, seen)
+
+
+def _included(filename: str, base: Path, packages: Packages) -> Path | None:
+    try:
+        name = _FIND.sub(lambda match: str(packages.find(match.group(1))), filename)
+    except SlidectlError:
+        return None
+    return None if "$" in name else base / name

@@ -1,0 +1,198 @@
+"""Runs xacro on a tree of elements: arguments, `$(find)` by our lookup, errors with file and line, warnings as notices.
+
+xacro keeps its state in module variables and looks packages up through ament; both are lent for one run and given
+back. Python expressions of the file are evaluated here, on the side of who owns the file, never in the daemon.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+from xml.dom import minidom
+
+import xacro
+from xacro import substitution_args
+
+from slidectl.description import xml_tree
+from slidectl.description.packages import Packages
+from slidectl.description.robot import Notice
+from slidectl.description.xacro_dom import LocatedElement, to_document, to_element
+from slidectl.description.xml_tree import Element
+from slidectl.errors import BadFile, SlidectlError, listing
+
+
+def expand(
+    root: Element, path: Path | None, arguments: Mapping[str, str], packages: Packages
+) -> tuple[Element, list[Notice]]:
+    """The expanded tree and xacro's warnings. `path` is the file, for relative includes; None for a text without one.
+
+    Raises:
+        BadFile: whatever xacro does not accept, with file and line.
+    """
+    return _Run(root, path, arguments, packages).expand()
+
+
+class _Arguments(dict[str, str]):
+    """xacro's arguments; remembers which names were asked for or declared."""
+
+    def __init__(self, given: Mapping[str, str]) -> None:
+        super().__init__(given)
+        self.asked: set[str] = set()
+
+    def __contains__(self, name: object) -> bool:
+        self.asked.add(str(name))
+        return super().__contains__(name)
+
+    def __getitem__(self, name: str) -> str:
+        self.asked.add(name)
+        return super().__getitem__(name)
+
+
+class _Run:
+    """One run. `here` is the node that xacro looks at, `calls` the macro calls that it is in."""
+
+    def __init__(self, root: Element, path: Path | None, arguments: Mapping[str, str], packages: Packages) -> None:
+        self.root = root
+        self.path = path
+        self.given = arguments
+        self.arguments = _Arguments(arguments)
+        self.packages = packages
+        self.document = to_document(root)
+        self.top: Any = self.document.documentElement
+        self.here: Any = self.top
+        self.calls: list[LocatedElement] = []
+        self.notices: list[Notice] = []
+
+    def expand(self) -> tuple[Element, list[Notice]]:
+        try:
+            with self.lent_xacro(), contextlib.redirect_stdout(sys.stderr):
+                xacro.init_stacks(str(self.path.absolute()) if self.path is not None else None)
+                xacro.process_doc(self.document, mappings=self.arguments)
+        except SlidectlError as error:
+            raise self.placed(error) from None
+        except RecursionError:
+            raise self.error("macros, includes or expressions call themselves without end") from None
+        except Exception as error:  # expressions of the file may raise anything at all
+            raise self.error(_reason(error)) from error
+        self.note_unused_arguments()
+        return to_element(self.top), self.notices
+
+    @contextlib.contextmanager
+    def lent_xacro(self) -> Iterator[None]:
+        """xacro with our functions in the place of its own, until the end of the block."""
+        original_names = substitution_args._eval_dict.copy()
+        replaced = [
+            *((xacro, name, getattr(self, name)) for name in ("eval_all", "check_attrs", "handle_macro_call")),
+            (xacro, "parse", self.parse),
+            (xacro, "warning", self.warning),
+            (xacro, "print_location", lambda: None),
+            (substitution_args, "_eval_find", self.find),
+        ]
+        self.original = {name: getattr(module, name) for module, name, _ in replaced}
+        try:
+            for module, name, function in replaced:
+                setattr(module, name, function)
+            substitution_args._eval_dict["find"] = self.find
+            xacro.substitution_args_context["filename"] = str(self.path) if self.path is not None else None
+            yield
+        finally:
+            for module, name, _ in replaced:
+                setattr(module, name, self.original[name])
+            substitution_args._eval_dict.clear()
+            substitution_args._eval_dict.update(original_names)
+            xacro.substitution_args_context.clear()
+            xacro.all_includes.clear()
+
+    def eval_all(self, node: Any, macros: Any, symbols: Any) -> None:
+        before = self.here
+        self.here = node
+        self.original["eval_all"](node, macros, symbols)
+        self.here = before
+
+    def check_attrs(self, node: Any, required: list[str], optional: list[str]) -> Any:
+        self.here = node
+        return self.original["check_attrs"](node, required, optional)
+
+    def handle_macro_call(self, node: Any, macros: Any, symbols: Any) -> Any:
+        if not node.tagName.startswith("xacro:"):
+            return False
+        before = self.here
+        self.here = node
+        self.calls.append(node)
+        result = self.original["handle_macro_call"](node, macros, symbols)
+        self.calls.pop()
+        self.here = before
+        return result
+
+    def parse(self, text: Any, filename: str) -> minidom.Document:
+        """Reads an included file; a missing one is xacro's own exception, which optional includes catch."""
+        assert text is None
+        try:
+            content = Path(filename).read_bytes()
+        except OSError as error:
+            xacro.filestack.pop()
+            raise xacro.XacroException(f"{error.strerror}: {filename}", exc=error) from None
+        return to_document(xml_tree.read(content, shown(Path(filename))))
+
+    def warning(self, *words: object, **_: object) -> None:
+        text = " ".join(map(str, words)).replace("\n", " ")
+        self.notices.append(Notice("wrong", "xacro", text, self.here.file, self.here.line))
+
+    def find(self, package: str) -> str:
+        return str(self.packages.find(package))
+
+    def note_unused_arguments(self) -> None:
+        declared = listing(self.arguments.asked)
+        for name in self.given:
+            if name not in self.arguments.asked:
+                text = f"the file has no such argument and it has no effect; arguments: {declared}"
+                self.notices.append(Notice("ignored", f"{name}:=", text, self.root.file, None))
+
+    def error(self, message: str, hint: str | None = None) -> BadFile:
+        return BadFile(message + self.called(), self.here.file, self.here.line, hint)
+
+    def called(self) -> str:
+        """Where the innermost macro that fails was called."""
+        outer = [call for call in self.calls if call is not self.here]
+        if not outer:
+            return ""
+        call = outer[-1]
+        return f" (in macro {call.tagName.removeprefix('xacro:')!r}, called at {call.file}:{call.line})"
+
+    def placed(self, error: SlidectlError) -> BadFile:
+        """An error of ours, at the place where xacro met it unless it has one of its own."""
+        return error if isinstance(error, BadFile) else self.error(error.message, error.hint)
+
+
+def shown(path: Path) -> str:
+    """A file's name in messages: relative when it lies below the working folder."""
+    absolute = Path(os.path.abspath(path))
+    try:
+        return str(absolute.relative_to(Path.cwd()))
+    except (ValueError, OSError):
+        return str(absolute)
+
+
+def _reason(error: BaseException) -> str:
+    """What went wrong first, and in which expression."""
+    expressions: list[str] = []
+    while isinstance(error, xacro.XacroException) and isinstance(error.exc, BaseException):
+        expressions.extend([str(error.suffix).strip()] if error.suffix else [])
+        error = error.exc
+    return ", ".join([_clause(error), *dict.fromkeys(expressions[::-1])]).replace("\n", " ")
+
+
+def _clause(error: BaseException) -> str:
+    if isinstance(error, substitution_args.ArgException):
+        return f"argument {error.args[0]!r} has no value; give {error.args[0]}:=VALUE"
+    if isinstance(error, SlidectlError):
+        return str(error)
+    if isinstance(error, OSError):
+        return f"{error.strerror}: {error.filename}"
+    if isinstance(error, KeyError):
+        return f"unknown key {error}"
+    return str(error).strip() or type(error).__name__

@@ -1,0 +1,187 @@
+"""XML into a small tree in which every element knows its file and line, and nothing dangerous is let in.
+
+Entity declarations, huge and absurdly deep inputs are refused; nothing is ever fetched. On expat, because it gives
+the line on which a tag begins and lets entities be refused where they are declared. No meaning of tags here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from xml.parsers import expat
+
+from slidectl.description import source_note
+from slidectl.errors import BadFile
+
+MOST_BYTES = 16 * 1024 * 1024
+MOST_ELEMENTS = 200_000
+DEEPEST = 200
+
+
+class Comment(str):
+    """The text of an XML comment, kept because a comment before a text hides it from TinyXML."""
+
+    __slots__ = ()
+
+
+@dataclass(slots=True, eq=False)
+class Element:
+    """One element; `content` holds children, texts and comments in order; `line` is where its tag begins."""
+
+    tag: str
+    attributes: dict[str, str]
+    file: str
+    line: int
+    content: list[Element | str] = field(default_factory=list)
+
+    @property
+    def children(self) -> list[Element]:
+        return [node for node in self.content if isinstance(node, Element)]
+
+    def find_all(self, tag: str) -> list[Element]:
+        """The children called `tag`."""
+        return [child for child in self.children if child.tag == tag]
+
+    def find(self, tag: str) -> Element | None:
+        """The first child called `tag`."""
+        return next((child for child in self.children if child.tag == tag), None)
+
+    def get(self, name: str) -> str | None:
+        """An attribute, or None."""
+        return self.attributes.get(name)
+
+    def walk(self) -> Iterator[Element]:
+        """This element and all below it, in the order of the file."""
+        pending = [self]
+        while pending:
+            element = pending.pop()
+            yield element
+            pending.extend(reversed(element.children))
+
+    @property
+    def first_text(self) -> str:
+        """The text as TinyXML's GetText sees it: only when nothing stands before it; blanks condensed."""
+        for node in self.content:
+            if isinstance(node, (Element, Comment)):
+                break
+            if node.strip():
+                return " ".join(node.split())
+        return ""
+
+    @property
+    def title(self) -> str:
+        """The tag as a report shows it, with the attribute that tells it from its like."""
+        for name in ("reference", "name", "filename"):
+            if name in self.attributes:
+                return f'<{self.tag} {name}="{self.attributes[name]}">'
+        return f"<{self.tag}>"
+
+    def error(self, message: str, hint: str | None = None) -> BadFile:
+        """A BadFile at this element's place, to be raised."""
+        return BadFile(message, self.file, self.line, hint)
+
+
+def read(source: str | bytes, file: str) -> Element:
+    """The root element of an XML text. `file` is the name that messages show.
+
+    Raises:
+        BadFile: not well-formed, an entity or document type with declarations, too large or too deep.
+    """
+    if len(source) > MOST_BYTES:
+        raise BadFile(f"is larger than {MOST_BYTES // 2**20} MiB", file)
+    return _Reader(file).read(source)
+
+
+class _Reader:
+    """Expat's handlers."""
+
+    def __init__(self, file: str) -> None:
+        self.file = file
+        self.skipped_lines = 0
+        self.count = 0
+        self.root: Element | None = None
+        self.open: list[Element] = []
+        self.note: source_note.Places | None = None
+        self.parser = expat.ParserCreate()
+        self.parser.buffer_text = True
+        self.parser.StartElementHandler = self.start
+        self.parser.EndElementHandler = self.end
+        self.parser.CharacterDataHandler = self.text
+        self.parser.CommentHandler = self.comment
+        self.parser.ProcessingInstructionHandler = self.instruction
+        self.parser.EntityDeclHandler = self.entity
+        self.parser.SkippedEntityHandler = self.skipped
+
+    def read(self, source: str | bytes) -> Element:
+        try:
+            self.parser.Parse(self.without_leading_blanks(source), True)
+        except expat.ExpatError as error:
+            line = error.lineno + self.skipped_lines
+            raise BadFile(f"not well-formed XML: {expat.ErrorString(error.code)}", self.file, line) from None
+        except (ValueError, LookupError) as error:
+            raise BadFile(f"cannot be decoded: {error}", self.file) from None
+        assert self.root is not None  # expat refuses a document without an element
+        if self.note is not None:
+            _place(self.root, self.note)
+        return self.root
+
+    def without_leading_blanks(self, source: str | bytes) -> str | bytes:
+        """Blanks before `<?xml` (a here-document's first line) are no reason to refuse a robot."""
+        stripped: str | bytes
+        if isinstance(source, str):
+            stripped = source.lstrip("\ufeff \t\r\n")
+            self.skipped_lines = source[: len(source) - len(stripped)].count("\n")
+        else:
+            stripped = source.lstrip(b" \t\r\n")
+            self.skipped_lines = source[: len(source) - len(stripped)].count(b"\n")
+        return stripped
+
+    @property
+    def line(self) -> int:
+        return self.parser.CurrentLineNumber + self.skipped_lines
+
+    def start(self, tag: str, attributes: dict[str, str]) -> None:
+        self.count += 1
+        if self.count > MOST_ELEMENTS:
+            raise BadFile(f"has more than {MOST_ELEMENTS} elements", self.file, self.line)
+        if len(self.open) >= DEEPEST:
+            raise BadFile(f"elements are nested deeper than {DEEPEST}", self.file, self.line)
+        element = Element(tag, attributes, self.file, self.line)
+        if self.open:
+            self.open[-1].content.append(element)
+        else:
+            self.root = element
+        self.open.append(element)
+
+    def end(self, _: str) -> None:
+        self.open.pop()
+
+    def text(self, data: str) -> None:
+        self.open[-1].content.append(data)
+
+    def comment(self, data: str) -> None:
+        if self.open:
+            self.open[-1].content.append(Comment(data))
+
+    def instruction(self, target: str, data: str) -> None:
+        if target == source_note.TARGET:
+            self.note = source_note.decode(data)
+
+    def entity(self, name: str, *_: object) -> None:
+        raise BadFile(
+            f"declares the XML entity {name!r}: entities are refused",
+            self.file,
+            self.line,
+            "write its text in its place",
+        )
+
+    def skipped(self, name: str, _: bool) -> None:
+        raise BadFile(f"uses the unknown XML entity {name!r}", self.file, self.line, "write its text in its place")
+
+
+def _place(root: Element, places: source_note.Places) -> None:
+    """Give the elements the places where they were written; a note that does not fit the text is of another text."""
+    elements = list(root.walk())
+    if len(elements) == len(places):
+        for element, (file, line) in zip(elements, places, strict=True):
+            element.file, element.line = file, line
