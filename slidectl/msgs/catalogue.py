@@ -11,17 +11,19 @@ import re
 from collections.abc import Iterator
 
 from slidectl.errors import UnknownName
-from slidectl.msgs.parsing import parse_action, parse_message, parse_service
-from slidectl.msgs.schema import Definition, Service
+from slidectl.msgs.parsing import Constant, Definition, Service, parse_action, parse_message, parse_service
+from slidectl.msgs.schema import Field
 
 _DATA = os.path.join(os.path.dirname(__file__), "data")
 # Type names come from clients too: nothing but two plain words may become a path.
-_LEGAL = re.compile(r"[A-Za-z]\w*/[A-Za-z]\w*", re.ASCII)
+_LEGAL = re.compile(r"[A-Za-z]\w{0,99}/[A-Za-z]\w{0,99}", re.ASCII)
+_LONGEST_SHOWN = 120
 _ACTION_PARTS = ("ActionGoal", "ActionResult", "ActionFeedback", "Action", "Goal", "Result", "Feedback")
 # What rosbags' ROS 1 store knows beyond the data files lies in these packages; no need to build it for others.
-_ROSBAGS_PACKAGES = frozenset(
-    "actionlib bond diagnostic_msgs nav_msgs sensor_msgs shape_msgs stereo_msgs visualization_msgs".split()
-)
+_ROSBAGS_PACKAGES = {
+    *("actionlib", "bond", "diagnostic_msgs", "nav_msgs"),
+    *("sensor_msgs", "shape_msgs", "stereo_msgs", "visualization_msgs"),
+}
 
 _definitions: dict[str, Definition] = {}
 _services: dict[str, Service] = {}
@@ -31,7 +33,7 @@ def definition_of(type_name: str) -> Definition:
     """The definition of `pkg/Type`. Raises UnknownName."""
     found = _definitions.get(type_name) or _find(type_name)
     if found is None:
-        raise UnknownName("message type", type_name, _near(type_name, type_names()))
+        raise _unknown("message type", type_name, type_names())
     return found
 
 
@@ -39,8 +41,28 @@ def service_of(name: str) -> Service:
     """The service type `pkg/Type`. Raises UnknownName."""
     found = _find_service(name)
     if found is None:
-        raise UnknownName("service type", name, _near(name, service_names()))
+        raise _unknown("service type", name, service_names())
     return found
+
+
+def fields(type_name: str) -> tuple[Field, ...]:
+    """The fields in their order. Raises UnknownName."""
+    return definition_of(type_name).fields
+
+
+def constants(type_name: str) -> tuple[Constant, ...]:
+    """The constants (name, type, value) in their order. Raises UnknownName."""
+    return definition_of(type_name).constants
+
+
+def request_type(service: str) -> str:
+    """The type of a service's request, `pkg/TypeRequest`: as good as any message type. Raises UnknownName."""
+    return service_of(service).request.name
+
+
+def response_type(service: str) -> str:
+    """The type of a service's response, `pkg/TypeResponse`. Raises UnknownName."""
+    return service_of(service).response.name
 
 
 def exists(type_name: str) -> bool:
@@ -74,12 +96,12 @@ def _names(kind: str) -> Iterator[str]:
             yield from (f"{package}/{file.removesuffix('.' + kind)}" for file in os.listdir(folder))
 
 
-def _near(name: str, known: list[str]) -> list[str]:
-    """The names worth showing: those of the same package, else those of the same last word, else all."""
+def _unknown(kind: str, name: str, known: list[str]) -> UnknownName:
+    """Shows the names of the same package, else those of the same last word, else all."""
     package, _, word = name.rpartition("/")
     siblings = [other for other in known if package and other.startswith(package + "/")]
     namesakes = [other for other in known if other.endswith("/" + word)]
-    return siblings or namesakes or known
+    return UnknownName(kind, name[:_LONGEST_SHOWN], siblings or namesakes or known)
 
 
 def _find(type_name: str) -> Definition | None:

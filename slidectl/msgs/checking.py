@@ -11,6 +11,7 @@ from typing import Any
 
 from slidectl.msgs.catalogue import definition_of
 from slidectl.msgs.mismatch import Mismatch, UnknownField, must_be
+from slidectl.msgs.parsing import Definition
 from slidectl.msgs.primitives import (
     Checker,
     bytes_checker,
@@ -20,16 +21,11 @@ from slidectl.msgs.primitives import (
     encode,
     time_checker,
 )
-from slidectl.msgs.schema import BYTES, INTEGER_RANGES, PRIMITIVES, SCALAR, TIMES, Definition, Field
+from slidectl.msgs.schema import BYTES, FLOATS, INTEGER_RANGES, PRIMITIVES, SCALAR, TIMES, Field
 
 Message = dict[str, Any]
-_ZEROS: dict[str, Any] = {
-    **dict.fromkeys(INTEGER_RANGES, 0),
-    "float32": 0.0,
-    "float64": 0.0,
-    "bool": False,
-    "string": "",
-}
+_KINDS: dict[str, Callable[[], Any]] = {**dict.fromkeys(INTEGER_RANGES, int), **dict.fromkeys(FLOATS, float)}
+_KINDS |= {"bool": bool, "string": str}
 
 _checkers: dict[str, Checker] = {}
 
@@ -179,5 +175,5 @@ def _element_maker(type_name: str) -> Callable[[], Any]:
     if type_name in TIMES:
         return lambda: {"secs": 0, "nsecs": 0}
     if type_name in PRIMITIVES:
-        return type(_ZEROS[type_name])
+        return _KINDS[type_name]
     return _message_maker(type_name)

@@ -6,11 +6,14 @@ The path is collected while the exception climbs, so that the checkers need no b
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import islice
 from typing import Any
 
 from slidectl.errors import BadMessage, closest
 
+# What a client sends may be huge; an error stays a line.
 _LONGEST_SHOWN = 40
+_MOST_KEYS = 8
 
 
 class Mismatch(Exception):
@@ -37,8 +40,8 @@ class UnknownField(Mismatch):
 
     def __init__(self, field: object, type_name: str, fields: Sequence[str]) -> None:
         hint = f"{type_name} has {'the fields ' + ', '.join(fields) if fields else 'no fields'}"
-        super().__init__(f"{field!r} is no field of {type_name}", hint)
-        self.field = str(field)
+        self.field = _short(str(field))
+        super().__init__(f"{self.field!r} is no field of {type_name}", hint)
         self.near = closest(self.field, fields)
 
     def as_error(self, type_name: str) -> BadMessage:
@@ -61,11 +64,12 @@ def describe(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        return f"the text {_short(repr(value))}"
+        return f"the text {_short(repr(value[:_LONGEST_SHOWN]))}"
     if isinstance(value, (int, float)):
         return f"the number {_short(_number(value))}"
     if isinstance(value, Mapping):
-        return f"an object with {_short(', '.join(map(str, value)))}" if value else "an empty object"
+        names = ", ".join(_short(str(key)) for key in islice(value, _MOST_KEYS))
+        return f"an object with {_short(names)}" if value else "an empty object"
     if isinstance(value, (list, tuple)):
         return f"a list of {len(value)}"
     return f"{type(value).__name__} {_short(str(value))}"

@@ -7,18 +7,9 @@ that actionlib generates from it. Reads no files and resolves no nested types.
 from __future__ import annotations
 
 import re
+from typing import NamedTuple
 
-from slidectl.msgs.schema import (
-    FLOATS,
-    INTEGER_RANGES,
-    PRIMITIVES,
-    SCALAR,
-    VARIABLE,
-    Constant,
-    Definition,
-    Field,
-    Service,
-)
+from slidectl.msgs.schema import FLOATS, INTEGER_RANGES, PRIMITIVES, SCALAR, VARIABLE, Field
 
 _LINE = re.compile(r"(?P<type>[\w/]+)(?P<array>\[\d*\])?\s+(?P<name>[A-Za-z]\w*)\s*(?:=(?P<value>.*))?")
 _SEPARATOR = re.compile(r"^---[ \t]*$", re.MULTILINE)
@@ -27,6 +18,33 @@ _GOAL = "Header header\nactionlib_msgs/GoalID goal_id\n{stem}Goal goal\n"
 _RESULT = "Header header\nactionlib_msgs/GoalStatus status\n{stem}Result result\n"
 _FEEDBACK = "Header header\nactionlib_msgs/GoalStatus status\n{stem}Feedback feedback\n"
 _ACTION = "{stem}ActionGoal action_goal\n{stem}ActionResult action_result\n{stem}ActionFeedback action_feedback\n"
+
+
+class Constant(NamedTuple):
+    """A named value of a type. Its value is a str, bool, int or float, after its type."""
+
+    name: str
+    type: str
+    value: str | bool | int | float
+
+
+class Definition(NamedTuple):
+    """A message type. `constant_texts` has the values as they were written: the md5 sum is taken over those."""
+
+    name: str
+    fields: tuple[Field, ...]
+    constants: tuple[Constant, ...]
+    constant_texts: tuple[str, ...]
+    text: str
+
+
+class Service(NamedTuple):
+    """A service type: what is asked and what is answered."""
+
+    name: str
+    request: Definition
+    response: Definition
+    text: str
 
 
 def parse_message(text: str, name: str) -> Definition:
@@ -46,7 +64,7 @@ def parse_message(text: str, name: str) -> Definition:
 
 
 def parse_service(text: str, name: str) -> Service:
-    """The service `pkg/Type` from the text of its `.srv` file: request and response become `...Request`, `...Response`."""
+    """The service `pkg/Type` from the text of its `.srv` file; its messages are `pkg/TypeRequest` and `...Response`."""
     request, response = _split(text, 2, name)
     return Service(name, parse_message(request, f"{name}Request"), parse_message(response, f"{name}Response"), text)
 

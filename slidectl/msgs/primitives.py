@@ -1,23 +1,23 @@
-"""Checkers of single values: one function per primitive type, made once. Each returns the value to keep or raises Mismatch.
+"""Checkers of single values, one function per primitive type. Each returns the value to keep or raises Mismatch.
 
 The first line of each is the way of a value that is right already; everything else may be slow.
 """
 
 from __future__ import annotations
 
-import binascii
 import math
 from collections.abc import Callable, Mapping
-from numbers import Integral, Real
+from functools import cache
 from typing import Any
 
-from slidectl.msgs.mismatch import Mismatch, UnknownField, must_be
+from slidectl.msgs.mismatch import Mismatch, UnknownField, describe, must_be
 from slidectl.msgs.schema import FLOATS, INTEGER_RANGES
 
 Checker = Callable[[Any], Any]
 
 _FLOAT32_MAX = 3.4028234663852886e38
 _NS = 1_000_000_000
+_BYTES_WANTED = "base64 text or a list of integers from 0 to 255"
 _SECONDS_RANGE = {"time": INTEGER_RANGES["uint32"], "duration": INTEGER_RANGES["int32"]}
 
 
@@ -47,12 +47,21 @@ def _check_float32(value: Any) -> float:
 def _as_float(value: Any, expected: str) -> float:
     if value is None:
         return math.nan
-    if isinstance(value, bool) or not isinstance(value, Real):
+    if not _is_number(value, "Real"):
         raise must_be(f"a number ({expected})", value)
     try:
         return float(value)
     except OverflowError:
         raise must_be(f"a number that fits {expected}", value) from None
+
+
+def _is_number(value: Any, kind: str) -> bool:
+    """True for numbers of that kind of `numbers` other than bool; numpy's scalars are such."""
+    if isinstance(value, (bool, str)):
+        return False
+    import numbers  # late: a command line must start fast
+
+    return isinstance(value, getattr(numbers, kind))
 
 
 def _integer(type_name: str) -> Checker:
@@ -61,7 +70,7 @@ def _integer(type_name: str) -> Checker:
     def check(value: Any) -> int:
         if type(value) is int and lowest <= value <= highest:
             return value
-        if isinstance(value, bool) or not isinstance(value, Integral):
+        if not _is_number(value, "Integral"):
             raise must_be(f"an integer ({type_name})", value)
         if not lowest <= value <= highest:
             raise must_be(f"{type_name} ({lowest} to {highest})", value)
@@ -73,7 +82,7 @@ def _integer(type_name: str) -> Checker:
 def _check_bool(value: Any) -> bool:
     if value is True or value is False:
         return bool(value)
-    if isinstance(value, Integral) and value in (0, 1):
+    if _is_number(value, "Integral") and value in (0, 1):
         return bool(value)
     raise must_be("true or false", value)
 
@@ -91,12 +100,20 @@ def check_string(value: Any) -> str:
     return str(value)
 
 
+@cache
 def time_checker(type_name: str) -> Checker:
     """The checker of `time` or `duration`: {"secs", "nsecs"}, brought to 0 <= nsecs < 10^9 as ROS does."""
     lowest, highest = _SECONDS_RANGE[type_name]
     integer = _integer("int64")
 
     def check(value: Any) -> dict[str, int]:
+        if type(value) is dict and len(value) == 2:
+            secs, nsecs = value.get("secs"), value.get("nsecs")
+            if type(secs) is int and type(nsecs) is int and 0 <= nsecs < _NS and lowest <= secs <= highest:
+                return {"secs": secs, "nsecs": nsecs}
+        return check_slowly(value)
+
+    def check_slowly(value: Any) -> dict[str, int]:
         if not isinstance(value, Mapping):
             raise must_be(f"a {type_name} {{secs, nsecs}}", value)
         for key in value:
@@ -106,7 +123,7 @@ def time_checker(type_name: str) -> Checker:
         if not 0 <= nsecs < _NS:
             secs, nsecs = secs + nsecs // _NS, nsecs % _NS
         if not lowest <= secs <= highest:
-            raise Mismatch(f"must be a {type_name} of {lowest} to {highest} seconds, not {secs}")
+            raise Mismatch(f"must be a {type_name} of {lowest} to {highest} seconds, not {describe(secs)}")
         return {"secs": secs, "nsecs": nsecs}
 
     return check
@@ -138,21 +155,25 @@ def bytes_checker(type_name: str, length: int) -> Checker:
 
 def encode(data: bytes) -> str:
     """Bytes as the base64 text that stands for them in a message."""
+    import binascii
+
     return binascii.b2a_base64(data, newline=False).decode("ascii")
 
 
 def _decoded(text: str) -> bytes:
+    import binascii
+
     try:
         return binascii.a2b_base64(text, strict_mode=True) if text else b""
     except ValueError:
-        raise must_be("base64 text or a list of integers from 0 to 255", text) from None
+        raise must_be(_BYTES_WANTED, text) from None
 
 
 def _packed(value: Any, element: Checker) -> bytes:
     if isinstance(value, (bytes, bytearray)):
         return bytes(value)
     if not isinstance(value, (list, tuple)):
-        raise must_be("base64 text or a list of integers from 0 to 255", value)
+        raise must_be(_BYTES_WANTED, value)
     return bytes(checked_list(value, element))
 
 

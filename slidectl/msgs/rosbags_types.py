@@ -11,7 +11,8 @@ from typing import Any
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
-from slidectl.msgs.schema import SCALAR, Constant, Definition, Field
+from slidectl.msgs.parsing import Constant, Definition
+from slidectl.msgs.schema import SCALAR, Field
 
 _TIMES = {"builtin_interfaces/msg/Time": "time", "builtin_interfaces/msg/Duration": "duration"}
 # IDL knows no empty struct, so the store puts this field into one.

@@ -1,6 +1,6 @@
-"""What a message type is made of: fields, constants, and the primitive types with their ranges.
+"""What a message type is made of: fields, and the primitive types with their ranges.
 
-Plain records. Nothing here reads a file, and nothing here knows a particular message.
+Plain records and tables. Nothing here reads a file, and nothing here knows a particular message.
 """
 
 from __future__ import annotations
@@ -37,30 +37,3 @@ class Field(NamedTuple):
         if self.array == SCALAR:
             return self.type
         return f"{self.type}[{self.array or ''}]"
-
-
-class Constant(NamedTuple):
-    """A named value of a type. Its value is a str, bool, int or float, after its type."""
-
-    name: str
-    type: str
-    value: str | bool | int | float
-
-
-class Definition(NamedTuple):
-    """A message type. `constant_texts` has the values as they were written: the md5 sum is taken over those."""
-
-    name: str
-    fields: tuple[Field, ...]
-    constants: tuple[Constant, ...]
-    constant_texts: tuple[str, ...]
-    text: str
-
-
-class Service(NamedTuple):
-    """A service type: what is asked and what is answered."""
-
-    name: str
-    request: Definition
-    response: Definition
-    text: str

@@ -9,7 +9,8 @@ from __future__ import annotations
 from functools import cache
 
 from slidectl.msgs.catalogue import definition_of, service_of
-from slidectl.msgs.schema import PRIMITIVES, Definition
+from slidectl.msgs.parsing import Definition
+from slidectl.msgs.schema import PRIMITIVES
 
 
 def definition(type_name: str) -> str:

@@ -1,0 +1,186 @@
+"""A message from the values of a command line, as `rostopic pub` and `rosservice call` understand them.
+
+One mapping gives fields by name, anything else one value per field (genpy's `fill_message_args`). Types come from a
+look-up that the caller gives, since a client asks the daemon for them: no file is read here, and no YAML.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+from slidectl.errors import BadMessage, UnknownName
+from slidectl.msgs.mismatch import Mismatch, UnknownField, describe, must_be
+from slidectl.msgs.primitives import bytes_checker, checker_of, time_checker
+from slidectl.msgs.schema import BYTES, PRIMITIVES, SCALAR, TIMES, Field
+
+Message = dict[str, Any]
+FieldsOf = Callable[[str], Sequence[Field]]
+"""The fields of a message type. Raises UnknownName."""
+Time = tuple[int, int]
+"""Seconds and nanoseconds."""
+
+_HEADER = "std_msgs/Header"
+_NS = 1_000_000_000
+
+
+def fields_from(typedefs: Iterable[Mapping[str, Any]]) -> FieldsOf:
+    """The look-up in the `typedefs` of a rosapi answer (rosapi/TypeDef: that of the type and of those nested in it)."""
+    known = {
+        str(typedef["type"]): tuple(map(Field, typedef["fieldnames"], typedef["fieldtypes"], typedef["fieldarraylen"]))
+        for typedef in typedefs
+    }
+
+    def fields_of(type_name: str) -> Sequence[Field]:
+        if type_name not in known:
+            raise UnknownName("message type", type_name, sorted(known))
+        return known[type_name]
+
+    return fields_of
+
+
+def field_paths(fields_of: FieldsOf, type_name: str) -> list[str]:
+    """All leaves of a type, nested ones as `pose.position.x`: what `rosservice args` prints."""
+    paths: list[str] = []
+    for field in fields_of(type_name):
+        if field.array != SCALAR or field.type in PRIMITIVES:
+            paths.append(field.name)
+        else:
+            paths += (f"{field.name}.{path}" for path in field_paths(fields_of, field.type))
+    return paths
+
+
+def fill(fields_of: FieldsOf, type_name: str, args: Sequence[Any], now: Time | None = None) -> Message:
+    """The message that the parsed values mean; fields that are not named are left out, for the receiver to default.
+
+    A single mapping is by name; otherwise there must be one value per field, nested messages as lists or mappings.
+    The numbers of a multi-array may be given alone. `now` stands for the time and `auto` for a header of now;
+    an integer for a time or duration counts nanoseconds.
+
+    Raises:
+        BadMessage: unknown fields, too few or too many values, a value that does not fit. UnknownName: no such type.
+    """
+    filler = _Filler(fields_of, now)
+    try:
+        return filler.whole(type_name, args)
+    except Mismatch as problem:
+        raise problem.as_error(type_name) from None
+
+
+class _WrongCount(Mismatch):
+    """Too few or too many values for the fields of a message."""
+
+    def __init__(self, given: int, fields: Sequence[Field]) -> None:
+        few = "not enough" if given < len(fields) else "too many"
+        names = ", ".join(field.name for field in fields)
+        hint = (
+            f"one value for each of: {names}; or by name: {{{fields[0].name}: ...}}" if fields else "it has no fields"
+        )
+        super().__init__(f"{few} arguments: {given} given, {len(fields)} expected", hint)
+
+    def as_error(self, type_name: str) -> BadMessage:
+        """Without the path when it is the message itself that lacks values."""
+        where = f"{self.path}: " if self.path else ""
+        return BadMessage(f"{type_name}: {where}{self.reason}", self.path, self.hint)
+
+
+class _Filler:
+    """Walks a type and the values given for it. Mismatches collect their path on the way up."""
+
+    def __init__(self, fields_of: FieldsOf, now: Time | None) -> None:
+        self._fields_of = fields_of
+        self._now = now
+
+    def whole(self, type_name: str, args: Sequence[Any]) -> Message:
+        fields = self._fields_of(type_name)
+        if len(args) == 1 and isinstance(args[0], Mapping):
+            return self._by_name(type_name, args[0])
+        if len(args) == 1 and _is_multi_array(fields) and _is_plain_list(args[0]):
+            return {"data": _at("data", self._value, fields[1], args[0])}
+        if len(args) == len(fields):
+            args = [_empty_text(field, value) for field, value in zip(fields, args, strict=True)]
+        return self._by_position(type_name, args)
+
+    def _by_name(self, type_name: str, given: Mapping[Any, Any]) -> Message:
+        fields = {field.name: field for field in self._fields_of(type_name)}
+        for name in given:
+            if name not in fields:
+                raise UnknownField(name, type_name, tuple(fields))
+        return {name: _at(name, self._value, fields[name], value) for name, value in given.items()}
+
+    def _by_position(self, type_name: str, given: Sequence[Any]) -> Message:
+        fields = self._fields_of(type_name)
+        if len(given) != len(fields):
+            raise _WrongCount(len(given), fields)
+        return {
+            field.name: _at(field.name, self._value, field, value) for field, value in zip(fields, given, strict=True)
+        }
+
+    def _value(self, field: Field, value: Any) -> Any:
+        if field.array == SCALAR:
+            return self._single(field.type, value)
+        if field.type in BYTES:
+            return bytes_checker(field.type, field.array)(value)
+        if not isinstance(value, (list, tuple)):
+            raise must_be(f"a list ({field.type_text})", value)
+        if field.array and len(value) != field.array:
+            raise Mismatch(f"must be a list of exactly {field.array} ({field.type_text}), not of {len(value)}")
+        return [_at(f"[{index}]", self._single, field.type, element) for index, element in enumerate(value)]
+
+    def _single(self, type_name: str, value: Any) -> Any:
+        if type_name in TIMES:
+            return self._time(type_name, value)
+        if type_name in PRIMITIVES:
+            return _leaf(type_name, value)
+        if type_name == _HEADER and value == "auto":
+            return {"seq": 0, "stamp": self._time("time", "now"), "frame_id": ""}
+        if isinstance(value, Mapping):
+            return self._by_name(type_name, value)
+        if isinstance(value, (list, tuple)):
+            return self._by_position(type_name, value)
+        names = ", ".join(field.name for field in self._fields_of(type_name))
+        keyword = "'auto', " if type_name == _HEADER else ""
+        raise must_be(f"{keyword}a mapping or a list (a {type_name})", value, f"{type_name} has the fields {names}")
+
+    def _time(self, type_name: str, value: Any) -> dict[str, int]:
+        if type_name == "time" and value == "now":
+            if self._now is None:
+                raise Mismatch("cannot be 'now': there is no clock to ask")
+            return {"secs": self._now[0], "nsecs": self._now[1]}
+        if isinstance(value, int) and not isinstance(value, bool):
+            value = {"secs": value // _NS, "nsecs": value % _NS}
+        elif isinstance(value, (list, tuple)) and len(value) == 2:
+            value = {"secs": value[0], "nsecs": value[1]}
+        if not isinstance(value, Mapping):
+            keyword = "'now', " if type_name == "time" else ""
+            raise must_be(f"{keyword}{{secs, nsecs}} or nanoseconds (a {type_name})", value)
+        return time_checker(type_name)(value)  # type: ignore[no-any-return]
+
+
+def _at(step: str, convert: Callable[..., Any], *args: Any) -> Any:
+    try:
+        return convert(*args)
+    except Mismatch as problem:
+        problem.steps.append(step)
+        raise
+
+
+def _leaf(type_name: str, value: Any) -> Any:
+    if type_name == "string" and not isinstance(value, str):
+        raise Mismatch(f"must be text (string), and YAML reads this as {describe(value)}", "quote it twice: '\"text\"'")
+    if value is None:
+        raise must_be(type_name, value)
+    return checker_of(type_name)(value)
+
+
+def _empty_text(field: Field, value: Any) -> Any:
+    """An empty argument, which YAML reads as null, means empty text where text is due."""
+    return "" if value is None and field.array == SCALAR and field.type == "string" else value
+
+
+def _is_multi_array(fields: Sequence[Field]) -> bool:
+    return len(fields) == 2 and fields[0].type == "std_msgs/MultiArrayLayout" and fields[1].name == "data"
+
+
+def _is_plain_list(value: Any) -> bool:
+    return isinstance(value, (list, tuple)) and not any(isinstance(each, (list, tuple, Mapping)) for each in value)
