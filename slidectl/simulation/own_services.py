@@ -1,0 +1,122 @@
+"""`/slidectl/status`, `step`, `set_speed`, `sleep` and `list_robots`: what ROS has no service for.
+
+`wait` has a module of its own, and `shutdown` is the daemon's.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import slidectl
+from slidectl.control.duration import from_seconds
+from slidectl.control.node import Message
+from slidectl.errors import Refused, SlidectlError
+from slidectl.simulation.pending import Pending
+from slidectl.simulation.robot_info import robot_info
+
+if TYPE_CHECKING:
+    from slidectl.simulation.simulation import Simulation
+
+NODE = "/slidectl"
+MOST_CYCLES = 1 << 62
+
+
+def advertise(simulation: Simulation) -> None:
+    """Provide them."""
+    node = simulation.graph.node(NODE, NODE)
+    node.advertise_service("status", "slidectl/Status", lambda _: _status(simulation))
+    node.advertise_service("step", "slidectl/Step", lambda request: _step(simulation, request))
+    node.advertise_service("set_speed", "slidectl/SetSpeed", lambda request: _set_speed(simulation, request))
+    node.advertise_service("sleep", "slidectl/Sleep", lambda request: _sleep(simulation, request))
+    node.advertise_service("list_robots", "slidectl/ListRobots", lambda request: _list_robots(simulation, request))
+
+
+def _status(simulation: Simulation) -> Message:
+    managers = [robot.manager for robot in simulation.robots]
+    return {
+        "version": slidectl.__version__,
+        "time": simulation.graph.clock.seconds,
+        "cycles": simulation.cycles,
+        "paused": simulation.run.paused,
+        "speed": 0.0 if math.isinf(simulation.run.speed) else simulation.run.speed,
+        "timestep": simulation.timestep_ns * 1e-9,
+        "robots": simulation.robots.names(),
+        "controllers": sum(len(manager.names()) for manager in managers),
+        "controllers_running": sum(manager.running_count for manager in managers),
+        **simulation.monitor(),
+    }
+
+
+def _step(simulation: Simulation, request: Message) -> Pending:
+    """Pauses first. Answered when the cycles are done, or when they were given up."""
+    answer = Pending()
+    steps = _run_steps(simulation, _cycles(simulation, request))
+    answer.on_cancel = steps.cancel
+
+    def settle(done: Pending) -> None:
+        text = str(done.error) if done.error else f"{done.result()} cycles done"
+        clock = simulation.graph.clock
+        response = {"success": done.error is None, "message": text, "time": clock.seconds, "cycles": clock.cycles}
+        answer.resolve(response)
+
+    steps.then(settle)
+    return answer
+
+
+def _run_steps(simulation: Simulation, cycles: int) -> Pending:
+    if not cycles:
+        simulation.pause()
+        return Pending.of(0)
+    if simulation.driven:
+        return simulation.run.ask_steps(cycles)
+    pending = Pending()
+    try:
+        pending.resolve(simulation.step(cycles))
+    except SlidectlError as error:
+        pending.reject(error)
+    return pending
+
+
+def _cycles(simulation: Simulation, request: Message) -> int:
+    """Whole cycles: those that were asked for, or as many as make up at least the time that was asked for."""
+    seconds: float = request["seconds"]
+    if not math.isfinite(seconds) or seconds < 0:
+        raise Refused(f"seconds must be 0 or more, not {seconds:g}")
+    cycles: int = request["cycles"] or -(-from_seconds(seconds) // simulation.timestep_ns)
+    if cycles > MOST_CYCLES:
+        raise Refused(f"{cycles} cycles are too many")
+    return cycles
+
+
+def _set_speed(simulation: Simulation, request: Message) -> Message:
+    try:
+        simulation.set_speed(request["speed"])
+    except Refused as error:
+        return {"success": False, "message": str(error)}
+    speed = simulation.run.speed
+    return {"success": True, "message": "as fast as possible" if math.isinf(speed) else f"real-time factor {speed:g}"}
+
+
+def _sleep(simulation: Simulation, request: Message) -> Pending:
+    """Answered when the simulated time has passed; a paused world never gets there."""
+    duration: float = request["duration"]
+    if not math.isfinite(duration) or duration < 0:
+        raise Refused(f"a duration is 0 s or more, not {duration:g}")
+    graph = simulation.graph
+    pending = Pending()
+
+    def wake() -> None:
+        pending.resolve({"success": True, "time": graph.clock.seconds})
+
+    if duration:
+        pending.on_cancel = graph.timers.after(from_seconds(duration), wake).cancel
+    else:
+        wake()
+    return pending
+
+
+def _list_robots(simulation: Simulation, request: Message) -> Message:
+    asked: str = request["name"]
+    robots = [simulation.robots.get(asked)] if asked else list(simulation.robots)
+    return {"robots": [robot_info(robot, simulation.world) for robot in robots]}

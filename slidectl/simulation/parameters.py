@@ -1,0 +1,190 @@
+"""The parameter tree: values by name, subtrees as dicts, search upwards, and watchers.
+
+Semantics of the ROS parameter server, without its silent corners: names are checked, and null is no value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from copy import deepcopy
+from typing import Any
+
+from slidectl import names
+from slidectl.control.node import MISSING
+from slidectl.errors import UnknownName, UsageError
+
+Path = tuple[str, ...]
+
+
+class UnknownParameter(UnknownName, KeyError):  # noqa: N818 - named after its base
+    """A parameter that is not set."""
+
+
+class Watch:
+    """One watcher of one name."""
+
+    __slots__ = ("_on_close", "callback", "path")
+
+    def __init__(self, path: Path, callback: Callable[[], None], on_close: Callable[[Watch], None]) -> None:
+        self.path = path
+        self.callback = callback
+        self._on_close = on_close
+
+    def close(self) -> None:
+        """The callback is not called any more."""
+        self._on_close(self)
+
+
+class Parameters:
+    """The tree. Values are bool, int, float, str, lists and dicts of these; what is read and written is copied."""
+
+    def __init__(self) -> None:
+        self._root: dict[str, Any] = {}
+        self._watches: list[Watch] = []
+
+    def get(self, name: str, default: Any = MISSING) -> Any:
+        """The value, a dict for a namespace. Raises UnknownParameter (a KeyError too) when unset without default."""
+        found = self._find(_path(name))
+        if found is not MISSING:
+            return deepcopy(found)
+        if default is MISSING:
+            raise UnknownParameter("parameter", name, self.names())
+        return default
+
+    def has(self, name: str) -> bool:
+        """True when the parameter or one below it is set."""
+        return self._find(_path(name)) is not MISSING
+
+    def set(self, name: str, value: Any, merge: bool = False) -> None:
+        """Set a value; a mapping replaces what is there, or with `merge` leaves in place what it does not name.
+
+        Raises:
+            BadName: a name or a key that cannot be one. UsageError: a value that no parameter can have, or a root that
+            is no mapping.
+        """
+        path = _path(names.check(name))
+        checked = _checked(value, name)
+        if not path and not isinstance(checked, dict):
+            raise UsageError("the root of the parameters is a mapping", "give a name")
+        leaves = list(_leaves(checked, path)) if merge else [(path, checked)]
+        for leaf, content in leaves:
+            self._put(leaf, content)
+        self._tell([leaf for leaf, _ in leaves])
+
+    def delete(self, name: str) -> None:
+        """Delete a parameter or a whole namespace. Raises UnknownParameter when it is not set."""
+        path = _path(name)
+        if self._find(path) is MISSING:
+            raise UnknownParameter("parameter", name, self.names())
+        if path:
+            del self._find(path[:-1])[path[-1]]
+            self._prune(path[:-1])
+        else:
+            self._root = {}
+        self._tell([path])
+
+    def names(self, namespace: str = "/") -> list[str]:
+        """Absolute names of all values below `namespace`, sorted."""
+        path = _path(namespace)
+        found = self._find(path)
+        return [] if found is MISSING else sorted("/" + "/".join(leaf) for leaf, _ in _leaves(found, path) if leaf)
+
+    def search(self, namespace: str, name: str) -> str | None:
+        """`name` in `namespace` or the nearest namespace above that has its first component, else None."""
+        wanted = _path(name)
+        if name.startswith("/"):
+            return name if self.has(name) else None
+        base = _path(namespace)
+        for depth in range(len(base), -1, -1):
+            if self._find((*base[:depth], *wanted[:1])) is not MISSING:
+                return "/" + "/".join((*base[:depth], *wanted))
+        return None
+
+    def watch(self, name: str, callback: Callable[[], None]) -> Watch:
+        """Call back whenever the parameter, one below or a namespace above it is set or deleted; once for each call."""
+        watch = Watch(_path(name), callback, self._forget)
+        self._watches.append(watch)
+        return watch
+
+    def _find(self, path: Path) -> Any:
+        node: Any = self._root
+        for part in path:
+            if not isinstance(node, dict) or part not in node:
+                return MISSING
+            node = node[part]
+        return node
+
+    def _put(self, path: Path, value: Any) -> None:
+        if not path:
+            self._root = value
+            return
+        node = self._root
+        for part in path[:-1]:
+            below = node.get(part)
+            if not isinstance(below, dict):
+                below = node[part] = {}
+            node = below
+        node[path[-1]] = value
+
+    def _prune(self, path: Path) -> None:
+        """Namespaces that have become empty go too, so that `has` does not see them."""
+        while path and self._find(path) == {}:
+            del self._find(path[:-1])[path[-1]]
+            path = path[:-1]
+
+    def _tell(self, changed: list[Path]) -> None:
+        for watch in tuple(self._watches):
+            if watch in self._watches and any(_related(watch.path, path) for path in changed):
+                watch.callback()
+
+    def _forget(self, watch: Watch) -> None:
+        if watch in self._watches:
+            self._watches.remove(watch)
+
+
+def _path(name: str) -> Path:
+    return tuple(part for part in name.split("/") if part)
+
+
+def _related(one: Path, other: Path) -> bool:
+    shared = min(len(one), len(other))
+    return one[:shared] == other[:shared]
+
+
+def _leaves(value: Any, path: Path) -> Iterator[tuple[Path, Any]]:
+    if isinstance(value, dict) and value:
+        for key, below in value.items():
+            yield from _leaves(below, (*path, key))
+    else:
+        yield path, value
+
+
+def _checked(value: Any, where: str) -> Any:
+    """A copy with keys that hold slashes taken apart, or an error that says where it is wrong."""
+    if isinstance(value, dict):
+        return _checked_mapping(value, where)
+    if isinstance(value, list | tuple):
+        return [_checked(item, f"{where}[{index}]") for index, item in enumerate(value)]
+    if isinstance(value, bool | int | float | str):
+        return value
+    kind = "null" if value is None else type(value).__name__
+    raise UsageError(
+        f"parameter {where}: {kind} is no value", "a parameter is a bool, a number, a string, a list or a mapping"
+    )
+
+
+def _checked_mapping(value: dict[Any, Any], where: str) -> dict[str, Any]:
+    result: dict[str, Any] = {}
+    for key, below in value.items():
+        if not isinstance(key, str) or not _path(key) or any(letter.isspace() for letter in key):
+            raise UsageError(f"parameter {where}: {key!r} cannot be a name", "names are text without blanks")
+        content = _checked(below, f"{where.rstrip('/')}/{key.strip('/')}")
+        node = result
+        *above, last = _path(key)
+        for part in above:
+            node = node.setdefault(part, {})
+        if isinstance(content, dict) and isinstance(node.get(last), dict):
+            node[last] |= content
+        else:
+            node[last] = content
+    return result

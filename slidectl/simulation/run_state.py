@@ -1,0 +1,79 @@
+"""How the world is asked to run: paused or not, how fast, and the steps that somebody waits for.
+
+Plain state with its transitions. It runs nothing itself: a driver (the daemon) looks at it between two slices.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Any
+
+from slidectl.errors import Refused
+from slidectl.simulation.pending import Pending
+
+
+class StepRequest:
+    """Cycles that somebody asked for and waits for."""
+
+    __slots__ = ("asked", "pending", "remaining")
+
+    def __init__(self, cycles: int, pending: Pending) -> None:
+        self.asked = cycles
+        self.remaining = cycles
+        self.pending = pending
+
+
+class RunState:
+    """`paused` and `speed` (real-time factor; infinite: as fast as possible) are wishes; steps run even when paused."""
+
+    def __init__(self) -> None:
+        self.paused = False
+        self.speed = 1.0
+        self._requests: deque[StepRequest] = deque()
+
+    @property
+    def pending_steps(self) -> int:
+        """Cycles that were asked for and have not run yet."""
+        return sum(request.remaining for request in self._requests)
+
+    def allowed(self, most: int) -> int:
+        """How many cycles, at most `most`, may run now."""
+        return min(most, self.pending_steps) if self.paused else most
+
+    def set_speed(self, factor: float) -> None:
+        """Ask for a real-time factor above 0, or 0 for as fast as possible. Raises Refused for anything else."""
+        if not math.isfinite(factor) or factor < 0:
+            raise Refused(f"speed is 0 (as fast as possible) or a number above it, not {factor:g}")
+        self.speed = factor or math.inf
+
+    def ask_steps(self, cycles: int) -> Pending:
+        """Pause, and run so many cycles more. Resolved with the number of cycles when they are done."""
+        self.paused = True
+        request = StepRequest(cycles, Pending())
+        request.pending.on_cancel = lambda: self._drop(request)
+        self._requests.append(request)
+        return request.pending
+
+    def until_answer(self, cycles: int) -> int:
+        """`cycles`, cut at the end of the first request, so that it is answered in its own cycle."""
+        return min(cycles, self._requests[0].remaining) if self._requests else cycles
+
+    def took(self, cycles: int) -> None:
+        """So many cycles have run, not more than `until_answer` allowed."""
+        if self._requests:
+            self._requests[0].remaining -= cycles
+            if self._requests[0].remaining <= 0:
+                request = self._requests.popleft()
+                request.pending.resolve(request.asked)
+
+    def abandon_steps(self, reason: str) -> None:
+        """Forget the steps; those who wait are told the reason."""
+        while self._requests:
+            request = self._requests.popleft()
+            done: Any = request.asked - request.remaining
+            request.pending.reject(Refused(f"{reason} after {done} of {request.asked} cycles"))
+
+    def _drop(self, request: StepRequest) -> None:
+        if request in self._requests:
+            self._requests.remove(request)

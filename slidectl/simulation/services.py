@@ -1,0 +1,136 @@
+"""Services by name: who answers, with which type, now or later.
+
+Requests and responses are checked against the type here, so that handlers see and give complete messages.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from slidectl import msgs, names
+from slidectl.control.node import Message
+from slidectl.errors import Refused, SlidectlError, UnknownName
+from slidectl.simulation.pending import Pending
+
+Handler = Callable[[Message], Message | Pending]
+
+
+class Service:
+    """One service and its provider. `open` holds the calls not answered yet, each with the handler's side."""
+
+    __slots__ = ("_on_close", "handler", "name", "node", "open", "type")
+
+    def __init__(
+        self, name: str, type_name: str, node: str, handler: Handler, on_close: Callable[[Service], None]
+    ) -> None:
+        self.name = name
+        self.type = type_name
+        self.node = node
+        self.handler = handler
+        self.open: dict[Pending, Pending] = {}
+        self._on_close = on_close
+
+    def close(self) -> None:
+        """The provider goes; calls that it has not answered fail."""
+        self._on_close(self)
+        calls, self.open = self.open, {}
+        for call, answer in calls.items():
+            answer.cancel()
+            call.reject(Refused(f"{self.name}: the provider {self.node} went away before it answered"))
+
+
+class Services:
+    """All services."""
+
+    def __init__(self) -> None:
+        self._services: dict[str, Service] = {}
+
+    def advertise(self, name: str, type_name: str, node: str, handler: Handler) -> Service:
+        """Provide a service. The handler raises SlidectlError to fail a call, or gives a Pending to answer later.
+
+        Raises:
+            BadName. Refused: the name is taken. UnknownName: no such service type.
+        """
+        if not names.check(name).startswith("/"):
+            raise Refused(f"{name!r} is not an absolute service name", f"write /{name}")
+        if name in self._services:
+            raise Refused(f"service {name} is already provided by {self._services[name].node}")
+        if not msgs.service_exists(type_name):
+            raise UnknownName("service type", type_name, msgs.service_names())
+        service = self._services[name] = Service(name, type_name, node, handler, self._forget)
+        return service
+
+    def call(self, name: str, request: Any = None) -> Pending:
+        """Ask. Failures are in the answer, which is settled already unless it needs simulated time."""
+        try:
+            service = self._known(name)
+            checked = msgs.check(msgs.request_type(service.type), {} if request is None else request)
+            answer = service.handler(checked)
+        except SlidectlError as error:
+            pending = Pending()
+            pending.reject(error)
+            return pending
+        inner = answer if isinstance(answer, Pending) else Pending.of(answer)
+        return _follow(service, inner)
+
+    def names(self) -> list[str]:
+        """All services, sorted."""
+        return sorted(self._services)
+
+    def exists(self, name: str) -> bool:
+        """True when somebody provides it."""
+        return name in self._services
+
+    def types(self) -> dict[str, str]:
+        """Type of each service, in the order of the names."""
+        return {name: self._services[name].type for name in sorted(self._services)}
+
+    def type_of(self, name: str) -> str:
+        """Raises UnknownName when nobody provides it."""
+        return self._known(name).type
+
+    def node_of(self, name: str) -> str:
+        """The provider. Raises UnknownName when there is none."""
+        return self._known(name).node
+
+    def nodes(self) -> set[str]:
+        """Names of all providers."""
+        return {service.node for service in self._services.values()}
+
+    def close_node(self, node: str) -> None:
+        """A node has gone: its services go too."""
+        for service in [s for s in self._services.values() if s.node == node]:
+            service.close()
+
+    def _known(self, name: str) -> Service:
+        if name not in self._services:
+            raise UnknownName("service", name, self.names())
+        return self._services[name]
+
+    def _forget(self, service: Service) -> None:
+        if self._services.get(service.name) is service:
+            del self._services[service.name]
+
+
+def _follow(service: Service, inner: Pending) -> Pending:
+    """The caller's side of an answer: checked against the type; fails when the provider goes, ends with the caller."""
+    response_type = msgs.response_type(service.type)
+
+    def gone() -> None:
+        service.open.pop(outer, None)
+        inner.cancel()
+
+    def settle(answered: Pending) -> None:
+        service.open.pop(outer, None)
+        try:
+            response = msgs.check(response_type, answered.result())
+        except SlidectlError as error:
+            outer.reject(error)
+            return
+        outer.resolve(response)
+
+    outer = Pending(on_cancel=gone)
+    service.open[outer] = inner
+    inner.then(settle)
+    return outer

@@ -1,0 +1,155 @@
+"""The simulation: a world, a graph, robots, and a loop that moves them. What batch scripts and the daemon hold.
+
+Knows no wall time, no sockets and no threads: the same calls give the same bits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from slidectl.control.duration import from_seconds
+from slidectl.control.node import Message, MessageCallback
+from slidectl.errors import Refused
+from slidectl.physics import World
+from slidectl.simulation import own_services, reset, rosapi, waits
+from slidectl.simulation.assembly import ORIGIN, Pose, SpawnedRobot
+from slidectl.simulation.graph import Graph
+from slidectl.simulation.loop import Loop
+from slidectl.simulation.parameters import Parameters
+from slidectl.simulation.robots import Robots
+from slidectl.simulation.run_state import RunState
+from slidectl.simulation.topics import Subscription
+
+SCRIPT_NODE = "/script"
+"""The node under which calls of `publish` and `subscribe` appear."""
+
+
+class Simulation:
+    """Build it, spawn a robot, load controllers, `step(n)`, read.
+
+    Args:
+        timestep: seconds of one cycle, above 0.
+        gravity: m/s².
+        ground: whether there is a floor at height 0.
+    """
+
+    def __init__(
+        self,
+        timestep: float = 0.001,
+        gravity: tuple[float, float, float] = (0.0, 0.0, -9.8),
+        ground: bool = True,
+    ) -> None:
+        self.world = World(timestep, gravity, ground)
+        self.graph = Graph()
+        self.loop = Loop(self.graph, self.world, from_seconds(timestep))
+        self.robots = Robots(self.world, self.loop)
+        self.monitor: Callable[[], dict[str, Any]] = dict
+        """What the driver adds to `/slidectl/status`: wall times, connections, memory."""
+        self.world.clock = self.graph.clock.now_ns
+        self.graph.parameters.set("/use_sim_time", True)
+        rosapi.advertise(self.graph)
+        own_services.advertise(self)
+        waits.advertise(self.graph)
+
+    @property
+    def time_ns(self) -> int:
+        """Simulated time of the last cycle, in nanoseconds."""
+        return self.graph.clock.time_ns
+
+    @property
+    def cycles(self) -> int:
+        """Cycles since the clock was at 0."""
+        return self.graph.clock.cycles
+
+    @property
+    def timestep_ns(self) -> int:
+        """Nanoseconds of one cycle."""
+        return self.loop.step_ns
+
+    @property
+    def parameters(self) -> Parameters:
+        """The parameter tree."""
+        return self.graph.parameters
+
+    @property
+    def run(self) -> RunState:
+        """How the world is asked to run."""
+        return self.loop.run
+
+    @property
+    def driven(self) -> bool:
+        """True when a driver calls `step` as `run` says; else time moves only when this object is asked."""
+        return self.loop.driven
+
+    @driven.setter
+    def driven(self, value: bool) -> None:
+        self.loop.driven = value
+
+    def step(self, cycles: int = 1) -> int:
+        """Run so many cycles. Returns how many: fewer only when the physics diverges and `driven`.
+
+        Raises:
+            Diverged: the state of a robot is no longer a number, and nobody drives.
+        """
+        return self.loop.step(cycles)
+
+    def spawn(self, xml: str, name: str, namespace: str | None = None, pose: Pose = ORIGIN) -> SpawnedRobot:
+        """A robot from the text of its URDF; see Robots.spawn."""
+        return self.robots.spawn(xml, name, namespace, pose)
+
+    def delete(self, name: str) -> None:
+        """Take a robot out of the world. Raises UnknownName."""
+        self.robots.delete(name)
+
+    def call(self, service: str, request: Message | None = None) -> Message:
+        """Call a service and give its response. What needs simulated time is stepped through, unless `driven`.
+
+        Raises:
+            SlidectlError: the call failed. Refused: it needs simulated time, and that is the driver's.
+        """
+        pending = self.graph.services.call(service, request)
+        while not pending.done:
+            if self.driven or not self.step():
+                pending.cancel()
+                raise Refused(f"{service} needs simulated time to pass before it can answer")
+        response: Message = pending.result()
+        return response
+
+    def publish(self, topic: str, message: Any, type_name: str | None = None) -> None:
+        """Publish a message, complete or partial. Raises BadMessage, UnknownName, or what a subscriber says."""
+        self.graph.topics.publish(topic, type_name, message, SCRIPT_NODE)
+
+    def subscribe(self, topic: str, callback: MessageCallback, type_name: str | None = None) -> Subscription:
+        """Call back for each message. Raises UnknownName when the topic does not exist and no type is given."""
+        return self.graph.topics.subscribe(topic, type_name, SCRIPT_NODE, callback)
+
+    def pause(self) -> None:
+        """Hold the world. Steps that somebody waits for are given up; switches that wait for a cycle are finished."""
+        self.run.paused = True
+        self.run.abandon_steps("paused")
+        self.robots.settle_switches()
+
+    def resume(self) -> None:
+        """Let the world go on."""
+        self.run.paused = False
+
+    def set_speed(self, factor: float) -> None:
+        """Real-time factor, 0 for as fast as possible. Raises Refused for anything else."""
+        self.run.set_speed(factor)
+
+    def set_timestep(self, seconds: float) -> None:
+        """Another length for the cycles to come, s. Raises Refused for what is not above 0."""
+        step_ns = from_seconds(seconds)
+        if step_ns <= 0:
+            raise Refused(f"a time step is above 0 s, not {seconds:g}")
+        self.world.set_timestep(seconds)
+        self.loop.step_ns = step_ns
+
+    def reset_simulation(self) -> None:
+        """Time and world back to the beginning; controllers stay loaded and running."""
+        reset.reset_simulation(self)
+
+    def reset_world(self) -> None:
+        """The world back to the beginning, time goes on; controllers stay loaded and running."""
+        reset.reset_world(self)

@@ -1,0 +1,248 @@
+"""The topic bus: who publishes what to whom, with types, latching and names.
+
+Delivery is a plain call, in the order of subscription, before `publish` returns. Queues for slow readers
+are the affair of whoever has one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from slidectl import msgs, names
+from slidectl.control.node import Message, MessageCallback
+from slidectl.errors import Refused, SlidectlError, UnknownName
+
+
+class TypeConflict(Refused):
+    """A topic that exists with another type."""
+
+    def __init__(self, topic: str, known: str, asked: str, users: list[str]) -> None:
+        super().__init__(f"{topic} has the type {known}, not {asked}", f"it is used by: {', '.join(users)}")
+
+
+class TopicPublisher:
+    """One publisher of one topic. Ask `wanted` before building a message: nobody may be listening."""
+
+    __slots__ = ("_on_close", "_topic", "last", "latch", "node", "sequence", "wanted")
+
+    def __init__(self, topic: Topic, node: str, latch: bool, on_close: Callable[[TopicPublisher], None]) -> None:
+        self._topic = topic
+        self._on_close = on_close
+        self.node = node
+        self.latch = latch
+        self.sequence = 0
+        self.last: Message | None = None
+        self.wanted = False
+
+    def publish(self, message: Message) -> None:
+        """Hand a complete message on and number its header. The dict must not be changed afterwards.
+
+        Raises:
+            SlidectlError: what the first subscriber said that refused it; all of them have been asked.
+        """
+        if self._topic.has_header:
+            self.sequence += 1
+            message["header"]["seq"] = self.sequence
+        if self.latch:
+            self.last = message
+        refusal: SlidectlError | None = None
+        for callback in self._topic.callbacks:
+            try:
+                callback(message)
+            except SlidectlError as error:
+                refusal = refusal or error
+        if refusal is not None:
+            raise refusal
+
+    def close(self) -> None:
+        """Stop being a publisher; a latched message goes with it."""
+        self._on_close(self)
+
+
+class NodePublisher(TopicPublisher):
+    """A publisher inside the simulation: as in ROS it does not hear that a subscriber refused; that one logs it."""
+
+    __slots__ = ()
+
+    def publish(self, message: Message) -> None:
+        """Hand a complete message on and number its header. The dict must not be changed afterwards."""
+        try:
+            super().publish(message)
+        except SlidectlError:
+            return
+
+
+class Subscription:
+    """One subscriber of one topic."""
+
+    __slots__ = ("_on_close", "callback", "node", "topic")
+
+    def __init__(
+        self, topic: Topic, node: str, callback: MessageCallback, on_close: Callable[[Subscription], None]
+    ) -> None:
+        self.topic = topic
+        self.node = node
+        self.callback = callback
+        self._on_close = on_close
+
+    def close(self) -> None:
+        """No message is delivered any more."""
+        self._on_close(self)
+
+
+class Topic:
+    """A name, its type, and those who use it. `callbacks` is a tuple: it may be replaced during a delivery."""
+
+    __slots__ = ("callbacks", "has_header", "name", "publishers", "subscriptions", "type")
+
+    def __init__(self, name: str, type_name: str) -> None:
+        self.name = name
+        self.type = type_name
+        self.publishers: list[TopicPublisher] = []
+        self.subscriptions: list[Subscription] = []
+        self.callbacks: tuple[MessageCallback, ...] = ()
+        first = msgs.fields(type_name)[:1]
+        self.has_header = any(field.name == "header" and field.type == "std_msgs/Header" for field in first)
+
+    def users(self) -> list[TopicPublisher | Subscription]:
+        """All publishers, then all subscribers."""
+        return [*self.publishers, *self.subscriptions]
+
+    def nodes(self) -> list[str]:
+        """Names of the nodes that publish or subscribe it."""
+        return _distinct([user.node for user in self.users()])
+
+    def update(self) -> None:
+        """After somebody came or went."""
+        self.callbacks = tuple(subscription.callback for subscription in self.subscriptions)
+        for publisher in self.publishers:
+            publisher.wanted = publisher.latch or bool(self.callbacks)
+
+
+class Topics:
+    """All topics. One exists as long as somebody publishes or subscribes it."""
+
+    def __init__(self) -> None:
+        self._topics: dict[str, Topic] = {}
+
+    def advertise(
+        self, topic: str, type_name: str, node: str, latch: bool = False, kind: type[TopicPublisher] = TopicPublisher
+    ) -> TopicPublisher:
+        """A publisher of `topic`.
+
+        Raises:
+            BadName, TypeConflict. UnknownName: no such message type.
+        """
+        entry = self._entry(topic, type_name)
+        publisher = kind(entry, node, latch, self._forget_publisher)
+        entry.publishers.append(publisher)
+        entry.update()
+        return publisher
+
+    def subscribe(self, topic: str, type_name: str | None, node: str, callback: MessageCallback) -> Subscription:
+        """Call back for each message; latched ones at once. Without a type the topic must exist already.
+
+        Raises:
+            BadName, TypeConflict. UnknownName: no such topic or message type.
+        """
+        entry = self._entry(topic, type_name or self.type_of(topic))
+        subscription = Subscription(entry, node, callback, self._forget_subscription)
+        entry.subscriptions.append(subscription)
+        entry.update()
+        for publisher in tuple(entry.publishers):
+            if publisher.last is not None:
+                callback(publisher.last)
+        return subscription
+
+    def publish(self, topic: str, type_name: str | None, message: Any, node: str) -> None:
+        """Publish from outside: the message is completed and checked. `node` is a publisher until `close_node`.
+
+        Raises:
+            BadName, BadMessage, TypeConflict. UnknownName: no such topic (when no type is given) or message type.
+            SlidectlError: a subscriber refused it.
+        """
+        kind = type_name or self.type_of(topic)
+        self._agrees(topic, kind)
+        checked = msgs.check(kind, message)
+        publisher = self._own(topic, node) or self.advertise(topic, kind, node)
+        publisher.publish(checked)
+
+    def names(self) -> list[str]:
+        """All topics, sorted."""
+        return sorted(self._topics)
+
+    def types(self) -> dict[str, str]:
+        """Type of each topic, in the order of the names."""
+        return {name: self._topics[name].type for name in sorted(self._topics)}
+
+    def exists(self, topic: str) -> bool:
+        """True when somebody publishes or subscribes it."""
+        return topic in self._topics
+
+    def type_of(self, topic: str) -> str:
+        """Raises UnknownName when nobody uses the topic."""
+        return self._known(topic).type
+
+    def publishers(self, topic: str) -> list[str]:
+        """Names of the nodes that publish it; none when there is no such topic."""
+        return _distinct([p.node for p in self._topics[topic].publishers]) if topic in self._topics else []
+
+    def subscribers(self, topic: str) -> list[str]:
+        """Names of the nodes that subscribe it; none when there is no such topic."""
+        return _distinct([s.node for s in self._topics[topic].subscriptions]) if topic in self._topics else []
+
+    def nodes(self) -> set[str]:
+        """Names of all nodes that publish or subscribe something."""
+        return {node for topic in self._topics.values() for node in topic.nodes()}
+
+    def close_node(self, node: str) -> None:
+        """A node has gone: all its publishers and subscriptions go too."""
+        for topic in list(self._topics.values()):
+            for user in [user for user in topic.users() if user.node == node]:
+                user.close()
+
+    def _known(self, topic: str) -> Topic:
+        if topic not in self._topics:
+            raise UnknownName("topic", topic, self.names())
+        return self._topics[topic]
+
+    def _own(self, topic: str, node: str) -> TopicPublisher | None:
+        entry = self._topics.get(topic)
+        return next((p for p in entry.publishers if p.node == node), None) if entry else None
+
+    def _agrees(self, topic: str, type_name: str) -> None:
+        if not msgs.exists(type_name):
+            raise UnknownName("message type", type_name, msgs.type_names())
+        entry = self._topics.get(topic)
+        if entry is not None and entry.type != type_name:
+            raise TypeConflict(topic, entry.type, type_name, entry.nodes())
+
+    def _entry(self, topic: str, type_name: str) -> Topic:
+        self._agrees(topic, type_name)
+        if topic not in self._topics:
+            if not names.check(topic).startswith("/"):
+                raise Refused(f"{topic!r} is not an absolute topic name", f"write /{topic}")
+            self._topics[topic] = Topic(topic, type_name)
+        return self._topics[topic]
+
+    def _forget_publisher(self, publisher: TopicPublisher) -> None:
+        topic = publisher._topic
+        if publisher in topic.publishers:
+            topic.publishers.remove(publisher)
+            self._tidy(topic)
+
+    def _forget_subscription(self, subscription: Subscription) -> None:
+        topic = subscription.topic
+        if subscription in topic.subscriptions:
+            topic.subscriptions.remove(subscription)
+            self._tidy(topic)
+
+    def _tidy(self, topic: Topic) -> None:
+        topic.update()
+        if not topic.publishers and not topic.subscriptions:
+            self._topics.pop(topic.name, None)
+
+
+def _distinct(nodes: list[str]) -> list[str]:
+    return list(dict.fromkeys(nodes))

@@ -1,0 +1,144 @@
+"""`/slidectl/wait`: answered when a value of a topic has fulfilled a condition long enough, or the time is up.
+
+Judged at every message, in simulated time, and answered in that cycle. Between two messages the last value counts.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+from slidectl.control.duration import from_seconds
+from slidectl.control.node import Message
+from slidectl.errors import Refused
+from slidectl.simulation.conditions import Condition, show
+from slidectl.simulation.graph import Graph
+from slidectl.simulation.message_path import MessagePath, NoElement, parse
+from slidectl.simulation.pending import Pending
+from slidectl.simulation.timers import Timer
+from slidectl.simulation.topics import Subscription
+
+NODE = "/slidectl"
+_NOTHING: Any = object()
+
+
+def advertise(graph: Graph) -> None:
+    """Provide the service."""
+    graph.node(NODE, NODE).advertise_service("wait", "slidectl/Wait", lambda request: wait(graph, request))
+
+
+def wait(graph: Graph, request: Message) -> Pending:
+    """Begin to wait.
+
+    Raises:
+        UnknownName: no such topic, field or condition. BadMessage: value, condition and field do not go together.
+    """
+    type_name = graph.topics.type_of(request["topic"])
+    path = parse(type_name, request["field"])
+    condition = Condition(request["condition"], request["value"], request["tolerance"])
+    condition.check_type(f"{request['topic']}/{path.text}", path.type)
+    hold_s, within_s = _seconds("hold", request["hold"]), _seconds("within", request["within"])
+    return Wait(graph, request["topic"], path, condition, hold_s, within_s).pending
+
+
+class Wait:
+    """One who waits. `hold_s` 0: the first message that fulfils the condition is enough; `within_s` 0: no limit."""
+
+    def __init__(
+        self, graph: Graph, topic: str, path: MessagePath, condition: Condition, hold_s: float, within_s: float
+    ) -> None:
+        self.pending = Pending(on_cancel=self._close)
+        self._graph = graph
+        self._topic = topic
+        self._path = path
+        self._condition = condition
+        self._hold_s = hold_s
+        self._within_s = within_s
+        self._last: Any = _NOTHING
+        self._closest: Any = _NOTHING
+        self._least = math.inf
+        self._holding: Timer | None = None
+        self._deadline = graph.timers.after(from_seconds(within_s), self._time_is_up) if within_s else None
+        self._subscription: Subscription | None = None
+        self._subscription = graph.topics.subscribe(topic, None, NODE, self._take)
+        if self.pending.done:
+            self._close()
+
+    def _take(self, message: Message) -> None:
+        if self.pending.done:
+            return
+        try:
+            value = self._path.take(message)
+        except NoElement as error:
+            self._close()
+            self.pending.reject(error)
+            return
+        if self._judge(value):
+            self._begin_to_hold()
+        elif self._holding is not None:
+            self._holding.cancel()
+            self._holding = None
+
+    def _judge(self, value: Any) -> bool:
+        distance = self._condition.distance(value)
+        self._last = value
+        if self._closest is _NOTHING or distance < self._least:
+            self._closest, self._least = value, distance
+        return distance <= 0
+
+    def _begin_to_hold(self) -> None:
+        if not self._hold_s:
+            self._finish(True)
+        elif self._holding is None:
+            self._holding = self._graph.timers.after(from_seconds(self._hold_s), lambda: self._finish(True))
+
+    def _time_is_up(self) -> None:
+        """Holding that is complete at this very time still counts."""
+        self._finish(self._holding is not None and self._holding.due_ns <= self._graph.clock.time_ns)
+
+    def _finish(self, success: bool) -> None:
+        self._close()
+        self.pending.resolve(
+            {
+                "success": success,
+                "message": f"{self._path_text()} {self._outcome()}" if success else f"expected {self._failure()}",
+                "last": _as_json(self._last),
+                "closest": _as_json(self._closest),
+                "time": self._graph.clock.seconds,
+            }
+        )
+
+    def _outcome(self) -> str:
+        return f"is {show(self._last)} ({self._condition}{self._for()})"
+
+    def _failure(self) -> str:
+        what = f"{self._path_text()} {self._condition}{self._for()} within {self._within_s:g} s"
+        if self._last is not _NOTHING:
+            return f"{what}; last {show(self._last)}, closest {show(self._closest)}"
+        silent = "no message came" if self._graph.topics.publishers(self._topic) else "nobody publishes it"
+        return f"{what}; {silent}"
+
+    def _for(self) -> str:
+        return f" for {self._hold_s:g} s" if self._hold_s else ""
+
+    def _path_text(self) -> str:
+        return f"{self._topic}/{self._path.text}"
+
+    def _close(self) -> None:
+        for part in (self._holding, self._deadline):
+            if part is not None:
+                part.cancel()
+        if self._subscription is not None:
+            self._subscription.close()
+
+
+def _as_json(value: Any) -> str:
+    return "" if value is _NOTHING else json.dumps(value)
+
+
+def _seconds(name: str, value: float) -> float:
+    """0 where there is none; endless is none too."""
+    if math.isnan(value):
+        raise Refused(f"{name} is a number of seconds")
+    return value if 0 < value < math.inf else 0.0
