@@ -3,7 +3,10 @@
 Knows no topics, no clients and no wall time.
 """
 
+from slidectl.physics.body import Body
+from slidectl.physics.core import GRAVITY, Diverged
 from slidectl.physics.engine import EngineError, take_warnings
-from slidectl.physics.world import GRAVITY, Diverged, Snapshot, World
+from slidectl.physics.robot_hw import MujocoRobotHW
+from slidectl.physics.world import Snapshot, World
 
-__all__ = ["GRAVITY", "Diverged", "EngineError", "Snapshot", "World", "take_warnings"]
+__all__ = ["GRAVITY", "Body", "Diverged", "EngineError", "MujocoRobotHW", "Snapshot", "World", "take_warnings"]

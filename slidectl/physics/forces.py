@@ -1,7 +1,6 @@
 """Forces from outside: joint efforts and wrenches on links, each from a time and for a duration.
 
-They are added to what the robots apply, for one step, and taken off again. Simulated time comes from the world's
-clock; nothing here knows services.
+`Loads` puts them on top of what the robots apply, for one step. Nothing here knows clocks or services.
 """
 
 from __future__ import annotations
@@ -58,8 +57,6 @@ class ExternalForces:
     def __init__(self) -> None:
         self.joint_forces: list[JointForce] = []
         self.wrenches: list[Wrench] = []
-        self.efforts: dict[int, float] = {}
-        """What the last step applied, by dof; the robots' read-back adds it."""
 
     @property
     def is_empty(self) -> bool:
@@ -81,23 +78,15 @@ class ExternalForces:
         self.joint_forces = [force for force in self.joint_forces if keep(force)]
         self.wrenches = [wrench for wrench in self.wrenches if keep(wrench)]
 
-    def step(self, data: Any, now_ns: int, advance: Callable[[], None]) -> None:
-        """One step with the forces of `now_ns` on top of what is applied, which is put back exactly afterwards."""
+    def apply(self, data: Any, now_ns: int, efforts: dict[int, float]) -> None:
+        """Add what holds at `now_ns` to qfrc_applied, xfrc_applied and, by dof, `efforts`; forget what is over."""
         self.drop(lambda force: not force.span.is_over(now_ns))
-        joint_forces, link_forces = data.qfrc_applied.copy(), data.xfrc_applied.copy()
-        self._apply_efforts(data, now_ns)
-        for wrench in self.wrenches:
-            if wrench.span.holds(now_ns):
-                data.xfrc_applied[wrench.body.links[wrench.link]] += (*wrench.force, *wrench.torque)
-        advance()
-        data.qfrc_applied[:], data.xfrc_applied[:] = joint_forces, link_forces
-
-    def _apply_efforts(self, data: Any, now_ns: int) -> None:
-        self.efforts.clear()
         for force in self.joint_forces:
             if force.span.holds(now_ns):
                 place = force.body.joints[force.joint]
                 effort = EffortTruncation.of(place.joint).cut(force.effort, float(data.qvel[place.dof]))
-                self.efforts[place.dof] = self.efforts.get(place.dof, 0.0) + effort
-        for dof, effort in self.efforts.items():
-            data.qfrc_applied[dof] += effort
+                data.qfrc_applied[place.dof] += effort
+                efforts[place.dof] = efforts.get(place.dof, 0.0) + effort
+        for wrench in self.wrenches:
+            if wrench.span.holds(now_ns):
+                data.xfrc_applied[wrench.body.links[wrench.link]] += (*wrench.force, *wrench.torque)

@@ -1,0 +1,192 @@
+"""The heart of a world: a compiled model, robots that come and go, steps.
+
+The state of the robots that stay is carried over every rebuild, to the last bit. What one may look at and change
+between steps is in `world.py`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from slidectl.description.robot import Robot
+from slidectl.errors import Refused, SlidectlError, UnknownName
+from slidectl.physics import engine
+from slidectl.physics.body import Body
+from slidectl.physics.compiler import Settings, compile_world
+from slidectl.physics.loads import Loads
+from slidectl.physics.observer import Observer
+from slidectl.physics.rotation import ORIGIN, Pose, Vector, normalized
+
+GRAVITY: Vector = (0.0, 0.0, -9.8)
+"""m/s², the default of SDF and so of Gazebo."""
+
+HUGE = 1e10
+"""A position or velocity beyond this is nonsense; MuJoCo's own bound."""
+
+
+class Diverged(SlidectlError):
+    """The state of a robot is no longer a number, or huge."""
+
+    def __init__(self, robot: str) -> None:
+        text = f"the simulation of robot {robot!r} diverged: its state is not finite or huge"
+        super().__init__(text, "reset it (slidectl sim reset) or delete the robot; check masses, damping and gains")
+        self.robot = robot
+
+
+class WorldCore:
+    """A ground, a light, gravity, and robots."""
+
+    step: Callable[[], None]
+    """Advance by one time step. Replaced when the model is rebuilt or forces come and go: see `on_rebuild`."""
+
+    def __init__(self, timestep: float = 0.001, gravity: Vector = GRAVITY, ground: bool = True) -> None:
+        engine.prepare()
+        self._settings = Settings(positive(timestep), finite(gravity), ground)
+        self._bodies: dict[str, Body] = {}
+        self._listeners: list[Callable[[], None]] = []
+        self.loads = Loads()
+        self.clock: Callable[[], int] = self._own_clock
+        """Time in ns of the cycle that is stepped, for forces with a start and an end; the simulation puts its own."""
+        self._install(compile_world(self._settings, ()), 0.0)
+
+    # -- robots ----------------------------------------------------------------------------------------------------
+
+    def attach(self, robot: Robot, name: str, pose: Pose = ORIGIN) -> Body:
+        """Put a robot into the world under `name`, all or nothing; the others go on as if nothing had happened.
+
+        Raises:
+            Refused: the name is taken, or the pose is not finite. BadInertia, BadJoint, BadShape, BadModel: MuJoCo
+            cannot simulate it.
+        """
+        if name in self._bodies:
+            raise Refused(f"a robot named {name!r} is in the world already", "give another name, or delete it first")
+        body = Body(name, robot, (finite(pose[0]), normalized(pose[1])))
+        self._rebuild({**self._bodies, name: body}, newest=name)
+        return body
+
+    def detach(self, name: str) -> None:
+        """Take a robot out, with the forces on it. Raises UnknownName."""
+        gone = self.body(name)
+        self.loads.forget(gone)
+        self._rebuild({key: body for key, body in self._bodies.items() if body is not gone})
+
+    def names(self) -> list[str]:
+        """The robots in the order of their coming."""
+        return list(self._bodies)
+
+    def body(self, name: str) -> Body:
+        """The robot attached under `name`. Raises UnknownName."""
+        try:
+            return self._bodies[name]
+        except KeyError:
+            raise UnknownName("model", name, list(self._bodies)) from None
+
+    def on_rebuild(self, callback: Callable[[], None]) -> None:
+        """Call back whenever `model`, `data` or `step` were replaced."""
+        self._listeners.append(callback)
+
+    def _rebuild(self, bodies: dict[str, Body], newest: str = "") -> None:
+        model = compile_world(self._settings, bodies.values(), newest)
+        states = {name: body.capture() for name, body in self._bodies.items() if name in bodies}
+        self._bodies = bodies
+        self._install(model, self.data.time)
+        for name, body in bodies.items():
+            body.bind(model, self.data)
+            if name in states:
+                body.put(states[name])
+            else:
+                body.put_at_spawn()
+        for body in bodies.values():
+            body.announce()
+        self._announce()
+
+    def _install(self, model: Any, time: float) -> None:
+        self.model, self.data = model, mujoco.MjData(model)
+        self.data.time = time
+        self._observer = Observer(model, self.data)
+        self._advance = partial(mujoco.mj_step, model, self.data)
+        self.step = self._advance if self.loads.is_empty else self._step_with_loads
+
+    def _announce(self) -> None:
+        for callback in self._listeners:
+            callback()
+
+    # -- running ---------------------------------------------------------------------------------------------------
+
+    def step_n(self, cycles: int) -> None:
+        """Advance by many steps with nobody in between, at the speed of C where no outside force acts."""
+        if self.loads.is_empty:
+            mujoco.mj_step(self.model, self.data, nstep=cycles)
+            return
+        for _ in range(cycles):
+            self.step()
+
+    def check(self) -> None:
+        """Raises Diverged when a robot's state is not finite or huge. A few microseconds: meant for once per slice."""
+        for array, part in ((self.data.qpos, "coordinates"), (self.data.qvel, "dofs")):
+            good = np.abs(array) < HUGE
+            if not good.all():
+                raise Diverged(next(b.name for b in self._bodies.values() if not good[getattr(b, part)].all()))
+
+    def _step_with_loads(self) -> None:
+        self.loads.step(self.model, self.data, self.clock(), self._advance)
+        if self.loads.is_empty:
+            self._loads_changed()
+
+    def _loads_changed(self) -> None:
+        if self.loads.is_empty:
+            self.loads.efforts.clear()
+        step = self._advance if self.loads.is_empty else self._step_with_loads
+        if step != self.step:
+            self.step = step
+            self._announce()
+
+    def _own_clock(self) -> int:
+        return round(float(self.data.time + self._settings.timestep) * 1e9)
+
+    @property
+    def timestep(self) -> float:
+        """Length of a step, s."""
+        return self._settings.timestep
+
+    def set_timestep(self, timestep: float) -> None:
+        """Raises Refused unless it is above 0."""
+        self._settings.timestep = self.model.opt.timestep = positive(timestep)
+
+    @property
+    def gravity(self) -> Vector:
+        """m/s²."""
+        return self._settings.gravity
+
+    def set_gravity(self, gravity: Vector) -> None:
+        """Raises Refused unless it is finite."""
+        self._settings.gravity = finite(gravity)
+        self.model.opt.gravity[:] = self._settings.gravity
+
+
+def number(value: float) -> float:
+    if not math.isfinite(value):
+        raise Refused(f"{value} is not a finite number")
+    return float(value)
+
+
+def finite(vector: Vector) -> Vector:
+    x, y, z = (number(part) for part in vector)
+    return (x, y, z)
+
+
+def finite4(values: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+    a, b, c, d = (number(part) for part in values)
+    return (a, b, c, d)
+
+
+def positive(timestep: float) -> float:
+    if not (math.isfinite(timestep) and timestep > 0.0):
+        raise Refused(f"a time step of {timestep} s is not possible", "give a number above 0, such as 0.001")
+    return float(timestep)

@@ -1,0 +1,188 @@
+"""The hardware of a simulated robot, after gazebo_ros_control's DefaultRobotHWSim: joints read, limited and driven.
+
+`read` and `write` are the hot path: plain tuples and memoryviews, nothing allocated. It knows no controllers.
+"""
+
+from __future__ import annotations
+
+from math import fmod, nan, pi
+
+from slidectl.control.handles import JointHandle
+from slidectl.control.interfaces import (
+    EffortJointInterface,
+    JointCommandInterface,
+    JointStateInterface,
+    PositionJointInterface,
+    VelocityJointInterface,
+)
+from slidectl.control.limits import in_order
+from slidectl.control.node import NodeHandle
+from slidectl.control.robot_hw import RobotHW
+from slidectl.description.robot import Robot
+from slidectl.physics.body import Body
+from slidectl.physics.drives import Drive, drive_for
+from slidectl.physics.effort import EffortTruncation
+from slidectl.physics.hw_joint import HardwareJoint, hardware_joints
+from slidectl.physics.views import Views
+from slidectl.physics.world import World
+
+TURN = 2.0 * pi
+
+_COMMANDS: tuple[type[JointCommandInterface], ...] = (
+    EffortJointInterface,
+    PositionJointInterface,
+    VelocityJointInterface,
+)
+
+_Measured = tuple[JointHandle, int, int]
+"""Handle, index into qpos, index into qvel and forces."""
+_Pushed = tuple[JointHandle, int, float, float]
+"""Handle, index into qvel and forces, effort limit, velocity limit."""
+
+
+class MujocoRobotHW(RobotHW):
+    """Joint states, and effort, position and velocity commands of the joints that have a transmission.
+
+    All four interfaces exist always, even empty. `node` is the robot's: limits are looked for at
+    `joint_limits/<joint>` and gains at `gazebo_ros_control/pid_gains/<joint>` in it.
+
+    Raises:
+        UnsupportedInterface, MissingJoint: a transmission cannot be simulated. BadLimits: limits that no handle takes.
+    """
+
+    def __init__(self, world: World, body: Body, robot: Robot, node: NodeHandle, namespace: str) -> None:
+        super().__init__()
+        self.estop = False
+        """True: efforts are zero, velocities are braked, positions are held. Controllers go on."""
+        self.robot = robot
+        self._world = world
+        self._body = body
+        self._views = Views()
+        self._joints = hardware_joints(body)
+        node = node if node.namespace == namespace else node.child(namespace)
+        self._register(node)
+        limits = [joint.limit for joint in self._joints if joint.limit is not None]
+        self._enforce = tuple(limit.enforce for limit in in_order(limits))
+        self._held: list[tuple[HardwareJoint, float]] = []
+        self._drives = self._make_drives(node)
+        self._bind()
+        body.on_rebound(self._bind)
+
+    # -- the cycle -------------------------------------------------------------------------------------------------
+
+    def read(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002 - the interface of all hardware
+        """Positions, velocities and the efforts of the last step into the handles; angles are unwrapped."""
+        qpos, qvel, forces = self._qpos, self._qvel, self._forces
+        for handle, place, dof in self._sliding:
+            handle.position = qpos[place]
+            handle.velocity = qvel[dof]
+            handle.effort = forces[dof]
+        for handle, place, dof in self._turning:
+            # angles::shortest_angular_distance(position, raw), added to the position
+            try:
+                rest = fmod(qpos[place] - handle.position + pi, TURN)
+                handle.position += rest + pi if rest <= 0.0 else rest - pi
+            except ValueError:  # an infinite angle
+                handle.position = nan
+            handle.velocity = qvel[dof]
+            handle.effort = forces[dof]
+        if self._outside:
+            self._read_outside_efforts()
+
+    def write(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002 - the interface of all hardware
+        """Limit the commands, then drive the joints by them."""
+        if self.estop or self._held:
+            self._mind_estop()
+        for enforce in self._enforce:
+            enforce(period_s)
+        qvel, forces = self._qvel, self._forces
+        for handle, dof, max_effort, max_velocity in self._pushed:
+            # Gazebo's Joint::CheckAndTruncateForce
+            effort = handle.command
+            if effort > 0.0:
+                if qvel[dof] > max_velocity:
+                    effort = 0.0
+                elif effort > max_effort:
+                    effort = max_effort
+            elif effort < 0.0:
+                if qvel[dof] < -max_velocity:
+                    effort = 0.0
+                elif effort < -max_effort:
+                    effort = -max_effort
+            forces[dof] = effort
+        if self.estop:
+            for _, dof, _, _ in self._pushed:
+                forces[dof] = 0.0
+        for dof in self._driven:
+            forces[dof] = 0.0
+        for drive in self._drives:
+            drive.apply(period_s, self.estop)
+
+    # -- everything else -------------------------------------------------------------------------------------------
+
+    def reset(self) -> None:
+        """For a world that was reset: handles at their first values, limits and gains without a past."""
+        for joint in self._joints:
+            joint.reset()
+        for drive in self._drives:
+            drive.reset()
+        self._held = []
+
+    def _register(self, node: NodeHandle) -> None:
+        states = JointStateInterface()
+        kinds: list[type[JointCommandInterface]] = [
+            EffortJointInterface,
+            PositionJointInterface,
+            VelocityJointInterface,
+        ]
+        commands = {kind: kind() for kind in kinds}
+        for joint in self._joints:
+            states.register_handle(joint.handle)
+            commands[joint.interface].register_handle(joint.handle)
+            joint.register_limits(node)
+        self.register_interface(states)
+        for interface in commands.values():
+            self.register_interface(interface)
+
+    def _make_drives(self, node: NodeHandle) -> tuple[Drive, ...]:
+        """How the joints that are not simply pushed are driven."""
+        made = (drive_for(joint, self._world, self._body, node) for joint in self._joints if not self._is_pushed(joint))
+        return tuple(made)
+
+    def _is_pushed(self, joint: HardwareJoint) -> bool:
+        """Effort joints, except those that several transmissions drive: their efforts add up."""
+        alone = sum(other.name == joint.name for other in self._joints) == 1
+        return alone and joint.interface is EffortJointInterface
+
+    def _bind(self) -> None:
+        """Find the joints in the rebuilt model."""
+        self._views.take(self._world.data)
+        self._qpos, self._qvel, self._forces = self._views.qpos, self._views.qvel, self._views.forces
+        self._outside = self._world.loads.efforts
+        self._driven = tuple({self._body.place(drive.joint.name).dof for drive in self._drives})
+        sliding: list[_Measured] = []
+        turning: list[_Measured] = []
+        pushed: list[_Pushed] = []
+        for joint in self._joints:
+            place = self._body.place(joint.name)
+            group = sliding if joint.joint.type == "prismatic" else turning
+            group.append((joint.handle, place.qpos, place.dof))
+            if self._is_pushed(joint):
+                bounds = EffortTruncation.of(joint.joint)
+                pushed.append((joint.handle, place.dof, bounds.effort, bounds.velocity))
+        self._sliding, self._turning, self._pushed = tuple(sliding), tuple(turning), tuple(pushed)
+
+    def _read_outside_efforts(self) -> None:
+        for handle, _, dof in (*self._sliding, *self._turning):
+            handle.effort += self._outside.get(dof, 0.0)
+
+    def _mind_estop(self) -> None:
+        """While stopped, position commands are those of the moment when it began."""
+        if not self.estop:
+            self._held = []
+            return
+        if not self._held:
+            self._held = [(joint, joint.handle.position) for joint in self._joints]
+        for joint, position in self._held:
+            if joint.interface is PositionJointInterface:
+                joint.handle.command = position
