@@ -5,7 +5,7 @@ Only service calls. The reasons of a refusal are the lines that the manager logs
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from slidectl import names
@@ -29,11 +29,14 @@ class Manager:
         return self.context.call(names.join(self.namespace, f"controller_manager/{verb}"), request)
 
     def _act(self, what: str, verb: str, **request: Any) -> None:
-        """Call and raise Refused with the logged reasons when the answer is not ok."""
+        """Call; pass on what is logged meanwhile, as the reasons of a Refused when the answer is not ok."""
         with self.context.client.rosout() as lines:
             answer = self._ask(verb, **request)
+        reasons = [str(line["msg"]) for line in lines]
         if not answer["ok"]:
-            raise Refused("\n".join([f"cannot {what}" + (":" if lines else ""), *_reasons(lines)]))
+            raise Refused(f"cannot {what}" + "".join(f"\n  {reason}" for reason in reasons[-2:]))
+        for reason in reasons:
+            self.context.warn(reason)
 
     def controllers(self) -> list[dict[str, Any]]:
         """The loaded controllers, in load order (controller_manager_msgs/ControllerState)."""
@@ -85,11 +88,6 @@ class Manager:
             start_asap=asap,
             timeout=self.context.timeout or 0.0,
         )
-
-
-def _reasons(lines: Iterable[Any]) -> list[str]:
-    """The last two warnings or errors of /rosout, as text."""
-    return [f"  {line['msg']}" for line in list(lines)[-2:]]
 
 
 def managers(context: Context) -> list[Manager]:

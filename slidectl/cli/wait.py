@@ -11,7 +11,7 @@ from slidectl.cli import live
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
 from slidectl.cli.options import positive_seconds, wait_for_world_s
-from slidectl.cli.target import find
+from slidectl.cli.topics import PUBLISHERS, look_up
 from slidectl.errors import Refused, UsageError
 
 
@@ -52,10 +52,10 @@ def wait(
     condition, value = _condition(near=near, above=above, below=below, equals=equals)
     if tol is not None and condition != "near":
         raise UsageError("--tol goes with --near only")
-    topic, field = find(ctx, target)
+    found = look_up(ctx, target, PUBLISHERS)
     request = {
-        "topic": topic,
-        "field": field,
+        "topic": found.topic,
+        "field": found.field,
         "condition": condition,
         "value": json.dumps(value),
         "tolerance": 0.01 if tol is None else tol,

@@ -1,0 +1,50 @@
+"""Runs the command line as a user starts it: a process of its own, in a private runtime folder."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+Done = subprocess.CompletedProcess[str]
+
+
+class CommandLine:
+    """Runs `slidectl WORDS` with its standard streams as pipes. `environment` is what every run gets."""
+
+    def __init__(self, runtime: Path) -> None:
+        self.runtime = runtime
+        kept = {key: value for key, value in os.environ.items() if not key.startswith("SLIDECTL_")}
+        self.environment = {**kept, "XDG_RUNTIME_DIR": str(runtime)}
+
+    def argv(self, *words: str) -> list[str]:
+        return [sys.executable, "-m", "slidectl", *words]
+
+    def __call__(self, *words: str, stdin: str = "", **environment: str) -> Done:
+        return subprocess.run(
+            self.argv(*words),
+            input=stdin,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            env={**self.environment, **environment},
+            check=False,
+        )
+
+    def ok(self, *words: str, **environment: str) -> str:
+        """Runs it and expects success; its standard output."""
+        done = self(*words, **environment)
+        assert done.returncode == 0, f"slidectl {' '.join(words)}: {done.returncode}\n{done.stdout}\n{done.stderr}"
+        return done.stdout
+
+    def start(self, *words: str, **environment: str) -> subprocess.Popen[str]:
+        """Starts it and does not wait."""
+        return subprocess.Popen(
+            self.argv(*words),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**self.environment, **environment},
+        )

@@ -1,0 +1,222 @@
+"""The table of commands, their helps, and how words become options and values."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import click
+import pytest
+from command_line import CommandLine
+
+from slidectl.cli.commands import Variadic, command, looks_like_number
+from slidectl.cli.context import Context
+from slidectl.cli.main import COMMANDS, load, root
+
+
+def every_command() -> Iterator[tuple[str, click.Command]]:
+    """Every command and verb with its full name."""
+    for name, entry in COMMANDS.items():
+        one = load(name, entry)
+        yield f"slidectl {name}", one
+        if isinstance(one, click.Group):
+            for verb, inner in one.commands.items():
+                yield f"slidectl {name} {verb}", inner
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_table_says_what_the_command_says_of_itself(name: str) -> None:
+    assert load(name, COMMANDS[name]).get_short_help_str(1000) == COMMANDS[name].help
+
+
+def test_every_command_has_a_help_and_an_example_of_itself() -> None:
+    for name, one in every_command():
+        assert one.help, name
+        examples = getattr(one, "examples", ())
+        assert examples, f"{name} has no example"
+        assert any(name in example for example in examples), f"{name}: {examples}"
+
+
+def test_the_root_help_lists_every_command_and_every_exit_code() -> None:
+    text = root.get_help(click.Context(root, info_name="slidectl"))
+    for name, entry in COMMANDS.items():
+        assert re.search(rf"^  {name} +{re.escape(entry.help)}", text, re.MULTILINE), name
+    for code in (0, 1, 2, 3, 4, 130):
+        assert re.search(rf"^    {code} +\w", text, re.MULTILINE), code
+
+
+def test_help_goes_to_stdout_and_is_success(slidectl: CommandLine) -> None:
+    for words in (["--help"], ["-h"], ["sim", "--help"], ["sim", "step", "-h"]):
+        done = slidectl(*words)
+        assert (done.returncode, done.stderr) == (0, "")
+        assert "Common options:" in done.stdout
+        assert "Examples:" in done.stdout
+
+
+def test_version_is_said_in_every_way(slidectl: CommandLine) -> None:
+    assert slidectl.ok("--version") == slidectl.ok("version")
+    assert slidectl.ok("version", "--json").startswith('{"slidectl": "')
+    assert slidectl.ok("version", "-o", "yaml").startswith("slidectl: ")
+    assert slidectl.ok("-o", "csv", "version").splitlines()[0] == "slidectl,python"
+
+
+@command("probe", examples=[])
+@click.argument("words", nargs=-1)
+@click.option("-1", "--once", is_flag=True)
+@click.option("--near", type=float)
+@click.option("--start", cls=Variadic)
+@click.option("--at", cls=Variadic, type=float, takes=looks_like_number)
+def probe(**values: object) -> dict[str, object]:
+    return values
+
+
+def parsed(*words: str) -> dict[str, object]:
+    """The parameters that the command line gives, without those that are not set."""
+    with probe.make_context("probe", list(words), obj=Context()) as context:
+        return {key: value for key, value in context.params.items() if value not in (None, (), False)}
+
+
+@pytest.mark.parametrize("number", ["-5.0", "-5", "-.5", "-1e-3", "-1.5E+3", "-inf", "-.inf", "-nan", "-1_000"])
+def test_a_negative_number_needs_no_dashes_before_it(number: str) -> None:
+    assert parsed("topic", number, "x") == {"words": ("topic", number, "x")}
+    assert parsed("topic", "--", number) == {"words": ("topic", number)}
+
+
+def test_an_option_that_looks_like_a_number_stays_an_option() -> None:
+    assert parsed("topic", "-1") == {"words": ("topic",), "once": True}
+
+
+def test_the_value_of_an_option_may_be_negative() -> None:
+    assert parsed("--near", "-0.5") == {"near": -0.5}
+    assert parsed("--near=-0.5") == {"near": -0.5}
+
+
+def test_what_is_no_number_and_no_option_is_refused() -> None:
+    with pytest.raises(click.UsageError):
+        parsed("topic", "-5x")
+
+
+def test_a_variadic_option_takes_values_until_the_next_option_and_may_repeat() -> None:
+    assert parsed("--start", "a", "b", "-1", "c", "--start", "d") == {
+        "start": ("a", "b", "d"),
+        "once": True,
+        "words": ("c",),
+    }
+    assert parsed("--start=a", "b") == {"start": ("a",), "words": ("b",)}
+
+
+def test_a_variadic_option_of_numbers_leaves_other_words_alone() -> None:
+    assert parsed("--at", "0", "-1", "2e-1", "slider") == {"at": (0.0, -1.0, 0.2), "words": ("slider",)}
+
+
+def test_a_variadic_option_needs_a_value() -> None:
+    with pytest.raises(click.UsageError, match="requires an argument"):
+        parsed("--start")
+    with pytest.raises(click.UsageError, match="requires an argument"):
+        parsed("--start", "--once")
+
+
+def test_an_assignment_in_a_value_stays_as_it_is() -> None:
+    assert parsed("topic", "a:=b") == {"words": ("topic", "a:=b")}
+
+
+def options_of(*words: str) -> Context:
+    context = Context()
+    with probe.make_context("probe", list(words), obj=context):
+        return context
+
+
+def test_common_options_are_understood_after_the_command_too() -> None:
+    context = options_of("--json", "-v", "-q", "--timeout", "3", "-i", "one", "--ns", "left")
+    assert (context.format, context.verbose, context.quiet, context.timeout) == ("json", 1, True, 3.0)
+    assert (context.instance, context.namespace) == ("one", "/left")
+
+
+# What an everyday command may import beyond click, json and socket and what these import themselves.
+ALLOWED = {
+    "__future__", "_bisect", "_socket", "_struct", "array", "copy", "dataclasses", "fnmatch", "ipaddress", "ntpath",
+    "pathlib", "select", "selectors", "socket", "struct", "urllib", "urllib.parse", "nturl2path", "time", "math",
+}  # fmt: skip
+
+SHOW_MODULES = """
+import os, sys
+import slidectl.cli
+def leave(code):
+    sys.stdout.flush()
+    os.write(2, "\\n".join(sys.modules).encode())
+    os._exit(code)
+slidectl.cli.leave = leave
+sys.argv = sys.argv[1:]
+slidectl.cli.entry()
+"""
+
+
+def modules_of(code: str, *words: str, environment: dict[str, str]) -> set[str]:
+    argv = [sys.executable, "-c", code, *words]
+    done = subprocess.run(argv, capture_output=True, text=True, env=environment, timeout=60, check=False)
+    return set(done.stderr.split())
+
+
+EVERYDAY = [
+    ("--help",),
+    ("version",),
+    ("robots",),
+    ("controller", "list"),
+    ("sim", "status"),
+    ("wait", "joint_states/position[0]", "--near", "1"),
+    ("pub", "command", "1.0"),
+    ("echo", "joint_states", "-n", "1"),
+]
+
+
+@pytest.mark.parametrize("words", EVERYDAY, ids=" ".join)
+def test_an_everyday_command_imports_only_what_is_allowed(slidectl: CommandLine, words: tuple[str, ...]) -> None:
+    floor = modules_of(
+        "import sys, os, click, json, socket\nos.write(2, '\\n'.join(sys.modules).encode())",
+        environment=slidectl.environment,
+    )
+    loaded = modules_of(SHOW_MODULES, "slidectl", *words, environment=slidectl.environment)
+    assert "slidectl.cli.main" in loaded
+    extra = {name for name in loaded - floor if not name.startswith("slidectl")}
+    assert extra <= ALLOWED
+    rooms = {name.split(".")[1] for name in loaded if name.startswith("slidectl.")}
+    assert rooms <= {"cli", "client", "errors", "names", "paths"}
+
+
+def test_help_imports_no_command(slidectl: CommandLine) -> None:
+    loaded = modules_of(SHOW_MODULES, "slidectl", "--help", environment=slidectl.environment)
+    assert not {f"slidectl.cli.{entry.module}" for entry in COMMANDS.values()} & loaded
+
+
+def test_a_table_in_a_pipe_is_plain(slidectl: CommandLine) -> None:
+    assert "\x1b" not in slidectl.ok("version", FORCE_COLOR="1")
+
+
+def test_errors_are_coloured_on_a_terminal_unless_no_color_is_set(slidectl: CommandLine) -> None:
+    assert b"\x1b[31m" in on_a_terminal(slidectl, "robots")
+    assert b"\x1b" not in on_a_terminal(slidectl, "robots", NO_COLOR="1")
+    assert b"\x1b" not in on_a_terminal(slidectl, "robots", TERM="dumb")
+
+
+def on_a_terminal(slidectl: CommandLine, *words: str, **environment: str) -> bytes:
+    """What the command writes when its standard streams are a terminal."""
+    master, slave = os.openpty()
+    env = {"TERM": "xterm", **slidectl.environment, **environment}
+    env.pop("NO_COLOR", None) if "NO_COLOR" not in environment else None
+    process = subprocess.Popen(slidectl.argv(*words), stdin=slave, stdout=slave, stderr=slave, env=env)
+    os.close(slave)
+    output = b""
+    while True:
+        try:
+            chunk = os.read(master, 4096)
+        except OSError:  # the last process that held the terminal has ended
+            break
+        if not chunk:
+            break
+        output += chunk
+    process.wait(30)
+    os.close(master)
+    return output

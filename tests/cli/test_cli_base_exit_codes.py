@@ -1,0 +1,137 @@
+"""What a script sees of a command that cannot do its work: exit code, standard error, and nothing on standard output."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+
+import pytest
+from command_line import CommandLine
+from fake_daemon import DIE, NEVER, FakeDaemon
+
+
+def test_an_unknown_command_is_wrong_usage_and_suggests_the_closest(slidectl: CommandLine) -> None:
+    done = slidectl("spwan", "slider")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "no command 'spwan'. Did you mean 'slidectl spawn'?" in done.stderr
+    assert "slidectl --help" in done.stderr
+    assert len(done.stderr.splitlines()) <= 3
+
+
+def test_an_unknown_verb_of_a_group_is_wrong_usage_and_suggests_the_closest(slidectl: CommandLine) -> None:
+    done = slidectl("sim", "statsu")
+    assert done.returncode == 2
+    assert "Did you mean 'slidectl sim status'?" in done.stderr
+
+
+def test_an_unknown_option_is_wrong_usage(slidectl: CommandLine) -> None:
+    done = slidectl("robots", "--jsn")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "--json" in done.stderr
+    assert "slidectl robots --help" in done.stderr
+
+
+@pytest.mark.parametrize("words", [(), ("sim",), ("daemon",), ("controller",)], ids=" ".join)
+def test_a_group_alone_shows_its_help_on_stderr_and_is_wrong_usage(
+    slidectl: CommandLine, words: tuple[str, ...]
+) -> None:
+    done = slidectl(*words)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith(f"Usage: {' '.join(('slidectl', *words))}")
+
+
+def test_without_a_daemon_the_exit_code_is_3_and_the_hint_starts_one(slidectl: CommandLine) -> None:
+    done = slidectl("robots")
+    assert (done.returncode, done.stdout) == (3, "")
+    assert done.stderr.startswith("error: no daemon answers")
+    assert "slidectl daemon start" in done.stderr
+
+
+def test_the_hint_names_the_instance_that_was_asked_for(slidectl: CommandLine) -> None:
+    assert "slidectl -i other daemon start" in slidectl("-i", "other", "robots").stderr
+
+
+def test_instance_and_socket_exclude_each_other(slidectl: CommandLine) -> None:
+    done = slidectl("-i", "a", "--socket", "/tmp/b", "robots")
+    assert done.returncode == 2
+    assert "exclude each other" in done.stderr
+
+
+def test_an_instance_name_must_be_a_plain_file_name(slidectl: CommandLine) -> None:
+    assert slidectl("-i", "../evil", "robots").returncode == 2
+
+
+def test_a_namespace_must_be_a_legal_name(slidectl: CommandLine) -> None:
+    assert slidectl("--ns", "a b", "robots").returncode == 2
+    assert slidectl("robots", SLIDECTL_NAMESPACE="a b").returncode == 2
+
+
+def test_a_daemon_that_does_not_answer_is_given_up_after_the_timeout(slidectl: CommandLine, fake: FakeDaemon) -> None:
+    fake.answers["/slidectl/list_robots"] = NEVER
+    fake.answers["/slidectl/status"] = NEVER
+    done = slidectl("robots", "--timeout", "0.2")
+    assert (done.returncode, done.stdout) == (4, "")
+    assert "0.2 s" in done.stderr
+
+
+@pytest.mark.parametrize("seconds", ["0", "-1", "nan", "soon"])
+def test_a_timeout_must_be_a_time(slidectl: CommandLine, seconds: str) -> None:
+    assert slidectl("robots", "--timeout", seconds).returncode == 2
+
+
+def test_a_daemon_that_dies_meanwhile_is_no_daemon(slidectl: CommandLine, fake: FakeDaemon) -> None:
+    fake.answers["/slidectl/list_robots"] = DIE
+    done = slidectl("robots")
+    assert (done.returncode, done.stdout) == (3, "")
+    assert len(done.stderr.splitlines()) <= 3
+
+
+def test_a_service_that_fails_is_refused_with_its_reason(slidectl: CommandLine, fake: FakeDaemon) -> None:
+    done = slidectl("robots")
+    assert (done.returncode, done.stderr) == (1, "error: no service '/slidectl/list_robots'\n")
+    assert not fake.calls("/slidectl/status")
+
+
+def test_ctrl_c_ends_with_130_and_without_a_word(slidectl: CommandLine, fake: FakeDaemon) -> None:
+    fake.answers["/slidectl/list_robots"] = NEVER
+    process = slidectl.start("robots", "--timeout", "60")
+    assert fake.asked.wait(30)
+    process.send_signal(signal.SIGINT)
+    stdout, stderr = process.communicate(timeout=30)
+    assert (process.returncode, stdout, stderr) == (130, "", "")
+
+
+def test_a_closed_pipe_ends_quietly(slidectl: CommandLine, fake: FakeDaemon) -> None:
+    fake.answers["/rosapi/services_for_type"] = {"services": []}
+    fake.answers["/slidectl/list_robots"] = {"robots": []}
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(
+        slidectl.argv("version"), stdout=writer, stderr=subprocess.PIPE, text=True, env=slidectl.environment, timeout=60
+    )
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_full_disk_is_an_error(slidectl: CommandLine) -> None:
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            slidectl.argv("version"),
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=slidectl.environment,
+            timeout=60,
+        )
+    assert done.returncode == 1
+    assert "cannot write the output: No space left on device" in done.stderr
+
+
+def test_a_traceback_is_shown_only_when_v_is_given_twice(slidectl: CommandLine) -> None:
+    assert "Traceback" not in slidectl("robots", "-v").stderr
+    done = slidectl("robots", "-vv")
+    assert done.returncode == 3
+    assert "Traceback" in done.stderr
+    assert "NoDaemon" in done.stderr
+    assert slidectl("-v", "robots", "-v").stderr == slidectl("-v", "-v", "robots").stderr
