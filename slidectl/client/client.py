@@ -225,7 +225,7 @@ class Client:
             self._link.farewell = text
 
     def _why_nothing_happens(self) -> str | None:
-        """The hint of a TimedOut: the world is paused, so nothing that waits for its time can end; or the daemon hangs."""
+        """The hint of a TimedOut: a paused world answers nobody who waits for its time, and a daemon may hang."""
         call_id = self.call_async("/slidectl/status")
         deadline = time.monotonic() + _PROBE_S
         while call_id not in self._answers:

@@ -1,0 +1,187 @@
+"""One client's socket: bytes in, lines on to its session; its session's lines out as fast as it takes them.
+
+Never waits: what the kernel does not take stays in the outbox. Knows lines, not operations.
+"""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Protocol
+
+from slidectl.client.lines import BadLine, LineBuffer
+from slidectl.daemon.loop import HANG_UP, READ, WRITE, EventLoop
+from slidectl.daemon.outbox import Outbox, Share
+
+if TYPE_CHECKING:
+    from slidectl.daemon.server import Busy
+
+_CHUNK = 64 * 1024
+_LINES_A_TURN = 32
+_SENT_A_TURN = 256 * 1024
+_MOST_UNREAD = 1024 * 1024
+
+
+class Receiver(Protocol):
+    """What a connection talks to."""
+
+    @property
+    def waiting(self) -> bool:
+        """True while something may still be sent to a client that will send no more."""
+
+    def take(self, line: bytes) -> None:
+        """One whole line."""
+
+    def refuse(self, error: BadLine) -> None:
+        """The stream is broken; the connection ends after what this sends."""
+
+    def report(self, share: Share) -> bytes:
+        """The line that tells of dropped messages."""
+
+    def closed(self) -> None:
+        """The connection is gone."""
+
+
+class Connection:
+    """A non-blocking socket with a buffer of lines on each side. `busy` collects those that need the next turn."""
+
+    def __init__(
+        self,
+        connection: socket.socket,
+        loop: EventLoop,
+        busy: Busy,
+        receiver: Callable[[Connection], Receiver],
+        on_close: Callable[[Connection], None],
+    ) -> None:
+        self._socket = connection
+        self._fd = connection.fileno()
+        self._loop = loop
+        self._busy = busy
+        self._on_close = on_close
+        self._incoming = LineBuffer()
+        self._receiver = receiver(self)
+        self._outbox = Outbox(self._receiver.report)
+        self._chunk = b""
+        self._failure: BadLine | None = None
+        self._blocked = False  # the kernel takes no more for now
+        self._ended = False  # no more will be read
+        self._deaf = False  # the client takes no more, ever
+        self._events = READ
+        self.open = True
+        loop.watch(self._fd, READ, self._ready)
+
+    # --- in -----------------------------------------------------------------------------------------------------
+
+    def _ready(self, events: int) -> None:
+        if events & READ:
+            self._receive()
+        elif events & HANG_UP and not self._incoming.lines:  # what it said before it went is still carried out
+            self.close()
+        if events & WRITE and self.open:
+            self._blocked = False
+            self.flush()
+
+    def _receive(self) -> None:
+        try:
+            data = self._socket.recv(_CHUNK)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        try:
+            self._incoming.feed(data)
+            if not data:
+                self._end_of_input()
+        except BadLine as error:
+            self._failure = error
+            self._ended = True
+        self.serve()
+
+    def _end_of_input(self) -> None:
+        self._ended = True
+        if self._incoming.unfinished:
+            raise BadLine(f"a line that was cut off after {self._incoming.unfinished} bytes")
+
+    def serve(self) -> None:
+        """Hand some of the lines on. The rest has its turn after the next cycles: one client must not hold up the world."""
+        lines = self._incoming.lines
+        for _ in range(min(len(lines), _LINES_A_TURN)):
+            self._receiver.take(lines.popleft())
+        if lines:
+            self._busy.with_lines.add(self)
+        elif self._failure is not None:
+            failure, self._failure = self._failure, None
+            self._receiver.refuse(failure)
+        self._settle()
+
+    # --- out ----------------------------------------------------------------------------------------------------
+
+    def send(self, line: bytes) -> None:
+        """A line that must arrive: an answer, a refusal."""
+        if self._deaf:
+            return
+        self._outbox.put(line)
+        if not self._blocked:
+            self._busy.with_output.add(self)
+
+    def post(self, share: Share, line: bytes) -> None:
+        """A message of a subscription; older ones of its share make room when the client does not read."""
+        if self._deaf:
+            return
+        self._outbox.put_in(share, line)
+        if not self._blocked:
+            self._busy.with_output.add(self)
+
+    def forget(self, share: Share) -> None:
+        """The subscription ended: what it has waiting is not sent."""
+        self._outbox.forget(share)
+
+    def flush(self) -> None:
+        """Send what the kernel takes now, within reason."""
+        sent = 0
+        while (self._chunk or self._outbox) and not self._blocked and sent < _SENT_A_TURN:
+            chunk = self._chunk or self._outbox.take(_CHUNK)
+            try:
+                count = self._socket.send(chunk)
+            except BlockingIOError:
+                count = 0
+            except OSError:
+                self._stop_sending()
+                break
+            self._chunk = chunk[count:]
+            self._blocked = bool(self._chunk)
+            sent += count
+        self._settle()
+
+    def _stop_sending(self) -> None:
+        self._deaf = True
+        self._chunk = b""
+        self._outbox.clear()
+
+    def _settle(self) -> None:
+        """After anything changed: what to wait for, and whether the end is reached."""
+        lines = bool(self._incoming.lines)
+        unsent = bool(self._chunk or self._outbox)
+        if self._ended and not lines and not unsent and (self._deaf or not self._receiver.waiting):
+            self.close()
+        if not self.open:
+            return
+        if unsent and not self._blocked:
+            self._busy.with_output.add(self)
+        # A client that does not take its answers is not listened to until it does: that bounds what we keep for it.
+        listening = not self._ended and not lines and self._outbox.unbounded < _MOST_UNREAD
+        events = (READ if listening else 0) | (WRITE if self._blocked else 0)
+        if events != self._events:
+            self._events = events
+            self._loop.change(self._fd, events)
+
+    def close(self) -> None:
+        """End it now; the session takes back all that the client had."""
+        if not self.open:
+            return
+        self.open = False
+        self._busy.forget(self)
+        self._loop.forget(self._fd)
+        self._socket.close()
+        self._receiver.closed()
+        self._on_close(self)

@@ -1,0 +1,147 @@
+"""The daemon: a simulation, a pacer, a server and one loop that turns between them.
+
+No control and no physics here, and no operations of the wire: only who has its turn when.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import signal
+import socket
+import time
+import traceback
+from contextlib import suppress
+from typing import Any
+
+import slidectl
+from slidectl.control.node import Message
+from slidectl.daemon.logfile import LogFile
+from slidectl.daemon.loop import READ, EventLoop
+from slidectl.daemon.options import Start
+from slidectl.daemon.pacing import Pacer
+from slidectl.daemon.server import Server
+from slidectl.simulation.simulation import Simulation
+
+NODE = "/slidectl"
+_TIDY_EVERY_S = 1.0
+_YOUNG_OBJECTS = 2000
+_PR_SET_TIMERSLACK = 29
+
+
+class Daemon:
+    """Built when the lock is held and the socket is bound; `run` returns when it is stopped."""
+
+    def __init__(self, start: Start, listener: socket.socket, log: LogFile, began_s: float) -> None:
+        self._start = start
+        self._log = log
+        self._began_s = began_s
+        self._stopping = ""
+        self._next_tidy_s = 0.0
+        self._given_up_s = 0.0
+        options = start.options
+        self.simulation = Simulation(options.timestep, options.gravity, options.ground)
+        self.simulation.driven = True
+        self.simulation.run.paused = options.paused
+        self.simulation.run.speed = options.rtf
+        self.simulation.monitor = self._status
+        graph = self.simulation.graph
+        graph.log.sink = self._keep_line
+        graph.services.advertise("/slidectl/shutdown", "slidectl/Shutdown", NODE, self._shut_down)
+        self._loop = EventLoop()
+        self._pacer = Pacer(self.simulation)
+        self._server = Server(listener, self._loop, graph, self._unexpected)
+        self._watch_signals()
+
+    def run(self) -> None:
+        """Turn until stopped: cycles that are due, lines that wait, then the sockets."""
+        _wake_punctually()
+        gc.disable()
+        self._log.write("info", f"slidectl {slidectl.__version__} answers on {self._start.paths.socket}")
+        while not self._stopping:
+            wait_s = self._cycles()
+            if self._server.turn():
+                wait_s = 0.0
+            self._tidy(wait_s)
+            self._loop.poll(wait_s)
+        self._end()
+
+    def _cycles(self) -> float | None:
+        """What the pacer says. A fault of ours in a cycle holds the world and is told, instead of ending it."""
+        try:
+            return self._pacer.turn()
+        except Exception:
+            self._unexpected("a control cycle failed")
+            self.simulation.run.paused = True
+            self.simulation.run.abandon_steps("a control cycle failed")
+            self.simulation.graph.log("fatal", NODE, "a control cycle failed; the simulation is paused, see the log")
+            return 0.0
+
+    def _tidy(self, wait_s: float | None) -> None:
+        """Collect garbage now and then; the loop runs without the collector, whose moment would be any."""
+        now = time.monotonic()
+        if now < self._next_tidy_s and wait_s is not None:
+            return
+        self._next_tidy_s = now + _TIDY_EVERY_S
+        if gc.get_count()[0] > _YOUNG_OBJECTS:
+            gc.collect()
+        given_up = self._pacer.given_up_s
+        if given_up > self._given_up_s + 1.0:
+            self._given_up_s = given_up
+            self._log.write("warn", f"slower than asked: {given_up:.0f} s of wall time given up so far")
+
+    # --- ends ---------------------------------------------------------------------------------------------------
+
+    def _watch_signals(self) -> None:
+        """Signals arrive as bytes in a pipe, so that they too are served between two cycles."""
+        self._signals, write_end = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        signal.set_wakeup_fd(write_end, warn_on_full_buffer=False)
+        for number in (signal.SIGTERM, signal.SIGINT, *([signal.SIGHUP] if self._start.foreground else [])):
+            signal.signal(number, lambda *_: None)
+        self._loop.watch(self._signals, READ, self._take_signal)
+
+    def _take_signal(self, _: int) -> None:
+        number = os.read(self._signals, 64)[0]
+        self._stopping = f"stopped by {signal.Signals(number).name}"
+
+    def _shut_down(self, _: Message) -> Message:
+        self._stopping = "asked to stop"
+        return {"success": True, "message": f"process {os.getpid()} stops"}
+
+    def _end(self) -> None:
+        self._log.write("info", self._stopping)
+        self._server.close(f"the daemon was {self._stopping}")
+        self._loop.close()
+
+    # --- what is told -------------------------------------------------------------------------------------------
+
+    def _keep_line(self, severity: str, node: str, text: str, time_ns: int) -> None:
+        self._log.write(severity, f"[{time_ns * 1e-9:.3f}] {node}: {text}")
+
+    def _unexpected(self, what: str) -> None:
+        self._log.write("fatal", f"{what}\n{traceback.format_exc()}")
+
+    def _status(self) -> dict[str, Any]:
+        """The daemon's part of /slidectl/status."""
+        return {
+            "version": slidectl.__version__,
+            "pid": os.getpid(),
+            "instance": self._start.paths.prefix.rstrip(".") or self._start.paths.folder.name,
+            "connections": len(self._server.sessions),
+            "memory": _resident_bytes(),
+            "uptime": time.monotonic() - self._began_s,
+            "log": str(self._start.paths.log),
+            **self._pacer.report(),
+        }
+
+
+def _wake_punctually() -> None:
+    """Ask the kernel not to round our waits up (by 50 µs, usually) for the sake of power."""
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
+
+
+def _resident_bytes() -> int:
+    with open("/proc/self/statm", encoding="ascii") as statm:
+        return int(statm.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")

@@ -1,0 +1,229 @@
+"""Start, find and stop the daemon's process. What the command line uses; standard library only.
+
+The lock says whether a daemon lives, its socket whether it answers; nothing else is believed.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import select
+import signal
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NoReturn
+
+import slidectl
+from slidectl.client import Client
+from slidectl.client.link import command
+from slidectl.daemon.lock import holder
+from slidectl.daemon.options import DaemonOptions
+from slidectl.errors import NoDaemon, Refused, SlidectlError, TimedOut
+from slidectl.paths import InstancePaths, make_private
+
+_LAST_LINES = 8
+_PAUSE_S = 0.01
+
+
+class StartFailed(Refused):
+    """The daemon's process ended, or said why it cannot run."""
+
+
+def running(paths: InstancePaths) -> int | None:
+    """Process id of the daemon that lives at `paths`, or None. It may still be starting."""
+    return holder(paths.lock)
+
+
+def start(paths: InstancePaths, options: DaemonOptions | None = None, timeout: float = 30.0) -> tuple[int, bool]:
+    """Start a daemon and wait until it answers.
+
+    Returns:
+        Its process id, and whether it ran already (then the options had no effect).
+
+    Raises:
+        StartFailed: with the reason, or the last lines of the log. TimedOut. Refused: the folder is not private.
+    """
+    make_private(paths.folder)
+    deadline = time.monotonic() + timeout
+    while True:
+        if running(paths) is not None:
+            pid = _wait_for_the_other(paths, deadline)
+            if pid is not None:
+                return pid, True
+            continue  # it died while starting; now it is our turn
+        answer = _launch(paths, options or DaemonOptions(), deadline)
+        if answer["state"] == "ready":
+            return int(answer["pid"]), False
+        if answer["state"] == "failed":
+            error = StartFailed(str(answer["error"]))
+            error.exit_code = int(answer["exit_code"])
+            raise error
+
+
+def stop(paths: InstancePaths, timeout: float = 10.0) -> int | None:
+    """Stop the daemon and wait until its process has ended: politely, then with SIGTERM.
+
+    Returns:
+        The process id that it had, or None when none ran.
+
+    Raises:
+        TimedOut: it is still there.
+    """
+    pid = running(paths)
+    if pid is None:
+        return None
+    deadline = time.monotonic() + timeout
+    ended = _end_of(pid, paths)
+    if not _ask_to_stop(paths, min(2.0, timeout / 2)) and pid > 0:
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGTERM)
+    while not ended():
+        if time.monotonic() > deadline:
+            raise TimedOut(f"the daemon (process {pid}) is still there after {timeout:g} s", f"kill -KILL {pid}")
+    with suppress(ChildProcessError):  # a long-lived starter is its parent still
+        os.waitpid(pid, os.WNOHANG)
+    return pid
+
+
+def run(paths: InstancePaths, options: DaemonOptions | None = None) -> NoReturn:
+    """Become the daemon, in the foreground: the calling process is replaced, so signals reach it directly."""
+    arguments = [*_interpreter(), *_arguments(paths, options or DaemonOptions()), "--foreground"]
+    sys.stdout.flush()
+    os.execve(arguments[0], arguments, _environment())
+
+
+def _ask_to_stop(paths: InstancePaths, timeout: float) -> bool:
+    try:
+        with Client(socket=str(paths.socket), timeout=timeout) as client:
+            client.call("/slidectl/shutdown")
+    except NoDaemon as error:
+        return "went away" in error.message
+    except SlidectlError:
+        return False
+    return True
+
+
+def _end_of(pid: int, paths: InstancePaths) -> Callable[[], bool]:
+    """A function that waits a little and says whether the process has ended."""
+    try:
+        process = os.pidfd_open(pid)
+    except OSError:  # another pid namespace, or it has just ended: the lock must do
+
+        def unlocked() -> bool:
+            select.select([], [], [], _PAUSE_S)
+            return running(paths) != pid
+
+        return unlocked
+
+    def ended() -> bool:
+        if not select.select([process], [], [], 0.1)[0]:
+            return False
+        os.close(process)
+        return True
+
+    return ended
+
+
+def _wait_for_the_other(paths: InstancePaths, deadline: float) -> int | None:
+    """Another process holds the lock: its id when it answers, None when it has gone."""
+    while (pid := running(paths)) is not None:
+        left = deadline - time.monotonic()
+        if left <= 0:
+            raise TimedOut(f"process {pid} holds {paths.lock} but does not answer", command(paths, "daemon logs"))
+        try:
+            with Client(socket=str(paths.socket), timeout=left) as client:
+                client.call("/slidectl/status")
+                return client.daemon_pid
+        except NoDaemon:
+            select.select([], [], [], _PAUSE_S)
+    return None
+
+
+def _launch(paths: InstancePaths, options: DaemonOptions, deadline: float) -> dict[str, Any]:
+    """Start the process and wait for the line in which it tells how it went."""
+    read_end, write_end = os.pipe()
+    log = _open_log(paths.log)
+    log_before = os.fstat(log).st_size
+    os.set_inheritable(write_end, True)
+    arguments = [*_interpreter(), *_arguments(paths, options), f"--ready-fd={write_end}"]
+    redirect = [(os.POSIX_SPAWN_OPEN, 0, os.devnull, os.O_RDONLY, 0)]
+    redirect += [(os.POSIX_SPAWN_DUP2, log, 1), (os.POSIX_SPAWN_DUP2, log, 2)]  # type: ignore[list-item]
+    try:
+        pid = os.posix_spawn(arguments[0], arguments, _environment(), file_actions=redirect, setsid=True)
+    finally:
+        os.close(write_end)
+        os.close(log)
+    try:
+        line = _first_line(read_end, deadline, pid, paths)
+    finally:
+        os.close(read_end)
+    if line:
+        answer: dict[str, Any] = json.loads(line)
+        if answer["state"] != "ready":
+            _reap(pid)
+        return answer
+    raise StartFailed(f"the daemon did not start ({_reap(pid)})", _last_lines(paths.log, log_before))
+
+
+def _first_line(fd: int, deadline: float, pid: int, paths: InstancePaths) -> bytes:
+    line = b""
+    while not line.endswith(b"\n"):
+        left = deadline - time.monotonic()
+        if left <= 0 or not select.select([fd], [], [], left)[0]:
+            raise TimedOut(f"the daemon (process {pid}) does not get ready", command(paths, "daemon logs"))
+        piece = os.read(fd, 65536)
+        if not piece:
+            return b""
+        line += piece
+    return line
+
+
+def _reap(pid: int) -> str:
+    """How the child ended, in words."""
+    try:
+        code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+    except ChildProcessError:
+        return "it ended"
+    return f"ended by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+
+
+def _open_log(path: Path) -> int:
+    try:
+        return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+    except OSError:
+        return os.open(os.devnull, os.O_WRONLY)
+
+
+def _last_lines(path: Path, after: int) -> str:
+    try:
+        with path.open("rb") as file:
+            file.seek(after)
+            text = file.read().decode("utf-8", "replace")
+    except OSError as error:
+        if error.errno != errno.ENOENT:
+            return f"{path}: {error.strerror}"
+        text = ""
+    return "\n".join(text.splitlines()[-_LAST_LINES:]) or f"its log {path} says nothing"
+
+
+def _interpreter() -> list[str]:
+    # -P: a file of the user's that is called like a library must not be taken for it.
+    return [sys.executable, "-P", "-m", "slidectl.daemon"]
+
+
+def _arguments(paths: InstancePaths, options: DaemonOptions) -> list[str]:
+    where = f"--socket={paths.socket}" if paths.prefix else f"--instance={paths.folder.name}"
+    return [where, *options.arguments()]
+
+
+def _environment() -> dict[str, str]:
+    """Ours; a package that runs from its checkout without being installed is still found."""
+    environment = dict(os.environ)
+    root = Path(slidectl.__file__).parent.parent
+    if root.name not in ("site-packages", "dist-packages"):
+        environment["PYTHONPATH"] = os.pathsep.join(filter(None, [str(root), environment.get("PYTHONPATH")]))
+    return environment

@@ -1,0 +1,74 @@
+"""The sign of life of a daemon: a lock on a file that the kernel takes back when the process ends, however it ends.
+
+POSIX record locks, because they can be asked about (F_GETLK names the holder) without disturbing anybody. The file
+must not be opened elsewhere in the process that holds the lock: closing it there would let the lock go.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import struct
+from contextlib import suppress
+from pathlib import Path
+
+# struct flock: type, whence, start, length, pid
+_FLOCK = struct.Struct("hhqqi4x")
+
+
+def holder(path: Path) -> int | None:
+    """Process id of the daemon that lives there, or None. It is 0 when that is in another pid namespace."""
+    try:
+        fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+    except FileNotFoundError:
+        return None
+    try:
+        question = _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, 0, 0, 0)
+        kind, _, _, _, pid = _FLOCK.unpack(fcntl.fcntl(fd, fcntl.F_GETLK, question))
+    finally:
+        os.close(fd)
+    return None if kind == fcntl.F_UNLCK else max(0, pid)
+
+
+class InstanceLock:
+    """The lock of an instance, from `acquire` to `release`."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._fd = -1
+
+    def acquire(self) -> bool:
+        """Take the lock if it is free. False when another process has it."""
+        while True:
+            fd = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+            try:
+                fcntl.lockf(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                os.close(fd)
+                return False
+            if self._is_current(fd):
+                break
+            os.close(fd)  # its last owner removed the file between our open and our lock
+        self._fd = fd
+        self._note_pid()
+        return True
+
+    def _is_current(self, fd: int) -> bool:
+        try:
+            return os.path.samestat(os.fstat(fd), os.stat(self._path))
+        except FileNotFoundError:
+            return False
+
+    def _note_pid(self) -> None:
+        # For people who look into the folder. The kernel knows better, so a full disk is no reason to give up.
+        with suppress(OSError):
+            os.ftruncate(self._fd, 0)
+            os.write(self._fd, f"{os.getpid()}\n".encode())
+
+    def release(self) -> None:
+        """Remove the file while it is still ours, then let go. Harmless when it was not acquired."""
+        if self._fd >= 0:
+            with suppress(FileNotFoundError):
+                os.unlink(self._path)
+            os.close(self._fd)
+            self._fd = -1

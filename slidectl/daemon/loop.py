@@ -1,0 +1,53 @@
+"""The event loop: sockets and one deadline, nothing else. Redis's `ae` is the model.
+
+Waits in microseconds, which asyncio and epoll's own wait (whole milliseconds) cannot. Knows nothing of what it serves.
+"""
+
+from __future__ import annotations
+
+import select
+from collections.abc import Callable
+
+READ = select.EPOLLIN
+WRITE = select.EPOLLOUT
+HANG_UP = select.EPOLLHUP | select.EPOLLERR
+
+Handler = Callable[[int], None]
+"""Takes the events that are ready: a mix of READ, WRITE and HANG_UP."""
+
+
+class EventLoop:
+    """Handlers by file descriptor. An epoll descriptor can itself be waited for, and `select` waits in microseconds."""
+
+    def __init__(self) -> None:
+        self._epoll = select.epoll()
+        self._waiting = [self._epoll.fileno()]
+        self._handlers: dict[int, Handler] = {}
+
+    def watch(self, fd: int, events: int, handler: Handler) -> None:
+        """Call `handler` whenever one of the events is ready; HANG_UP always counts."""
+        self._handlers[fd] = handler
+        self._epoll.register(fd, events)
+
+    def change(self, fd: int, events: int) -> None:
+        """Wait for other events."""
+        self._epoll.modify(fd, events)
+
+    def forget(self, fd: int) -> None:
+        """Before the descriptor is closed."""
+        if self._handlers.pop(fd, None) is not None:
+            self._epoll.unregister(fd)
+
+    def poll(self, timeout_s: float | None) -> None:
+        """Serve what is ready, waiting at most `timeout_s` for it (None: until something is)."""
+        if timeout_s != 0.0 and not select.select(self._waiting, (), (), timeout_s)[0]:
+            return
+        for fd, events in self._epoll.poll(0):
+            handler = self._handlers.get(fd)
+            if handler is not None:  # an earlier handler of this round may have closed it
+                handler(events)
+
+    def close(self) -> None:
+        """Let go of the descriptor; nothing is watched any more."""
+        self._handlers.clear()
+        self._epoll.close()

@@ -1,0 +1,117 @@
+"""The daemon's process: comes up, runs the one loop, and leaves nothing behind.
+
+Heavy imports happen in `serve`, after the lock and the socket are taken: two starts at once are told apart early, and
+clients that knock meanwhile wait instead of being turned away.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import resource
+import signal
+import sys
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, suppress
+from typing import TYPE_CHECKING, Any
+
+from slidectl.daemon.lock import InstanceLock, holder
+from slidectl.daemon.logfile import LogFile
+from slidectl.daemon.options import Start, parse
+from slidectl.errors import EXIT_DONE, SlidectlError
+from slidectl.paths import make_private
+
+if TYPE_CHECKING:
+    import socket
+
+_OOM_SCORE = "300"
+
+
+class Stopped(BaseException):
+    """A signal came before the loop ran."""
+
+
+class Starter:
+    """The process that waits for us, if any. It gets one JSON line: `state` is ready, running or failed."""
+
+    def __init__(self, fd: int | None) -> None:
+        self._fd = fd
+
+    def tell(self, state: str, **details: Any) -> None:
+        """Tell it once; later calls do nothing."""
+        if self._fd is not None:
+            with suppress(OSError):
+                os.write(self._fd, (json.dumps({"state": state, **details}) + "\n").encode())
+                os.close(self._fd)
+            self._fd = None
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run a daemon until it is stopped. Returns the exit code."""
+    start = parse(arguments)
+    _settle_in(start)
+    starter = Starter(start.ready_fd)
+    try:
+        return _run(start, starter)
+    except Stopped:
+        return EXIT_DONE
+    except SlidectlError as error:
+        starter.tell("failed", error=str(error), exit_code=error.exit_code)
+        print(f"slidectl daemon: {error}", file=sys.stderr, flush=True)
+        return error.exit_code
+
+
+def _settle_in(start: Start) -> None:
+    """Be nobody's child: private files, no terminal, none of the starter's descriptors or its folder."""
+    os.umask(0o077)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, _stop_early)
+    if start.foreground:
+        return
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    with suppress(OSError):
+        os.setsid()
+    os.chdir("/")
+    keep = start.ready_fd
+    most = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    os.closerange(3, most if keep is None else keep)
+    if keep is not None:
+        os.closerange(keep + 1, most)
+    with suppress(OSError), open("/proc/self/oom_score_adj", "w", encoding="ascii") as score:
+        score.write(_OOM_SCORE)  # when memory runs out, the simulation goes rather than the user's session
+
+
+def _stop_early(*_: object) -> None:
+    raise Stopped
+
+
+def _run(start: Start, starter: Starter) -> int:
+    from slidectl.daemon.listener import listen
+
+    make_private(start.paths.folder)
+    with ExitStack() as stack:
+        lock = InstanceLock(start.paths.lock)
+        stack.callback(lock.release)
+        if not lock.acquire():
+            starter.tell("running", pid=holder(start.paths.lock))
+            print(f"a daemon runs there already (process {holder(start.paths.lock)})", file=sys.stderr, flush=True)
+            return EXIT_DONE
+        log = LogFile(start.paths.log, start.foreground)
+        listener = listen(start.paths.socket)
+        stack.callback(start.paths.socket.unlink, missing_ok=True)
+        stack.callback(listener.close)
+        _serve(start, listener, log, lambda: starter.tell("ready", pid=os.getpid()))
+    return EXIT_DONE
+
+
+def _serve(start: Start, listener: socket.socket, log: LogFile, ready: Callable[[], None]) -> None:
+    began = time.monotonic()
+    from slidectl.daemon.daemon import Daemon
+
+    daemon = Daemon(start, listener, log, began)
+    gc.collect()
+    gc.freeze()
+    ready()
+    daemon.run()

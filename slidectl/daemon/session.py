@@ -1,0 +1,278 @@
+"""What one client may say and what comes back: the rosbridge v2 operations on the graph.
+
+Speaks in lines with its connection and in plain calls with the graph. Whatever a client sends, the worst that
+happens is a `status` back to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from slidectl import msgs, names
+from slidectl.client.lines import BadLine, decode, encode
+from slidectl.daemon.connection import Connection
+from slidectl.daemon.feed import Feed, PublicationEncoder
+from slidectl.daemon.outbox import Share
+from slidectl.errors import Refused, SlidectlError, UsageError, listing
+from slidectl.simulation.graph import Graph
+from slidectl.simulation.pending import Pending
+from slidectl.simulation.services import Service
+from slidectl.simulation.topics import TopicPublisher
+
+LEVELS = {"info": 0, "warning": 1, "error": 2, "none": 3}
+Message = dict[str, Any]
+
+
+class Surroundings(Protocol):
+    """What all sessions share."""
+
+    graph: Graph
+    encoder: PublicationEncoder
+
+    def unexpected(self, text: str) -> None:
+        """Log the exception that is being handled: it is a fault of ours."""
+
+
+class Session:
+    """The graph as one client uses it, under the node name `node`. Everything it took is given back by `closed`."""
+
+    def __init__(self, connection: Connection, around: Surroundings, node: str) -> None:
+        self.node = node
+        self._connection = connection
+        self._around = around
+        self._graph = around.graph
+        self._level = LEVELS["warning"]
+        self._publishers: dict[str, TopicPublisher] = {}
+        self._feeds: dict[str, Feed] = {}
+        self._calls: set[Pending] = set()
+        self._services: dict[str, Service] = {}
+        self._asked: dict[str, Pending] = {}
+        self._serial = 0
+        self._operations: dict[str, Callable[[Message], None]] = {
+            "advertise": self._advertise,
+            "unadvertise": self._unadvertise,
+            "publish": self._publish,
+            "subscribe": self._subscribe,
+            "unsubscribe": self._unsubscribe,
+            "call_service": self._call_service,
+            "advertise_service": self._advertise_service,
+            "unadvertise_service": self._unadvertise_service,
+            "service_response": self._service_response,
+            "set_level": self._set_level,
+        }
+
+    # --- the connection's side ----------------------------------------------------------------------------------
+
+    @property
+    def waiting(self) -> bool:
+        """True while answers or messages may still come for a client that has said its last word."""
+        return bool(self._calls or self._feeds)
+
+    def take(self, line: bytes) -> None:
+        """Carry out one line; whatever is wrong with it is told to the client."""
+        message: Message = {}
+        try:
+            message = decode(line)
+            self._operation(message)(message)
+        except SlidectlError as error:
+            self._complain(error, message)
+        except Exception as error:
+            self._around.unexpected(f"{self.node} sent {line[:200]!r}")
+            self._complain(Refused(f"internal error: {error!r}; the daemon's log has more"), message)
+
+    def _operation(self, message: Message) -> Callable[[Message], None]:
+        op = message.get("op")
+        operation = self._operations.get(op) if isinstance(op, str) else None
+        if operation is None:
+            what = "a message without an op" if op is None else f"unknown op {op!r}"
+            raise UsageError(what, f"ops: {listing(self._operations)}")
+        return operation
+
+    def refuse(self, error: BadLine) -> None:
+        """The stream is broken."""
+        self._complain(error, {})
+
+    def report(self, share: Share) -> bytes:
+        """The line that tells of messages that were dropped; empty for a client that does not want to know."""
+        if self._level > LEVELS["warning"]:
+            return b""
+        text = f"{share.dropped} messages on {share.topic} were dropped: read too slowly"
+        return encode({"op": "status", "level": "warning", "topic": share.topic, "dropped": share.dropped, "msg": text})
+
+    def tell(self, level: str, text: str) -> None:
+        """A status line that answers nothing in particular."""
+        if self._level <= LEVELS[level]:
+            self._connection.send(encode({"op": "status", "level": level, "msg": text}))
+
+    def closed(self) -> None:
+        """The client has gone: take back all that it had, and drop what it waits for."""
+        for pending in list(self._calls):
+            pending.cancel()
+        self._calls.clear()
+        for asked in list(self._asked.values()):
+            asked.reject(Refused(f"{self.node} went away before it answered"))
+        for feed in self._feeds.values():
+            feed.close()
+        self._feeds.clear()
+        self._graph.close_node(self.node)
+
+    def _complain(self, error: SlidectlError, message: Message) -> None:
+        if self._level > LEVELS["error"]:
+            return
+        status: Message = {"op": "status", "level": "error", "msg": str(error), "exit_code": error.exit_code}
+        if "id" in message:
+            status["id"] = message["id"]
+        self._connection.send(encode(status))
+
+    # --- topics -------------------------------------------------------------------------------------------------
+
+    def _advertise(self, message: Message) -> None:
+        topic = _name(message, "topic")
+        kind = _text(message, "type", "") or self._graph.topics.type_of(topic)
+        latch = bool(message.get("latch", False))
+        known = self._publishers.get(topic)
+        if known is not None and known.latch == latch:
+            self._graph.topics.advertise(topic, kind, self.node).close()  # complains when the type is another one
+            return
+        self._publishers[topic] = self._graph.topics.advertise(topic, kind, self.node, latch)
+        if known is not None:
+            known.close()
+
+    def _unadvertise(self, message: Message) -> None:
+        topic = _name(message, "topic")
+        publisher = self._publishers.pop(topic, None)
+        if publisher is None:
+            raise Refused(f"{topic} is not advertised on this connection", f"advertised: {listing(self._publishers)}")
+        publisher.close()
+
+    def _publish(self, message: Message) -> None:
+        topic = _name(message, "topic")
+        content = message.get("msg", {})
+        publisher = self._publishers.get(topic)
+        if publisher is None:
+            self._graph.topics.publish(topic, _text(message, "type", "") or None, content, self.node)
+        else:
+            publisher.publish(msgs.check(self._graph.topics.type_of(topic), content))
+
+    def _subscribe(self, message: Message) -> None:
+        topic = _name(message, "topic")
+        throttle, queue = _number(message, "throttle_rate"), _number(message, "queue_length")
+        if _text(message, "compression", "none") != "none":
+            raise UsageError(f"compression {message['compression']!r} is not offered", "compression: none")
+        kind = _text(message, "type", "") or None
+        feed = self._feeds.get(topic)
+        if feed is None:
+            feed = Feed(topic, self._connection, self._around.encoder)
+            feed.want(_id(message), throttle, int(queue))
+            feed.close = self._graph.topics.subscribe(topic, kind, self.node, feed.take).close
+            self._feeds[topic] = feed
+            return
+        if kind is not None:  # complains when the type is another one
+            self._graph.topics.subscribe(topic, kind, self.node, lambda _: None).close()
+        feed.want(_id(message), throttle, int(queue))
+
+    def _unsubscribe(self, message: Message) -> None:
+        topic = _name(message, "topic")
+        feed = self._feeds.get(topic)
+        if feed is None:
+            raise Refused(f"{topic} is not subscribed on this connection", f"subscribed: {listing(self._feeds)}")
+        if feed.unwant(_id(message)):
+            del self._feeds[topic]
+            feed.close()
+            self._connection.forget(feed.share)
+
+    # --- services -----------------------------------------------------------------------------------------------
+
+    def _call_service(self, message: Message) -> None:
+        service = _name(message, "service")
+        request = message.get("args") or {}
+        if isinstance(request, list):
+            request = self._by_position(service, request)
+        pending = self._graph.services.call(service, request)
+        if not pending.done:
+            self._calls.add(pending)
+        pending.then(lambda answered: self._answer(answered, service, message))
+
+    def _by_position(self, service: str, values: list[Any]) -> Message:
+        fields = msgs.fields(msgs.request_type(self._graph.services.type_of(service)))
+        if len(values) > len(fields):
+            raise UsageError(f"{service} takes {len(fields)} arguments, not {len(values)}")
+        return {field.name: value for field, value in zip(fields, values, strict=False)}
+
+    def _answer(self, pending: Pending, service: str, message: Message) -> None:
+        self._calls.discard(pending)
+        response: Message = {"op": "service_response", "service": service}
+        if "id" in message:
+            response["id"] = message["id"]
+        if pending.error is None:
+            response |= {"values": pending.result(), "result": True}
+        else:
+            error = pending.error
+            response |= {"values": str(error), "result": False, "exit_code": error.exit_code}
+        self._connection.send(encode(response))
+
+    def _advertise_service(self, message: Message) -> None:
+        service = _name(message, "service")
+        self._services[service] = self._graph.services.advertise(
+            service, _text(message, "type"), self.node, lambda request: self._ask(service, request)
+        )
+
+    def _unadvertise_service(self, message: Message) -> None:
+        service = _name(message, "service")
+        provided = self._services.pop(service, None)
+        if provided is None:
+            raise Refused(f"{service} is not provided by this connection", f"provided: {listing(self._services)}")
+        provided.close()
+
+    def _ask(self, service: str, request: Message) -> Pending:
+        """Somebody calls a service that this client provides."""
+        self._serial += 1
+        call_id = f"service_request:{service}:{self._serial}"
+
+        def nobody_waits() -> None:
+            self._asked.pop(call_id, None)
+
+        pending = Pending(on_cancel=nobody_waits)
+        self._asked[call_id] = pending
+        self._connection.send(encode({"op": "call_service", "id": call_id, "service": service, "args": request}))
+        return pending
+
+    def _service_response(self, message: Message) -> None:
+        pending = self._asked.pop(str(message.get("id")), None)
+        if pending is None:
+            raise Refused(f"nobody waits for the service response {message.get('id')!r}")
+        values = message.get("values", {})
+        if message.get("result", True):
+            pending.resolve(values)
+        else:
+            pending.reject(Refused(values if isinstance(values, str) else "the provider failed"))
+
+    def _set_level(self, message: Message) -> None:
+        level = _text(message, "level")
+        if level not in LEVELS:
+            raise UsageError(f"unknown level {level!r}", f"levels: {', '.join(LEVELS)}")
+        self._level = LEVELS[level]
+
+
+def _text(message: Message, key: str, default: str | None = None) -> str:
+    value = message.get(key, default)
+    if not isinstance(value, str):
+        raise UsageError(f"op {message['op']!r} needs {key!r}, a text")
+    return value
+
+
+def _name(message: Message, key: str) -> str:
+    return names.join("/", _text(message, key))
+
+
+def _id(message: Message) -> str | None:
+    given = message.get("id")
+    return None if given is None else str(given)
+
+
+def _number(message: Message, key: str) -> float:
+    value = message.get(key) or 0
+    if not isinstance(value, int | float) or not value >= 0 or value == float("inf"):
+        raise UsageError(f"{key!r} is a number, 0 or above, not {value!r}")
+    return value
