@@ -87,6 +87,7 @@ class GazeboReader:
             _period(element, texts.get("controlPeriod")),
             texts.get("eStopTopic") or None,
             element.line,
+            element.file,
         )
 
     def _of_link(self, link: str, child: Element, element: Element) -> None:

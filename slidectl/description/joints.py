@@ -53,6 +53,7 @@ class JointReader:
             self._safety(element, kind, limit, owner),
             self._mimic(element, kind, owner),
             element.line,
+            element.file,
         )
 
     def _link(self, element: Element, tag: str, owner: str) -> str:

@@ -40,6 +40,7 @@ class LinkReader:
             tuple(self._shape(child, owner) for child in element.find_all("visual")),
             tuple(self._shape(child, owner) for child in element.find_all("collision")),
             line=element.line,
+            file=element.file,
         )
 
     def _inertial(self, element: Element, owner: str) -> Inertial:
@@ -72,7 +73,7 @@ class LinkReader:
         self.report.unknown(element, {"name"}, known, f"{owner}/<{element.tag}>")
         geometry = self._geometry(_child(self.report, element, "geometry", owner), owner, needed=not is_visual)
         material = self.materials.of_visual(element, owner) if is_visual else None
-        return Shape(geometry, self._origin(element, owner), element.get("name"), material, element.line)
+        return Shape(geometry, self._origin(element, owner), element.get("name"), material, element.line, element.file)
 
     def _geometry(self, element: Element, owner: str, *, needed: bool) -> Geometry:
         shapes = [child for child in element.children if child.tag in _GEOMETRIES]

@@ -37,9 +37,18 @@ def read(source: str | Path) -> Source:
     if isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<"):
         return Source(source, "<text>", None)
     path = find(source)
+    return Source(read_file(path), str(path), path)
+
+
+def read_file(path: Path) -> bytes:
+    """The bytes of a user's file, or the first of too many.
+
+    Raises:
+        BadFile: missing, a folder, or not readable.
+    """
     try:
         with path.open("rb") as stream:
-            return Source(stream.read(MOST_BYTES + 1), str(path), path)
+            return stream.read(MOST_BYTES + 1)
     except (OSError, ValueError) as error:
         raise BadFile(_why(error), str(path)) from None
 

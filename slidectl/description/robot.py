@@ -99,6 +99,7 @@ class Shape:
     name: str | None = None
     material: Material | None = None
     line: int | None = None
+    file: str | None = None
 
 
 @dataclass(frozen=True)
@@ -120,6 +121,7 @@ class Link:
     collisions: tuple[Shape, ...] = ()
     surface: Surface = Surface()
     line: int | None = None
+    file: str | None = None
 
 
 @dataclass(frozen=True)
@@ -168,6 +170,7 @@ class Joint:
     safety: Safety | None = None
     mimic: Mimic | None = None
     line: int | None = None
+    file: str | None = None
 
 
 @dataclass(frozen=True)
@@ -196,6 +199,7 @@ class TransmissionInfo:
     joints: tuple[TransmissionJoint, ...]
     actuators: tuple[TransmissionActuator, ...]
     line: int | None = None
+    file: str | None = None
 
 
 @dataclass(frozen=True)
@@ -209,6 +213,7 @@ class ControlPlugin:
     """s."""
     estop_topic: str | None = None
     line: int | None = None
+    file: str | None = None
 
 
 @dataclass(frozen=True)

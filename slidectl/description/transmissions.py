@@ -57,7 +57,7 @@ class TransmissionReader:
             raise self._drop(element, f"<type> is {'missing' if kind is None else _emptiness(kind)}")
         joints = self._joints(element)
         actuators = self._actuators(element)
-        return TransmissionInfo(name, kind.first_text, joints, actuators, element.line)
+        return TransmissionInfo(name, kind.first_text, joints, actuators, element.line, element.file)
 
     def _joints(self, element: Element) -> tuple[TransmissionJoint, ...]:
         found = element.find_all("joint")

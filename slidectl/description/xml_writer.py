@@ -6,10 +6,12 @@ was written. Comments are dropped except beside a text, where they have a meanin
 
 from __future__ import annotations
 
-from xml.sax.saxutils import escape, quoteattr
-
 from slidectl.description import source_note
 from slidectl.description.xml_tree import Comment, Element
+
+# The standard library's own escaping lives in a module that imports the whole of HTTP.
+_IN_TEXTS = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", "\r": "&#13;"})
+_IN_ATTRIBUTES = {**_IN_TEXTS, **str.maketrans({'"': "&quot;", "\n": "&#10;", "\t": "&#9;"})}
 
 SourceMap = dict[int, tuple[str, int]]
 """Line of the text, from 1, to the file and line of the element that begins there."""
@@ -55,8 +57,7 @@ class _Writer:
 
 
 def _attributes(element: Element) -> str:
-    escapes = {"\n": "&#10;", "\r": "&#13;", "\t": "&#9;"}
-    return "".join(f" {name}={quoteattr(value, escapes)}" for name, value in element.attributes.items())
+    return "".join(f' {name}="{value.translate(_IN_ATTRIBUTES)}"' for name, value in element.attributes.items())
 
 
 def _text(element: Element) -> str:
@@ -68,4 +69,4 @@ def _text(element: Element) -> str:
 
 
 def _escaped(text: str) -> str:
-    return escape(text, {"\r": "&#13;"})
+    return text.translate(_IN_TEXTS)

@@ -1,0 +1,71 @@
+"""A file of controllers (YAML, as for rosparam load), and where in the parameter tree it belongs.
+
+Reading is yaml_tree's; here is what a tree of controllers looks like, and how one file serves robots of any name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from slidectl.description.models import read_file
+from slidectl.description.robot import Notice
+
+Tree = dict[str, Any]
+
+
+def read(path: str | Path, notices: list[Notice] | None = None) -> Tree:
+    """The tree of parameters in a file; what is odd in it is appended to `notices`.
+
+    Raises:
+        BadFile: missing, not YAML, or with values that no parameter can have; names file and line.
+    """
+    from slidectl.description import yaml_tree
+
+    return yaml_tree.read(read_file(Path(path)), str(path), notices)
+
+
+def retarget(tree: Tree, namespace: str) -> tuple[Tree, str | None]:
+    """The tree to load at the root so that `namespace` has its controllers, and a notice when something was moved.
+
+    A file that names the namespace is loaded as it stands. One that names another single one is moved. One that
+    begins with the controllers themselves is put under the namespace.
+    """
+    from slidectl.description.yaml_tree import nest
+
+    target = "/" + namespace.strip("/")
+    if not tree or (isinstance(_at(tree, target), dict) and target != "/"):
+        return tree, None
+    if holds_controllers(tree):
+        return nest(target, tree), None
+    written, controllers = _only_branch(tree)
+    if written == target:
+        return tree, None
+    if holds_controllers(controllers):
+        return nest(target, controllers), f"the file's controllers are for {written}; they are loaded under {target}"
+    return tree, f"no controllers for {target} in the file; it is loaded as it stands"
+
+
+def holds_controllers(tree: object) -> bool:
+    """True when a mapping has children that look like controllers: mappings with a `type`."""
+    if not isinstance(tree, Mapping):
+        return False
+    return any(isinstance(child, Mapping) and isinstance(child.get("type"), str) for child in tree.values())
+
+
+def _at(tree: Tree, path: str) -> object:
+    """What is at the names of `path`, or None."""
+    branch: object = tree
+    for name in path.strip("/").split("/"):
+        branch = branch.get(name) if isinstance(branch, dict) else None
+    return branch
+
+
+def _only_branch(tree: Tree) -> tuple[str, object]:
+    """Down from the root as long as there is but one way and no controllers: the path, and what is there."""
+    path, branch = "", tree
+    while isinstance(branch, dict) and len(branch) == 1 and not holds_controllers(branch):
+        ((name, branch),) = branch.items()
+        path += f"/{name}"
+    return path, branch

@@ -1,0 +1,246 @@
+"""YAML 1.1 text into a tree of parameters, as rosparam reads it, with file and line in every error.
+
+`deg(90)` and `rad(pi/2)` become radians. What a parameter cannot be (nothing, a date, a key that is no text) is
+refused; what reads differently from what it looks like is a notice. yaml is imported here: import this lazily.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import operator
+import re
+from collections.abc import Callable
+from typing import Any
+
+import yaml
+
+from slidectl.description.robot import Notice
+from slidectl.errors import BadFile
+
+Tree = dict[str, Any]
+"""Values are bool, int, float, str, and lists and mappings of these."""
+
+Pair = tuple[yaml.Node, yaml.Node]
+
+MOST_VALUES = 200_000
+DEEPEST = 60
+
+_LOOKS_LIKE_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)[eE][+-]?\d+|[+-]?(inf|nan)", re.IGNORECASE)
+_MERGE = "tag:yaml.org,2002:merge"
+_KINDS = {"null": "nothing", "timestamp": "a date", "binary": "binary", "set": "a set"}
+_OPERATORS: dict[type[ast.operator], Callable[[float, float], float]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+}
+
+
+class _Loader(yaml.SafeLoader):
+    """PyYAML's safe loader that also knows angles, without touching the one that others use."""
+
+
+for _tag, _word in (("!degrees", "deg"), ("!radians", "rad")):
+    _Loader.add_implicit_resolver(_tag, re.compile(rf"^{_word}\(.*\)$"), [_word[0]])
+
+
+def read(text: str | bytes, file: str, notices: list[Notice] | None = None) -> Tree:
+    """The parameters of all documents in `text`, later ones over earlier ones. `file` is its name in messages.
+
+    Raises:
+        BadFile: not YAML, no mapping of names, or a value that no parameter can have.
+    """
+    return _Reader(file, notices if notices is not None else []).read(text)
+
+
+def read_value(text: str, file: str = "<value>") -> Any:
+    """One value of any shape, as `rosparam set` reads it; empty text is None."""
+    return _Reader(file, []).value_of(text)
+
+
+class _Reader:
+    def __init__(self, file: str, notices: list[Notice]) -> None:
+        self.file = file
+        self.notices = notices
+        self.count = 0
+        self.loader = _Loader("")
+        self.flat: dict[int, list[Pair]] = {}
+
+    def read(self, text: str | bytes) -> Tree:
+        tree: Tree = {}
+        for node in self.nodes(text):
+            if not isinstance(node, yaml.MappingNode):
+                raise self.error(node, "expected names with values, as `name: value`")
+            document = self.mapping(node, 1)
+            namespace = document.pop("_ns", "")
+            merge(tree, nest(str(namespace), document))
+        return tree
+
+    def value_of(self, text: str) -> Any:
+        nodes = self.nodes(text)
+        if len(nodes) > 1:
+            raise self.error(nodes[1], "expected one value")
+        return self.value(nodes[0], 1) if nodes else None
+
+    def nodes(self, text: str | bytes) -> list[yaml.Node]:
+        """The documents that are not empty."""
+        try:
+            documents = list(yaml.compose_all(text, _Loader))
+        except yaml.MarkedYAMLError as error:
+            mark = error.problem_mark or error.context_mark
+            problem = " ".join(part for part in (error.context, error.problem) if part)
+            raise BadFile(f"not YAML: {problem}", self.file, mark.line + 1 if mark else None) from None
+        except (yaml.YAMLError, ValueError) as error:
+            raise BadFile(f"not YAML: {_problem(error)}", self.file) from None
+        except RecursionError:
+            raise BadFile("is nested too deeply", self.file) from None
+        return [node for node in documents if node is not None and not _is_empty(node)]
+
+    def error(self, node: yaml.Node, message: str, hint: str | None = None) -> BadFile:
+        return BadFile(message, self.file, _line(node), hint)
+
+    def value(self, node: yaml.Node, depth: int) -> Any:
+        self.count += 1
+        if self.count > MOST_VALUES or depth > DEEPEST:
+            what = f"more than {MOST_VALUES} values" if depth <= DEEPEST else f"nested deeper than {DEEPEST}"
+            raise self.error(node, f"{what}, counting what aliases repeat")
+        if isinstance(node, yaml.MappingNode):
+            return self.mapping(node, depth)
+        if isinstance(node, yaml.SequenceNode):
+            return [self.value(child, depth + 1) for child in node.value]
+        assert isinstance(node, yaml.ScalarNode)
+        return self.scalar(node)
+
+    def mapping(self, node: yaml.MappingNode, depth: int) -> Tree:
+        tree: Tree = {}
+        seen: dict[str, int] = {}
+        for key_node, value_node in self.pairs(node):
+            key = self.key(key_node)
+            if key in seen:
+                self.notice(key_node, key, f"is there twice, in line {seen[key]} too; the last one counts")
+            seen[key] = _line(key_node)
+            if _is_empty(value_node):
+                raise self.error(key_node, f"{key!r} has no value", "write one, or leave the name out")
+            merge(tree, nest(key, self.value(value_node, depth + 1)))
+        return tree
+
+    def pairs(self, node: yaml.MappingNode) -> list[Pair]:
+        """Keys and values with what `<<` merges in; what is written in the mapping itself goes before that.
+
+        PyYAML's own flattening is exponential in the depth of merges within merges; this one reads each mapping once.
+        """
+        if id(node) not in self.flat:
+            own = [(key, value) for key, value in node.value if key.tag != _MERGE]
+            self.flat[id(node)] = own
+            if len(own) < len(node.value):
+                merged = [pair for key, value in node.value if key.tag == _MERGE for pair in self.merged(value)]
+                taken = {_text(key) for key, _ in own}
+                more = {_text(key): (key, value) for key, value in reversed(merged) if _text(key) not in taken}
+                self.flat[id(node)] = [*own, *more.values()]
+        return self.flat[id(node)]
+
+    def merged(self, node: yaml.Node) -> list[Pair]:
+        """What the value of one `<<` gives: a mapping's pairs, or those of a list of mappings, the first going first."""
+        sources = node.value if isinstance(node, yaml.SequenceNode) else [node]
+        for source in sources:
+            if not isinstance(source, yaml.MappingNode):
+                raise self.error(source, "`<<` merges mappings only")
+        return [pair for source in sources for pair in self.pairs(source)]
+
+    def key(self, node: yaml.Node) -> str:
+        if not isinstance(node, yaml.ScalarNode) or node.tag != "tag:yaml.org,2002:str":
+            text = node.value if isinstance(node, yaml.ScalarNode) else "a list or mapping"
+            raise self.error(node, f"{text} is no name: names are text", f'quote it: "{text}"')
+        return str(node.value)
+
+    def scalar(self, node: yaml.ScalarNode) -> Any:
+        if node.tag in ("!degrees", "!radians"):
+            return self.angle(node)
+        try:
+            value = self.loader.construct_object(node)
+        except (yaml.YAMLError, ValueError, OverflowError) as error:
+            raise self.error(node, f"{node.value!r} cannot be read: {_problem(error)}") from None
+        if not isinstance(value, bool | int | float | str):
+            kind = _KINDS.get(node.tag.rpartition(":")[2], node.tag)
+            raise self.error(node, f"{node.value!r} is {kind}, which no parameter can be", "quote it to mean text")
+        if isinstance(value, str) and node.style is None and _LOOKS_LIKE_NUMBER.fullmatch(value):
+            self.notice(node, value, "is text in YAML 1.1, not a number; write 1.0e-3 or 1.0e+3, .inf, .nan")
+        return value
+
+    def angle(self, node: yaml.ScalarNode) -> float:
+        text = node.value.strip()
+        inside = text[4:-1] if text[:4] in ("deg(", "rad(") and text.endswith(")") else text
+        try:
+            value = arithmetic(inside)
+        except (ValueError, ArithmeticError, RecursionError) as error:
+            raise self.error(node, f"{text!r} is no angle: {error}") from None
+        return math.radians(value) if node.tag == "!degrees" else value
+
+    def notice(self, node: yaml.Node, subject: str, text: str) -> None:
+        self.notices.append(Notice("wrong", subject, text, self.file, _line(node)))
+
+
+def arithmetic(text: str) -> float:
+    """A number made of numbers, `pi`, `+ - * / **` and brackets; nothing else is evaluated.
+
+    Raises:
+        ValueError: anything else in it. ArithmeticError: no finite result.
+    """
+    try:
+        tree = ast.parse(text.strip(), mode="eval")
+    except (SyntaxError, MemoryError) as error:
+        raise ValueError("expected an expression of numbers and pi") from error
+    value = _evaluate(tree.body)
+    if not math.isfinite(value):
+        raise OverflowError("the result is not finite")
+    return value
+
+
+def _evaluate(node: ast.expr) -> float:
+    if isinstance(node, ast.Constant) and type(node.value) in (int, float):
+        return float(node.value)  # type: ignore[arg-type]
+    if isinstance(node, ast.Name) and node.id == "pi":
+        return math.pi
+    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.UAdd):
+        value = _evaluate(node.operand)
+        return -value if isinstance(node.op, ast.USub) else value
+    if isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
+        value = _OPERATORS[type(node.op)](_evaluate(node.left), _evaluate(node.right))
+        if isinstance(value, float):  # a negative number to a broken power is complex
+            return value
+    raise ValueError("expected an expression of numbers and pi")
+
+
+def nest(path: str, value: Any) -> Any:
+    """`value` below the names of `path`, which slashes part; under an empty path, the value itself."""
+    for name in reversed([part for part in path.split("/") if part]):
+        value = {name: value}
+    return value
+
+
+def merge(tree: Tree, more: Tree) -> None:
+    """Put `more` into `tree`: mappings are merged, anything else replaces what is there."""
+    for key, value in more.items():
+        if isinstance(value, dict) and isinstance(tree.get(key), dict):
+            merge(tree[key], value)
+        else:
+            tree[key] = value
+
+
+def _is_empty(node: yaml.Node) -> bool:
+    return isinstance(node, yaml.ScalarNode) and node.tag == "tag:yaml.org,2002:null"
+
+
+def _text(key: yaml.Node) -> str:
+    return str(key.value) if isinstance(key, yaml.ScalarNode) else f"#{id(key)}"
+
+
+def _problem(error: Exception) -> str:
+    """What is wrong, without the place: that is ours to say."""
+    return str(getattr(error, "problem", None) or " ".join(str(error).split()))
+
+
+def _line(node: yaml.Node) -> int:
+    return int(node.start_mark.line) + 1
