@@ -56,8 +56,9 @@ class Schema:
 
 def from_typedefs(typedefs: Iterable[Mapping[str, Any]]) -> Schema:
     """The schema of a `typedefs` list (rosapi/TypeDef); the first one is the root."""
-    types = {str(entry["type"]): _fields(entry) for entry in typedefs}
-    return Schema(next(iter(types), ""), types)
+    listed = list(typedefs)
+    types = {str(entry["type"]): _fields(entry) for entry in listed if entry["type"] not in TIMES}
+    return Schema(str(listed[0]["type"]) if listed else "", types)
 
 
 def _fields(entry: Mapping[str, Any]) -> tuple[Field, ...]:

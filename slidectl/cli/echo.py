@@ -1,0 +1,175 @@
+"""`slidectl echo`: messages of a topic, or of one field, as rostopic prints them, as CSV, or as JSON lines."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from time import monotonic
+from typing import Any, NamedTuple
+
+import click
+
+from slidectl.cli import live, output
+from slidectl.cli.commands import command
+from slidectl.cli.context import Context
+from slidectl.cli.csvform import CsvForm
+from slidectl.cli.fieldpath import Selection, select
+from slidectl.cli.options import positive_seconds
+from slidectl.cli.schema import Schema
+from slidectl.cli.stream import Event, Stream, nanoseconds
+from slidectl.cli.topics import PUBLISHERS, look_up
+from slidectl.cli.yamlform import YamlForm
+from slidectl.errors import TimedOut, UsageError
+
+_CLEAR = "\033[2J\033[;H"
+
+Write = Callable[[Event], None]
+Keep = Callable[[dict[str, Any]], bool]
+
+
+class Look(NamedTuple):
+    """How messages are to look."""
+
+    form: str
+    arrays: bool
+    strings: bool
+    width: int | None
+    clear: bool
+    offset: bool
+
+
+@command(
+    examples=[
+        "slidectl echo joint_states -n 1",
+        "slidectl echo 'joint_states/position[0]' --for 2 -p > position.csv",
+        "slidectl echo joint_states --filter 'm.position[0] > 0.5' --json",
+    ]
+)
+@click.argument("target", metavar="TOPIC[/FIELD[I]]", shell_complete=live.topics)
+@click.option("-n", "count", type=click.IntRange(min=0), metavar="COUNT", help="End after so many messages.")
+@click.option("-p", "plot", is_flag=True, help="CSV for plotting: %time in nanoseconds, then the fields.")
+@click.option("--noarr", is_flag=True, help="Leave out the contents of arrays.")
+@click.option("--nostr", is_flag=True, help="Leave out the contents of strings.")
+@click.option("--filter", "condition", metavar="EXPR", help="Only messages for which it is true; m is the message.")
+@click.option(
+    "--for", "sim_seconds", type=float, callback=positive_seconds, metavar="S", help="End after S simulated seconds."
+)
+@click.option("-c", "--clear", is_flag=True, help="Clear the screen before each message.")
+@click.option("-w", "width", type=click.IntRange(min=2), metavar="N", help="Characters of a number.")
+@click.option("--offset", is_flag=True, help="Times as difference from now.")
+@click.pass_obj
+def echo(
+    ctx: Context,
+    target: str,
+    count: int | None,
+    plot: bool,
+    noarr: bool,
+    nostr: bool,
+    condition: str | None,
+    sim_seconds: float | None,
+    clear: bool,
+    width: int | None,
+    offset: bool,
+) -> None:
+    """Print the messages of a topic.
+
+    One YAML document per message, closed by '---', until -n or --for is reached or Ctrl-C is pressed. A field behind
+    the topic's name, with indices and slices as in Python, is printed alone. --json prints one message a line, which
+    'slidectl pub --stdin' reads. With --timeout it exits 4 when no message has come for so long.
+
+    EXPR compares fields of m (m.position[0], m.header.stamp.to_sec()) with the operators of Python and the functions
+    of its math module. The time of a CSV line is the header's stamp, else the simulated time at which it came.
+    """
+    if plot and ctx.format not in ("text", "csv"):
+        raise UsageError(f"-p and -o {ctx.format} exclude each other")
+    found = look_up(ctx, target, PUBLISHERS)
+    schema = found.schema
+    look = Look("csv" if plot else ctx.format, not noarr, not nostr, width, clear, offset)
+    write = writer(ctx, schema, select(schema, found.field), look)
+    keep = predicate(condition, schema)
+    needs_clock = offset or (look.form == "csv" and not schema.has_header)
+    if count != 0:
+        with Stream(ctx, [found.topic], with_clock=needs_clock, sim_seconds=sim_seconds) as stream:
+            _print(stream, keep, write, count, ctx.timeout)
+
+
+def predicate(condition: str | None, schema: Schema) -> Keep:
+    """The test of `--filter`. Raises ExpressionError before the first message when it is not valid."""
+    if condition is None:
+        return lambda _message: True
+    from slidectl.cli.expressions import Expression
+
+    expression = Expression(condition, ("m",), schema)
+    return lambda message: bool(expression(m=message))
+
+
+def _print(stream: Stream, keep: Keep, write: Write, count: int | None, patience: float | None) -> None:
+    printed = 0
+    while printed != count:
+        event = stream.next(math.inf if patience is None else monotonic() + patience)
+        if event is None and stream.ended:
+            return
+        if event is None:
+            raise TimedOut(
+                f"no message came for {patience:g} s",
+                f"{printed} printed; is the simulation paused? see: slidectl sim status",
+            )
+        if keep(event.message):
+            write(event)
+            printed += 1
+
+
+def writer(ctx: Context, schema: Schema, selection: Selection, look: Look) -> Write:
+    """The function that prints one message in the form that was asked for."""
+    if look.form == "json":
+        return _json_writer(schema, selection, look)
+    if look.form == "csv":
+        return _csv_writer(ctx, schema, selection, look)
+    form = YamlForm(schema, look.width, look.arrays, look.strings)
+    text = form.printer(selection.type, selection.depth)
+    start = _CLEAR if look.clear else ""
+
+    def write(event: Event) -> None:
+        form.offset_ns = event.time_ns if look.offset else 0
+        output.write(f"{start}{text(selection.take(event.message))}\n---\n")
+
+    return write
+
+
+def _json_writer(schema: Schema, selection: Selection, look: Look) -> Write:
+    def write(event: Event) -> None:
+        value = selection.take(event.message)
+        if not (look.arrays and look.strings):
+            value = pruned(schema, selection.type, selection.depth, value, look)
+        output.write(output.as_json(value))
+
+    return write
+
+
+def pruned(schema: Schema, type_name: str, depth: int, value: Any, look: Look) -> Any:
+    """The value without its arrays or strings."""
+    if depth:
+        return [pruned(schema, type_name, depth - 1, element, look) for element in value]
+    if type_name not in schema.types:
+        return value
+    kept = (f for f in schema.types[type_name] if (look.arrays or f.array < 0) and (look.strings or f.type != "string"))
+    return {f.name: pruned(schema, f.type, int(f.array >= 0), value[f.name], look) for f in kept}
+
+
+def _csv_writer(ctx: Context, schema: Schema, selection: Selection, look: Look) -> Write:
+    form = CsvForm(schema, look.arrays, look.strings)
+    header = ""
+
+    def write(event: Event) -> None:
+        nonlocal header
+        form.offset_ns = event.time_ns if look.offset else 0
+        time_ns = nanoseconds(event.message["header"]["stamp"]) if schema.has_header else event.time_ns
+        row = form.row(selection.take(event.message), selection.type, selection.depth, time_ns)
+        if row.header != header:
+            if header:
+                ctx.warn("an array has changed its length, so the columns have changed: a new header line follows")
+            header = row.header
+            output.write(header)
+        output.write(row.line)
+
+    return write
