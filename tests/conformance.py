@@ -13,15 +13,19 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from math import inf, isfinite, isnan
+from pathlib import Path
 from typing import Any
 
-from slidectl.control import limits as limit_handles
-from slidectl.control import transmissions
-from slidectl.control.duration import from_seconds, to_seconds
-from slidectl.control.handles import JointHandle
-from slidectl.control.joint_limits import JointLimits, SoftJointLimits
-from slidectl.control.pid import Gains, Pid
-from slidectl.errors import SlidectlError
+# A checkout runs as it stands, installed or not.
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from slidectl.control import limits as limit_handles  # noqa: E402
+from slidectl.control import transmissions  # noqa: E402
+from slidectl.control.duration import from_seconds, to_seconds  # noqa: E402
+from slidectl.control.handles import JointHandle  # noqa: E402
+from slidectl.control.joint_limits import JointLimits, SoftJointLimits  # noqa: E402
+from slidectl.control.pid import Gains, Pid  # noqa: E402
+from slidectl.errors import SlidectlError  # noqa: E402
 
 Case = dict[str, Any]
 Comparison = tuple[str, float, float]

@@ -10,7 +10,7 @@ from math import ceil, floor, isfinite
 from typing import Any, TypeVar
 
 from slidectl import names
-from slidectl.control.node import MISSING, NodeHandle
+from slidectl.control.node import NodeHandle
 from slidectl.errors import Refused
 
 T = TypeVar("T")
@@ -21,8 +21,8 @@ class BadParameter(Refused):
 
     def __init__(self, node: NodeHandle, name: str, wanted: str) -> None:
         where = names.join(node.namespace, name)
-        value = node.get_param(name, MISSING)
-        if value is MISSING:
+        value = node.get_param(name, None)
+        if value is None:
             super().__init__(f"parameter {where} is not set; it must be {wanted}", f"slidectl param set {where} VALUE")
         else:
             super().__init__(f"parameter {where} must be {wanted}, not {_described(value)}")
@@ -114,8 +114,8 @@ def needed_texts(node: NodeHandle, name: str) -> list[str]:
 
 
 def _read(node: NodeHandle, name: str, convert: Callable[[Any], T | None], wanted: str) -> T | None:
-    value = node.get_param(name, MISSING)
-    if value is MISSING:
+    value = node.get_param(name, None)
+    if value is None:
         return None
     converted = convert(value)
     if converted is None:

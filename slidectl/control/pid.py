@@ -132,8 +132,9 @@ class Pid:
         if period_s > 0.0:
             if self._p_error_last_is_valid:
                 error_dot = (error - self._p_error_last) / period_s
+            else:
+                self._p_error_last_is_valid = True
             self._p_error_last = error
-            self._p_error_last_is_valid = True
         return self.compute_command_from(error, error_dot, period_s)
 
     def compute_command_from(self, error: float, error_dot: float, period_s: float) -> float:

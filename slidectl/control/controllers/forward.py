@@ -1,0 +1,68 @@
+"""Controllers that hand a command on as it is, after ros_controllers' forward_command_controller.
+
+Parameter `joint`. No PID, no limits, no state topic.
+"""
+
+from __future__ import annotations
+
+from slidectl.control import params
+from slidectl.control.handles import JointHandle
+from slidectl.control.interfaces import (
+    EffortJointInterface,
+    JointCommandInterface,
+    PositionJointInterface,
+    VelocityJointInterface,
+)
+from slidectl.control.node import NodeHandle
+from slidectl.control.registry import controller
+from slidectl.control.scalar import ScalarController
+
+
+class ForwardController(ScalarController):
+    """joint command = the last command, 0 until there is one."""
+
+    _joint: JointHandle
+
+    def init(self, interface: JointCommandInterface, node: NodeHandle) -> None:
+        """Raises SlidectlError: the parameter or the joint is missing."""
+        self._joint = interface.get_handle(params.needed_text(node, "joint"))
+        self._command = 0.0
+        self._listen(node)
+
+    def starting(self, time_ns: int) -> None:  # noqa: ARG002
+        self._command = self.first_command()
+
+    def first_command(self) -> float:
+        """What to command until somebody says otherwise."""
+        return 0.0
+
+    def set_command(self, value: float) -> None:
+        """Hand this on from the next update on."""
+        self._command = value
+
+    def update(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
+        self._joint.command = self._command
+
+
+@controller("effort_controllers/JointEffortController")
+class JointEffortController(ForwardController):
+    """Commands are efforts, N or N·m."""
+
+    interface_type = EffortJointInterface
+
+
+@controller("velocity_controllers/JointVelocityController")
+class JointVelocityController(ForwardController):
+    """Commands are velocities, m/s or rad/s."""
+
+    interface_type = VelocityJointInterface
+
+
+@controller("position_controllers/JointPositionController")
+class JointPositionController(ForwardController):
+    """Commands are positions, m or rad. It starts by holding the measured one."""
+
+    interface_type = PositionJointInterface
+
+    def first_command(self) -> float:
+        return self._joint.position

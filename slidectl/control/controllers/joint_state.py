@@ -1,0 +1,118 @@
+"""Publishes the states of a robot's joints as `joint_states`, after ros_controllers' JointStateController.
+
+Parameters `publish_rate`, `joints`, `extra_joints`. It commands nothing and claims nothing.
+"""
+
+from __future__ import annotations
+
+from math import inf, isnan
+from typing import Any, NamedTuple
+
+from slidectl import names
+from slidectl.control import params
+from slidectl.control.controller import Controller
+from slidectl.control.duration import from_seconds, to_stamp
+from slidectl.control.interfaces import JointStateInterface
+from slidectl.control.node import Message, NodeHandle
+from slidectl.control.registry import controller
+from slidectl.errors import Refused
+
+# The first publication after a start comes a little early rather than a cycle late.
+_HEAD_START = 1.001
+_EARLIEST_NS = 1
+
+
+class ExtraJoint(NamedTuple):
+    """A joint that the hardware does not have, with a state that never changes."""
+
+    name: str
+    position: float
+    velocity: float
+    effort: float
+
+
+@controller("joint_state_controller/JointStateController")
+class JointStateController(Controller[JointStateInterface]):
+    """sensor_msgs/JointState on `joint_states` of the robot's namespace, at `publish_rate` per simulated second."""
+
+    interface_type = JointStateInterface
+
+    def init_in_root(self, interface: JointStateInterface, root: NodeHandle, node: NodeHandle) -> None:
+        """Raises SlidectlError: no publish_rate, or an unknown joint."""
+        chosen = params.texts(node, "joints")
+        self._take_rate(params.needed_number(node, "publish_rate"))
+        self._publisher = node.advertise(names.join(root.namespace, "joint_states"), "sensor_msgs/JointState")
+        self._joints = tuple(interface.get_handle(name) for name in (interface.names() if chosen is None else chosen))
+        self._take_extra(_extra_joints(node, [joint.name for joint in self._joints]))
+        # The time after which the next message is due: the last one's plus one period.
+        self._due_ns: float = inf
+        self._started = False
+
+    def _take_rate(self, rate: float) -> None:
+        """Messages per second; none at all unless it is above 0."""
+        if isnan(rate):
+            raise Refused("publish_rate must be a number, not nan")
+        self._publishes = rate > 0.0
+        self._period_ns = from_seconds(1.0 / rate) if self._publishes else 0
+        self._head_start_ns = from_seconds(_HEAD_START / rate) if self._publishes else 0
+
+    def _take_extra(self, extra: list[ExtraJoint]) -> None:
+        self._names = [joint.name for joint in self._joints] + [joint.name for joint in extra]
+        self._extra_positions = [joint.position for joint in extra]
+        self._extra_velocities = [joint.velocity for joint in extra]
+        self._extra_efforts = [joint.effort for joint in extra]
+
+    def starting(self, time_ns: int) -> None:
+        """Begin the rhythm once; it goes on through stops, and begins anew when time was put back."""
+        if self._publishes and (not self._started or time_ns < self._due_ns - self._period_ns):
+            last_ns = time_ns - self._head_start_ns
+            self._due_ns = (last_ns if last_ns >= 0 else _EARLIEST_NS) + self._period_ns
+            self._started = True
+
+    def update(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
+        if time_ns > self._due_ns:
+            # One period on, not from now: a late message does not shift the rhythm.
+            self._due_ns += self._period_ns
+            if self._publisher.wanted:
+                self._publisher.publish(self._message(time_ns))
+
+    def _message(self, time_ns: int) -> Message:
+        joints = self._joints
+        return {
+            "header": {"seq": 0, "stamp": to_stamp(time_ns), "frame_id": ""},
+            "name": self._names,
+            "position": [joint.position for joint in joints] + self._extra_positions,
+            "velocity": [joint.velocity for joint in joints] + self._extra_velocities,
+            "effort": [joint.effort for joint in joints] + self._extra_efforts,
+        }
+
+
+def _extra_joints(node: NodeHandle, taken: list[str]) -> list[ExtraJoint]:
+    """The usable entries of `extra_joints`; what is wrong with the others goes to the log."""
+    entries = node.get_param("extra_joints", [])
+    if not isinstance(entries, list):
+        node.log("error", f"{node.namespace}/extra_joints has no effect: it must be a list")
+        return []
+    found: list[ExtraJoint] = []
+    for position, entry in enumerate(entries):
+        joint = _extra_joint(node, f"{node.namespace}/extra_joints[{position}]", entry)
+        if joint is None:
+            continue
+        if joint.name in taken or any(joint.name == other.name for other in found):
+            node.log("warn", f"{node.namespace}/extra_joints: joint {joint.name!r} is there already")
+            continue
+        found.append(joint)
+    return found
+
+
+def _extra_joint(node: NodeHandle, where: str, entry: Any) -> ExtraJoint | None:
+    name = entry.get("name") if isinstance(entry, dict) else None
+    if not isinstance(name, str):
+        node.log("error", f"{where} is skipped: it must be a mapping with a name")
+        return None
+    state = {key: entry.get(key, 0.0) for key in ("position", "velocity", "effort")}
+    for key, value in state.items():
+        if not isinstance(value, float):
+            node.log("error", f"{where} is skipped: {key} of {name!r} must be written as a float, as 0.0")
+            return None
+    return ExtraJoint(name, **state)

@@ -1,0 +1,154 @@
+"""A PID whose gains live in the graph: read from parameters, changed by service or parameter while it runs.
+
+After control_toolbox's init and its dynamic_reconfigure server. Gains change between two cycles; the state of
+the PID is never touched here.
+"""
+
+from __future__ import annotations
+
+from math import isfinite, isnan
+
+from slidectl.control import gain_config, params
+from slidectl.control.duration import from_seconds, to_stamp
+from slidectl.control.node import Message, NodeHandle, Publisher
+from slidectl.control.pid import Gains, Pid
+from slidectl.errors import Refused
+
+
+class LivePid:
+    """`pid` with the gains of the namespace of `node`, which it keeps in step with the parameters there."""
+
+    def __init__(self, node: NodeHandle) -> None:
+        """Read the gains, write them back, and offer them to be changed.
+
+        Raises:
+            BadParameter: there is no `p`. Refused: a gain that is no number.
+        """
+        self._node = node
+        self._writing = False
+        self._i_clamp = params.number(node, "i_clamp")
+        gains = gains_from_parameters(node)
+        self.pid = Pid(*gains)
+        if params.boolean(node, "publish_state"):
+            self.pid.observer = _StatePublisher(self.pid, node).publish
+        self._updates = self._offer()
+        self.set_gains(gains)
+        node.watch_param(node.namespace, self._parameters_changed)
+
+    def set_gains(self, gains: Gains) -> None:
+        """Use these gains from the next cycle on, write them to the parameters and tell the subscribers."""
+        self.pid.set_gains(gains)
+        if gains.i != 0.0 and gains.i_min == gains.i_max == 0.0:
+            self._node.log("warn", f"{self._node.namespace}: i = {gains.i} has no effect without i_clamp")
+        self._write_back(gains)
+        self._updates.publish(gain_config.to_config(gains))
+
+    def _offer(self) -> Publisher:
+        node = self._node
+        node.advertise_service("set_parameters", "dynamic_reconfigure/Reconfigure", self._reconfigure)
+        descriptions = node.advertise("parameter_descriptions", "dynamic_reconfigure/ConfigDescription", latch=True)
+        descriptions.publish(gain_config.description())
+        return node.advertise("parameter_updates", "dynamic_reconfigure/Config", latch=True)
+
+    def _reconfigure(self, request: Message) -> Message:
+        self.set_gains(gain_config.merged(self.pid.gains, request["config"]))
+        return {"config": gain_config.to_config(self.pid.gains)}
+
+    def _write_back(self, gains: Gains) -> None:
+        self._writing = True
+        try:
+            for name, value in gain_config.to_parameters(gains).items():
+                self._node.set_param(name, value)
+        finally:
+            self._writing = False
+
+    def _parameters_changed(self) -> None:
+        """Somebody set or deleted parameters. What is missing or unusable leaves its gain as it is."""
+        if self._writing:
+            return
+        try:
+            gains = gains_from_parameters(self._node, self.pid.gains)
+        except Refused as refusal:
+            self._node.log("warn", str(refusal))
+            return
+        self._warn_of_idle_clamp(gains)
+        if gains != self.pid.gains:
+            self.set_gains(gains)
+
+    def _warn_of_idle_clamp(self, gains: Gains) -> None:
+        """i_clamp_min and i_clamp_max, which are written back at the start, hide i_clamp from then on."""
+        i_clamp = params.number(self._node, "i_clamp")
+        if i_clamp not in (None, self._i_clamp, gains.i_max):
+            self._node.log("warn", f"{self._node.namespace}: i_clamp has no effect; set i_clamp_min and i_clamp_max")
+        self._i_clamp = i_clamp
+
+
+def gains_from_parameters(node: NodeHandle, base: Gains | None = None) -> Gains:
+    """The gains that the parameters of this namespace give; `base` stands in for those that are missing.
+
+    Raises:
+        BadParameter: no `p`, and no `base`. Refused: a gain that is no number.
+    """
+    p = params.number(node, "p") if base is not None else params.needed_number(node, "p")
+    base = base or Gains()
+    i_clamp = params.number(node, "i_clamp")
+    i_max = base.i_max if i_clamp is None else abs(i_clamp)
+    i_min = base.i_min if i_clamp is None else -abs(i_clamp)
+    lower, upper = params.number(node, "i_clamp_min"), params.number(node, "i_clamp_max")
+    antiwindup = params.boolean(node, "antiwindup")
+    return _checked(
+        node,
+        Gains(
+            p=_first(p, base.p),
+            i=_first(params.number(node, "i"), base.i),
+            d=_first(params.number(node, "d"), base.d),
+            i_max=i_max if upper is None else abs(upper),
+            i_min=i_min if lower is None else -abs(lower),
+            antiwindup=base.antiwindup if antiwindup is None else antiwindup,
+        ),
+    )
+
+
+def _first(value: float | None, otherwise: float) -> float:
+    return otherwise if value is None else value
+
+
+def _checked(node: NodeHandle, gains: Gains) -> Gains:
+    """An infinite clamp is none; every other gain must be finite."""
+    for name, value in gains._asdict().items():
+        if isnan(value) or (name in ("p", "i", "d") and not isfinite(value)):
+            raise Refused(f"{node.namespace}: gain {name} must be a number, not {value}")
+    return gains
+
+
+class _StatePublisher:
+    """Publishes control_msgs/PidState after each command of a PID."""
+
+    def __init__(self, pid: Pid, node: NodeHandle) -> None:
+        self._pid = pid
+        self._node = node
+        self._publisher = node.advertise("state", "control_msgs/PidState")
+
+    def publish(self, period_s: float) -> None:
+        """The state after a command that was computed for this period."""
+        if self._publisher.wanted:
+            self._publisher.publish(self._message(period_s))
+
+    def _message(self, period_s: float) -> Message:
+        pid = self._pid
+        terms = pid.terms()
+        return {
+            "header": {"seq": 0, "stamp": to_stamp(self._node.now_ns()), "frame_id": ""},
+            "timestep": to_stamp(from_seconds(period_s)),
+            "error": pid.p_error,
+            "error_dot": pid.d_error,
+            "p_error": pid.p_error,
+            "i_error": pid.i_error,
+            "d_error": pid.d_error,
+            "p_term": terms.p,
+            "i_term": terms.i,
+            "d_term": terms.d,
+            "i_max": pid.i_max,
+            "i_min": pid.i_min,
+            "output": pid.command,
+        }

@@ -1,0 +1,65 @@
+"""Base of the controllers of one joint with a PID: live gains in `~pid`, and the `~state` topic.
+
+The error and what becomes of it are the children's part.
+"""
+
+from __future__ import annotations
+
+from slidectl.control.duration import to_stamp
+from slidectl.control.handles import JointHandle
+from slidectl.control.live_pid import LivePid
+from slidectl.control.node import Message, NodeHandle, Publisher
+from slidectl.control.pid import Gains, Pid
+from slidectl.control.scalar import ScalarController
+
+UPDATES_PER_STATE = 10
+
+
+class PidController(ScalarController):
+    """A joint, its PID, and its state on every tenth update."""
+
+    _joint: JointHandle
+    _pid: Pid
+    _live_pid: LivePid
+    _state: Publisher
+
+    def __init__(self) -> None:
+        super().__init__()
+        # Counted over the life of the controller: stopping and starting leave it alone.
+        self._updates_to_state = 1
+
+    @property
+    def gains(self) -> Gains:
+        """The gains now in use."""
+        return self._pid.gains
+
+    def set_gains(self, gains: Gains) -> None:
+        """Use these gains from the next update on; parameters and subscribers are told."""
+        self._live_pid.set_gains(gains)
+
+    def _offer_pid(self, node: NodeHandle) -> None:
+        self._live_pid = LivePid(node.child("pid"))
+        self._pid = self._live_pid.pid
+
+    def _offer_state(self, node: NodeHandle) -> None:
+        self._state = node.advertise("state", "control_msgs/JointControllerState")
+
+    def _state_message(
+        self, time_ns: int, period_s: float, *, set_point: float, value: float, value_dot: float, error: float
+    ) -> Message:
+        """As control_msgs/JointControllerState."""
+        pid = self._pid
+        return {
+            "header": {"seq": 0, "stamp": to_stamp(time_ns), "frame_id": ""},
+            "set_point": set_point,
+            "process_value": value,
+            "process_value_dot": value_dot,
+            "error": error,
+            "time_step": period_s,
+            "command": self._joint.command,
+            "p": pid.p,
+            "i": pid.i,
+            "d": pid.d,
+            "i_clamp": pid.i_max,
+            "antiwindup": pid.antiwindup,
+        }

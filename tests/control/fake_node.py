@@ -1,0 +1,163 @@
+"""A small graph in memory, for controllers under test: parameters, topics, services, a log, a clock set by hand.
+
+Implements control/node.py's protocol. Names are joined, not checked; messages are taken as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from slidectl import names
+from slidectl.control.node import MISSING, Message, MessageCallback, ServiceHandler
+
+
+class FakePublisher:
+    """Keeps what was published. `wanted` is True unless a test says otherwise."""
+
+    def __init__(self, topic: str, type_name: str, latch: bool) -> None:
+        self.topic, self.type_name, self.latch = topic, type_name, latch
+        self.wanted = True
+        self.messages: list[Message] = []
+
+    def publish(self, message: Message) -> None:
+        self.messages.append(message)
+
+
+class FakeGraph:
+    """What all nodes of a test share."""
+
+    def __init__(self, parameters: dict[str, Any] | None = None) -> None:
+        self.time_ns = 0
+        self.parameters: dict[str, Any] = {}
+        self.publishers: dict[str, FakePublisher] = {}
+        self.subscribers: dict[str, MessageCallback] = {}
+        self.services: dict[str, ServiceHandler] = {}
+        self.types: dict[str, str] = {}
+        self.watches: list[tuple[str, Callable[[], None]]] = []
+        self.log: list[tuple[str, str]] = []
+        for name, value in (parameters or {}).items():
+            self.set(name, value)
+
+    def node(self, namespace: str = "/") -> FakeNode:
+        return FakeNode(self, namespace)
+
+    def send(self, topic: str, message: Message) -> None:
+        self.subscribers[topic](message)
+
+    def call(self, service: str, request: Message) -> Message:
+        return self.services[service](request)
+
+    def sent(self, topic: str) -> list[Message]:
+        return self.publishers[topic].messages
+
+    def lines(self, *severities: str) -> str:
+        """The log's text, of these severities or of all."""
+        return "\n".join(text for severity, text in self.log if severity in severities or not severities)
+
+    def get(self, name: str) -> Any:
+        value: Any = self.parameters
+        for key in _keys(name):
+            if not isinstance(value, dict) or key not in value:
+                return MISSING
+            value = value[key]
+        return value
+
+    def set(self, name: str, value: Any) -> None:
+        *above, last = _keys(name)
+        tree = self.parameters
+        for key in above:
+            tree = tree.setdefault(key, {})
+        tree[last] = value
+        self._tell(name)
+
+    def delete(self, name: str) -> None:
+        *above, last = _keys(name)
+        tree = self.parameters
+        for key in above:
+            tree = tree[key]
+        del tree[last]
+        self._tell(name)
+
+    def _tell(self, name: str) -> None:
+        for watched, callback in list(self.watches):
+            if names.is_under(name, watched) or names.is_under(watched, name):
+                callback()
+
+
+class FakeNode:
+    """A node handle on a FakeGraph."""
+
+    def __init__(self, graph: FakeGraph, namespace: str) -> None:
+        self.graph = graph
+        self.namespace = namespace
+        self._children: list[FakeNode] = []
+        self._taken: list[Callable[[], object]] = []
+
+    def child(self, name: str) -> FakeNode:
+        self._children.append(FakeNode(self.graph, self._full(name)))
+        return self._children[-1]
+
+    def get_param(self, name: str, default: Any = MISSING) -> Any:
+        value = self.graph.get(self._full(name))
+        if value is MISSING and default is MISSING:
+            raise KeyError(self._full(name))
+        return default if value is MISSING else value
+
+    def has_param(self, name: str) -> bool:
+        return self.graph.get(self._full(name)) is not MISSING
+
+    def set_param(self, name: str, value: Any) -> None:
+        self.graph.set(self._full(name), value)
+
+    def search_param(self, name: str) -> str | None:
+        namespace = self.namespace
+        while True:
+            found = names.join(namespace, name)
+            if self.graph.get(found) is not MISSING:
+                return found
+            if namespace == "/":
+                return None
+            namespace = names.parent(namespace)
+
+    def watch_param(self, name: str, callback: Callable[[], None]) -> None:
+        watch = (self._full(name), callback)
+        self.graph.watches.append(watch)
+        self._taken.append(lambda: self.graph.watches.remove(watch))
+
+    def advertise(self, topic: str, type_name: str, latch: bool = False) -> FakePublisher:
+        full = self._full(topic)
+        publisher = self.graph.publishers[full] = FakePublisher(full, type_name, latch)
+        self._taken.append(lambda: self.graph.publishers.pop(full))
+        return publisher
+
+    def subscribe(self, topic: str, type_name: str, callback: MessageCallback) -> None:
+        full = self._full(topic)
+        self.graph.subscribers[full] = callback
+        self.graph.types[full] = type_name
+        self._taken.append(lambda: self.graph.subscribers.pop(full))
+
+    def advertise_service(self, service: str, type_name: str, handler: ServiceHandler) -> None:
+        full = self._full(service)
+        self.graph.services[full] = handler
+        self.graph.types[full] = type_name
+        self._taken.append(lambda: self.graph.services.pop(full))
+
+    def log(self, severity: str, text: str) -> None:
+        self.graph.log.append((severity, text))
+
+    def now_ns(self) -> int:
+        return self.graph.time_ns
+
+    def shutdown(self) -> None:
+        for child in self._children:
+            child.shutdown()
+        while self._taken:
+            self._taken.pop()()
+
+    def _full(self, name: str) -> str:
+        return names.join(self.namespace, name)
+
+
+def _keys(name: str) -> list[str]:
+    return [key for key in name.split("/") if key]
