@@ -12,7 +12,7 @@ from slidectl.control.duration import from_seconds
 from slidectl.control.node import Message, MessageCallback
 from slidectl.errors import Refused
 from slidectl.physics import World
-from slidectl.simulation import own_services, reset, rosapi, waits
+from slidectl.simulation import gazebo, own_services, reset, rosapi, state_publisher, waits
 from slidectl.simulation.assembly import ORIGIN, Pose, SpawnedRobot
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.loop import Loop
@@ -51,6 +51,8 @@ class Simulation:
         rosapi.advertise(self.graph)
         own_services.advertise(self)
         waits.advertise(self.graph)
+        gazebo.advertise(self)
+        self.robots.companions.append(state_publisher.companion(self))
 
     @property
     def time_ns(self) -> int:

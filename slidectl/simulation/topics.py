@@ -127,7 +127,12 @@ class Topics:
         self._topics: dict[str, Topic] = {}
 
     def advertise(
-        self, topic: str, type_name: str, node: str, latch: bool = False, kind: type[TopicPublisher] = TopicPublisher
+        self,
+        topic: str,
+        type_name: str,
+        node: str,
+        latch: bool = False,
+        kind: Callable[..., TopicPublisher] = TopicPublisher,
     ) -> TopicPublisher:
         """A publisher of `topic`.
 

@@ -1,0 +1,61 @@
+"""geometry_msgs in and out of plain tuples, and states seen from a moving frame."""
+
+from __future__ import annotations
+
+from slidectl.control.node import Message
+from slidectl.physics.frames import add, compose, conjugate, relative, rotate, subtract
+from slidectl.physics.observer import Twist
+from slidectl.physics.rotation import Pose, Vector, cross, normalized
+from slidectl.simulation.gazebo.entities import Frame
+
+
+def vector(message: Message) -> Vector:
+    """geometry_msgs/Vector3 or Point."""
+    return (message["x"], message["y"], message["z"])
+
+
+def vector_message(values: Vector) -> Message:
+    """geometry_msgs/Vector3 or Point."""
+    return {"x": values[0], "y": values[1], "z": values[2]}
+
+
+def pose(message: Message) -> Pose:
+    """geometry_msgs/Pose; an orientation of four zeros means none, as with messages that leave it out."""
+    turn = message["orientation"]
+    return vector(message["position"]), normalized((turn["x"], turn["y"], turn["z"], turn["w"]))
+
+
+def pose_message(values: Pose) -> Message:
+    """geometry_msgs/Pose."""
+    x, y, z, w = values[1]
+    return {"position": vector_message(values[0]), "orientation": {"x": x, "y": y, "z": z, "w": w}}
+
+
+def twist(message: Message) -> Twist:
+    """geometry_msgs/Twist."""
+    return vector(message["linear"]), vector(message["angular"])
+
+
+def twist_message(values: Twist) -> Message:
+    """geometry_msgs/Twist."""
+    return {"linear": vector_message(values[0]), "angular": vector_message(values[1])}
+
+
+def seen_from(state: Frame, viewer: Frame) -> Frame:
+    """Pose and twist of `state` as they look in the (moving) frame `viewer`, on its axes."""
+    back = conjugate(viewer.pose[1])
+    arm = subtract(state.pose[0], viewer.pose[0])
+    carried = add(viewer.twist[0], cross(viewer.twist[1], arm))
+    linear = rotate(back, subtract(state.twist[0], carried))
+    angular = rotate(back, subtract(state.twist[1], viewer.twist[1]))
+    return Frame(relative(state.pose, viewer.pose), (linear, angular))
+
+
+def into_world(local: Frame, viewer: Frame) -> Frame:
+    """The inverse of `seen_from`: what has this pose and twist in `viewer`, in the world."""
+    place = compose(viewer.pose, local.pose)
+    arm = subtract(place[0], viewer.pose[0])
+    carried = add(viewer.twist[0], cross(viewer.twist[1], arm))
+    linear = add(rotate(viewer.pose[1], local.twist[0]), carried)
+    angular = add(rotate(viewer.pose[1], local.twist[1]), viewer.twist[1])
+    return Frame(place, (linear, angular))

@@ -1,0 +1,42 @@
+"""`spawn_urdf_model`, `spawn_sdf_model` (refused with the reason) and `delete_model`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from slidectl.control.node import Message
+from slidectl.errors import Refused
+from slidectl.physics.frames import compose
+from slidectl.simulation.gazebo.answers import Answer, provide
+from slidectl.simulation.gazebo.entities import frame
+from slidectl.simulation.gazebo.shapes import pose
+from slidectl.simulation.graph import WORLD_NODE
+
+if TYPE_CHECKING:
+    from slidectl.simulation.simulation import Simulation
+
+
+def advertise(simulation: Simulation) -> None:
+    """Provide them."""
+    node = simulation.graph.node(WORLD_NODE)
+    provide(node, "spawn_urdf_model", "SpawnModel", lambda request: _spawn(simulation, request))
+    provide(node, "spawn_sdf_model", "SpawnModel", lambda request: _refuse_sdf(request))
+    provide(node, "delete_model", "DeleteModel", lambda request: _delete(simulation, request))
+
+
+def _spawn(simulation: Simulation, request: Message) -> Answer:
+    place = compose(frame(simulation, request["reference_frame"]).pose, pose(request["initial_pose"]))
+    namespace = request["robot_namespace"] or None
+    robot = simulation.spawn(request["model_xml"], request["model_name"], namespace, place)
+    return f"spawned {robot.name!r} in the namespace {robot.namespace}", {}
+
+
+def _refuse_sdf(request: Message) -> Answer:
+    raise Refused(
+        f"{request['model_name']!r} is SDF, and only URDF can be spawned", "describe the robot in URDF or xacro"
+    )
+
+
+def _delete(simulation: Simulation, request: Message) -> Answer:
+    simulation.delete(request["model_name"])
+    return f"deleted {request['model_name']!r}", {}

@@ -1,0 +1,130 @@
+"""robot_state_publisher of every robot: moving joints on `/tf` at 50 Hz, fixed ones latched on `/tf_static`.
+
+It reads the joints of the world themselves, so it needs no joint_states and shows passive joints too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from slidectl import names
+from slidectl.control.node import Message
+from slidectl.description.robot import Joint
+from slidectl.physics.frames import compose, relative
+from slidectl.physics.rotation import IDENTITY, Pose, from_rpy
+from slidectl.simulation.assembly import SpawnedRobot
+from slidectl.simulation.clock import SECOND, stamp
+from slidectl.simulation.periodic import PeriodicTopic
+from slidectl.simulation.topics import NodePublisher
+
+if TYPE_CHECKING:
+    from slidectl.simulation.simulation import Simulation
+
+FREQUENCY_HZ = 50
+ROTARY = ("revolute", "continuous")
+NODE = "robot_state_publisher"
+
+
+class StatePublisher:
+    """One robot's transforms. Frames carry `tf_prefix` if that parameter is found above the robot's namespace."""
+
+    def __init__(self, simulation: Simulation, robot: SpawnedRobot) -> None:
+        self._simulation = simulation
+        self._robot = robot
+        self._prefix = _prefix(simulation, robot)
+        self._moving = [joint for joint in robot.paper.joints.values() if joint.type != "fixed"]
+        node = names.join(robot.namespace, NODE)
+        graph = simulation.graph
+        self._tf = PeriodicTopic(graph, "/tf", "tf2_msgs/TFMessage", node, SECOND // FREQUENCY_HZ, self._dynamic)
+        self._static = graph.topics.advertise("/tf_static", "tf2_msgs/TFMessage", node, latch=True, kind=NodePublisher)
+        fixed = [joint for joint in robot.paper.joints.values() if joint.type == "fixed"]
+        if fixed:
+            self._static.publish({"transforms": [self._transform(joint, _origin(joint)) for joint in fixed]})
+
+    def close(self) -> None:
+        """Take the topics back."""
+        self._tf.close()
+        self._static.close()
+
+    def frame(self, link: str) -> str:
+        """Name of a link's frame. All robots share the frame `world`."""
+        return link if link == "world" or not self._prefix else f"{self._prefix}/{link}"
+
+    def frames(self) -> set[str]:
+        """All frames but the world's."""
+        return {self.frame(link) for link in self._robot.paper.links} - {"world"}
+
+    def _dynamic(self) -> Message:
+        return {"transforms": [self._transform(joint, self._pose(joint)) for joint in self._moving]}
+
+    def _pose(self, joint: Joint) -> Pose:
+        """The child in the parent: by the joint's equation, or as the world has it (planar, floating)."""
+        world, robot = self._simulation.world, self._robot.name
+        if joint.name not in world.body(robot).joints:
+            return relative(world.link_pose(robot, joint.child), world.link_pose(robot, joint.parent))
+        return compose(_origin(joint), _displacement(joint, world.joint_state(robot, joint.name)[0]))
+
+    def _transform(self, joint: Joint, place: Pose) -> Message:
+        (x, y, z), (qx, qy, qz, qw) = place
+        return {
+            "header": {"seq": 0, "stamp": stamp(self._simulation.time_ns), "frame_id": self.frame(joint.parent)},
+            "child_frame_id": self.frame(joint.child),
+            "transform": {
+                "translation": {"x": x, "y": y, "z": z},
+                "rotation": {"x": qx, "y": qy, "z": qz, "w": qw},
+            },
+        }
+
+
+def _origin(joint: Joint) -> Pose:
+    return joint.origin.xyz, from_rpy(joint.origin.rpy)
+
+
+def _displacement(joint: Joint, position: float) -> Pose:
+    """What the joint's position (m or rad) does along or about its axis."""
+    x, y, z = joint.axis
+    if joint.type in ROTARY:
+        sine = math.sin(position / 2)
+        return (0.0, 0.0, 0.0), (x * sine, y * sine, z * sine, math.cos(position / 2))
+    return (x * position, y * position, z * position), IDENTITY
+
+
+def companion(simulation: Simulation) -> Callable[[SpawnedRobot], Callable[[], None]]:
+    """What gives every robot of the simulation its state publisher."""
+    publishers: dict[str, StatePublisher] = {}
+
+    def bring_up(robot: SpawnedRobot) -> Callable[[], None]:
+        others = {frame for publisher in publishers.values() for frame in publisher.frames()}
+        clash = others & (set(robot.paper.links) - {"world"})
+        chosen = _choose_prefix(simulation, robot) if clash and not _prefix(simulation, robot) else None
+        publisher = publishers[robot.name] = StatePublisher(simulation, robot)
+
+        def take_back() -> None:
+            del publishers[robot.name]
+            publisher.close()
+            if chosen and simulation.parameters.has(chosen):
+                simulation.parameters.delete(chosen)
+
+        return take_back
+
+    return bring_up
+
+
+def _prefix(simulation: Simulation, robot: SpawnedRobot) -> str:
+    found = simulation.parameters.search(robot.namespace, "tf_prefix")
+    value = simulation.parameters.get(found) if found else None
+    return value.strip("/") if isinstance(value, str) else ""
+
+
+def _choose_prefix(simulation: Simulation, robot: SpawnedRobot) -> str:
+    """Two robots with the same links would speak of the same frames: the later one gets a prefix of its own.
+
+    Returns the name of the parameter that says so.
+    """
+    prefix = robot.namespace.strip("/") or robot.name
+    name = names.join(robot.namespace, "tf_prefix")
+    simulation.parameters.set(name, prefix)
+    robot.node.log("info", f"{robot.name}: another robot has frames of the same names; these are {prefix}/LINK on /tf")
+    return name
