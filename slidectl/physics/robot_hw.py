@@ -52,8 +52,6 @@ class MujocoRobotHW(RobotHW):
 
     def __init__(self, world: World, body: Body, robot: Robot, node: NodeHandle, namespace: str) -> None:
         super().__init__()
-        self.estop = False
-        """True: efforts are zero, velocities are braked, positions are held. Controllers go on."""
         self.robot = robot
         self._world = world
         self._body = body
@@ -63,8 +61,9 @@ class MujocoRobotHW(RobotHW):
         self._register(node)
         limits = [joint.limit for joint in self._joints if joint.limit is not None]
         self._enforce = tuple(limit.enforce for limit in in_order(limits))
-        self._held: list[tuple[HardwareJoint, float]] = []
+        self._held: list[float] | None = None
         self._drives = self._make_drives(node)
+        self.estop = False
         self._bind()
         body.on_rebound(self._bind)
 
@@ -91,7 +90,7 @@ class MujocoRobotHW(RobotHW):
 
     def write(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002 - the interface of all hardware
         """Limit the commands, then drive the joints by them."""
-        if self.estop or self._held:
+        if self._is_special:
             self._mind_estop()
         for enforce in self._enforce:
             enforce(period_s)
@@ -110,23 +109,31 @@ class MujocoRobotHW(RobotHW):
                 elif effort < -max_effort:
                     effort = -max_effort
             forces[dof] = effort
-        if self.estop:
-            for _, dof, _, _ in self._pushed:
-                forces[dof] = 0.0
-        for dof in self._driven:
-            forces[dof] = 0.0
-        for drive in self._drives:
-            drive.apply(period_s, self.estop)
+        if self._is_special:
+            self._drive(period_s)
 
     # -- everything else -------------------------------------------------------------------------------------------
 
+    @property
+    def estop(self) -> bool:
+        """True: efforts are zero, velocities are braked, positions are held. Controllers go on."""
+        return self._estop
+
+    @estop.setter
+    def estop(self, stopped: bool) -> None:
+        self._estop = stopped
+        self._is_special = stopped or bool(self._drives)
+        if not stopped:
+            self._held = None
+
     def reset(self) -> None:
-        """For a world that was reset: handles at their first values, limits and gains without a past."""
+        """After the world was reset: angles unwrapped anew, commands 0, limits and gains without a past."""
         for joint in self._joints:
             joint.reset()
         for drive in self._drives:
             drive.reset()
-        self._held = []
+        self._held = None
+        self.read(0, 0.0)
 
     def _register(self, node: NodeHandle) -> None:
         states = JointStateInterface()
@@ -172,17 +179,24 @@ class MujocoRobotHW(RobotHW):
                 pushed.append((joint.handle, place.dof, bounds.effort, bounds.velocity))
         self._sliding, self._turning, self._pushed = tuple(sliding), tuple(turning), tuple(pushed)
 
+    def _drive(self, period_s: float) -> None:
+        """All that is not simply pushed; and in an emergency stop nothing is pushed."""
+        if self._estop:
+            for _, dof, _, _ in self._pushed:
+                self._forces[dof] = 0.0
+        for dof in self._driven:
+            self._forces[dof] = 0.0
+        for drive in self._drives:
+            drive.apply(period_s, self._estop)
+
     def _read_outside_efforts(self) -> None:
         for handle, _, dof in (*self._sliding, *self._turning):
             handle.effort += self._outside.get(dof, 0.0)
 
     def _mind_estop(self) -> None:
-        """While stopped, position commands are those of the moment when it began."""
-        if not self.estop:
-            self._held = []
-            return
-        if not self._held:
-            self._held = [(joint, joint.handle.position) for joint in self._joints]
-        for joint, position in self._held:
+        """While stopped, position commands are the positions that were read when it began."""
+        if self._estop and self._held is None:
+            self._held = [joint.handle.position for joint in self._joints]
+        for joint, position in zip(self._joints, self._held or (), strict=False):
             if joint.interface is PositionJointInterface:
                 joint.handle.command = position
