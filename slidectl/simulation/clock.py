@@ -33,9 +33,8 @@ class Clock:
 
     @property
     def seconds(self) -> float:
-        """Time in seconds, as ros::Time::toSec computes it."""
-        secs, nsecs = divmod(self.time_ns, SECOND)
-        return secs + 1e-9 * nsecs
+        """Time in seconds, correctly rounded."""
+        return self.time_ns / SECOND
 
 
 class ClockTopic:

@@ -94,7 +94,7 @@ def _beyond(excess: float) -> float:
 
 
 _DISTANCES: dict[str, Callable[[float, float, float], float]] = {
-    "near": lambda value, wanted, tolerance: abs(value - wanted) - tolerance,
+    "near": lambda value, wanted, tolerance: max(wanted - tolerance - value, value - (wanted + tolerance)),
     "above": lambda value, wanted, _: _beyond(wanted - value),
     "below": lambda value, wanted, _: _beyond(value - wanted),
     "equals": lambda value, wanted, _: abs(value - wanted) if value != wanted else 0.0,
