@@ -1,6 +1,6 @@
 """Where things are: the private folder of a daemon instance, and the models and configurations that are shipped.
 
-Standard library only. Nothing here creates a folder except `make_private`.
+Standard library only, and quick to import. Nothing here creates a folder except `make_private`.
 """
 
 from __future__ import annotations
@@ -8,10 +8,12 @@ from __future__ import annotations
 import os
 import re
 import stat
-from dataclasses import dataclass
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 from slidectl.errors import Refused, UsageError
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 DEFAULT_INSTANCE = "default"
 _INSTANCE = re.compile(r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")
@@ -19,13 +21,26 @@ _INSTANCE = re.compile(r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")
 _LONGEST_SOCKET_PATH = 107
 
 
-@dataclass(frozen=True)
 class InstancePaths:
-    """The files of one daemon instance, all in one private folder. `prefix` keeps those of a named socket apart."""
+    """The files of one daemon instance, all in one private folder. `prefix` keeps those of a named socket apart.
 
-    folder: Path
-    socket: Path
-    prefix: str = ""
+    Kept as text: every command looks up its socket, and pathlib takes longer to import than to be asked.
+    """
+
+    __slots__ = ("folder_text", "prefix", "socket_text")
+
+    def __init__(self, folder: str | Path, socket: str | Path, prefix: str = "") -> None:
+        self.folder_text = os.fspath(folder)
+        self.socket_text = os.fspath(socket)
+        self.prefix = prefix
+
+    @property
+    def folder(self) -> Path:
+        return _path(self.folder_text)
+
+    @property
+    def socket(self) -> Path:
+        return _path(self.socket_text)
 
     @property
     def lock(self) -> Path:
@@ -37,13 +52,24 @@ class InstancePaths:
         """The daemon's log; rotated copies are `log.1` and so on."""
         return self.folder / f"{self.prefix}log"
 
+    @property
+    def name(self) -> str:
+        """The instance's name, or that of its socket's file."""
+        return self.prefix.rstrip(".") or os.path.basename(self.folder_text)
 
-def runtime_folder() -> Path:
+
+def _path(text: str) -> Path:
+    from pathlib import Path
+
+    return Path(text)
+
+
+def runtime_folder() -> str:
     """`$XDG_RUNTIME_DIR/slidectl`, else a folder of the user under the temporary folder."""
     base = os.environ.get("XDG_RUNTIME_DIR")
     if base:
-        return Path(base) / "slidectl"
-    return Path(_temporary_folder()) / f"slidectl-{os.getuid()}"
+        return os.path.join(base, "slidectl")
+    return os.path.join(_temporary_folder(), f"slidectl-{os.getuid()}")
 
 
 def _temporary_folder() -> str:
@@ -61,19 +87,19 @@ def instance(name: str | None = None, socket: str | None = None) -> InstancePath
     if socket is None and name is None:
         socket = os.environ.get("SLIDECTL_SOCKET") or None
     if socket is not None:
-        path = Path(socket).absolute()
-        return _checked(InstancePaths(path.parent, path, path.name + "."))
+        path = os.path.abspath(socket)
+        return _checked(InstancePaths(os.path.dirname(path), path, os.path.basename(path) + "."))
     name = name or os.environ.get("SLIDECTL_INSTANCE") or DEFAULT_INSTANCE
     if not _INSTANCE.match(name):
         raise UsageError(f"instance name {name!r} is not a plain file name (letters, digits, '.', '_', '-')")
-    folder = runtime_folder() / name
-    return _checked(InstancePaths(folder, folder / "socket"))
+    folder = os.path.join(runtime_folder(), name)
+    return _checked(InstancePaths(folder, os.path.join(folder, "socket")))
 
 
 def _checked(paths: InstancePaths) -> InstancePaths:
-    if len(os.fsencode(paths.socket)) > _LONGEST_SOCKET_PATH:
+    if len(os.fsencode(paths.socket_text)) > _LONGEST_SOCKET_PATH:
         raise UsageError(
-            f"socket path is longer than {_LONGEST_SOCKET_PATH} bytes: {paths.socket}",
+            f"socket path is longer than {_LONGEST_SOCKET_PATH} bytes: {paths.socket_text}",
             "set XDG_RUNTIME_DIR to a shorter folder, or give --socket",
         )
     return paths
@@ -90,9 +116,9 @@ def make_private(folder: Path) -> None:
     check_private(folder)
 
 
-def check_private(folder: Path) -> None:
+def check_private(folder: str | Path) -> None:
     """Raise Refused unless the folder is a real one, owned by us and closed to others."""
-    info = folder.lstat()
+    info = os.lstat(folder)
     if not stat.S_ISDIR(info.st_mode):
         raise Refused(f"{folder} is not a folder")
     if info.st_uid != os.geteuid():
@@ -105,6 +131,6 @@ def check_private(folder: Path) -> None:
 
 def share(kind: str) -> Path:
     """The folder of shipped `models`, `config` or `launch` files: inside the wheel, else beside the package."""
-    package = Path(__file__).parent
+    package = _path(__file__).parent
     inside = package / "share" / kind
     return inside if inside.is_dir() else package.parent / kind

@@ -6,22 +6,24 @@ negative numbers as plain values, and options that take values until the next op
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import click
 
-from slidectl.cli.options import common_options
+from slidectl.cli.options import common_options, help_option
 
 # Marks an argument that must not be taken for an option. No argument of a process can hold a zero byte.
 _GUARD = "\0"
-_NUMBER = re.compile(r"[-+]?((\d[\d_]*\.?\d*|\.\d+)([eE][-+]?\d+)?|\.?(inf|Inf|INF)|\.?(nan|NaN|NAN))")
 
 
 def looks_like_number(token: str) -> bool:
-    """True for what a person writes as a number: `-5`, `1e-3`, `.5`, `-inf`."""
-    return bool(_NUMBER.fullmatch(token))
+    """True for what a person writes as a number: `-5`, `1e-3`, `.5`, `-inf`, and YAML's `-.inf`."""
+    try:
+        float(token.replace(".inf", "inf").replace(".nan", "nan"))
+    except ValueError:
+        return False
+    return True
 
 
 class Variadic(click.Option):
@@ -47,11 +49,18 @@ class _Shared(click.Command):
     def __init__(self, *args: Any, examples: Sequence[str] = (), **attributes: Any) -> None:
         super().__init__(*args, **attributes)
         self.examples = tuple(examples)
+        self._all_params: list[click.Parameter] = []
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
-        own = super().get_params(ctx)
-        taken = {name for param in own for name in param.opts}
-        return own + [option for option in common_options() if taken.isdisjoint(option.opts)]
+        # click asks several times for every command that runs.
+        if not self._all_params:
+            own = super().get_params(ctx)
+            taken = {name for param in own for name in param.opts}
+            self._all_params = own + [option for option in common_options() if taken.isdisjoint(option.opts)]
+        return self._all_params
+
+    def get_help_option(self, ctx: click.Context) -> click.Option:  # noqa: ARG002
+        return help_option()
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         common = common_options()
@@ -96,13 +105,14 @@ class Command(_Shared):
         params = self.get_params(ctx)
 
         def parse_args(args: list[str]) -> Any:
-            values, rest, order = inner(args=self._guarded(list(args), params))
+            guarded = self._guarded(list(args), params, lenient=ctx.resilient_parsing)
+            values, rest, order = inner(args=guarded)
             return {key: _unguarded(value) for key, value in values.items()}, _unguarded(rest), order
 
         parser.parse_args = parse_args  # type: ignore[method-assign]
         return parser
 
-    def _guarded(self, args: list[str], params: Sequence[click.Parameter]) -> list[str]:
+    def _guarded(self, args: list[str], params: Sequence[click.Parameter], lenient: bool) -> list[str]:
         variadic = {name: param for param in params if isinstance(param, Variadic) for name in param.opts}
         options = {name for param in params if isinstance(param, click.Option) for name in param.opts}
         result: list[str] = []
@@ -114,7 +124,9 @@ class Command(_Shared):
                 return [*result, *args[index - 1 :]]
             if token in variadic:
                 end = _end_of_values(variadic[token], args, index)
-                result += [part for value in args[index:end] for part in (token, _GUARD + value)] or [token]
+                if end == index and not lenient:
+                    raise click.BadOptionUsage(token, f"Option {token!r} requires an argument.")
+                result += [part for value in args[index:end] for part in (token, _GUARD + value)]
                 index = end
             elif token.startswith("-") and token not in options and self.is_value(token, args[: index - 1]):
                 result.append(_GUARD + token)

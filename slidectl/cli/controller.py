@@ -221,7 +221,7 @@ def unspawn(ctx: Context, manager: str | None, names: tuple[str, ...]) -> None:
 
 @controller.command("config", examples=["slidectl controller config config/slider_control.yaml"])
 @_cm
-@click.argument("file", type=click.Path(dir_okay=False))
+@click.argument("file", shell_complete=live.files)
 @click.pass_obj
 def config(ctx: Context, manager: str | None, file: str) -> None:
     """Load controllers' parameters from a YAML file into the robot's namespace.

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -50,6 +49,7 @@ def completer(ask: Callable[[Context], Iterable[str]]) -> Completer:
 @contextmanager
 def _time_limit(seconds: float) -> Iterator[None]:
     """TimeoutError in the body when it takes longer. Main thread only, as signals are."""
+    import signal
 
     def stop(*_: Any) -> None:
         raise TimeoutError
@@ -83,7 +83,14 @@ controllers = completer(_controllers)
 managers = completer(_managers)
 
 
-def models(_context: click.Context, _param: click.Parameter, incomplete: str) -> list[Any]:
+def files(_context: click.Context, _param: click.Parameter, incomplete: str) -> list[Any]:
+    """Leave it to the shell to complete a file."""
+    from click.shell_completion import CompletionItem
+
+    return [CompletionItem(incomplete, type="file")]
+
+
+def models(context: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
     """Shipped models, then files."""
     from click.shell_completion import CompletionItem
 
@@ -91,4 +98,4 @@ def models(_context: click.Context, _param: click.Parameter, incomplete: str) ->
 
     shipped = sorted(path.stem for path in share("models").glob("*.xacro"))
     found = [CompletionItem(name) for name in shipped if name.startswith(incomplete)]
-    return [*found, CompletionItem(incomplete, type="file")]
+    return found or files(context, param, incomplete)

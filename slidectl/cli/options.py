@@ -76,6 +76,19 @@ def common_options() -> tuple[click.Option, ...]:
     )
 
 
+def _show_help(click_context: click.Context, _param: click.Parameter, value: bool) -> None:
+    if value and not click_context.resilient_parsing:
+        click.echo(click_context.get_help())
+        click_context.exit()
+
+
+@cache
+def help_option() -> click.Option:
+    """`--help` of every command. click's own looks up a translation of its text, which takes longer than to parse."""
+    text = "Show this message and exit."
+    return _option(["-h", "--help"], text, _show_help, is_flag=True, is_eager=True)
+
+
 def _option(names: list[str], text: str, callback: Callback, **attributes: Any) -> click.Option:
     # A storage name that no command's own parameter has.
     storage = "common_" + names[-1].lstrip("-")

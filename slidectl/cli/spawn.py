@@ -41,7 +41,7 @@ SPAWN_LIMIT_S = 30.0
     "--at", cls=Variadic, type=float, takes=looks_like_number, metavar="X Y Z [R P Y]", help="Place, m and rad."
 )
 @click.option("--fixed/--free", "fixed", default=None, help="Fix the root to the world, or free it.")
-@click.option("--controllers", metavar="FILE", type=click.Path(), help="Parameters of its controllers (YAML).")
+@click.option("--controllers", metavar="FILE", shell_complete=live.files, help="Parameters of its controllers (YAML).")
 @click.option("--start", cls=Variadic, metavar="CONTROLLER...", help="Load and start these controllers.")
 @click.option("--package", "packages", multiple=True, metavar="NAME=PATH", help="Where a ROS package is; may repeat.")
 @click.pass_obj

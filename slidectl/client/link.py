@@ -23,8 +23,8 @@ _CREDENTIALS = struct.Struct("3i")
 def command(paths: InstancePaths, words: str) -> str:
     """The command line that does `words` with this instance, as a user would type it."""
     if paths.prefix:
-        return f"slidectl --socket {paths.socket} {words}"
-    name = paths.folder.name
+        return f"slidectl --socket {paths.socket_text} {words}"
+    name = paths.name
     return f"slidectl {words}" if name == DEFAULT_INSTANCE else f"slidectl -i {name} {words}"
 
 
@@ -47,7 +47,7 @@ class Link:
         self.daemon_pid, uid = peer(self._socket)
         if uid != os.geteuid():
             self.close()
-            raise Refused(f"the daemon on {paths.socket} belongs to another user (uid {uid})")
+            raise Refused(f"the daemon on {paths.socket_text} belongs to another user (uid {uid})")
 
     def fileno(self) -> int:
         return self._socket.fileno()
@@ -55,10 +55,10 @@ class Link:
     def _connect(self, deadline: float) -> socket.socket:
         connection = socket.socket(socket.AF_UNIX)
         try:
-            check_private(self._paths.folder)
+            check_private(self._paths.folder_text)
             # The kernel makes a connect wait while the daemon's backlog is full, but only that of a blocking socket.
             connection.settimeout(max(0.001, min(deadline - time.monotonic(), 1e6)))
-            _connect_patiently(connection, str(self._paths.socket), deadline)
+            _connect_patiently(connection, self._paths.socket_text, deadline)
         except OSError as error:
             connection.close()
             raise self._nobody(error) from None
@@ -71,8 +71,8 @@ class Link:
     def _nobody(self, error: OSError) -> NoDaemon:
         hint = "start it with: " + command(self._paths, "daemon start")
         if isinstance(error, FileNotFoundError | ConnectionRefusedError):
-            return NoDaemon(f"no daemon answers on {self._paths.socket}", hint)
-        return NoDaemon(f"no daemon answers on {self._paths.socket}: {error.strerror or error}", hint)
+            return NoDaemon(f"no daemon answers on {self._paths.socket_text}", hint)
+        return NoDaemon(f"no daemon answers on {self._paths.socket_text}: {error.strerror or error}", hint)
 
     def send(self, message: dict[str, Any], deadline: float) -> None:
         """Hand one line to the kernel; lines that arrive meanwhile are kept. Raises TimedOut, NoDaemon."""

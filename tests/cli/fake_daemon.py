@@ -45,17 +45,17 @@ class FakeDaemon:
             threading.Thread(target=self._talk, args=(connection,), daemon=True).start()
 
     def _talk(self, connection: socket.socket) -> None:
-        with connection, connection.makefile("rw", encoding="utf-8") as lines:
+        with connection, connection.makefile("r", encoding="utf-8") as lines:
             try:
                 for line in lines:
                     message = json.loads(line)
                     self.received.append(message)
-                    if message["op"] == "call_service" and not self._answer(message, lines):
+                    if message["op"] == "call_service" and not self._answer(message, connection):
                         return
             except OSError:
                 return
 
-    def _answer(self, message: dict[str, Any], lines: Any) -> bool:
+    def _answer(self, message: dict[str, Any], connection: socket.socket) -> bool:
         service = message["service"]
         answer = self.answers.get(service)
         if callable(answer):
@@ -63,8 +63,7 @@ class FakeDaemon:
         if answer is not NEVER and answer is not DIE:
             values: Any = answer if answer is not None else f"no service {service!r}"
             reply = {"op": "service_response", "id": message["id"], "service": service, "values": values}
-            lines.write(json.dumps({**reply, "result": answer is not None}) + "\n")
-            lines.flush()
+            connection.sendall((json.dumps({**reply, "result": answer is not None}) + "\n").encode())
         self.asked.set()
         return answer is not DIE
 

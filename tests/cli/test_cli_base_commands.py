@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import subprocess
-import sys
 from collections.abc import Iterator
 
 import click
@@ -133,62 +132,6 @@ def test_common_options_are_understood_after_the_command_too() -> None:
     context = options_of("--json", "-v", "-q", "--timeout", "3", "-i", "one", "--ns", "left")
     assert (context.format, context.verbose, context.quiet, context.timeout) == ("json", 1, True, 3.0)
     assert (context.instance, context.namespace) == ("one", "/left")
-
-
-# What an everyday command may import beyond click, json and socket and what these import themselves.
-ALLOWED = {
-    "__future__", "_bisect", "_socket", "_struct", "array", "copy", "dataclasses", "fnmatch", "ipaddress", "ntpath",
-    "pathlib", "select", "selectors", "socket", "struct", "urllib", "urllib.parse", "nturl2path", "time", "math",
-}  # fmt: skip
-
-SHOW_MODULES = """
-import os, sys
-import slidectl.cli
-def leave(code):
-    sys.stdout.flush()
-    os.write(2, "\\n".join(sys.modules).encode())
-    os._exit(code)
-slidectl.cli.leave = leave
-sys.argv = sys.argv[1:]
-slidectl.cli.entry()
-"""
-
-
-def modules_of(code: str, *words: str, environment: dict[str, str]) -> set[str]:
-    argv = [sys.executable, "-c", code, *words]
-    done = subprocess.run(argv, capture_output=True, text=True, env=environment, timeout=60, check=False)
-    return set(done.stderr.split())
-
-
-EVERYDAY = [
-    ("--help",),
-    ("version",),
-    ("robots",),
-    ("controller", "list"),
-    ("sim", "status"),
-    ("wait", "joint_states/position[0]", "--near", "1"),
-    ("pub", "command", "1.0"),
-    ("echo", "joint_states", "-n", "1"),
-]
-
-
-@pytest.mark.parametrize("words", EVERYDAY, ids=" ".join)
-def test_an_everyday_command_imports_only_what_is_allowed(slidectl: CommandLine, words: tuple[str, ...]) -> None:
-    floor = modules_of(
-        "import sys, os, click, json, socket\nos.write(2, '\\n'.join(sys.modules).encode())",
-        environment=slidectl.environment,
-    )
-    loaded = modules_of(SHOW_MODULES, "slidectl", *words, environment=slidectl.environment)
-    assert "slidectl.cli.main" in loaded
-    extra = {name for name in loaded - floor if not name.startswith("slidectl")}
-    assert extra <= ALLOWED
-    rooms = {name.split(".")[1] for name in loaded if name.startswith("slidectl.")}
-    assert rooms <= {"cli", "client", "errors", "names", "paths"}
-
-
-def test_help_imports_no_command(slidectl: CommandLine) -> None:
-    loaded = modules_of(SHOW_MODULES, "slidectl", "--help", environment=slidectl.environment)
-    assert not {f"slidectl.cli.{entry.module}" for entry in COMMANDS.values()} & loaded
 
 
 def test_a_table_in_a_pipe_is_plain(slidectl: CommandLine) -> None:

@@ -1,4 +1,4 @@
-"""What a script sees of a command that cannot do its work: exit code, standard error, and nothing on standard output."""
+"""What a script sees of a command that cannot do its work: the exit code, a few lines on stderr, nothing on stdout."""
 
 from __future__ import annotations
 

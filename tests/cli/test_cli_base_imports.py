@@ -1,0 +1,127 @@
+"""What a command imports: start-up is most of the time of an everyday command."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from command_line import CommandLine
+from fake_daemon import FakeDaemon
+
+from slidectl.cli.main import COMMANDS
+
+# Beyond click, json and socket and what these import themselves.
+ALLOWED = {"_struct", "struct"}
+# click's help writer asks for the width of the terminal and wraps text.
+ALLOWED_FOR_HELP = {
+    "shutil",
+    "fnmatch",
+    "locale",
+    "_locale",
+    "textwrap",
+    "zlib",
+    "bz2",
+    "lzma",
+    "_bz2",
+    "_lzma",
+    "_compression",
+    "click._textwrap",
+}
+
+SHOW_MODULES = """
+import os, sys
+import slidectl.cli
+target = sys.argv.pop(1)
+def leave(code):
+    with open(target, "w") as file:
+        file.write("\\n".join([str(code), *sys.modules]))
+    os._exit(0)
+slidectl.cli.leave = leave
+slidectl.cli.entry()
+"""
+FLOOR = "import sys, click, json, socket; print(*sys.modules)"
+
+SLIDER = {
+    "name": "slider", "namespace": "/slider", "fixed": True, "links": ["base_link"], "joints": [], "controllers": [],
+    "pose": [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], "report": [],
+}  # fmt: skip
+STATUS = {
+    "version": "0", "pid": 1, "instance": "default", "time": 1.0, "cycles": 1000, "paused": False, "speed": 1.0,
+    "speed_reached": 1.0, "timestep": 0.001, "cycle_mean": 1e-6, "cycle_p99": 1e-6, "cycle_worst": 1e-6,
+    "lateness_p50": 1e-6, "lateness_p99": 1e-6, "overruns": 0, "robots": ["slider"], "controllers": 1,
+    "controllers_running": 1, "connections": 1, "memory": 1, "uptime": 1.0, "log": "",
+}  # fmt: skip
+CONTROLLER = {"name": "c", "state": "running", "type": "t", "claimed_resources": []}
+
+
+def modules(slidectl: CommandLine, tmp_path: Path, *words: str) -> set[str]:
+    """The modules that are loaded when the command leaves, which it must do with success."""
+    listing = tmp_path / "modules"
+    argv = [sys.executable, "-c", SHOW_MODULES, str(listing), *words]
+    done = subprocess.run(argv, capture_output=True, text=True, env=slidectl.environment, timeout=60, check=True)
+    code, *names = listing.read_text().split()
+    assert code == "0", done.stderr
+    return set(names)
+
+
+def floor() -> set[str]:
+    done = subprocess.run([sys.executable, "-c", FLOOR], capture_output=True, text=True, timeout=60, check=True)
+    return set(done.stdout.split())
+
+
+def foreign(loaded: set[str]) -> set[str]:
+    return {name for name in loaded - floor() if name.split(".")[0] != "slidectl"}
+
+
+@pytest.fixture
+def slider(fake: FakeDaemon) -> FakeDaemon:
+    """A scripted daemon with a slider that has one controller."""
+    fake.answers |= {
+        "/slidectl/list_robots": {"robots": [SLIDER]},
+        "/slidectl/status": STATUS,
+        "/rosapi/services_for_type": {"services": ["/slider/controller_manager/list_controllers"]},
+        "/slider/controller_manager/list_controllers": {"controller": [CONTROLLER]},
+        "/rosapi/topics": {"topics": ["/clock"], "types": ["rosgraph_msgs/Clock"]},
+        "/rosapi/publishers": {"publishers": ["/gazebo"]},
+        "/rosapi/message_details": {"typedefs": []},
+        "/slidectl/wait": {"success": True, "message": "", "last": "1.0", "closest": "1.0", "time": 1.0},
+    }
+    return fake
+
+
+EVERYDAY = [
+    ("version",),
+    ("robots",),
+    ("robots", "slider", "--json"),
+    ("controller", "list"),
+    ("controller", "list", "--json"),
+    ("sim", "status"),
+    ("wait", "clock", "--near", "1"),
+]
+
+
+@pytest.mark.usefixtures("slider")
+@pytest.mark.parametrize("words", EVERYDAY, ids=" ".join)
+def test_an_everyday_command_imports_only_what_is_allowed(
+    slidectl: CommandLine, tmp_path: Path, words: tuple[str, ...]
+) -> None:
+    loaded = modules(slidectl, tmp_path, *words)
+    assert "slidectl.cli.main" in loaded
+    assert foreign(loaded) <= ALLOWED
+    rooms = {name.split(".")[1] for name in loaded if name.startswith("slidectl.")}
+    assert rooms <= {"cli", "client", "errors", "names", "paths"}
+
+
+def test_the_help_imports_no_command_and_no_client(slidectl: CommandLine, tmp_path: Path) -> None:
+    loaded = modules(slidectl, tmp_path, "--help")
+    assert not {f"slidectl.cli.{entry.module}" for entry in COMMANDS.values()} & loaded
+    assert "slidectl.client" not in loaded
+    assert foreign(loaded) <= ALLOWED | ALLOWED_FOR_HELP
+
+
+@pytest.mark.usefixtures("slider")
+def test_an_everyday_command_imports_only_its_own_module(slidectl: CommandLine, tmp_path: Path) -> None:
+    loaded = modules(slidectl, tmp_path, "sim", "status")
+    assert {f"slidectl.cli.{entry.module}" for entry in COMMANDS.values()} & loaded == {"slidectl.cli.sim"}
