@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import statistics
 
 import mujoco
@@ -40,7 +41,7 @@ def build(model: str, controllers: tuple[str, ...]) -> Simulation:
 def _measure(model: str, controllers: tuple[str, ...], goal: float | None) -> list[Row]:
     simulation = build(model, controllers)
     simulation.step(1000)
-    bare_model, bare_data = simulation.world.copy()
+    bare_model, bare_data = copy.copy(simulation.world.model), copy.copy(simulation.world.data)
     ratios, rates, bare_rates = [], [], []
     for _ in range(ROUNDS):
         ours = timed(lambda: simulation.step(CYCLES))

@@ -1,0 +1,86 @@
+"""Every session that a page shows (a fenced `console` block) is typed into a shell, and prints what the page says.
+
+Numbers may differ; a line `...` stands for any lines.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+BLOCK = re.compile(r"^```console\n(.*?)^```", re.MULTILINE | re.DOTALL)
+NUMBER = re.compile(r"(?<![A-Za-z_/])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+PAGES = [
+    page
+    for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+    if BLOCK.search(page.read_text("utf-8"))
+]
+
+
+def sessions(page: Path) -> list[tuple[str, list[str]]]:
+    """Commands and the lines that each is said to print, in the order of the page."""
+    steps: list[tuple[str, list[str]]] = []
+    for block in BLOCK.findall(page.read_text(encoding="utf-8")):
+        for line in block.splitlines():
+            if line.startswith("$ "):
+                steps.append((line[2:].partition("    #")[0].rstrip(), []))
+            else:
+                steps[-1][1].append(line)
+    return steps
+
+
+def pattern(lines: list[str]) -> re.Pattern[str]:
+    """What the printed text must look like."""
+    parts = [r"(?:.*\n)*?" if line.strip() == "..." else _line(line) + r"[ ]*\n" for line in lines]
+    return re.compile("".join(parts) + r"\Z")
+
+
+def _line(line: str) -> str:
+    pieces = NUMBER.split(line.rstrip())
+    return r"[-+]?[\d.]+(?:e[-+]?\d+)?".join(re.sub(r"(?:\\ )+", r"[ ]+", re.escape(piece)) for piece in pieces)
+
+
+@pytest.fixture
+def environment() -> Iterator[dict[str, str]]:
+    folder = tempfile.mkdtemp(prefix="slidectl-docs-", dir="/tmp")
+    variables = {**os.environ, "XDG_RUNTIME_DIR": folder, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    for name in ("SLIDECTL_SOCKET", "SLIDECTL_INSTANCE", "SLIDECTL_NAMESPACE"):
+        variables.pop(name, None)
+    yield variables
+    subprocess.run(["slidectl", "-q", "daemon", "stop"], env=variables, capture_output=True, check=False)
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_the_sessions_of_a_page_print_what_it_shows(page: Path, environment: dict[str, str]) -> None:
+    for command, lines in sessions(page):
+        done = subprocess.run(
+            ["bash", "-c", command],
+            cwd=ROOT,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            timeout=120,
+            check=False,
+        )
+        printed = "".join(line.rstrip() + "\n" for line in done.stdout.splitlines())
+        assert pattern(lines).match(printed), (
+            f"$ {command}\n--- printed (exit {done.returncode}):\n{printed}--- shown:\n" + "\n".join(lines)
+        )
+
+
+def test_numbers_may_differ_but_words_may_not() -> None:
+    assert pattern(["position: [0.5, 1]"]).match("position: [-0.25, 3]\n")
+    assert not pattern(["position: [0.5]"]).match("velocity: [0.5]\n")
+    assert pattern(["a", "...", "z"]).match("a\nb\nc\nz\n")
