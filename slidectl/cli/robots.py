@@ -51,7 +51,7 @@ def robots(ctx: Context, name: str | None) -> None:
     if name is None:
         rows = [record(robot, with_report=False) for robot in found]
         if ctx.format in ("text", "csv"):
-            rows = [{**row, "joints": [joint["name"] for joint in row["joints"]]} for row in rows]
+            rows = [{**row, "joints": moving(row)} for row in rows]
         ctx.emit_rows(rows, ["name", "namespace", "fixed", "joints", "controllers"], empty=_NONE)
         return
     one = record(find(found, name))
@@ -69,6 +69,11 @@ def record(robot: Robot, with_report: bool = True) -> Robot:
     return result | ({"report": robot["report"]} if with_report else {})
 
 
+def moving(robot: Robot) -> list[str]:
+    """The names of its joints, without the fixed ones."""
+    return [joint["name"] for joint in robot["joints"] if joint["type"] != "fixed"]
+
+
 def _joint(joint: dict[str, Any]) -> dict[str, Any]:
     return {key: joint["hardware_interface" if key == "interface" else key] for key in _JOINT_COLUMNS}
 
@@ -84,7 +89,8 @@ def robot_text(robot: Robot, with_report: bool) -> str:
         "links": robot["links"],
         "controllers": robot["controllers"],
     }
-    rows = [{**joint, "interface": joint["interface"].rpartition("/")[2]} for joint in robot["joints"]]
+    shown = (joint for joint in robot["joints"] if joint["type"] != "fixed")
+    rows = [{**joint, "interface": joint["interface"].rpartition("/")[2]} for joint in shown]
     parts = [output.as_lines(head)]
     if rows:
         parts.append(output.table(rows, _JOINT_COLUMNS).rstrip())

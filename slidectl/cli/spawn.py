@@ -186,8 +186,5 @@ def _tell_report(ctx: Context, name: str, document: Document) -> None:
 def _tell(ctx: Context, name: str) -> None:
     robot = robots.record(robots.find(robots.all_robots(ctx), name))
     x, y, z = robot["pose"][:3]
-    ctx.done(robot, f"{name}: spawned in {robot['namespace']} at {x:g} {y:g} {z:g}, joints: {_joint_names(robot)}")
-
-
-def _joint_names(robot: dict[str, Any]) -> str:
-    return " ".join(joint["name"] for joint in robot["joints"]) or "none"
+    joints = " ".join(robots.moving(robot)) or "none"
+    ctx.done(robot, f"{name}: spawned in {robot['namespace']} at {x:g} {y:g} {z:g}, joints: {joints}")

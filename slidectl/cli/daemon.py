@@ -1,0 +1,154 @@
+"""`slidectl daemon`: the life of the daemon's process, through daemon/lifecycle.py, and its log.
+
+Nothing here knows how a daemon works inside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from slidectl.cli import logs as follow
+from slidectl.cli.commands import group
+from slidectl.cli.context import Context
+from slidectl.cli.sim import status_text
+from slidectl.errors import NoDaemon
+
+if TYPE_CHECKING:
+    from slidectl.daemon.options import DaemonOptions
+
+START_LIMIT_S = 30.0
+STOP_LIMIT_S = 10.0
+
+
+@group(examples=["slidectl daemon start", "slidectl daemon start --rtf max --paused", "slidectl daemon status"])
+def daemon() -> None:
+    """Start, stop and watch the daemon that holds the world."""
+
+
+def _world(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The options of a new world."""
+    options = [
+        click.option("--rtf", default="1.0", metavar="FACTOR|max", help="Real-time factor, or as fast as possible."),
+        click.option("--paused", is_flag=True, help="Begin paused."),
+        click.option("--timestep", type=float, default=0.001, metavar="S", help="Length of a cycle (0.001 s)."),
+        click.option("--gravity", type=float, nargs=3, default=(0.0, 0.0, -9.8), metavar="X Y Z", help="In m/s^2."),
+        click.option("--ground/--no-ground", default=True, help="With a floor at height 0, or without."),
+    ]
+    for option in reversed(options):
+        function = option(function)
+    return function
+
+
+def _options(
+    rtf: str, paused: bool, timestep: float, gravity: tuple[float, float, float], ground: bool
+) -> DaemonOptions:
+    from slidectl.daemon import options
+
+    return options.DaemonOptions(options.rtf(rtf), paused, timestep, gravity, ground)
+
+
+@daemon.command("start", examples=["slidectl daemon start", "slidectl -i other daemon start --rtf max"])
+@_world
+@click.pass_context
+def start(click_context: click.Context, /, **world: Any) -> None:
+    """Start the daemon in the background; returns when it answers.
+
+    One that runs already stays as it is (exit code 0). JSON keys: instance, pid, socket, log, already.
+    """
+    ctx: Context = click_context.obj
+    already = _start(ctx, **world)
+    given = [
+        name for name in world if click_context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
+    ]
+    if already and given:
+        ctx.warn(f"it runs already, so {', '.join('--' + name for name in given)} had no effect")
+
+
+def _start(ctx: Context, **world: Any) -> bool:
+    """Start it and say so. True when it ran already."""
+    from slidectl.daemon import lifecycle
+
+    pid, already = lifecycle.start(ctx.paths, _options(**world), ctx.wait_limit(START_LIMIT_S))
+    how = "runs already" if already else "started"
+    ctx.done({**_place(ctx, pid), "already": already}, f"daemon {ctx.paths.name}: {how}, process {pid}")
+    return already
+
+
+def _place(ctx: Context, pid: int | None) -> dict[str, Any]:
+    paths = ctx.paths
+    return {"instance": paths.name, "pid": pid, "socket": paths.socket_text, "log": str(paths.log)}
+
+
+@daemon.command("run", examples=["slidectl daemon run --rtf max"])
+@_world
+@click.pass_obj
+def run(ctx: Context, /, **world: Any) -> None:
+    """Run the daemon in the foreground, for containers and systemd.
+
+    It logs to standard error too. SIGTERM and Ctrl-C stop it cleanly (exit code 0).
+    """
+    from slidectl.daemon import lifecycle
+
+    lifecycle.run(ctx.paths, _options(**world))
+
+
+@daemon.command("stop", examples=["slidectl daemon stop"])
+@click.pass_obj
+def stop(ctx: Context) -> None:
+    """Stop the daemon; returns when its process has ended.
+
+    When none runs there is nothing to do (exit code 0). JSON keys: instance, pid (null when none ran), socket, log.
+    """
+    pid = _stop(ctx)
+    how = "does not run" if pid is None else f"stopped, it was process {pid}"
+    ctx.done(_place(ctx, pid), f"daemon {ctx.paths.name}: {how}")
+
+
+def _stop(ctx: Context) -> int | None:
+    from slidectl.daemon import lifecycle
+
+    return lifecycle.stop(ctx.paths, ctx.wait_limit(STOP_LIMIT_S))
+
+
+@daemon.command("restart", examples=["slidectl daemon restart --rtf max"])
+@_world
+@click.pass_obj
+def restart(ctx: Context, /, **world: Any) -> None:
+    """Stop the daemon if it runs, and start a new one with an empty world.
+
+    The options are those of the new one; those of the old one are not remembered. JSON keys as those of start.
+    """
+    _options(**world)
+    _stop(ctx)
+    _start(ctx, **world)
+
+
+@daemon.command("status", examples=["slidectl daemon status", "slidectl daemon status --json"])
+@click.pass_obj
+def status(ctx: Context) -> None:
+    """Show whether the daemon runs, and how; exit code 3 when it does not.
+
+    JSON keys: running, instance, pid, socket, log, and when it runs the fields of the service /slidectl/status.
+    """
+    try:
+        answer = ctx.call("/slidectl/status")
+    except NoDaemon:
+        if ctx.format != "text":
+            ctx.emit({"running": False, **_place(ctx, None)})
+        raise
+    place = _place(ctx, answer["pid"])
+    text = "\n".join([status_text(answer), *(f"{key + ':':<12} {place[key]}" for key in ("socket", "log"))])
+    ctx.emit({"running": True, **place, **{key: value for key, value in answer.items() if key not in place}}, text)
+
+
+@daemon.command("logs", examples=["slidectl daemon logs -n 20", "slidectl daemon logs -f"])
+@click.option("-f", "--follow", "following", is_flag=True, help="Go on with what is logged later, until Ctrl-C.")
+@click.option("-n", "--lines", type=click.IntRange(min=0), metavar="N", help="Begin with the last N lines.")
+@click.pass_obj
+def logs(ctx: Context, following: bool, lines: int | None) -> None:
+    """Print the daemon's log. JSON key: line."""
+    for line in follow.lines(ctx.paths.log, lines, following):
+        ctx.emit({"line": line}, line)
