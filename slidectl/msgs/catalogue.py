@@ -33,7 +33,7 @@ def definition_of(type_name: str) -> Definition:
     """The definition of `pkg/Type`. Raises UnknownName."""
     found = _definitions.get(type_name) or _find(type_name)
     if found is None:
-        raise _unknown("message type", type_name, type_names())
+        raise _unknown("message type", type_name, _siblings_here(type_name) or type_names())
     return found
 
 
@@ -79,14 +79,24 @@ def type_names() -> list[str]:
     """All message types, those of actions too, without the requests and responses of services; sorted."""
     from slidectl.msgs import rosbags_types
 
-    names = set(_names("msg")) | set(rosbags_types.names())
-    names.update(stem + part for stem in _names("action") for part in _ACTION_PARTS)
-    return sorted(names)
+    return sorted(_names_here() | set(rosbags_types.names()))
 
 
 def service_names() -> list[str]:
     """All service types, sorted."""
     return sorted(_names("srv"))
+
+
+def _names_here() -> set[str]:
+    return {*_names("msg"), *(stem + part for stem in _names("action") for part in _ACTION_PARTS)}
+
+
+def _siblings_here(type_name: str) -> list[str]:
+    """The types of its package, when all of them are in files: a slip of the pen must not cost a daemon 0.1 s."""
+    package = type_name.rpartition("/")[0]
+    if not package or package in _ROSBAGS_PACKAGES:
+        return []
+    return sorted(name for name in _names_here() if name.startswith(f"{package}/"))
 
 
 def _names(kind: str) -> Iterator[str]:
