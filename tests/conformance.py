@@ -19,13 +19,13 @@ from typing import Any
 # A checkout runs as it stands, installed or not.
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from slidectl.control import limits as limit_handles  # noqa: E402
-from slidectl.control import transmissions  # noqa: E402
-from slidectl.control.duration import from_seconds, to_seconds  # noqa: E402
-from slidectl.control.handles import JointHandle  # noqa: E402
-from slidectl.control.joint_limits import JointLimits, SoftJointLimits  # noqa: E402
-from slidectl.control.pid import Gains, Pid  # noqa: E402
-from slidectl.errors import SlidectlError  # noqa: E402
+from slidectl.control import limits as limit_handles
+from slidectl.control import transmissions
+from slidectl.control.duration import from_seconds, to_seconds
+from slidectl.control.handles import JointHandle
+from slidectl.control.joint_limits import JointLimits, SoftJointLimits
+from slidectl.control.pid import Gains, Pid
+from slidectl.errors import SlidectlError
 
 Case = dict[str, Any]
 Comparison = tuple[str, float, float]
