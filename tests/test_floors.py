@@ -84,4 +84,4 @@ def test_every_room_has_a_floor() -> None:
 def test_the_command_line_has_no_private_door(path: Path) -> None:
     assert rooms_used(path) <= CLI_MAY_TAKE
     inside = {name for name in imported(path) if name.startswith("slidectl.daemon.")}
-    assert inside <= {"slidectl.daemon.lifecycle", "slidectl.daemon.main"}
+    assert inside <= {"slidectl.daemon.lifecycle", "slidectl.daemon.options", "slidectl.daemon.main"}
