@@ -11,6 +11,7 @@ import csv
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from math import isnan
 from pathlib import Path
 from typing import Any
@@ -20,9 +21,9 @@ import yaml
 # A checkout runs as it stands, installed or not.
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from slidectl.control.interfaces import JointStateInterface  # noqa: E402
-from slidectl.errors import SlidectlError  # noqa: E402
-from slidectl.simulation.simulation import Simulation  # noqa: E402
+from slidectl.control.interfaces import JointStateInterface
+from slidectl.errors import SlidectlError
+from slidectl.simulation.simulation import Simulation
 
 TIMESTEP = 0.001
 GRAVITY = (0.0, 0.0, -9.81)
@@ -70,7 +71,7 @@ def read_rows(path: str) -> list[Row]:
         rows = [_row(path, number, line) for number, line in enumerate(lines[1:], start=2) if line]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise Unreadable(f"{path}: {error}") from error
-    if not rows or any(after.cycle <= before.cycle for before, after in zip(rows, rows[1:], strict=False)):
+    if not rows or any(after.cycle <= before.cycle for before, after in pairwise(rows)):
         raise Unreadable(f"{path}: there must be rows, and their times must rise")
     return rows
 

@@ -30,6 +30,17 @@ class JointPlace:
 
 
 @dataclass(frozen=True, slots=True)
+class Weights:
+    """Inverse weights of a robot's bodies and dofs, by which MuJoCo scales its constraints.
+
+    They are taken from the robot compiled alone: compiled among others they come out a rounding error apart.
+    """
+
+    bodies: Array
+    dofs: Array
+
+
+@dataclass(frozen=True, slots=True)
 class RobotState:
     """All that a robot's future depends on besides its model: copies of its parts of MuJoCo's arrays."""
 
@@ -54,6 +65,8 @@ class Body:
         """Link name to MuJoCo's body id."""
         self.joints: dict[str, JointPlace] = {}
         """Revolute, continuous and prismatic joints by name, in the order of the file."""
+        self.weights: Weights | None = None
+        """Set once, when the robot is attached."""
         self._model: Any = None
         self._data: Any = None
         self._rebound: list[Callable[[], None]] = []
@@ -113,6 +126,14 @@ class Body:
                 index = mujoco.mj_name2id(model, joint, f"{self.name}/{made.name}")
                 self.joints[made.name] = JointPlace(made, int(model.jnt_qposadr[index]), int(model.jnt_dofadr[index]))
         self._slices = _slices(model, self.root_id, len(self.links))
+        if self.weights is None:
+            self.weights = Weights(model.body_invweight0[self._slices["body"]].copy(), self._dof_weights().copy())
+        model.body_invweight0[self._slices["body"]] = self.weights.bodies
+        self._dof_weights()[:] = self.weights.dofs
+
+    def _dof_weights(self) -> Array:
+        weights: Array = self._model.dof_invweight0[self.dofs]
+        return weights
 
     def announce(self) -> None:
         """Tell those who hold indices or views that `bind` has moved them."""

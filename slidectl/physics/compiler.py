@@ -67,6 +67,9 @@ def _empty(settings: Settings) -> Any:
     # A robot must not notice its neighbours: sums over a sparse row are the same wherever the row lies, and the
     # choice between dense and sparse would otherwise depend on the number of degrees of freedom in the world.
     spec.option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
+    # The solver starts either from the last accelerations or from free motion, whichever is better for the world as a
+    # whole. Always the latter, then: Newton needs no more than an iteration or two for it.
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_WARMSTART
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     spec.worldbody.add_light(name="sun", pos=[0, 0, 10], dir=[-0.5, 0.1, -0.9])
     if settings.ground:

@@ -67,8 +67,13 @@ class WorldCore:
         if name in self._bodies:
             raise Refused(f"a robot named {name!r} is in the world already", "give another name, or delete it first")
         body = Body(name, robot, (finite(pose[0]), normalized(pose[1])))
-        self._rebuild({**self._bodies, name: body}, newest=name)
+        self._weigh(body)
+        self._rebuild({**self._bodies, name: body})
         return body
+
+    def _weigh(self, body: Body) -> None:
+        """Compile the robot alone. That finds its errors, and what it weighs without the others."""
+        body.bind(compile_world(self._settings, (body,), body.name), None)
 
     def detach(self, name: str) -> None:
         """Take a robot out, with the forces on it. Raises UnknownName."""
@@ -91,8 +96,8 @@ class WorldCore:
         """Call back whenever `model`, `data` or `step` were replaced."""
         self._listeners.append(callback)
 
-    def _rebuild(self, bodies: dict[str, Body], newest: str = "") -> None:
-        model = compile_world(self._settings, bodies.values(), newest)
+    def _rebuild(self, bodies: dict[str, Body]) -> None:
+        model = compile_world(self._settings, bodies.values(), next(reversed(bodies), ""))
         states = {name: body.capture() for name, body in self._bodies.items() if name in bodies}
         self._bodies = bodies
         self._install(model, self.data.time)
