@@ -103,7 +103,7 @@ class Connection:
             raise BadLine(f"a line that was cut off after {self._incoming.unfinished} bytes")
 
     def serve(self) -> None:
-        """Hand some of the lines on. The rest has its turn after the next cycles: one client must not hold up the world."""
+        """Hand some of the lines on. The rest comes after the next cycles: no client holds up the world."""
         lines = self._incoming.lines
         for _ in range(min(len(lines), _LINES_A_TURN)):
             self._receiver.take(lines.popleft())

@@ -55,16 +55,16 @@ class Daemon:
         self._watch_signals()
 
     def run(self) -> None:
-        """Turn until stopped: cycles that are due, lines that wait, then the sockets."""
+        """Turn until stopped: the cycles that are due and what they published, then the sockets and what they asked."""
         _wake_punctually()
         gc.disable()
         self._log.write("info", f"slidectl {slidectl.__version__} answers on {self._start.paths.socket}")
         while not self._stopping:
             wait_s = self._cycles()
-            if self._server.turn():
-                wait_s = 0.0
+            self._server.flush()
             self._tidy(wait_s)
-            self._loop.poll(wait_s)
+            self._loop.poll(0.0 if self._server.busy else wait_s)
+            self._server.serve()
         self._end()
 
     def _cycles(self) -> float | None:

@@ -59,18 +59,20 @@ class Server:
         self._listening = False
         self._listen()
 
-    def turn(self) -> bool:
-        """Serve what is waiting. True when more is waiting still."""
-        busy = self.busy
-        if busy.with_lines:
-            connections, busy.with_lines = busy.with_lines, set()
+    def serve(self) -> None:
+        """Lines that were left over from an earlier turn, then all answers."""
+        if self.busy.with_lines:
+            connections, self.busy.with_lines = self.busy.with_lines, set()
             for connection in connections:
                 connection.serve()
-        if busy.with_output:
-            connections, busy.with_output = busy.with_output, set()
+        self.flush()
+
+    def flush(self) -> None:
+        """Send what the clients take."""
+        if self.busy.with_output:
+            connections, self.busy.with_output = self.busy.with_output, set()
             for connection in connections:
                 connection.flush()
-        return bool(busy)
 
     def close(self, farewell: str) -> None:
         """Say goodbye to all and let go of everything. What a client does not take at once is lost."""

@@ -186,25 +186,32 @@ class Session:
 
     def _call_service(self, message: Message) -> None:
         service = _name(message, "service")
-        request = message.get("args") or {}
-        if isinstance(request, list):
-            request = self._by_position(service, request)
-        pending = self._graph.services.call(service, request)
+        pending = self._call(service, message.get("args") or {})
         if not pending.done:
             self._calls.add(pending)
-        pending.then(lambda answered: self._answer(answered, service, message))
+        call_id = {"id": message["id"]} if "id" in message else {}
+        pending.then(lambda answered: self._answer(answered, service, call_id))
 
-    def _by_position(self, service: str, values: list[Any]) -> Message:
+    def _call(self, service: str, request: Any) -> Pending:
+        try:
+            return self._graph.services.call(service, self._by_name(service, request))
+        except SlidectlError as error:
+            pending = Pending()
+            pending.reject(error)
+            return pending
+
+    def _by_name(self, service: str, values: Any) -> Any:
+        """Arguments may come as a list, in the order of the fields."""
+        if not isinstance(values, list):
+            return values
         fields = msgs.fields(msgs.request_type(self._graph.services.type_of(service)))
         if len(values) > len(fields):
             raise UsageError(f"{service} takes {len(fields)} arguments, not {len(values)}")
         return {field.name: value for field, value in zip(fields, values, strict=False)}
 
-    def _answer(self, pending: Pending, service: str, message: Message) -> None:
+    def _answer(self, pending: Pending, service: str, call_id: Message) -> None:
         self._calls.discard(pending)
-        response: Message = {"op": "service_response", "service": service}
-        if "id" in message:
-            response["id"] = message["id"]
+        response: Message = {"op": "service_response", **call_id, "service": service}
         if pending.error is None:
             response |= {"values": pending.result(), "result": True}
         else:

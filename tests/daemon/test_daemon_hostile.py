@@ -1,0 +1,284 @@
+"""What clients do wrong, on purpose or not: the daemon answers, forgets them, and lives."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import select
+import socket
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from daemon_fixture import Runtime
+from rosbridge_wire import Wire
+
+from slidectl.client.lines import LONGEST_LINE
+from slidectl.daemon.listener import refusal
+
+Connect = Callable[[], Wire]
+
+
+def resident_bytes(pid: int) -> int:
+    """Memory of the process."""
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"this is no JSON",
+        b"{",
+        b'"text"',
+        b"[1, 2]",
+        b"null",
+        b"\xff\xfe\x00",
+        b'{"topic": "/x"}',
+        b'{"op": 7}',
+        b'{"op": null}',
+        b'{"op": "fly"}',
+        b'{"op": "publish"}',
+        b'{"op": "publish", "topic": 5, "msg": {}}',
+        b'{"op": "publish", "topic": "/clock", "msg": [1, [2]]}',
+        b'{"op": "publish", "topic": "/clock", "msg": "text"}',
+        b'{"op": "publish", "topic": "not//legal", "msg": {}}',
+        b'{"op": "subscribe", "topic": "/nobody/knows/it"}',
+        b'{"op": "subscribe", "topic": "/clock", "queue_length": "many"}',
+        b'{"op": "subscribe", "topic": "/clock", "throttle_rate": -1}',
+        b'{"op": "subscribe", "topic": "/clock", "throttle_rate": NaN}',
+        b'{"op": "subscribe", "topic": "/clock", "compression": "png"}',
+        b'{"op": "subscribe", "topic": "/clock", "type": ["a"]}',
+        b'{"op": "subscribe", "topic": "/x", "type": "no_such/Type"}',
+        b'{"op": "unsubscribe", "topic": "/clock"}',
+        b'{"op": "advertise", "topic": "/x", "type": "no_such/Type"}',
+        b'{"op": "unadvertise", "topic": "/clock"}',
+        b'{"op": "advertise_service", "service": "/slidectl/status", "type": "std_srvs/Empty"}',
+        b'{"op": "unadvertise_service", "service": "/slidectl/status"}',
+        b'{"op": "service_response", "id": {}}',
+        b'{"op": "call_service"}',
+        b'{"op": "set_level"}',
+        b'{"op": "publish", "topic": "/clock", "msg": {"clock": {"secs": 1e400}}}',
+        b"[" * 100_000,
+        b'{"a":' * 50_000,
+    ],
+    ids=lambda line: line[:60].decode(errors="replace"),
+)
+def test_nonsense_is_answered_with_a_status_and_the_connection_lives_on(wire: Wire, line: bytes) -> None:
+    wire.raw(line + b"\n")
+    status = wire.receive()
+    assert (status["op"], status["level"]) == ("status", "error")
+    assert status["msg"]
+    assert "internal error" not in status["msg"]
+    assert wire.call("/rosapi/get_time")["result"] is True
+
+
+@pytest.mark.parametrize("args", [5, "text", [[[]]], {"cycles": {}}, {"cycles": -1}, {"cycles": 1e300}, [None] * 9])
+def test_wrong_arguments_fail_the_call_and_nothing_else(wire: Wire, args: object) -> None:
+    wire.send(op="call_service", id="x", service="/slidectl/step", args=args)
+    answer = wire.receive()
+    assert (answer["op"], answer["id"], answer["result"]) == ("service_response", "x", False)
+    assert "internal error" not in answer["values"]
+
+
+def test_ids_of_any_kind_come_back_as_they_were(wire: Wire) -> None:
+    for given in (7, "seven", None, [7], {"seven": 7}):
+        wire.send(op="call_service", id=given, service="/rosapi/get_time")
+        assert wire.receive()["id"] == given
+        wire.send(op="subscribe", id=given, topic="/clock")
+        wire.send(op="unsubscribe", id=given, topic="/clock")
+        assert wire.call("/rosapi/get_time")["result"] is True
+
+
+def test_random_bytes_do_not_end_the_daemon(connect: Connect) -> None:
+    noise = random.Random(4)
+    for _ in range(20):
+        wire = connect()
+        wire.raw(noise.randbytes(5000) + b"\n")
+        assert wire.receive()["level"] == "error"
+        wire.close()
+    assert connect().call("/rosapi/get_time")["result"] is True
+
+
+def test_mutilated_operations_do_not_end_the_daemon(connect: Connect) -> None:
+    chance = random.Random(5)
+    sound = [
+        json.dumps(message).encode()
+        for message in (
+            {"op": "subscribe", "id": "a", "topic": "/clock", "type": "rosgraph_msgs/Clock", "queue_length": 3},
+            {"op": "call_service", "id": "b", "service": "/rosapi/topic_type", "args": {"topic": "/clock"}},
+            {"op": "publish", "topic": "/x", "msg": {"data": 1.0}, "type": "std_msgs/Float64"},
+            {"op": "advertise_service", "service": "/mine", "type": "std_srvs/Trigger"},
+        )
+    ]
+    wire = connect()
+    for _ in range(500):
+        line = bytearray(chance.choice(sound))
+        for _ in range(chance.randrange(1, 4)):
+            line[chance.randrange(len(line))] = chance.randrange(32, 127)
+        wire.raw(bytes(line) + b"\n")
+    wire.send(op="call_service", id="end", service="/rosapi/get_time")
+    assert wire.until("service_response", id="end")["result"] is True
+
+
+def test_a_line_of_100_mb_is_refused_and_never_kept(daemon: Runtime, connect: Connect) -> None:
+    wire = connect()
+    assert daemon.pid is not None
+    before = resident_bytes(daemon.pid)
+    assert feed_until_hung_up(wire, 100_000_000) < 100_000_000
+    status = wire.receive()
+    assert (status["level"], str(LONGEST_LINE) in status["msg"]) == ("error", True)
+    with pytest.raises((EOFError, ConnectionError)):
+        wire.receive()
+    assert resident_bytes(daemon.pid) - before < 3 * LONGEST_LINE
+    assert connect().call("/rosapi/get_time")["result"] is True
+
+
+def feed_until_hung_up(wire: Wire, most: int) -> int:
+    """Send bytes without an end of line; how many were taken before the daemon closed the connection."""
+    block = b"x" * 1_000_000
+    for taken in range(0, most, len(block)):
+        try:
+            wire.raw(block)
+        except (BrokenPipeError, ConnectionResetError):
+            return taken
+    return most
+
+
+def test_a_long_line_within_the_limit_is_taken(wire: Wire) -> None:
+    wire.send(op="subscribe", topic="/long", type="std_msgs/String")
+    text = "x" * 5_000_000
+    wire.send(op="publish", topic="/long", msg={"data": text})
+    assert wire.receive()["msg"]["data"] == text
+
+
+def test_a_line_that_is_cut_off_is_answered_when_the_client_still_listens(wire: Wire) -> None:
+    wire.raw(b'{"op": "publish", "topic": "/cl')
+    wire.socket.shutdown(socket.SHUT_WR)
+    assert "cut off" in wire.receive()["msg"]
+    with pytest.raises(EOFError):
+        wire.receive()
+
+
+def test_what_a_client_said_before_it_vanished_is_carried_out(connect: Connect) -> None:
+    listener, hasty = connect(), connect()
+    listener.send(op="subscribe", topic="/testament", type="std_msgs/Int32")
+    listener.call("/rosapi/get_time")
+    lines = [{"op": "publish", "topic": "/testament", "msg": {"data": number}} for number in range(500)]
+    complaints = [{"op": "publish", "topic": "/testament", "msg": {"wrong": number}} for number in range(500)]
+    hasty.raw(
+        b"".join(json.dumps(line).encode() + b"\n" for pair in zip(lines, complaints, strict=True) for line in pair)
+    )
+    hasty.close()
+    assert [listener.receive()["msg"]["data"] for _ in range(500)] == list(range(500))
+
+
+def test_clients_that_vanish_in_the_middle_of_a_stream_leave_nothing_behind(connect: Connect) -> None:
+    for _ in range(30):
+        victim = connect()
+        victim.send(op="subscribe", topic="/clock")
+        victim.send(op="advertise", topic="/victim", type="std_msgs/String")
+        victim.send(op="advertise_service", service="/victim_service", type="std_srvs/Trigger")
+        victim.send(op="call_service", id="s", service="/slidectl/step", args={"cycles": 500})
+        victim.until("publish")
+        # Hang up without reading what is there: the daemon's next send fails with a reset.
+        victim.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        victim.close()
+    onlooker = connect()
+    assert onlooker.call("/rosapi/subscribers", topic="/clock")["values"]["subscribers"] == []
+    assert "/victim" not in onlooker.call("/rosapi/topics")["values"]["topics"]
+    assert "/victim_service" not in onlooker.call("/rosapi/services")["values"]["services"]
+
+
+def test_steps_that_nobody_waits_for_any_more_are_given_up(connect: Connect) -> None:
+    hasty, patient = connect(), connect()
+    hasty.send(op="call_service", id="s", service="/slidectl/step", args={"cycles": 10**12})
+    hasty.call("/rosapi/get_time")
+    hasty.close()
+    patient.call("/slidectl/step", cycles=1)
+    before = patient.call("/slidectl/status")["values"]["cycles"]
+    patient.call("/slidectl/step", cycles=1)
+    assert patient.call("/slidectl/status")["values"]["cycles"] == before + 1
+
+
+def test_a_subscriber_that_does_not_read_keeps_the_newest_and_holds_up_nobody(connect: Connect) -> None:
+    sleeper, driver = connect(), connect()
+    sleeper.send(op="subscribe", topic="/clock", queue_length=10)
+    sleeper.call("/rosapi/get_time")
+    for _ in range(10):
+        assert driver.call("/slidectl/step", cycles=2000)["values"]["success"] is True
+    end = driver.call("/rosapi/get_time")["values"]["time"]
+    received, dropped = 0, 0
+    while True:
+        message = sleeper.receive()
+        received += message["op"] == "publish"
+        dropped += message.get("dropped", 0)
+        if message.get("msg", {}) == {"clock": end}:
+            break
+    assert dropped > 0
+    assert received + dropped == 20_000
+
+
+def test_a_client_that_asks_and_does_not_read_is_not_listened_to_until_it_does(
+    daemon: Runtime, connect: Connect
+) -> None:
+    greedy, modest = connect(), connect()
+    question = b'{"op":"call_service","service":"/rosapi/services"}\n'
+    asked = send_until_not_listened_to(greedy, question, modest)
+    assert daemon.pid is not None
+    assert resident_bytes(daemon.pid) < 200 * 2**20
+    greedy.socket.setblocking(True)
+    answers = [greedy.receive() for _ in range(asked // len(question))]
+    assert all(answer["result"] is True for answer in answers)
+
+
+def send_until_not_listened_to(greedy: Wire, question: bytes, modest: Wire) -> int:
+    """Ask and ask until nothing more is taken, though the daemon has had time for others. Returns the bytes sent."""
+    greedy.socket.setblocking(False)
+    stream, asked = question * 1000, 0
+    for _ in range(100_000):
+        try:
+            asked += greedy.socket.send(stream[asked % len(question) :])
+        except BlockingIOError:
+            for _ in range(5):
+                assert modest.call("/rosapi/get_time")["result"] is True
+            if not select.select([], [greedy.socket], [], 0)[1]:
+                return asked
+    raise AssertionError(f"the daemon took {asked} bytes of questions")
+
+
+def test_many_clients_at_once_are_all_served(connect: Connect) -> None:
+    clients = [connect() for _ in range(100)]
+    for client in clients:
+        client.send(op="call_service", id="x", service="/rosapi/get_time")
+    assert all(client.receive()["result"] is True for client in clients)
+
+
+def test_only_processes_of_the_same_user_may_come_in() -> None:
+    assert refusal(os.geteuid()) is None
+    assert "may not use it" in (refusal(os.geteuid() + 1) or "")
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
+def test_a_process_of_another_user_is_turned_away_with_a_word(runtime: Runtime) -> None:
+    runtime.start(paused=True)
+    for path in (runtime.folder, runtime.paths.folder.parent, runtime.paths.folder):
+        path.chmod(0o755)  # as if somebody had opened the folder: the credentials must still hold
+    runtime.paths.socket.chmod(0o666)
+    read_end, write_end = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.setuid(65534)
+        with socket.socket(socket.AF_UNIX) as stranger:
+            stranger.connect(str(runtime.paths.socket))
+            os.write(write_end, stranger.recv(4096) + b"|" + stranger.recv(4096))
+        os._exit(0)
+    os.waitpid(child, 0)
+    os.close(write_end)
+    with os.fdopen(read_end, "rb") as told:
+        line, _, rest = told.read().partition(b"|")
+    assert "may not use it" in json.loads(line)["msg"]
+    assert rest == b""
+    runtime.paths.folder.chmod(0o700)
+    assert "refused a connection" in runtime.log

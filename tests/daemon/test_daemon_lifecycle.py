@@ -1,0 +1,280 @@
+"""Start, stop, restart after a crash, two at once, several side by side: with real processes."""
+
+from __future__ import annotations
+
+import ast
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from daemon_fixture import Runtime
+
+from slidectl import description, paths
+from slidectl.client import Client
+from slidectl.daemon import lifecycle
+from slidectl.daemon.options import DaemonOptions
+from slidectl.errors import NoDaemon, Refused, TimedOut, UsageError
+
+LIMIT_S = 20.0
+
+
+def wait_for_end(pid: int) -> None:
+    """Until the process has ended."""
+    process = os.pidfd_open(pid)
+    try:
+        assert select.select([process], [], [], LIMIT_S)[0], f"process {pid} is still there"
+    finally:
+        os.close(process)
+
+
+@pytest.fixture
+def foreground(runtime: Runtime) -> Iterator[subprocess.Popen[str]]:
+    """A daemon as `daemon run` makes it, ready."""
+    read_end, write_end = os.pipe()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "slidectl.daemon", "--foreground", f"--ready-fd={write_end}"],
+        env=runtime.env,
+        pass_fds=[write_end],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    os.close(write_end)
+    with process, os.fdopen(read_end) as ready:
+        assert "ready" in ready.readline()
+        yield process
+        process.kill()
+
+
+def test_a_started_daemon_answers_at_once(runtime: Runtime) -> None:
+    pid, ran_already = runtime.start(timestep=0.002, rtf=2.0)
+    assert not ran_already
+    with runtime.client() as client:
+        status = client.call("/slidectl/status")
+    assert (status["pid"], status["timestep"], status["speed"], status["instance"]) == (pid, 0.002, 2.0, "default")
+    assert (runtime.pid, status["log"]) == (pid, str(runtime.paths.log))
+
+
+def test_starting_a_running_daemon_gives_the_one_that_runs(runtime: Runtime) -> None:
+    pid, _ = runtime.start()
+    assert runtime.start(paused=True) == (pid, True)
+
+
+def test_stop_ends_the_process_and_leaves_only_the_log(runtime: Runtime) -> None:
+    pid, _ = runtime.start()
+    assert runtime.stop() == pid
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+    assert [file.name for file in runtime.paths.folder.iterdir()] == ["log"]
+    assert runtime.pid is None
+
+
+def test_stopping_where_nothing_runs_says_so(runtime: Runtime) -> None:
+    assert runtime.stop() is None
+
+
+def test_two_starts_at_once_give_one_daemon(runtime: Runtime) -> None:
+    script = (
+        "from slidectl import paths; from slidectl.daemon import lifecycle; print(lifecycle.start(paths.instance()))"
+    )
+
+    def start() -> str:
+        return subprocess.run([sys.executable, "-c", script], env=runtime.env, capture_output=True, text=True).stdout
+
+    with ThreadPoolExecutor(4) as pool:
+        results = [ast.literal_eval(future.result()) for future in [pool.submit(start) for _ in range(4)]]
+    assert {pid for pid, _ in results} == {runtime.pid}
+    assert sorted(ran_already for _, ran_already in results) == [False, True, True, True]
+
+
+def test_after_kill_9_the_next_start_cleans_up_and_runs(runtime: Runtime) -> None:
+    pid, _ = runtime.start()
+    os.kill(pid, signal.SIGKILL)
+    wait_for_end(pid)
+    assert runtime.paths.socket.exists()
+    assert runtime.pid is None
+    with pytest.raises(NoDaemon):
+        runtime.client()
+    second, ran_already = runtime.start()
+    assert (second != pid, ran_already) == (True, False)
+    runtime.client().close()
+
+
+def test_instances_live_side_by_side(runtime: Runtime) -> None:
+    other = Runtime(runtime.folder, "other")
+    first, _ = runtime.start(paused=True)
+    second, _ = other.start(paused=True)
+    assert first != second
+    with runtime.client() as client, other.client() as other_client:
+        client.call("/slidectl/step", {"cycles": 5})
+        assert client.call("/slidectl/status")["cycles"] == 5
+        assert other_client.call("/slidectl/status")["cycles"] == 0
+    other.stop()
+    assert runtime.pid == first
+
+
+def test_a_socket_of_any_name_has_its_own_daemon(runtime: Runtime) -> None:
+    with runtime.environment():
+        named = paths.instance(socket=str(runtime.folder / "robot.sock"))
+        lifecycle.start(named)
+        with Client(socket=str(named.socket)) as client:
+            assert client.call("/slidectl/status")["instance"] == "robot.sock"
+        assert lifecycle.stop(named) is not None
+    assert sorted(file.name for file in runtime.folder.iterdir()) == ["robot.sock.log"]
+
+
+def test_a_file_that_is_no_socket_is_left_alone(runtime: Runtime) -> None:
+    runtime.paths.folder.mkdir(mode=0o700, parents=True)
+    runtime.paths.socket.write_text("precious")
+    with pytest.raises(Refused, match="no socket"):
+        runtime.start()
+    assert runtime.paths.socket.read_text() == "precious"
+    assert runtime.pid is None
+
+
+def test_a_living_socket_is_never_taken_over_even_without_its_lock(runtime: Runtime) -> None:
+    pid, _ = runtime.start()
+    runtime.paths.lock.unlink()
+    with pytest.raises(Refused, match=str(pid)):
+        runtime.start()
+    with runtime.client() as client:
+        assert client.daemon_pid == pid
+        client.call("/slidectl/shutdown")
+    wait_for_end(pid)
+
+
+def test_a_stop_that_nobody_answers_falls_back_on_a_signal(runtime: Runtime) -> None:
+    pid, _ = runtime.start()
+    runtime.paths.socket.unlink()
+    assert runtime.stop() == pid
+    assert runtime.pid is None
+
+
+def test_a_daemon_that_hangs_is_named_with_the_way_to_end_it(runtime: Runtime) -> None:
+    pid, _ = runtime.start()
+    os.kill(pid, signal.SIGSTOP)
+    with runtime.environment(), pytest.raises(TimedOut, match=f"kill -KILL {pid}"):
+        lifecycle.stop(runtime.paths, timeout=0.2)
+    os.kill(pid, signal.SIGCONT)  # and now the signal that was sent arrives
+    wait_for_end(pid)
+
+
+def test_a_start_that_fails_tells_why(runtime: Runtime) -> None:
+    broken = runtime.folder / "broken" / "mujoco.py"
+    broken.parent.mkdir()
+    broken.write_text("raise ImportError('libmujoco is gone')")
+    runtime.env["PYTHONPATH"] = f"{broken.parent}:{runtime.env['PYTHONPATH']}"
+    with pytest.raises(lifecycle.StartFailed, match="libmujoco is gone"):
+        runtime.start()
+    assert [file.name for file in runtime.paths.folder.iterdir()] == ["log"]
+
+
+def test_options_that_make_no_sense_are_usage_errors() -> None:
+    for wrong in (
+        {"rtf": 0.0},
+        {"rtf": -1.0},
+        {"rtf": float("nan")},
+        {"timestep": 0.0},
+        {"gravity": (0, 0, float("nan"))},
+    ):
+        with pytest.raises(UsageError):
+            DaemonOptions(**wrong)  # type: ignore[arg-type]
+
+
+def test_the_folder_of_the_daemon_is_private(runtime: Runtime) -> None:
+    runtime.start()
+    assert runtime.paths.folder.stat().st_mode & 0o777 == 0o700
+    assert runtime.paths.socket.stat().st_mode & 0o777 == 0o600
+    assert runtime.paths.log.stat().st_mode & 0o777 == 0o600
+
+
+def test_a_folder_that_is_open_to_others_is_refused_by_both_sides(runtime: Runtime) -> None:
+    runtime.paths.folder.mkdir(parents=True)
+    runtime.paths.folder.chmod(0o755)
+    with pytest.raises(Refused, match="chmod 700"):
+        runtime.start()
+    with pytest.raises(Refused, match="chmod 700"):
+        runtime.client()
+
+
+def test_the_daemon_keeps_nothing_of_its_starter(runtime: Runtime) -> None:
+    with socket.socket() as inherited:
+        inherited.set_inheritable(True)
+        pid, _ = runtime.start()
+        links = {os.readlink(entry) for entry in Path(f"/proc/{pid}/fd").iterdir()}
+        assert f"socket:[{os.fstat(inherited.fileno()).st_ino}]" not in links
+    assert os.readlink(f"/proc/{pid}/cwd") == "/"
+    assert os.readlink(f"/proc/{pid}/fd/0") == "/dev/null"
+    assert os.readlink(f"/proc/{pid}/fd/2") == str(runtime.paths.log)
+    assert os.getsid(pid) == pid
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_a_running_daemon_cleanly(
+    runtime: Runtime, foreground: subprocess.Popen[str], number: signal.Signals
+) -> None:
+    with runtime.client() as client:
+        foreground.send_signal(number)
+        with pytest.raises(NoDaemon, match=f"went away: .*{number.name}"):
+            list(client.events())
+    _, errors = foreground.communicate(timeout=LIMIT_S)
+    assert foreground.returncode == 0
+    assert f"stopped by {number.name}" in errors
+    assert [file.name for file in runtime.paths.folder.iterdir()] == ["log"]
+    assert f"stopped by {number.name}" in runtime.log
+
+
+def test_sigterm_ends_a_step_of_a_million_cycles(runtime: Runtime, foreground: subprocess.Popen[str]) -> None:
+    with runtime.client() as client:
+        call = client.call_async("/slidectl/step", {"cycles": 100_000_000})
+        client.flush()
+        foreground.send_signal(signal.SIGTERM)
+        with pytest.raises(NoDaemon, match="SIGTERM"):
+            client.answer(call)
+    assert foreground.wait(LIMIT_S) == 0
+
+
+def test_running_in_the_foreground_where_a_daemon_runs_says_so(runtime: Runtime) -> None:
+    pid, _ = runtime.start()
+    second = subprocess.run(
+        [sys.executable, "-m", "slidectl.daemon", "--foreground"], env=runtime.env, capture_output=True, text=True
+    )
+    assert second.returncode == 0
+    assert str(pid) in second.stderr
+    assert runtime.pid == pid
+
+
+def test_run_becomes_the_daemon(runtime: Runtime) -> None:
+    script = "from slidectl import paths; from slidectl.daemon import lifecycle; lifecycle.run(paths.instance())"
+    process = subprocess.Popen([sys.executable, "-c", script], env=runtime.env, stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    with process:
+        assert "answers on" in process.stderr.readline()
+        assert runtime.pid == process.pid
+        process.terminate()
+        assert process.wait(LIMIT_S) == 0
+
+
+def test_the_log_has_what_goes_out_on_rosout(runtime: Runtime) -> None:
+    runtime.start(paused=True)
+    with runtime.client() as client:
+        client.call("/gazebo/spawn_urdf_model", {"model_name": "slider", "model_xml": description.load("slider").xml})
+        with client.rosout() as lines:
+            assert client.call("/slider/controller_manager/load_controller", {"name": "nobody"}) == {"ok": False}
+    assert len(lines) > 0
+    assert all(line["msg"] in runtime.log for line in lines)
+
+
+def test_a_log_that_cannot_be_written_harms_nobody(runtime: Runtime) -> None:
+    runtime.paths.folder.mkdir(mode=0o700, parents=True)
+    runtime.paths.log.symlink_to("/dev/full")
+    runtime.start(paused=True)
+    with runtime.client() as client:
+        assert client.call("/slidectl/step", {"cycles": 10})["success"]
+    assert runtime.stop() is not None

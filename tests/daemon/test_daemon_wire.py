@@ -1,0 +1,249 @@
+"""The operations of the wire, spoken raw to a real daemon."""
+
+from __future__ import annotations
+
+import math
+import os
+import socket
+from collections.abc import Callable
+
+from rosbridge_wire import Wire
+
+Connect = Callable[[], Wire]
+
+
+def test_a_message_reaches_the_subscriber_on_another_connection(connect: Connect) -> None:
+    reader, writer = connect(), connect()
+    reader.send(op="subscribe", topic="/chat", type="std_msgs/String")
+    reader.call("/rosapi/get_time")
+    writer.send(op="publish", topic="/chat", msg={"data": "hello"})
+    assert reader.receive() == {"op": "publish", "topic": "/chat", "msg": {"data": "hello"}}
+
+
+def test_messages_arrive_in_the_order_in_which_they_were_published(connect: Connect) -> None:
+    reader, writer = connect(), connect()
+    reader.send(op="subscribe", topic="/numbers", type="std_msgs/Int32")
+    reader.call("/rosapi/get_time")
+    for number in range(200):
+        writer.send(op="publish", topic="/numbers", msg={"data": number})
+    assert [reader.receive()["msg"]["data"] for _ in range(200)] == list(range(200))
+
+
+def test_the_answer_to_a_call_comes_after_everything_that_was_sent_before_it(wire: Wire) -> None:
+    wire.send(op="subscribe", topic="/echo", type="std_msgs/Int32")
+    wire.send(op="publish", topic="/echo", msg={"data": 7})
+    wire.send(op="publish", id="bad", topic="/echo", msg={"dat": 7})
+    wire.send(op="call_service", id="x", service="/rosapi/get_time")
+    assert [wire.receive()["op"] for _ in range(3)] == ["publish", "status", "service_response"]
+
+
+def test_a_latched_message_waits_for_the_latecomer(connect: Connect) -> None:
+    writer, late = connect(), connect()
+    writer.send(op="advertise", topic="/latched", type="std_msgs/String", latch=True)
+    writer.send(op="publish", topic="/latched", msg={"data": "kept"})
+    writer.call("/rosapi/get_time")
+    late.send(op="subscribe", topic="/latched")
+    assert late.until("publish")["msg"] == {"data": "kept"}
+
+
+def test_a_publisher_that_hangs_up_takes_its_topic_with_it(connect: Connect) -> None:
+    writer, onlooker = connect(), connect()
+    writer.send(op="advertise", topic="/short_lived", type="std_msgs/String")
+    writer.call("/rosapi/get_time")
+    assert "/short_lived" in onlooker.call("/rosapi/topics")["values"]["topics"]
+    writer.close()
+    assert "/short_lived" not in onlooker.call("/rosapi/topics")["values"]["topics"]
+
+
+def test_unadvertise_takes_the_publisher_back(wire: Wire) -> None:
+    wire.send(op="advertise", topic="/taken_back", type="std_msgs/String")
+    wire.send(op="unadvertise", topic="/taken_back")
+    assert "/taken_back" not in wire.call("/rosapi/topics")["values"]["topics"]
+
+
+def test_publishing_on_a_topic_that_nobody_knows_says_which_there_are(wire: Wire) -> None:
+    wire.send(op="publish", id="p1", topic="/nowhere", msg={})
+    status = wire.receive()
+    assert (status["op"], status["level"], status["id"], status["exit_code"]) == ("status", "error", "p1", 1)
+    assert "/nowhere" in status["msg"]
+    assert "/clock" in status["msg"]
+
+
+def test_a_wrong_field_is_named_together_with_the_right_ones(wire: Wire) -> None:
+    wire.send(op="subscribe", topic="/strict", type="std_msgs/String")
+    wire.send(op="publish", id="p1", topic="/strict", msg={"daat": "x"})
+    status = wire.receive()
+    assert (status["level"], status["exit_code"]) == ("error", 2)
+    assert "daat" in status["msg"]
+    assert "data" in status["msg"]
+
+
+def test_another_type_for_a_known_topic_is_refused(wire: Wire) -> None:
+    wire.send(op="subscribe", id="s1", topic="/clock", type="std_msgs/String")
+    status = wire.receive()
+    assert (status["level"], status["id"]) == ("error", "s1")
+    assert "rosgraph_msgs/Clock" in status["msg"]
+
+
+def test_nan_and_infinity_travel_as_null(connect: Connect) -> None:
+    reader, writer = connect(), connect()
+    reader.send(op="subscribe", topic="/floats", type="std_msgs/Float64MultiArray")
+    reader.call("/rosapi/get_time")
+    writer.send(op="publish", topic="/floats", msg={"data": [math.nan, math.inf, None, 1.5]})
+    assert reader.receive()["msg"]["data"] == [None, None, None, 1.5]
+
+
+def test_after_unsubscribe_nothing_comes_any_more(wire: Wire) -> None:
+    wire.send(op="subscribe", id="a", topic="/quiet", type="std_msgs/Int32")
+    wire.send(op="unsubscribe", id="a", topic="/quiet")
+    wire.send(op="publish", topic="/quiet", msg={"data": 1})
+    assert wire.receive()["level"] == "error"  # the topic went with its only user
+    assert wire.call("/rosapi/get_time")["result"] is True
+
+
+def test_two_wishes_for_one_topic_give_each_message_once_until_both_are_taken_back(connect: Connect) -> None:
+    reader, writer = connect(), connect()
+    writer.send(op="advertise", topic="/shared", type="std_msgs/Int32")
+    writer.call("/rosapi/get_time")
+    reader.send(op="subscribe", id="a", topic="/shared")
+    reader.send(op="subscribe", id="b", topic="/shared")
+    reader.send(op="unsubscribe", id="a", topic="/shared")
+    reader.call("/rosapi/get_time")
+    for number in (1, 2):
+        writer.send(op="publish", topic="/shared", msg={"data": number})
+    assert [reader.receive()["msg"]["data"] for _ in range(2)] == [1, 2]
+    reader.send(op="unsubscribe", topic="/shared")
+    assert reader.call("/rosapi/subscribers", topic="/shared")["values"]["subscribers"] == []
+
+
+def test_throttled_messages_come_no_more_often_than_asked(connect: Connect) -> None:
+    reader, writer = connect(), connect()
+    reader.send(op="subscribe", topic="/fast", type="std_msgs/Int32", throttle_rate=3_600_000)
+    reader.call("/rosapi/get_time")
+    for number in range(50):
+        writer.send(op="publish", topic="/fast", msg={"data": number})
+    writer.call("/rosapi/get_time")
+    reader.send(op="call_service", id="end", service="/rosapi/get_time")
+    assert reader.receive()["msg"]["data"] == 0
+    assert reader.receive()["op"] == "service_response"
+
+
+def test_the_shortest_queue_keeps_the_newest_and_tells_what_was_dropped(connect: Connect) -> None:
+    reader, writer = connect(), connect()
+    reader.send(op="subscribe", topic="/flood", type="std_msgs/Int32", queue_length=1)
+    reader.call("/rosapi/get_time")
+    line = b'{"op":"publish","topic":"/flood","msg":{"data":%d}}\n'
+    writer.raw(b"".join(line % number for number in range(20)))
+    assert reader.receive() == {
+        "op": "status",
+        "level": "warning",
+        "topic": "/flood",
+        "dropped": 19,
+        "msg": "19 messages on /flood were dropped: read too slowly",
+    }
+    assert reader.receive()["msg"]["data"] == 19
+
+
+def test_a_service_that_fails_answers_with_its_reason_and_exit_code(wire: Wire) -> None:
+    answer = wire.call("/slidectl/set_speeed", speed=1.0)
+    assert answer["result"] is False
+    assert "/slidectl/set_speed" in answer["values"]
+    assert answer["exit_code"] == 1
+
+
+def test_a_wrong_argument_of_a_service_is_a_usage_error(wire: Wire) -> None:
+    answer = wire.call("/slidectl/set_speed", velocity=1.0)
+    assert (answer["result"], answer["exit_code"]) == (False, 2)
+    assert "speed" in answer["values"]
+
+
+def test_arguments_of_a_service_may_come_as_a_list(wire: Wire) -> None:
+    wire.send(op="call_service", id="x", service="/rosapi/topic_type", args=["/clock"])
+    assert wire.receive()["values"] == {"type": "rosgraph_msgs/Clock"}
+    wire.send(op="call_service", id="y", service="/rosapi/topic_type", args=["/clock", "more"])
+    assert wire.receive()["result"] is False
+
+
+def test_an_answer_carries_no_id_when_the_call_had_none(wire: Wire) -> None:
+    wire.send(op="call_service", service="/rosapi/get_time")
+    assert "id" not in wire.receive()
+
+
+def test_a_service_of_a_client_is_called_like_any_other(connect: Connect) -> None:
+    provider, caller = connect(), connect()
+    provider.send(op="advertise_service", service="/ping", type="std_srvs/Trigger")
+    provider.call("/rosapi/get_time")
+    caller.send(op="call_service", id="c1", service="/ping", args={})
+    asked = provider.until("call_service")
+    assert (asked["service"], asked["args"]) == ("/ping", {})
+    provider.send(op="service_response", id=asked["id"], service="/ping", values={"success": True}, result=True)
+    assert caller.receive()["values"] == {"success": True, "message": ""}
+    provider.send(op="unadvertise_service", service="/ping")
+    provider.call("/rosapi/get_time")
+    assert caller.call("/ping")["result"] is False
+
+
+def test_a_provider_may_fail_a_call(connect: Connect) -> None:
+    provider, caller = connect(), connect()
+    provider.send(op="advertise_service", service="/grumpy", type="std_srvs/Trigger")
+    provider.call("/rosapi/get_time")
+    caller.send(op="call_service", id="c1", service="/grumpy")
+    asked = provider.until("call_service")
+    provider.send(op="service_response", id=asked["id"], service="/grumpy", values="not today", result=False)
+    answer = caller.receive()
+    assert (answer["result"], answer["values"]) == (False, "not today")
+
+
+def test_a_provider_that_vanishes_fails_the_calls_that_wait_for_it(connect: Connect) -> None:
+    provider, caller = connect(), connect()
+    provider.send(op="advertise_service", service="/vanishing", type="std_srvs/Trigger")
+    provider.call("/rosapi/get_time")
+    caller.send(op="call_service", id="c1", service="/vanishing")
+    provider.until("call_service")
+    provider.close()
+    answer = caller.receive()
+    assert answer["result"] is False
+    assert "went away" in answer["values"]
+
+
+def test_a_response_that_nobody_waits_for_is_refused(wire: Wire) -> None:
+    wire.send(op="service_response", id="never asked", service="/x", values={}, result=True)
+    assert wire.receive()["level"] == "error"
+
+
+def test_set_level_chooses_which_statuses_come(wire: Wire) -> None:
+    wire.send(op="set_level", level="none")
+    wire.send(op="publish", topic="/nowhere", msg={})
+    assert wire.call("/rosapi/get_time")["result"] is True
+    wire.send(op="set_level", level="error")
+    wire.send(op="publish", topic="/nowhere", msg={})
+    assert wire.receive()["level"] == "error"
+    wire.send(op="set_level", level="loud")
+    assert "warning" in wire.receive()["msg"]
+
+
+def test_a_client_stands_in_the_graph_under_its_process_id(wire: Wire) -> None:
+    wire.send(op="advertise", topic="/mine", type="std_msgs/String")
+    publishers = wire.call("/rosapi/publishers", topic="/mine")["values"]["publishers"]
+    assert len(publishers) == 1
+    assert publishers[0].startswith(f"/slidectl_{os.getpid()}_")
+
+
+def test_steps_are_answered_when_they_are_done(wire: Wire) -> None:
+    before = wire.call("/slidectl/status")["values"]["cycles"]
+    assert wire.call("/slidectl/step", cycles=25)["values"]["success"] is True
+    assert wire.call("/slidectl/status")["values"]["cycles"] == before + 25
+
+
+def test_other_calls_are_answered_while_one_is_pending(wire: Wire) -> None:
+    wire.send(op="call_service", id="long", service="/slidectl/step", args={"cycles": 20_000})
+    wire.send(op="call_service", id="short", service="/rosapi/get_time")
+    assert [wire.receive()["id"] for _ in range(2)] == ["short", "long"]
+
+
+def test_what_was_asked_over_a_half_closed_connection_is_still_answered(connect: Connect) -> None:
+    wire = connect()
+    wire.send(op="call_service", id="last", service="/slidectl/step", args={"cycles": 2000})
+    wire.socket.shutdown(socket.SHUT_WR)
+    assert wire.receive()["values"]["success"] is True
+    assert wire.socket.recv(1) == b""
