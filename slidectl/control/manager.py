@@ -16,7 +16,7 @@ from slidectl.control.node import NodeHandle
 from slidectl.control.registry import ControllerLoader, RegistryLoader, UnknownType
 from slidectl.control.robot_hw import RobotHW
 from slidectl.control.switching import BEST_EFFORT, STRICT, Switch, plan_switch
-from slidectl.errors import BadName, Refused, UnknownName
+from slidectl.errors import BadName, Refused, SlidectlError, UnknownName
 
 Names = list[str]
 
@@ -71,7 +71,8 @@ class ControllerManager:
         """Stop and start every running controller, one after the other."""
         for entry in self._running:
             entry.stop(time_ns)
-            entry.start(time_ns)
+            if not entry.is_aborted:
+                entry.start(time_ns)
         self._refresh()
 
     def _carry_on(self, position: int, failure: Exception, time_ns: int, period_s: float) -> None:
@@ -205,7 +206,7 @@ class ControllerManager:
         """
         try:
             self._switch = self._armed(start, stop, strictness, start_asap, timeout_s, on_done)
-        except Refused as refusal:
+        except SlidectlError as refusal:
             return self._refuse(f"cannot switch controllers: {described(refusal)}")
         return True
 
