@@ -46,6 +46,10 @@ class SpawnedRobot:
         self.services: ManagerServices
         self.cycle: ControlCycle
 
+    def look(self) -> None:
+        """Read the joints outside of a cycle: after the world was changed, and before the first cycle."""
+        self.hardware.read(self.node.now_ns(), 0.0)
+
     def __repr__(self) -> str:
         return f"SpawnedRobot({self.name!r}, {self.namespace!r})"
 
@@ -68,9 +72,10 @@ def assemble(robot: SpawnedRobot, world: World, loop: Loop, pose: Pose, companio
         robot.body = world.attach(robot.paper, robot.name, pose)
         stack.callback(world.detach, robot.name)
         robot.hardware = MujocoRobotHW(world, robot.body, robot.paper, robot.node, robot.namespace)
+        robot.look()
         robot.manager = ControllerManager(robot.hardware, robot.node)
         robot.cycle = ControlCycle(robot.hardware, robot.manager, _control_period(plugin, loop.step_ns, robot))
-        robot.services = ManagerServices(robot.manager, robot.node, lambda: loop.stands_still, loop.after_cycle)
+        robot.services = ManagerServices(robot.manager, robot.node, robot.look, loop)
         _subscribe_emergency_stop(robot, plugin)
         for companion in companions:
             stack.callback(companion(robot))

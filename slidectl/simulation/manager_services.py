@@ -16,6 +16,7 @@ from slidectl.simulation.pending import Pending
 
 if TYPE_CHECKING:
     from slidectl.control.manager import ControllerManager
+    from slidectl.simulation.loop import Loop
     from slidectl.simulation.node import GraphNode
 
 Act = Callable[[Message, Pending], None]
@@ -26,33 +27,23 @@ class ManagerServices:
     """`/<ns>/controller_manager/*` for one manager.
 
     Args:
-        stands_still: True when no cycle will come by itself.
-        later: calls back at the end of the running cycle, at once when none is running.
+        look: reads the joints outside of a cycle, for controllers that start then.
+        loop: says whether a cycle will come by itself.
     """
 
-    def __init__(
-        self,
-        manager: ControllerManager,
-        node: GraphNode,
-        stands_still: Callable[[], bool],
-        later: Callable[[Callable[[], None]], None],
-    ) -> None:
+    def __init__(self, manager: ControllerManager, node: GraphNode, look: Callable[[], None], loop: Loop) -> None:
         self._manager = manager
         self._node = node
-        self._stands_still = stands_still
-        self._later = later
+        self._look = look
+        self._loop = loop
         self._queue: deque[tuple[Callable[[Pending], None], Pending]] = deque()
         self._switch: Pending | None = None
         self._advertise()
 
-    @property
-    def busy(self) -> bool:
-        """True while a switch is armed, or something waits for it."""
-        return self._switch is not None
-
     def settle(self) -> None:
         """Finish an armed switch now, because the world has come to a stand."""
         if self._switch is not None and self._manager.switching:
+            self._look()
             self._manager.manage_switch(self._node.now_ns())
 
     def _advertise(self) -> None:
@@ -114,12 +105,12 @@ class ManagerServices:
             request["strictness"],
             request["start_asap"],
             request["timeout"],
-            lambda ok: self._later(lambda: self._finish_switch(answer, ok)),
+            lambda ok: self._loop.after_cycle(lambda: self._finish_switch(answer, ok)),
         )
         if not armed:
             self._switch = None
             answer.resolve({"ok": False})
-        elif self._stands_still():
+        elif self._loop.stands_still:
             self.settle()
 
     def _finish_switch(self, answer: Pending, ok: bool) -> None:

@@ -16,7 +16,7 @@ from slidectl.errors import UnknownName, UsageError
 Path = tuple[str, ...]
 
 
-class UnknownParameter(UnknownName, KeyError):  # noqa: N818 - named after its base
+class UnknownParameter(UnknownName, KeyError):
     """A parameter that is not set."""
 
 

@@ -46,5 +46,5 @@ def _restart(robot: SpawnedRobot, time_ns: int) -> None:
     """Hardware first, since a controller's set point is what it measures when it starts."""
     robot.hardware.reset()
     robot.cycle.rewind(time_ns)
-    robot.hardware.read(time_ns, 0.0)
+    robot.look()
     robot.manager.restart_running(time_ns)

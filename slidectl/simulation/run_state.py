@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import Any
+from collections.abc import Callable
 
 from slidectl.errors import Refused
 from slidectl.simulation.pending import Pending
@@ -30,12 +30,19 @@ class RunState:
     def __init__(self) -> None:
         self.paused = False
         self.speed = 1.0
+        self.on_halt: Callable[[], None] = _nothing
+        """Called when the world comes to a stand by `pause`, or because nobody waits for its steps any more."""
         self._requests: deque[StepRequest] = deque()
 
     @property
     def pending_steps(self) -> int:
         """Cycles that were asked for and have not run yet."""
         return sum(request.remaining for request in self._requests)
+
+    def pause(self) -> None:
+        """Hold the world; steps that somebody waits for are given up."""
+        self.paused = True
+        self.abandon_steps("paused")
 
     def allowed(self, most: int) -> int:
         """How many cycles, at most `most`, may run now."""
@@ -71,9 +78,19 @@ class RunState:
         """Forget the steps; those who wait are told the reason."""
         while self._requests:
             request = self._requests.popleft()
-            done: Any = request.asked - request.remaining
+            done = request.asked - request.remaining
             request.pending.reject(Refused(f"{reason} after {done} of {request.asked} cycles"))
+        self._look_for_halt()
 
     def _drop(self, request: StepRequest) -> None:
         if request in self._requests:
             self._requests.remove(request)
+            self._look_for_halt()
+
+    def _look_for_halt(self) -> None:
+        if self.allowed(1) == 0:
+            self.on_halt()
+
+
+def _nothing() -> None:
+    """For a world in which nothing waits for cycles."""

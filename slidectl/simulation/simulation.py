@@ -47,6 +47,7 @@ class Simulation:
         self.monitor: Callable[[], dict[str, Any]] = dict
         """What the driver adds to `/slidectl/status`: wall times, connections, memory."""
         self.world.clock = self.graph.clock.now_ns
+        self.run.on_halt = self.robots.settle_switches
         self.graph.parameters.set("/use_sim_time", True)
         rosapi.advertise(self.graph)
         own_services.advertise(self)
@@ -128,9 +129,7 @@ class Simulation:
 
     def pause(self) -> None:
         """Hold the world. Steps that somebody waits for are given up; switches that wait for a cycle are finished."""
-        self.run.paused = True
-        self.run.abandon_steps("paused")
-        self.robots.settle_switches()
+        self.run.pause()
 
     def resume(self) -> None:
         """Let the world go on."""

@@ -147,7 +147,7 @@ def test_nan_fulfils_nothing(scene: Scene) -> None:
 
 
 def test_what_does_not_exist_fails_at_once_and_names_what_does(scene: Scene) -> None:
-    with pytest.raises(UnknownName, match="'/joint_state'.*Did you mean '/joint_states'"):
+    with pytest.raises(UnknownName, match=r"'/joint_state'.*Did you mean '/joint_states'"):
         scene.wait(topic="/joint_state").result()
     with pytest.raises(UnknownName, match="'positions' in sensor_msgs/JointState") as caught:
         scene.wait(field="positions[0]").result()
