@@ -64,13 +64,17 @@ def _no_xacro(name: str, file: str) -> Notice:
 def _make_meshes_absolute(root: Element, meshes: MeshFiles) -> None:
     """Turn the names of meshes into `file://` ones, so that whoever reads the text needs no package path.
 
-    A mesh that is not there keeps its name: the parser decides whether that matters.
+    Raises:
+        BadFile: a mesh that collides is not there. One that is only looked at keeps its name, for the parser to report.
     """
-    for element in root.walk():
-        if element.tag == "mesh" and (uri := element.get("filename")):
-            path, _ = meshes.locate(uri, element.file)
+    for shape in (element for element in root.walk() if element.tag in ("visual", "collision")):
+        for element in (below for below in shape.walk() if below.tag == "mesh"):
+            uri = element.get("filename") or ""
+            path, why = meshes.locate(uri, element.file) if uri.strip() else (None, "")
             if path is not None:
                 element.attributes["filename"] = path.as_uri()
+            elif uri and shape.tag == "collision":
+                raise element.error(f"mesh {uri!r}: {why}")
 
 
 def declared_arguments(source: str | Path, packages: Packages | None = None) -> dict[str, str]:

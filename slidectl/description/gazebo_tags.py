@@ -40,7 +40,7 @@ class GazeboReader:
         """
         self.report.unknown(element, {"reference"}, [child.tag for child in element.children])
         reference = element.get("reference")
-        if reference is None:
+        if not reference:
             self._of_model(element)
         elif reference in self.links:
             for child in element.children:

@@ -13,7 +13,6 @@ from slidectl.description import values
 from slidectl.description.report import Report
 from slidectl.description.robot import Joint, JointType, Limit, Mimic, Pose, Safety, Vector
 from slidectl.description.xml_tree import Element
-from slidectl.errors import closest
 
 _TYPES: tuple[str, ...] = get_args(JointType)
 _WITH_AXIS = ("revolute", "continuous", "prismatic", "planar")
@@ -116,6 +115,9 @@ class JointReader:
             return upper, lower
         if lower == upper:
             self.report.wrong(limit, f"lower and upper are both {lower:g}: the joint cannot move", place)
+        elif not lower <= 0 <= upper:
+            text = f"the joint starts at 0, outside of its limits {lower:g} to {upper:g}"
+            self.report.wrong(limit, text, place)
         return lower, upper
 
     def _dynamics(self, element: Element, kind: JointType, owner: str) -> tuple[float, float]:
@@ -178,7 +180,5 @@ class JointReader:
 def _type(element: Element, owner: str) -> JointType:
     kind = values.required(element, "type", owner)
     if kind not in _TYPES:
-        near = closest(kind, _TYPES)
-        suggestion = f" Did you mean {near!r}?" if near else ""
-        raise element.error(f"{owner} is of unknown type {kind!r}.{suggestion}", f"types: {', '.join(_TYPES)}")
+        raise values.unknown(element, owner, "joint type", kind, _TYPES)
     return cast(JointType, kind)

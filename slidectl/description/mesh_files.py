@@ -10,6 +10,8 @@ from urllib.parse import unquote
 
 from slidectl.description.packages import Packages, UnknownPackage
 
+_USABLE = "a path is relative to the robot's file, else it is absolute or begins with package://, model:// or file://"
+
 SUFFIXES = (".stl", ".obj", ".dae")
 
 
@@ -33,7 +35,7 @@ class MeshFiles:
             if _is_file(path):
                 return path.absolute(), ""
         places = ", ".join(str(path) for path in dict.fromkeys(candidates))
-        return None, f"no such file; looked for {places}" if candidates else "relative to no file"
+        return None, f"no such file; looked for {places}" if candidates else f"cannot be found: {_USABLE}"
 
     def _candidates(self, uri: str, written_in: str) -> list[Path]:
         scheme, separator, rest = uri.partition("://")

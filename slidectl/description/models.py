@@ -50,7 +50,9 @@ def read_file(path: Path) -> bytes:
         with path.open("rb") as stream:
             return stream.read(MOST_BYTES + 1)
     except (OSError, ValueError) as error:
-        raise BadFile(_why(error), str(path)) from None
+        is_shipped = path.suffix in SUFFIXES and path.stem in shipped()
+        hint = f"a shipped model goes by its name alone: {path.stem}" if is_shipped else None
+        raise BadFile(_why(error), str(path), hint=hint) from None
 
 
 def _why(error: OSError | ValueError) -> str:

@@ -72,7 +72,7 @@ class _RobotReader:
         for element in root.find_all("gazebo"):
             gazebo.read(element)
         links = {key: replace(link, surface=gazebo.surfaces.get(key, Surface())) for key, link in links.items()}
-        return Robot(name, links, joints, base, transmissions, gazebo.plugin, tuple(report.notices))
+        return Robot(name, links, joints, base, transmissions, gazebo.plugin, report.notices(root))
 
     def _check_world(self, base: str, link_at: Elements) -> None:
         inertial = link_at[base].find("inertial") if base == WORLD else None

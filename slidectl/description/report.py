@@ -10,16 +10,29 @@ from collections.abc import Collection
 from slidectl.description.robot import Notice, Verdict
 from slidectl.description.xml_tree import Element
 
+MOST_NOTICES = 1000
+
 
 class Report:
     """Collects notices in the order of reading."""
 
     def __init__(self) -> None:
-        self.notices: list[Notice] = []
+        self._notices: list[Notice] = []
+        self._untold = 0
 
     def add(self, verdict: Verdict, element: Element, text: str, subject: str | None = None) -> None:
         """One line about `element`; `subject` replaces the element's own tag as what it is about."""
-        self.notices.append(Notice(verdict, subject or element.title, text, element.file, element.line))
+        if len(self._notices) < MOST_NOTICES:
+            self._notices.append(Notice(verdict, subject or element.title, text, element.file, element.line))
+        else:
+            self._untold += 1
+
+    def notices(self, root: Element) -> tuple[Notice, ...]:
+        """All of them; of a hopeless file, the first ones and how many more there are."""
+        if not self._untold:
+            return tuple(self._notices)
+        text = f"{self._untold} more notices are left out"
+        return (*self._notices, Notice("ignored", root.title, text, root.file, None))
 
     def ignored(self, element: Element, text: str, subject: str | None = None) -> None:
         self.add("ignored", element, text, subject)

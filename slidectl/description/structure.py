@@ -8,8 +8,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from slidectl.description.robot import Joint, Link
+from slidectl.description.values import unknown
 from slidectl.description.xml_tree import Element
-from slidectl.errors import BadFile, closest, listing
+from slidectl.errors import listing
 
 WORLD = "world"
 
@@ -50,7 +51,7 @@ class Structure:
         element = self.joint_at[joint.name]
         for role, name in (("parent", joint.parent), ("child", joint.child)):
             if name not in self.links:
-                raise _unknown(element, f"joint {joint.name!r}: {role}", "link", name, self.links)
+                raise unknown(element, f"joint {joint.name!r}: {role}", "link", name, self.links)
         first = self.above.setdefault(joint.child, joint)
         if first is not joint:
             raise element.error(f"link {joint.child!r} is the child of two joints, {first.name!r} and {joint.name!r}")
@@ -86,7 +87,7 @@ class Structure:
         element = self.joint_at[joint.name]
         master = self.joints.get(joint.mimic.joint)
         if master is None:
-            raise _unknown(element, f"joint {joint.name!r}: <mimic>", "joint", joint.mimic.joint, self.joints)
+            raise unknown(element, f"joint {joint.name!r}: <mimic>", "joint", joint.mimic.joint, self.joints)
         if master.type in ("fixed", "floating", "planar"):
             raise element.error(f"joint {joint.name!r} cannot mimic {master.name!r}, which is {master.type}")
         self._check_mimic_ends(joint)
@@ -124,9 +125,3 @@ class Structure:
                 return True
             pending.extend(self.fixed_below.get(name, ()))
         return False
-
-
-def _unknown(element: Element, place: str, kind: str, name: str, known: Mapping[str, object]) -> BadFile:
-    near = closest(name, known)
-    suggestion = f" Did you mean {near!r}?" if near else ""
-    return element.error(f"{place}: no {kind} {name!r}.{suggestion}", f"{kind}s: {listing(known)}")

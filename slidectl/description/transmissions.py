@@ -10,7 +10,7 @@ from slidectl.description import values
 from slidectl.description.report import Report
 from slidectl.description.robot import Joint, TransmissionActuator, TransmissionInfo, TransmissionJoint
 from slidectl.description.xml_tree import Element
-from slidectl.errors import BadFile, closest, listing
+from slidectl.errors import BadFile
 
 _SIMULATED = ("EffortJointInterface", "PositionJointInterface", "VelocityJointInterface")
 _PREFIX = "hardware_interface/"
@@ -123,9 +123,7 @@ class TransmissionReader:
         place = f"transmission {element.attributes['name']!r}"
         joint = self.joints.get(name)
         if joint is None:
-            near = closest(name, self.joints)
-            suggestion = f" Did you mean {near!r}?" if near else ""
-            raise child.error(f"{place}: no joint {name!r}.{suggestion}", f"joints: {listing(self.joints)}")
+            raise values.unknown(child, place, "joint", name, self.joints)
         if joint.type in ("fixed", "floating", "planar"):
             raise child.error(f"{place}: joint {name!r} is {joint.type} and cannot be driven")
 
@@ -140,6 +138,15 @@ class TransmissionReader:
             self.report.wrong(element, f"joint {joint.name!r} is driven by {before.title} already (line {before.line})")
         self.driven.setdefault(joint.name, element)
         self._check_interface(element, joint)
+        self._check_limit(element, joint.name)
+
+    def _check_limit(self, element: Element, name: str) -> None:
+        limit = self.joints[name].limit
+        for value, what in ((limit.effort, "effort"), (limit.velocity, "velocity")) if limit is not None else ():
+            if value == 0:
+                self.report.wrong(
+                    element, f"the {what} limit of joint {name!r} is 0, which is a limit: it cannot be driven"
+                )
 
     def _check_interface(self, element: Element, joint: TransmissionJoint) -> None:
         place = f'{element.title}/<joint name="{joint.name}">'

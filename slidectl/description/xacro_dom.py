@@ -25,10 +25,19 @@ class LocatedElement(minidom.Element):
         clone = LocatedElement(self.tagName, self.file, self.line)
         clone.ownerDocument = self.ownerDocument
         for name, value in self.attributes.items():
-            clone.setAttribute(name, value)
+            _set(clone, name, value)
         for child in self.childNodes if deep else ():
             _append(clone, child.cloneNode(deep))
         return clone
+
+
+def _set(node: minidom.Element, name: str, value: str) -> None:
+    """Set an attribute; without a namespace of its own, minidom takes `xacro:name` and `name` for one."""
+    prefix, colon, _ = name.partition(":")
+    if colon:
+        node.setAttributeNS(prefix, name, value)
+    else:
+        node.setAttribute(name, value)
 
 
 def _append(parent: minidom.Element, child: Any) -> None:
@@ -46,7 +55,7 @@ def _to_node(element: Element, document: minidom.Document) -> LocatedElement:
     node = LocatedElement(element.tag, element.file, element.line)
     node.ownerDocument = document
     for name, value in element.attributes.items():
-        node.setAttribute(name, value)
+        _set(node, name, value)
     for part in element.content:
         if isinstance(part, Element):
             _append(node, _to_node(part, document))

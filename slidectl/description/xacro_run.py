@@ -74,10 +74,8 @@ class _Run:
                 xacro.process_doc(self.document, mappings=self.arguments)
         except SlidectlError as error:
             raise self.placed(error) from None
-        except RecursionError:
-            raise self.error("macros, includes or expressions call themselves without end") from None
         except Exception as error:  # expressions of the file may raise anything at all
-            raise self.error(_reason(error)) from error
+            raise self.explained(error) from error
         self.note_unused_arguments()
         return to_element(self.top), self.notices
 
@@ -155,6 +153,17 @@ class _Run:
     def error(self, message: str, hint: str | None = None) -> BadFile:
         return BadFile(message + self.called(), self.here.file, self.here.line, hint)
 
+    def explained(self, error: Exception) -> BadFile:
+        """Why xacro stopped: what was raised first, and in which expressions."""
+        expressions: list[str] = []
+        cause: BaseException = error
+        while isinstance(cause, xacro.XacroException) and isinstance(cause.exc, BaseException):
+            expressions.extend([str(cause.suffix).strip()] if cause.suffix else [])
+            cause = cause.exc
+        if isinstance(cause, SlidectlError):
+            return self.placed(cause)
+        return self.error(", ".join([_clause(cause), *dict.fromkeys(expressions[::-1])]).replace("\n", " "))
+
     def called(self) -> str:
         """Where the innermost macro that fails was called."""
         outer = [call for call in self.calls if call is not self.here]
@@ -177,22 +186,15 @@ def shown(path: Path) -> str:
         return str(absolute)
 
 
-def _reason(error: BaseException) -> str:
-    """What went wrong first, and in which expression."""
-    expressions: list[str] = []
-    while isinstance(error, xacro.XacroException) and isinstance(error.exc, BaseException):
-        expressions.extend([str(error.suffix).strip()] if error.suffix else [])
-        error = error.exc
-    return ", ".join([_clause(error), *dict.fromkeys(expressions[::-1])]).replace("\n", " ")
-
-
 def _clause(error: BaseException) -> str:
+    if isinstance(error, RecursionError):
+        return "macros, includes or expressions call themselves without end"
     if isinstance(error, substitution_args.ArgException):
         return f"argument {error.args[0]!r} has no value; give {error.args[0]}:=VALUE"
-    if isinstance(error, SlidectlError):
-        return str(error)
     if isinstance(error, OSError):
-        return f"{error.strerror}: {error.filename}"
+        return f"{str(error.strerror).lower()}: {error.filename}"
+    if isinstance(error, SyntaxError):
+        return str(error.msg)
     if isinstance(error, KeyError):
         return f"unknown key {error}"
     return str(error).strip() or type(error).__name__

@@ -6,15 +6,13 @@ refused; what reads differently from what it looks like is a notice. yaml is imp
 
 from __future__ import annotations
 
-import ast
 import math
-import operator
 import re
-from collections.abc import Callable
 from typing import Any
 
 import yaml
 
+from slidectl.description.arithmetic import arithmetic
 from slidectl.description.robot import Notice
 from slidectl.errors import BadFile
 
@@ -28,14 +26,8 @@ DEEPEST = 60
 
 _LOOKS_LIKE_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)[eE][+-]?\d+|[+-]?(inf|nan)", re.IGNORECASE)
 _MERGE = "tag:yaml.org,2002:merge"
-_KINDS = {"null": "nothing", "timestamp": "a date", "binary": "binary", "set": "a set"}
-_OPERATORS: dict[type[ast.operator], Callable[[float, float], float]] = {
-    ast.Add: operator.add,
-    ast.Sub: operator.sub,
-    ast.Mult: operator.mul,
-    ast.Div: operator.truediv,
-    ast.Pow: operator.pow,
-}
+_PLAIN = ("tag:yaml.org,2002:map", "tag:yaml.org,2002:seq")
+_KINDS = {"null": "nothing", "timestamp": "a date", "binary": "binary"}
 
 
 class _Loader(yaml.SafeLoader):
@@ -106,6 +98,8 @@ class _Reader:
         if self.count > MOST_VALUES or depth > DEEPEST:
             what = f"more than {MOST_VALUES} values" if depth <= DEEPEST else f"nested deeper than {DEEPEST}"
             raise self.error(node, f"{what}, counting what aliases repeat")
+        if not isinstance(node, yaml.ScalarNode) and node.tag not in _PLAIN:
+            raise self.error(node, f"a list or mapping cannot be {node.tag}")
         if isinstance(node, yaml.MappingNode):
             return self.mapping(node, depth)
         if isinstance(node, yaml.SequenceNode):
@@ -142,8 +136,8 @@ class _Reader:
         return self.flat[id(node)]
 
     def merged(self, node: yaml.Node) -> list[Pair]:
-        """What the value of one `<<` gives: a mapping's pairs, or those of a list of mappings, the first going first."""
-        sources = node.value if isinstance(node, yaml.SequenceNode) else [node]
+        """What one `<<` gives: a mapping's pairs, or those of a list of mappings, the first going first."""
+        sources: list[Any] = node.value if isinstance(node, yaml.SequenceNode) else [node]
         for source in sources:
             if not isinstance(source, yaml.MappingNode):
                 raise self.error(source, "`<<` merges mappings only")
@@ -180,37 +174,6 @@ class _Reader:
 
     def notice(self, node: yaml.Node, subject: str, text: str) -> None:
         self.notices.append(Notice("wrong", subject, text, self.file, _line(node)))
-
-
-def arithmetic(text: str) -> float:
-    """A number made of numbers, `pi`, `+ - * / **` and brackets; nothing else is evaluated.
-
-    Raises:
-        ValueError: anything else in it. ArithmeticError: no finite result.
-    """
-    try:
-        tree = ast.parse(text.strip(), mode="eval")
-    except (SyntaxError, MemoryError) as error:
-        raise ValueError("expected an expression of numbers and pi") from error
-    value = _evaluate(tree.body)
-    if not math.isfinite(value):
-        raise OverflowError("the result is not finite")
-    return value
-
-
-def _evaluate(node: ast.expr) -> float:
-    if isinstance(node, ast.Constant) and type(node.value) in (int, float):
-        return float(node.value)  # type: ignore[arg-type]
-    if isinstance(node, ast.Name) and node.id == "pi":
-        return math.pi
-    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.UAdd):
-        value = _evaluate(node.operand)
-        return -value if isinstance(node.op, ast.USub) else value
-    if isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
-        value = _OPERATORS[type(node.op)](_evaluate(node.left), _evaluate(node.right))
-        if isinstance(value, float):  # a negative number to a broken power is complex
-            return value
-    raise ValueError("expected an expression of numbers and pi")
 
 
 def nest(path: str, value: Any) -> Any:

@@ -1,0 +1,215 @@
+"""xacro runs with our arguments and packages, and every element of its result knows where it was written."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import xacro
+from description_urdf_text import INERTIAL, joint, link
+
+from slidectl.description import declared_arguments, load, parse
+from slidectl.errors import BadFile
+
+Write = Callable[[str, str], Path]
+
+XACRO = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
+
+
+def model(*parts: str) -> str:
+    """A xacro robot; its first part stands in line 2."""
+    return "\n".join([f'<robot name="bot" {XACRO}>', *parts, "</robot>"])
+
+
+BAR = f"""<robot {XACRO}>
+  <xacro:macro name="bar" params="name mass *place">
+    <link name="${{name}}">
+      <inertial>
+        <xacro:insert_block name="place"/>
+        <mass value="${{mass}}"/>
+        <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0"
+                 izz="1" colour="red"/>
+      </inertial>
+    </link>
+  </xacro:macro>
+</robot>"""
+
+
+@pytest.fixture
+def package(write: Write) -> Path:
+    """A package whose folder has blanks and letters beyond ASCII in its name; its model uses two files."""
+    write("roboter für alle/package.xml", "<package><name>my_robot</name></package>")
+    write("roboter für alle/urdf/bar.xacro", BAR)
+    return write(
+        "roboter für alle/urdf/main.xacro",
+        model(
+            '<xacro:include filename="$(find my_robot)/urdf/bar.xacro"/>',
+            '<xacro:arg name="mass" default="2"/>',
+            "<link name='world'/>",
+            "<xacro:bar name='arm' mass='$(arg mass)'>",
+            '  <origin xyz="0 0 ${0.5 * 3}" colour="red"/>',
+            "</xacro:bar>",
+            joint(child="arm"),
+        ),
+    )
+
+
+def test_a_model_is_expanded_through_macros_and_includes(package: Path) -> None:
+    bot = parse(load(package).xml)
+    inertial = bot.links["arm"].inertial
+    assert inertial is not None
+    assert (inertial.mass, inertial.origin.xyz) == (2.0, (0.0, 0.0, 1.5))
+
+
+def test_arguments_replace_their_defaults(package: Path) -> None:
+    inertial = parse(load(package, {"mass": "7"}).xml).links["arm"].inertial
+    assert inertial is not None
+    assert inertial.mass == 7.0
+
+
+def test_notices_name_the_file_and_line_where_the_tag_was_written(package: Path) -> None:
+    bot = parse(load(package).xml)
+    places = {Path(notice.file).name: notice.line for notice in bot.report}
+    assert places == {"bar.xacro": 7, "main.xacro": 6}
+
+
+def test_an_error_in_an_expanded_robot_names_the_line_of_the_macro(package: Path) -> None:
+    with pytest.raises(BadFile, match="'arm' has a mass of -1 kg") as caught:
+        parse(load(package, {"mass": "-1"}).xml)
+    assert (Path(str(caught.value.file)).name, caught.value.line) == ("bar.xacro", 6)
+
+
+def test_the_source_map_leads_from_each_line_to_where_it_was_written(package: Path) -> None:
+    document = load(package)
+    lines = document.xml.splitlines()
+    (number,) = (index for index, line in enumerate(lines, 1) if "<mass" in line)
+    file, line = document.source_map[number]
+    assert (Path(file).name, line) == ("bar.xacro", 6)
+    assert all(lines[number - 1].lstrip().startswith("<") for number in document.source_map)
+
+
+def test_an_argument_that_the_file_does_not_know_is_reported(package: Path) -> None:
+    (notice,) = load(package, {"mass": "1", "wieght": "2"}).report
+    assert notice.subject == "wieght:="
+    assert "arguments: mass" in notice.text
+
+
+def test_declared_arguments_are_read_from_the_file_and_its_includes(write: Write, package: Path) -> None:
+    write("more.xacro", f'<robot {XACRO}><xacro:arg name="colour" default="red"/></robot>')
+    main = write(
+        "main.xacro",
+        model(
+            '<xacro:include filename="more.xacro"/>',
+            '<xacro:include filename="${name}.xacro"/>',
+            '<xacro:include filename="missing.xacro"/>',
+            '<xacro:include filename="main.xacro"/>',
+            '<xacro:arg name="namespace" default="/bot"/>',
+        ),
+    )
+    assert declared_arguments(main) == {"colour": "red", "namespace": "/bot"}
+    assert declared_arguments(package) == {"mass": "2"}
+
+
+FAULTS = [
+    ("<link name='${foo}'/>", "name 'foo' is not defined, when evaluating expression 'foo'"),
+    ("<link name='$(arg foo)'/>", "argument 'foo' has no value; give foo:=VALUE"),
+    ("<xacro:nothing/>", "unknown macro name: xacro:nothing"),
+    ("<xacro:include filename='no.xacro'/>", "no such file or directory: "),
+    ("<xacro:include filename='$(find nowhere)/a.xacro'/>", "no package 'nowhere'"),
+    ("<xacro:if value='${1 +}'/>", "invalid syntax, when evaluating expression '1 +'"),
+    ("<xacro:if value='maybe'/>", "not a boolean"),
+    ("<link name='${1/0}'/>", "division by zero"),
+    ("<link name='$(env SLIDECTL_NO_SUCH_VARIABLE)'/>", "SLIDECTL_NO_SUCH_VARIABLE"),
+    ("<link name=\"${xacro.load_yaml('no.yaml')}\"/>", "no such file or directory: "),
+    ("<link name='${().__class__}'/>", "invalid name"),
+    ("<xacro:macro name='m'><xacro:m/></xacro:macro><xacro:m/>", "call themselves without end"),
+    ("<xacro:include filename='bot.xacro'/>", "call themselves without end"),
+    ("<xacro:property name='a' value='${b}'/><xacro:property name='b' value='${a}'/><x y='${a}'/>", "circular"),
+    ("<link", "not well-formed XML"),
+    ("<link>&bang;</link>", "undefined entity"),
+    ("<!DOCTYPE x [<!ENTITY a 'b'>]>", "not well-formed"),
+]
+
+
+@pytest.mark.parametrize(("text", "reason"), FAULTS)
+def test_what_xacro_does_not_accept_is_named_with_file_and_line(write: Write, text: str, reason: str) -> None:
+    path = write("bot.xacro", model("<link name='world'/>", text))
+    with pytest.raises(BadFile) as caught:
+        load(path)
+    assert reason in str(caught.value)
+    assert str(caught.value).startswith(f"{path}:")
+    assert caught.value.line in (3, 4)
+
+
+def test_a_fault_inside_a_macro_says_who_called_it(write: Write) -> None:
+    macro = "<xacro:macro name='m' params='x'>\n<link name='${x / 0}'/>\n</xacro:macro>"
+    path = write("bot.xacro", model(macro, "<xacro:m x='1'/>"))
+    with pytest.raises(BadFile, match=r"bot.xacro:3: division by zero.*in macro 'm', called at .*bot.xacro:5"):
+        load(path)
+
+
+def test_a_broken_include_is_named_itself(write: Write) -> None:
+    write("part.xacro", "<robot>\n<link></robot>")
+    path = write("bot.xacro", model("<xacro:include filename='part.xacro'/>"))
+    with pytest.raises(BadFile, match=r"part.xacro:2: not well-formed XML: mismatched tag"):
+        load(path)
+
+
+def test_an_entity_bomb_in_xacro_is_refused(write: Write) -> None:
+    path = write("bot.xacro", '<!DOCTYPE r [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]>\n<robot name="&b;"/>')
+    with pytest.raises(BadFile, match="entities are refused"):
+        load(path)
+
+
+def test_an_optional_include_may_be_missing(write: Write) -> None:
+    path = write("bot.xacro", model("<xacro:include filename='no.xacro' optional='true'/>", link("base")))
+    assert parse(load(path).xml).root == "base"
+
+
+def test_files_written_for_the_inorder_option_need_nothing_special(write: Write) -> None:
+    order = "<xacro:property name='width' value='1'/><xacro:property name='width' value='${width * 2}'/>"
+    path = write("bot.xacro", model(order, f"<link name='w${{width}}'>{INERTIAL}</link>"))
+    with pytest.raises(BadFile, match="circular"):
+        load(path)
+    eager = order.replace("'${width * 2}'", "'${width * 2}' lazy_eval='false'")
+    assert (
+        parse(load(write("eager.xacro", model(eager, f"<link name='w${{width}}'>{INERTIAL}</link>"))).xml).root == "w2"
+    )
+
+
+def test_an_element_with_a_computed_tag_keeps_its_place(write: Write) -> None:
+    path = write("bot.xacro", model("<xacro:element xacro:name='link' name='world' shade='1'/>"))
+    (notice,) = parse(load(path).xml).report
+    assert notice.line == 2
+
+
+def test_what_xacro_prints_and_warns_of_never_reaches_stdout(write: Write, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write("bot.xacro", model("<xacro:property name='pi' value='3'/>", "${xacro.message('hello')}", link("base")))
+    document = load(path)
+    assert capsys.readouterr().out == ""
+    assert [notice.text for notice in document.report] == ["redefining global symbol: pi"]
+    assert document.report[0].line == 2
+
+
+def test_xacro_is_left_as_it_was_found(write: Write) -> None:
+    functions = (xacro.parse, xacro.eval_all, xacro.warning, xacro.substitution_args._eval_find)
+    load(write("good.xacro", model(link("base"))))
+    with pytest.raises(BadFile):
+        load(write("bad.xacro", model("<xacro:nothing/>")))
+    assert functions == (xacro.parse, xacro.eval_all, xacro.warning, xacro.substitution_args._eval_find)
+    assert sys.stdout is not sys.stderr
+
+
+def test_a_text_with_xacro_tags_is_expanded_without_a_file() -> None:
+    bot = parse(load(model("<xacro:property name='n' value='base'/>", link("${n}"))).xml)
+    assert bot.root == "base"
+    assert bot.links["base"].file == "<text>"
+
+
+def test_comments_stay_only_where_they_hide_a_text(write: Write) -> None:
+    path = write("bot.xacro", model(link("base"), "<!-- a word -->", "<x><!-- hidden -->text</x>"))
+    xml = load(path).xml
+    assert "a word" not in xml
+    assert "<x><!-- hidden -->text</x>" in xml
