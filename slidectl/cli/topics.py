@@ -33,12 +33,13 @@ class Unused(Refused):
 
 
 class Target(NamedTuple):
-    """A topic with its type, the field path behind it, and what rosapi says of the type (`typedefs`)."""
+    """A topic with its type, the field path behind it, what rosapi says of the type, and the nodes in the role."""
 
     topic: str
     type: str
     field: str
     typedefs: list[dict[str, Any]]
+    users: list[str]
 
     @property
     def schema(self) -> Schema:
@@ -75,12 +76,13 @@ def fitting(name: str, known: Iterable[str], namespace: str) -> list[str]:
 def _choose(ctx: Context, name: str, field: str, near: dict[str, str], role: str | None, last_words: str) -> Target:
     client = ctx.client
     asked = {kind: client.call_async("/rosapi/message_details", {"type": kind}) for kind in set(near.values())}
-    having = _having(ctx, list(near), role)
+    users = users_of(ctx, near, role) if role is not None else {}
     typedefs = {kind: client.answer(call)["typedefs"] for kind, call in asked.items()}
+    having = [topic for topic in near if role is None or users[topic]]
     if not having and role is not None:
         raise Unused(role, " or ".join(near), _having(ctx, list(client.topics()), role), last_words)
     topic = names.resolve(name, having, kind="topic", namespace=ctx.namespace)
-    return Target(topic, near[topic], field, typedefs[near[topic]])
+    return Target(topic, near[topic], field, typedefs[near[topic]], users.get(topic, []))
 
 
 def _having(ctx: Context, topics: Sequence[str], role: str | None) -> list[str]:

@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from slidectl.errors import UsageError
+from slidectl.errors import BadFile, UsageError
 
 _INTEGER = re.compile(r"[-+]?(0|[1-9][0-9]*)\Z")
 _FLOAT = re.compile(r"[-+]?([0-9]+\.[0-9]*|\.[0-9]+|(0|[1-9][0-9]*)(?=[eE]))([eE][-+]?[0-9]+)?\Z")
@@ -52,14 +52,19 @@ def read_yaml(text: str, what: str = "value") -> Any:
     return documents[0] if documents else None
 
 
-def read_documents(text: str, what: str) -> Iterator[Any]:
-    """The values of all YAML documents in a text, in order. Raises UsageError as `read` does."""
+def read_documents(text: str, what: str, file: str | None = None) -> Iterator[Any]:
+    """The values of all YAML documents in a text, in order.
+
+    Raises UsageError as `read` does; what is no YAML in a `file` is BadFile with the line.
+    """
     import yaml
 
     try:
         for value in yaml.load_all(text, _loader(len(text))):
             yield _Checker(what).checked(value)
     except yaml.YAMLError as error:
+        if file is not None:
+            raise BadFile(*_located(error, file)) from None
         raise UsageError(f"the {what} is not valid YAML: {_explained(error)}") from None
     except (ValueError, RecursionError) as error:
         raise UsageError(f"the {what} cannot be read: {error}") from None
@@ -110,11 +115,20 @@ def _loader(length: int) -> Any:
     return loader
 
 
+def _located(error: Any, file: str) -> tuple[str, str, int | None]:
+    """What BadFile wants to know: the problem, the file and the line."""
+    mark = getattr(error, "problem_mark", None)
+    return f"not valid YAML: {_problem(error)}", file, mark.line + 1 if mark else None
+
+
 def _explained(error: Any) -> str:
     """One line out of PyYAML's report: the problem and its place."""
     mark = getattr(error, "problem_mark", None)
-    problem = getattr(error, "problem", None) or str(error).splitlines()[0]
-    return f"{problem} (line {mark.line + 1}, column {mark.column + 1})" if mark else str(problem)
+    return _problem(error) + (f" (line {mark.line + 1}, column {mark.column + 1})" if mark else "")
+
+
+def _problem(error: Any) -> str:
+    return str(getattr(error, "problem", None) or str(error).splitlines()[0])
 
 
 class _Checker:

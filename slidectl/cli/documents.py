@@ -1,0 +1,91 @@
+"""Messages and requests from a file or a pipe: YAML documents between `---` lines, or JSON lines.
+
+A document is read as soon as it is complete, and the last one needs no `---`. Nothing is checked against a type.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+from slidectl.cli import values
+from slidectl.errors import BadFile, UsageError
+
+_ENDS = ("---", "...")
+_NO_JSON: Any = object()
+
+
+def from_file(path: str) -> list[Any]:
+    """The documents of a file; `-` is stdin. Raises BadFile."""
+    if path == "-":
+        return list(from_stdin())
+    text = text_of(path)
+    lines = text.splitlines(keepends=True)
+    if any(_json(line) is not _NO_JSON for line in lines[:1]):
+        return list(split(lines))
+    return list(values.read_documents(text, "file", path))
+
+
+def text_of(path: str) -> str:
+    """The text of a file; `-` is stdin. Raises BadFile when it cannot be read."""
+    try:
+        if path == "-":
+            return sys.stdin.read()
+        with open(path, encoding="utf-8") as file:
+            return file.read()
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadFile(getattr(error, "strerror", None) or str(error), path) from None
+
+
+def from_stdin() -> Iterator[Any]:
+    """The documents on stdin as they come. Raises UsageError with the number of the one that cannot be read."""
+    try:
+        yield from split(sys.stdin)
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"cannot read stdin: {error}") from None
+
+
+def split(lines: Iterable[str]) -> Iterator[Any]:
+    """The documents in lines of text. A line that is JSON by itself is one; null in it is NaN, as on the wire."""
+    pending: list[str] = []
+    count = 1
+    after_json = False
+    for line in lines:
+        if line.rstrip() in _ENDS:
+            if pending:
+                yield _read(pending, count)
+                count += 1
+            pending, after_json = [], False
+        elif not pending and (value := _json(line)) is not _NO_JSON:
+            yield value
+            count += 1
+            after_json = True
+        elif line.strip() or not after_json:
+            pending.append(line)
+    if any(line.strip() for line in pending):
+        yield _read(pending, count)
+
+
+def _read(lines: list[str], number: int) -> Any:
+    return values.read_yaml("".join(lines), f"document {number}")
+
+
+def _json(line: str) -> Any:
+    if not line.strip():
+        return _NO_JSON
+    try:
+        return _with_nan(json.loads(line))
+    except (ValueError, RecursionError):
+        return _NO_JSON
+
+
+def _with_nan(value: Any) -> Any:
+    """JSON's null is what NaN becomes on the wire."""
+    if value is None:
+        return math.nan
+    if isinstance(value, dict):
+        return {key: _with_nan(item) for key, item in value.items()}
+    return [_with_nan(item) for item in value] if isinstance(value, list) else value

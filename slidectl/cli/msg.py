@@ -1,0 +1,127 @@
+"""`slidectl msg` and `slidectl srv`: what types are made of, from the installed definitions. They ask no daemon."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import click
+
+from slidectl.cli.commands import Group, group
+from slidectl.cli.context import Context
+from slidectl.errors import UnknownName, UsageError
+
+
+class Kind(NamedTuple):
+    """Messages or services: how they are called, and the functions of slidectl.msgs for them."""
+
+    noun: str
+    names: Callable[[], Sequence[str]]
+    show: Callable[[str], str]
+    source: Callable[[str], str]
+    md5: Callable[[str], str]
+
+
+def _messages() -> Kind:
+    from slidectl import msgs
+
+    return Kind("message type", msgs.type_names, msgs.show, msgs.definition, msgs.md5)
+
+
+def _services() -> Kind:
+    from slidectl import msgs
+
+    return Kind("service type", msgs.service_names, msgs.show_service, msgs.service_definition, msgs.service_md5)
+
+
+def _found(kind: Kind, name: str) -> list[str]:
+    """The types that are meant: one for `pkg/Name`, those of every package for a bare `Name`."""
+    if "::" in name or "." in name:
+        raise UsageError(f"{name!r} is no type: write it as package/Type, or Type alone")
+    known = kind.names()
+    found = [each for each in known if each == name or ("/" not in name and each.endswith("/" + name))]
+    if not found:
+        raise UnknownName(kind.noun, name, known)
+    return found
+
+
+def _show(ctx: Context, kind: Kind, name: str | None, raw: bool) -> None:
+    wanted = sys.stdin.readline().strip() if name is None else name
+    if not wanted:
+        raise UsageError("no TYPE given, and none on stdin")
+    text = kind.source if raw else kind.show
+    for found in _found(kind, wanted):
+        heading = f"[{found}]:\n" if "/" not in wanted else ""
+        record = {"type": found, "md5": kind.md5(found), "definition": kind.source(found)}
+        body = text(found).rstrip("\n")
+        ctx.emit(record, heading + (f"{body}\n\n" if body else "\n"))
+
+
+def _list(ctx: Context, kind: Kind, package: str | None) -> None:
+    known = sorted(kind.names())
+    packages = sorted({each.partition("/")[0] for each in known})
+    if package is not None and package not in packages:
+        raise UnknownName("package", package, packages)
+    ctx.emit_names([each for each in known if package in (None, each.partition("/")[0])], "type")
+
+
+def _md5(ctx: Context, kind: Kind, name: str) -> None:
+    for found in _found(kind, name):
+        text = kind.md5(found)
+        ctx.emit({"type": found, "md5": text}, text if "/" in name else f"[{found}]: {text}")
+
+
+def _verbs(parent: Group, kind: Callable[[], Kind], example: str) -> None:
+    """Give the group its three commands."""
+    tool = f"slidectl {parent.name}"
+
+    @parent.command("show", examples=[f"{tool} show {example}", f"{tool} show {example.partition('/')[2]}"])
+    @click.argument("name", required=False, metavar="TYPE", shell_complete=_completer(kind))
+    @click.option("-r", "--raw", is_flag=True, help="The definition as it was written, with its comments.")
+    @click.pass_obj
+    def show(ctx: Context, name: str | None, raw: bool) -> None:
+        """Show the fields of a type, those of nested types indented.
+
+        A Name without its package is looked for in all of them. Without TYPE one is read from stdin.
+        JSON keys: type, md5, definition.
+        """
+        _show(ctx, kind(), name, raw)
+
+    @parent.command("list", examples=[f"{tool} list", f"{tool} list {example.partition('/')[0]}"])
+    @click.argument("package", required=False)
+    @click.pass_obj
+    def list_types(ctx: Context, package: str | None) -> None:
+        """List the types, all or those of a package.
+
+        JSON key: type.
+        """
+        _list(ctx, kind(), package)
+
+    @parent.command("md5", examples=[f"{tool} md5 {example}"])
+    @click.argument("name", metavar="TYPE", shell_complete=_completer(kind))
+    @click.pass_obj
+    def md5(ctx: Context, name: str) -> None:
+        """Print the md5 sum that ROS 1 peers compare.
+
+        JSON keys: type, md5.
+        """
+        _md5(ctx, kind(), name)
+
+
+def _completer(kind: Callable[[], Kind]) -> Callable[[click.Context, click.Parameter, str], list[str]]:
+    return lambda _context, _param, incomplete: [name for name in kind().names() if name.startswith(incomplete)]
+
+
+@group(examples=["slidectl msg show sensor_msgs/JointState", "slidectl msg list std_msgs"])
+def msg() -> None:
+    """Show message types."""
+
+
+@group(examples=["slidectl srv show controller_manager_msgs/SwitchController", "slidectl srv list gazebo_msgs"])
+def srv() -> None:
+    """Show service types."""
+
+
+_verbs(msg, _messages, "sensor_msgs/JointState")
+_verbs(srv, _services, "std_srvs/SetBool")

@@ -1,0 +1,244 @@
+"""`slidectl param`: get, set, load and dump parameters, with the semantics of rosparam."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import click
+
+from slidectl import names
+from slidectl.cli import live, output
+from slidectl.cli.commands import group
+from slidectl.cli.context import Context
+from slidectl.errors import BadFile, UnknownName, UsageError
+
+_INDEXED = re.compile(r"(?P<name>[^\[\]]+)(?P<indices>(\[-?\d+\])+)\Z")
+_ANGLE = re.compile(r"(?P<unit>deg|rad)\((?P<expression>.*)\)\Z", re.DOTALL)
+
+
+@group(examples=["slidectl param get joint1_position_controller/pid", "slidectl param set pid/p 150"])
+def param() -> None:
+    """Get, set, load and dump parameters."""
+
+
+def _resolved(ctx: Context, name: str) -> str:
+    """The full name of a parameter or of a namespace of parameters. Raises UnknownName, AmbiguousName."""
+    if name == "/":
+        return name
+    known = ctx.names("parameter")
+    spaces = {space for each in known for space in _above(each)}
+    return names.resolve(name.rstrip("/"), {*known, *spaces}, kind="parameter", namespace=ctx.namespace)
+
+
+def _above(name: str) -> Iterator[str]:
+    """The namespaces that hold a name, without the root."""
+    while (name := names.parent(name)) != "/":
+        yield name
+
+
+def _get(ctx: Context, full: str) -> Any:
+    return json.loads(ctx.call("/rosapi/get_param", {"name": full})["value"])
+
+
+# --- list, get ------------------------------------------------------------------------------------------------------
+
+
+@param.command("list", examples=["slidectl param list", "slidectl param list /slider/joint1_position_controller"])
+@click.argument("namespace", required=False, shell_complete=live.parameters)
+@click.pass_obj
+def list_parameters(ctx: Context, namespace: str | None) -> None:
+    """List the parameters, all or those below NAMESPACE.
+
+    JSON key: parameter.
+    """
+    inside = "/" if namespace is None else names.join(ctx.namespace, namespace.rstrip("/") or "/")
+    below = [name for name in ctx.names("parameter") if names.is_under(name, inside) and name != inside]
+    ctx.emit_names(below, "parameter", "" if namespace is None else f"no parameters below {inside}")
+
+
+@param.command("get", examples=["slidectl param get joint1_position_controller/pid/p", "slidectl param get / --json"])
+@click.argument("name", shell_complete=live.parameters)
+@click.option("--default", "fallback", metavar="VALUE", help="Print this when the parameter is not set.")
+@click.pass_obj
+def get(ctx: Context, name: str, fallback: str | None) -> None:
+    """Print a parameter, or all below a namespace, as YAML.
+
+    An element of a list is NAME[0]. JSON keys: parameter, value.
+    """
+    match = _INDEXED.match(name)
+    try:
+        full = _resolved(ctx, match["name"] if match else name)
+        value = _get(ctx, full)
+    except UnknownName:
+        if fallback is None:
+            raise
+        full, value, match = names.join(ctx.namespace, name), _value(fallback), None
+    for index in re.findall(r"-?\d+", match["indices"]) if match else ():
+        value = _element(full, value, int(index))
+    ctx.emit({"parameter": full, "value": value}, as_rosparam(value))
+
+
+def _element(full: str, value: Any, index: int) -> Any:
+    if not isinstance(value, list):
+        raise UsageError(f"{full} is no list: it has no element [{index}]")
+    if not -len(value) <= index < len(value):
+        raise UnknownName("element", f"[{index}]", [f"[{i}]" for i in range(len(value))], f"in {full}")
+    return value[index]
+
+
+def as_rosparam(value: Any) -> str:
+    """The value as `rosparam get` prints it: YAML, and an empty line after a mapping or a list."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int):
+        return str(value)
+    text = _dumped(value)
+    return text + "\n" if isinstance(value, dict | list) else text.removesuffix("...\n")
+
+
+def _dumped(value: Any) -> str:
+    import yaml
+
+    return str(yaml.safe_dump(value, default_flow_style=False))
+
+
+# --- set, delete ----------------------------------------------------------------------------------------------------
+
+
+@param.command(
+    "set", examples=["slidectl param set joint1_position_controller/pid/p 150", "slidectl param set /limit 'deg(90)'"]
+)
+@click.argument("name", shell_complete=live.parameters)
+@click.argument("value", required=False)
+@click.option("-t", "--textfile", type=click.Path(), metavar="FILE", help="The text of a file as the value.")
+@click.pass_obj
+def set_parameter(ctx: Context, name: str, value: str | None, textfile: str | None) -> None:
+    """Set a parameter.
+
+    VALUE is YAML; deg(90) and rad(pi/2) are angles in radians, '' is an empty text. A mapping is merged into what is
+    there, all else replaces it. A short NAME means the parameter that ends so, if there is one. One that belongs to a
+    running controller takes effect at its next cycle. JSON keys: parameter, value.
+    """
+    from slidectl.cli.configuration import leaves, store
+    from slidectl.cli.documents import text_of
+
+    if (value is None) == (textfile is None):
+        raise UsageError("give a VALUE or -t FILE")
+    content = text_of(textfile) if textfile is not None else _value(value or "")
+    if content is None:
+        raise UsageError("null is no value of a parameter", f"slidectl param delete {name}")
+    full = _name_to_set(ctx, name)
+    store(ctx, dict(leaves(content, full)) if isinstance(content, dict) and content else {full: content})
+    if full != names.join(ctx.namespace, name):
+        ctx.say(f"set {full}")
+    ctx.detail(f"set parameter [{full}] to [{content}]")
+    ctx.emit({"parameter": full, "value": content}, "")
+
+
+def _value(text: str) -> Any:
+    """What was typed, with angles in radians. Raises UsageError."""
+    from slidectl.cli.values import read
+
+    return "" if text == "" else _with_angles(read(text))
+
+
+def _with_angles(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _with_angles(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_with_angles(item) for item in value]
+    match = _ANGLE.match(value) if isinstance(value, str) else None
+    if match is None:
+        return value
+    from math import radians
+
+    from slidectl.cli.expressions import Expression
+
+    angle = float(Expression(match["expression"])())
+    return radians(angle) if match["unit"] == "deg" else angle
+
+
+def _name_to_set(ctx: Context, name: str) -> str:
+    """An existing parameter's full name, else a new one in the namespace. Raises AmbiguousName, BadName."""
+    try:
+        return _resolved(ctx, name)
+    except UnknownName:
+        return names.check(names.join(ctx.namespace, name))
+
+
+@param.command("delete", examples=["slidectl param delete /limit", "slidectl param delete /slider"])
+@click.argument("name", shell_complete=live.parameters)
+@click.pass_obj
+def delete(ctx: Context, name: str) -> None:
+    """Delete a parameter, or all below a namespace.
+
+    JSON key: parameter.
+    """
+    full = _resolved(ctx, name)
+    ctx.call("/rosapi/delete_param", {"name": full})
+    ctx.detail(f"deleted parameter [{full}]")
+    ctx.emit({"parameter": full}, "")
+
+
+# --- load, dump -----------------------------------------------------------------------------------------------------
+
+
+@param.command("load", examples=["slidectl param load config/slider_control.yaml", "slidectl param load - /slider"])
+@click.argument("file", type=click.Path())
+@click.argument("namespace", required=False, shell_complete=live.parameters)
+@click.pass_obj
+def load(ctx: Context, file: str, namespace: str | None) -> None:
+    """Set the parameters of a YAML file ('-' is stdin), below NAMESPACE if given.
+
+    All documents of the file count; a key '_ns' puts a document into a namespace. Parameters that the file does not
+    name stay. JSON keys: parameter, value; one line for each.
+    """
+    from slidectl.cli.configuration import leaves, store
+    from slidectl.cli.documents import text_of
+
+    shown = "stdin" if file == "-" else file
+    inside = names.check(names.join(ctx.namespace, (namespace or "").rstrip("/") or ctx.namespace))
+    tree = _tree(ctx, text_of(file), shown, namespace is not None)
+    parameters = dict(leaves(tree, inside)) if isinstance(tree, dict) else {inside: tree}
+    store(ctx, parameters)
+    for name, value in parameters.items():
+        ctx.detail(f"{name}={value}")
+    if ctx.format != "text":
+        ctx.emit_rows([{"parameter": n, "value": v} for n, v in parameters.items()], ["parameter", "value"])
+
+
+def _tree(ctx: Context, text: str, file: str, may_be_list: bool) -> Any:
+    """The parameters in a text: a mapping, or, where there is a namespace to be its name, a list. Raises BadFile."""
+    from slidectl.description import yaml_tree
+
+    if may_be_list and re.match(r"(\s*(#.*)?\n)*\s*(-\s|\[)", text) and not text.startswith("---"):
+        return yaml_tree.read_value(text, file)
+    notices: list[Any] = []
+    tree = yaml_tree.read(text, file, notices)
+    for notice in notices:
+        ctx.warn(f"{notice.file}:{notice.line}: {notice.subject} {notice.text}")
+    return tree
+
+
+@param.command("dump", examples=["slidectl param dump", "slidectl param dump slider.yaml /slider"])
+@click.argument("file", required=False, type=click.Path())
+@click.argument("namespace", required=False, shell_complete=live.parameters)
+@click.pass_obj
+def dump(ctx: Context, file: str | None, namespace: str | None) -> None:
+    """Write the parameters, all or those below NAMESPACE, as YAML with sorted keys, to FILE or to stdout.
+
+    With --json it is one object.
+    """
+    value = _get(ctx, "/" if namespace is None else _resolved(ctx, namespace))
+    text = output.as_json(value) + "\n" if ctx.format == "json" else _dumped(value)
+    if file in (None, "-"):
+        return output.write(text)
+    try:
+        with open(str(file), "w", encoding="utf-8") as target:
+            target.write(text)
+    except OSError as error:
+        raise BadFile(f"cannot be written: {error.strerror or error}", str(file)) from None
+    return None

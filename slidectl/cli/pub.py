@@ -1,0 +1,195 @@
+"""`slidectl pub`: one message, one at a rate, or those of a file or a pipe; done when they have been taken in.
+
+The everyday case (`slidectl pub command 1.0`) takes three round trips and loads neither YAML nor the evaluator.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from itertools import islice, repeat
+from typing import Any
+
+import click
+
+from slidectl import names
+from slidectl.cli import live
+from slidectl.cli.commands import Command, command
+from slidectl.cli.context import Context
+from slidectl.cli.options import positive_seconds
+from slidectl.cli.publication import Publication, Values
+from slidectl.cli.topics import SUBSCRIBERS, Target, Unused, details, look_up
+from slidectl.errors import UnknownName, UsageError
+
+_ONCE = "-1"
+_TYPE = re.compile(r"[A-Za-z]\w*/[A-Za-z]\w*\Z")
+_EXPRESSION = re.compile(r"-\s*(\d|\.\d|\(|[A-Za-z_]\w*\()")
+
+
+class PubCommand(Command):
+    """`-1` may be an option or a number, and `-sin(t)` is a value: both reach the command as words."""
+
+    def is_value(self, token: str, before: Sequence[str]) -> bool:
+        return token == _ONCE or bool(_EXPRESSION.match(token)) or super().is_value(token, before)
+
+
+def _complete(click_context: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
+    return [] if click_context.params.get("words") else live.topics(click_context, param, incomplete)
+
+
+@command(
+    cls=PubCommand,
+    examples=[
+        "slidectl pub command 1.0",
+        "slidectl pub /slider/joint1_position_controller/command std_msgs/Float64 'data: 1.0'",
+        "slidectl pub joint1_position_controller/command -r 100 'sin(2*pi*0.2*t)'",
+        "slidectl echo command --json | slidectl pub other_command --stdin",
+    ],
+)
+@click.argument("words", nargs=-1, required=True, metavar="TOPIC [TYPE] [VALUE]...", shell_complete=_complete)
+@click.option("--once", is_flag=True, help="Only one message; also -1.")
+@click.option(
+    "-r", "--rate", type=float, callback=positive_seconds, metavar="HZ", help="Again and again, at this rate."
+)
+@click.option("-n", "count", type=click.IntRange(min=1), metavar="COUNT", help="So many messages.")
+@click.option("--latch", is_flag=True, help="Keep the last message for those who come later; stays until Ctrl-C.")
+@click.option("-f", "--file", type=click.Path(), metavar="FILE", help="Values from a YAML or JSON lines file.")
+@click.option("--stdin", is_flag=True, help="Values from stdin: YAML documents or JSON lines.")
+@click.option("--allow-unheard", is_flag=True, help="Publish although nobody subscribes.")
+@click.pass_obj
+def pub(
+    ctx: Context,
+    words: tuple[str, ...],
+    once: bool,
+    rate: float | None,
+    count: int | None,
+    latch: bool,
+    file: str | None,
+    stdin: bool,
+    allow_unheard: bool,
+) -> None:
+    """Publish a message.
+
+    TOPIC is looked for among those that somebody subscribes to; TYPE may be left out for a topic that exists. VALUE is
+    YAML: one mapping of fields, or one value for each field. It returns when the subscribers have the message, and
+    exits 1 when there are none or when one refuses it.
+
+    With -r a value may be an expression in i (the number of the message, from 0) and t (seconds, i / HZ) with the
+    functions of the math module. 'auto' for a header and 'now' for a time stand for the simulated time, anew in
+    each message. JSON keys: topic, type, published, subscribers (node names).
+    """
+    while words[:1] == (_ONCE,):
+        once, words = True, words[1:]
+    _check_options(words, once, rate, file, stdin)
+    name, *given = words
+    target, given = _target(ctx, name, given, allow_unheard, file is not None or stdin)
+    given, marked = _without_once(given, len(target.typedefs[0]["fieldnames"]))
+    once = once or marked
+    _check_options(words, once, rate, file, stdin)
+    sources = (
+        _from_documents(target, file, rate) if file is not None or stdin else _from_words(target, given, rate, count)
+    )
+    run = Publication(ctx, target, rate, latch=latch, advertise=allow_unheard or latch)
+    with run:
+        run.publish(islice(sources, 1 if once else count))
+        if latch and not once:
+            run.hold()
+
+
+def _check_options(words: Sequence[str], once: bool, rate: float | None, file: str | None, stdin: bool) -> None:
+    if not words:
+        raise UsageError("no TOPIC given")
+    if once and rate is not None:
+        raise UsageError("-1 and -r exclude each other")
+    if file is not None and stdin:
+        raise UsageError("-f and --stdin exclude each other")
+
+
+# --- the topic ------------------------------------------------------------------------------------------------------
+
+
+def _target(
+    ctx: Context, name: str, given: list[str], allow_unheard: bool, from_elsewhere: bool
+) -> tuple[Target, list[str]]:
+    """The topic, and what is left of the words when TYPE is taken away. Raises as `look_up` does."""
+    try:
+        target = look_up(ctx, name, SUBSCRIBERS, with_field=False, last_words="--allow-unheard publishes all the same")
+    except Unused:
+        if not allow_unheard:
+            raise
+        target = look_up(ctx, name, None, with_field=False)
+    except UnknownName as error:
+        if not allow_unheard:
+            raise _with_last_words(error) from None
+        return _new_topic(ctx, name, given)
+    has_type = bool(given) and _is_type(given, target, from_elsewhere)
+    if has_type and given[0] != target.type:
+        raise UsageError(f"{target.topic} has the type {target.type}, not {given[0]}", "TYPE may be left out")
+    values = given[1:] if has_type else given
+    if values and from_elsewhere:
+        raise UsageError("a VALUE beside -f or --stdin: give one of them")
+    return target, values
+
+
+def _with_last_words(error: UnknownName) -> UnknownName:
+    error.hint = f"{error.hint}\n--allow-unheard publishes on a new topic: give its TYPE"
+    return error
+
+
+def _is_type(given: Sequence[str], target: Target, from_elsewhere: bool) -> bool:
+    """A lone word such as `a/b` is the text to publish when the topic takes text, else a TYPE."""
+    if given[0] == target.type:
+        return True
+    alone = [word for word in given if word != _ONCE] == [given[0]] and not from_elsewhere
+    takes_text = target.typedefs[0]["fieldtypes"] == ["string"]
+    return bool(_TYPE.match(given[0])) and not (alone and takes_text)
+
+
+def _new_topic(ctx: Context, name: str, given: list[str]) -> tuple[Target, list[str]]:
+    if not given or not _TYPE.match(given[0]):
+        raise UsageError(f"there is no topic {name!r} yet, so give its TYPE", "slidectl msg list shows the types")
+    full = names.check(names.join(ctx.namespace, name))
+    return Target(full, given[0], "", details(ctx, given[0]), []), given[1:]
+
+
+# --- the values -----------------------------------------------------------------------------------------------------
+
+
+def _without_once(given: list[str], fields: int) -> tuple[list[str], bool]:
+    """The values without `-1` as an option, and whether it was one; where a value is missing it is a number."""
+    plain = [word for word in given if word != _ONCE]
+    by_name = len(plain) == 1 and (":" in plain[0] or plain[0].startswith("{"))
+    if len(plain) == len(given) or (len(given) == fields and len(plain) != fields and not by_name):
+        return given, False
+    return plain, True
+
+
+def _from_words(target: Target, given: Sequence[str], rate: float | None, count: int | None) -> Iterator[Values]:
+    """The values on the command line: for ever at a rate, else `count` times or once."""
+    from slidectl.cli.values import read
+
+    if not given and target.typedefs[0]["fieldnames"]:
+        fields = ", ".join(target.typedefs[0]["fieldnames"])
+        raise UsageError(f"no VALUE given for {target.topic} ({target.type})", f"it has the fields: {fields}")
+    values = [read(word) if word else "" for word in given]
+    return repeat(values) if rate is not None else repeat(values, count or 1)
+
+
+def _from_documents(target: Target, file: str | None, rate: float | None) -> Iterator[Values]:
+    """Those of a file or of stdin; a single one of a file repeats for ever at a rate."""
+    from slidectl.cli import documents
+
+    fields = len(target.typedefs[0]["fieldnames"])
+    source = documents.from_stdin() if file is None else documents.from_file(file)
+    spread = (_spread(document, fields) for document in source if document is not None or not fields)
+    if file is None or rate is None:
+        return spread
+    every = list(spread)
+    return repeat(every[0]) if len(every) == 1 else iter(every)
+
+
+def _spread(document: Any, fields: int) -> Values:
+    """A document as values: a list is one value for each field, if the type has several."""
+    if document is None:
+        return []
+    return document if isinstance(document, list) and len(document) == fields != 1 else [document]

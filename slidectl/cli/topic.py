@@ -1,0 +1,133 @@
+"""`slidectl topic`: list and inspect topics. Measuring, echo and pub have modules of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import click
+
+from slidectl import names
+from slidectl.cli import live, output
+from slidectl.cli.commands import group
+from slidectl.cli.context import Context
+from slidectl.cli.echo import echo
+from slidectl.cli.fieldpath import select
+from slidectl.cli.pub import pub
+from slidectl.cli.topic_measure import bw, delay, hz
+from slidectl.cli.topics import PUBLISHERS, SUBSCRIBERS, look_up, users_of
+from slidectl.errors import UsageError
+
+
+@group(examples=["slidectl topic list -v", "slidectl topic info joint_states", "slidectl topic hz joint_states"])
+def topic() -> None:
+    """List, inspect and measure topics."""
+
+
+for _verb in (hz, bw, delay, pub, echo):
+    topic.add_command(_verb)
+
+
+@topic.command("list", examples=["slidectl topic list", "slidectl topic list -v /slider", "slidectl topic list --json"])
+@click.argument("namespace", required=False, shell_complete=live.topics)
+@click.option("-p", "published", is_flag=True, help="Only topics that somebody publishes.")
+@click.option("-s", "subscribed", is_flag=True, help="Only topics that somebody subscribes to.")
+@click.pass_obj
+def list_topics(ctx: Context, namespace: str | None, published: bool, subscribed: bool) -> None:
+    """List the topics, all or those below NAMESPACE.
+
+    With -v their types and who uses them. JSON keys: topic, type; with -v also publishers, subscribers (node names).
+    """
+    if published and subscribed:
+        raise UsageError("-p and -s exclude each other")
+    types = ctx.client.topics()
+    if namespace is not None:
+        types = {name: types[name] for name in types if names.is_under(name, _namespace(ctx, namespace, types))}
+    rows = [{"topic": name, "type": types[name]} for name in sorted(types)]
+    if published or subscribed or ctx.verbose:
+        _show_users(ctx, rows, published, subscribed)
+    elif ctx.format != "text":
+        ctx.emit_rows(rows, ["topic", "type"])
+    elif rows:
+        ctx.emit_names([row["topic"] for row in rows], "topic")
+
+
+def _namespace(ctx: Context, text: str, known: Mapping[str, str]) -> str:
+    """The namespace that is meant: as it stands, or below `--ns`."""
+    inside = names.join(ctx.namespace, text.rstrip("/") or "/")
+    return inside if any(names.is_under(name, inside) for name in known) else names.join("/", text.rstrip("/") or "/")
+
+
+def _show_users(ctx: Context, rows: list[dict[str, Any]], published: bool, subscribed: bool) -> None:
+    every = [row["topic"] for row in rows]
+    publishers, subscribers = users_of(ctx, every, PUBLISHERS), users_of(ctx, every, SUBSCRIBERS)
+    full = [{**r, PUBLISHERS: publishers[r["topic"]], SUBSCRIBERS: subscribers[r["topic"]]} for r in rows]
+    kept = [r for r in full if (r[PUBLISHERS] or not published) and (r[SUBSCRIBERS] or not subscribed)]
+    if ctx.format != "text":
+        ctx.emit_rows(kept, ["topic", "type", PUBLISHERS, SUBSCRIBERS])
+    elif ctx.verbose:
+        sections = [] if subscribed else [_section("Published topics:", kept, PUBLISHERS)]
+        sections += [] if published else [_section("Subscribed topics:", kept, SUBSCRIBERS)]
+        output.write("\n" + "\n".join(sections) + "\n")
+    elif kept:
+        ctx.emit_names([row["topic"] for row in kept], "topic")
+
+
+def _section(title: str, rows: list[dict[str, Any]], role: str) -> str:
+    lines = [title]
+    for row in rows:
+        count = len(row[role])
+        if count:
+            lines.append(f" * {row['topic']} [{row['type']}] {count} {role if count > 1 else role[:-1]}")
+    return "\n".join(lines) + "\n"
+
+
+@topic.command("info", examples=["slidectl topic info joint_states", "slidectl topic info command --json"])
+@click.argument("name", metavar="TOPIC", shell_complete=live.topics)
+@click.pass_obj
+def info(ctx: Context, name: str) -> None:
+    """Show the type of a topic, and the nodes that publish and subscribe it.
+
+    JSON keys: topic, type, publishers, subscribers (node names).
+    """
+    types = ctx.client.topics()
+    full = names.resolve(name, types, kind="topic", namespace=ctx.namespace)
+    publishers, subscribers = (users_of(ctx, [full], role)[full] for role in (PUBLISHERS, SUBSCRIBERS))
+    record = {"topic": full, "type": types[full], PUBLISHERS: publishers, SUBSCRIBERS: subscribers}
+    blocks = [_nodes(ctx, "Publishers", publishers), _nodes(ctx, "Subscribers", subscribers)]
+    ctx.emit(record, f"Type: {types[full]}\n\n" + "\n".join(blocks) + "\n\n")
+
+
+def _nodes(ctx: Context, title: str, nodes: list[str]) -> str:
+    if not nodes:
+        return f"{title}: None\n"
+    return f"{title}: \n" + "".join(f" * {node} (unix://{ctx.client.paths.socket})\n" for node in nodes)
+
+
+@topic.command("type", examples=["slidectl topic type joint_states", "slidectl topic type 'joint_states/position[0]'"])
+@click.argument("target", metavar="TOPIC[/FIELD[I]]", shell_complete=live.topics)
+@click.pass_obj
+def type_(ctx: Context, target: str) -> None:
+    """Print the type of a topic, or of a field of it.
+
+    For a field: the topic's type, the path and the field's type. JSON keys: topic, type, and field, field_type.
+    """
+    found = look_up(ctx, target, None)
+    record = {"topic": found.topic, "type": found.type}
+    if not found.field:
+        return ctx.emit(record, found.type)
+    selected = select(found.schema, found.field)
+    spelled = selected.type + "[]" * selected.depth
+    return ctx.emit({**record, "field": found.field, "field_type": spelled}, f"{found.type} {found.field} {spelled}")
+
+
+@topic.command("find", examples=["slidectl topic find sensor_msgs/JointState"])
+@click.argument("type_name", metavar="TYPE")
+@click.pass_obj
+def find_topics(ctx: Context, type_name: str) -> None:
+    """List the topics of a type.
+
+    JSON key: topic.
+    """
+    found = sorted(ctx.call("/rosapi/topics_for_type", {"type": type_name})["topics"])
+    ctx.emit_names(found, "topic", f"no topic has the type {type_name}")
