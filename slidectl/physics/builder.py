@@ -74,7 +74,7 @@ class RobotBuilder:
         position, attitude = pose
         root = self.spec.worldbody.add_body(name=self._named(self.robot.root), pos=position, quat=wxyz(attitude))
         if not self.robot.is_fixed_to_world:
-            free = root.add_freejoint(name=self._named(self.robot.root))
+            free = root.add_freejoint(name=self._named(""))
             free.align = False
             set_damping(free, UNDAMPED)
         self._fill(root, self.robot.links[self.robot.root])

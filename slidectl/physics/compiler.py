@@ -61,6 +61,7 @@ def compile_world(settings: Settings, bodies: Iterable[Body], newest: str = "") 
 
 def _empty(settings: Settings) -> Any:
     spec = mujoco.MjSpec()
+    spec.compiler.degree = False
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
     spec.option.timestep, spec.option.gravity = settings.timestep, settings.gravity
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER

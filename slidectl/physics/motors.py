@@ -9,9 +9,13 @@ from __future__ import annotations
 from typing import Any
 
 import mujoco
-import numpy as np
 
-from slidectl.physics.body import Array, Body
+from slidectl.physics.body import Body
+from slidectl.physics.motor_forces import Moment, RobotMotors
+
+PASSES = 3
+"""How often the forces of a robot under constraints (contacts, limits) are found: each time they may change which
+constraints push back. Without constraints the first time is exact."""
 
 Asked = dict[Body, dict[str, tuple[float, float]]]
 """By robot and joint: velocity, and most effort."""
@@ -48,49 +52,19 @@ class Motors:
             self._asked.pop(body, None)
 
     def apply(self, model: Any, data: Any, efforts: dict[int, float]) -> None:
-        """Add the motors' forces to qfrc_applied and to `efforts` (by dof).
-
-        The acceleration without motors is computed first; the warm start that this uses up is put back.
-        """
+        """Add the motors' forces to qfrc_applied and, by dof, to `efforts`. The warm start that this uses up is put back."""
         warmstart = data.qacc_warmstart.copy()
-        mujoco.mj_forward(model, data)
+        motors = [RobotMotors(body, asked) for body, asked in self._asked.items()]
+        waiting = motors
+        for _ in range(PASSES):
+            mujoco.mj_forward(model, data)
+            moment = Moment(model, data)
+            for robot in waiting:
+                robot.improve(moment)
+            waiting = [robot for robot in waiting if robot.is_constrained]
+            if not waiting:
+                break
         data.qacc_warmstart[:] = warmstart
-        inertia = np.zeros((model.nv, model.nv))
-        mujoco.mj_fullM(model, data, inertia)
-        for body, asked in self._asked.items():
-            for dof, force in _motor_forces(model, data, inertia, body, asked):
-                data.qfrc_applied[dof] += force
+        for robot in motors:
+            for dof, force in zip(robot.dofs, robot.forces.tolist(), strict=True):
                 efforts[dof] = efforts.get(dof, 0.0) + force
-
-
-def _motor_forces(
-    model: Any, data: Any, inertia: Array, body: Body, asked: dict[str, tuple[float, float]]
-) -> list[tuple[int, float]]:
-    """The forces of one robot's motors.
-
-    Euler with implicit damping steps v' = v + h (M + h D)⁻¹ (M a + f), a being the acceleration without motors.
-    """
-    part, step = body.dofs, model.opt.timestep
-    dofs = [body.joints[joint].dof for joint in asked]
-    own = [dof - part.start for dof in dofs]
-    wanted, bounds = (np.array(column) for column in zip(*asked.values(), strict=True))
-    mass = inertia[part, part]
-    response = step * np.linalg.inv(mass + step * np.diag(model.dof_damping[part]))
-    coasting = data.qvel[part] + response @ (mass @ data.qacc[part])
-    forces = _bounded_solution(response[np.ix_(own, own)], wanted - coasting[own], bounds)
-    return list(zip(dofs, forces.tolist(), strict=True))
-
-
-def _bounded_solution(response: Array, change: Array, bounds: Array) -> Array:
-    """Forces with response @ forces = change, as far as their bounds let them: those beyond are set to their bound and
-    the rest is solved again."""
-    forces, free = np.zeros(len(bounds)), np.ones(len(bounds), dtype=bool)
-    while free.any():
-        rest = change[free] - response[np.ix_(free, ~free)] @ forces[~free]
-        forces[free] = np.linalg.solve(response[np.ix_(free, free)], rest)
-        beyond = free & (np.abs(forces) > bounds)
-        if not beyond.any():
-            break
-        forces[beyond] = np.copysign(bounds[beyond], forces[beyond])
-        free &= ~beyond
-    return forces
