@@ -32,7 +32,7 @@ Comparison = tuple[str, float, float]
 """Where, what was recorded, what came out."""
 
 
-class Unreadable(Exception):  # noqa: N818 - it is the outcome, not a fault of this program
+class Unreadable(Exception):
     """A file that is missing, broken or of no known format."""
 
 

@@ -83,37 +83,40 @@ def limits_from_parameters(node: NodeHandle, joint: str, base: JointLimits = NO_
 
     A group counts only with its flag; a true flag without its values changes nothing.
     """
-    if not node.has_param(f"joint_limits/{joint}"):
+    where = f"joint_limits/{joint}"
+    if not node.has_param(where):
         return None
-    here = node.child(f"joint_limits/{joint}")
-    limits = _with_position(here, base)
+    limits = _with_position(node, where, base)
     for flag, bound in _BOUNDS.items():
-        limits = _with_bound(here, limits, flag, bound)
+        limits = _with_bound(node, where, limits, flag, bound)
     return limits
 
 
 def soft_limits_from_parameters(node: NodeHandle, joint: str) -> SoftJointLimits | None:
     """The soft limits at `joint_limits/<joint>`; None unless `has_soft_limits` is true and all four values are set."""
-    here = node.child(f"joint_limits/{joint}")
-    if params.boolean(here, "has_soft_limits") is not True:
+    where = f"joint_limits/{joint}"
+    if params.boolean(node, f"{where}/has_soft_limits") is not True:
         return None
-    lower, upper = params.number(here, "soft_lower_limit"), params.number(here, "soft_upper_limit")
-    k_position, k_velocity = params.number(here, "k_position"), params.number(here, "k_velocity")
+    lower = params.number(node, f"{where}/soft_lower_limit")
+    upper = params.number(node, f"{where}/soft_upper_limit")
+    k_position = params.number(node, f"{where}/k_position")
+    k_velocity = params.number(node, f"{where}/k_velocity")
     if lower is None or upper is None or k_position is None or k_velocity is None:
         return None
     return SoftJointLimits(lower, upper, k_position, k_velocity)
 
 
-def _with_position(node: NodeHandle, limits: JointLimits) -> JointLimits:
-    has = params.boolean(node, "has_position_limits")
+def _with_position(node: NodeHandle, where: str, limits: JointLimits) -> JointLimits:
+    has = params.boolean(node, f"{where}/has_position_limits")
+    if has is None:
+        return limits
     if has:
-        lower, upper = params.number(node, "min_position"), params.number(node, "max_position")
+        lower = params.number(node, f"{where}/min_position")
+        upper = params.number(node, f"{where}/max_position")
         if lower is None or upper is None:
             return limits
         return replace(limits, has_position_limits=True, min_position=lower, max_position=upper)
-    if has is None:
-        return limits
-    wraparound = params.boolean(node, "angle_wraparound")
+    wraparound = params.boolean(node, f"{where}/angle_wraparound")
     return replace(
         limits,
         has_position_limits=False,
@@ -121,12 +124,12 @@ def _with_position(node: NodeHandle, limits: JointLimits) -> JointLimits:
     )
 
 
-def _with_bound(node: NodeHandle, limits: JointLimits, flag: str, bound: str) -> JointLimits:
-    has = params.boolean(node, flag)
+def _with_bound(node: NodeHandle, where: str, limits: JointLimits, flag: str, bound: str) -> JointLimits:
+    has = params.boolean(node, f"{where}/{flag}")
     if has is None:
         return limits
     if not has:
         return replace(limits, **{flag: False})
-    value = params.number(node, bound)
+    value = params.number(node, f"{where}/{bound}")
     changes: dict[str, Any] = {flag: True, bound: value}
     return limits if value is None else replace(limits, **changes)

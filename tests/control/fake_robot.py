@@ -1,5 +1,6 @@
 """A robot in memory for controllers under test: joints set by hand, and hardware that switches when told to."""
 
+# ruff: noqa: ARG002 - hooks have their arguments, wanted or not
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
