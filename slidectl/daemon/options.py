@@ -5,14 +5,17 @@ Standard library only; shared by both sides of a start.
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from slidectl import paths
 from slidectl.errors import UsageError
+
+if TYPE_CHECKING:
+    import argparse
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,8 @@ def parse(arguments: Sequence[str]) -> Start:
 
 
 def _parser() -> argparse.ArgumentParser:
+    import argparse  # the starter, which needs only the class above, is in a hurry
+
     usual = DaemonOptions()
     parser = argparse.ArgumentParser("python -m slidectl.daemon", description="The process of one slidectl daemon.")
     where = parser.add_mutually_exclusive_group()

@@ -108,6 +108,8 @@ def _run(start: Start, starter: Starter) -> int:
 
 def _serve(start: Start, listener: socket.socket, log: LogFile, ready: Callable[[], None]) -> None:
     began = time.monotonic()
+    # MuJoCo's package looks for a way to draw when it is imported. Nothing is drawn here, and the search takes 30 ms.
+    os.environ.setdefault("MUJOCO_GL", "disable")
     from slidectl.daemon.daemon import Daemon
 
     daemon = Daemon(start, listener, log, began)

@@ -1,0 +1,192 @@
+"""The client as a script uses it, on a real daemon."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from daemon_fixture import Runtime
+
+import slidectl
+from slidectl.client import Client
+from slidectl.errors import AmbiguousName, MessageRefused, Refused, TimedOut, UnknownName
+
+
+def test_the_package_offers_the_client_at_its_front_door() -> None:
+    assert slidectl.Client is Client
+
+
+def test_a_call_gives_the_response(client: Client) -> None:
+    before = client.call("/slidectl/status")["cycles"]
+    assert client.call("/slidectl/step", {"cycles": 3})["cycles"] == before + 3
+
+
+def test_a_call_that_fails_raises_with_the_daemons_words_and_exit_code(client: Client) -> None:
+    with pytest.raises(Refused, match="/slidectl/statu") as failure:
+        client.call("/slidectl/statu")
+    assert failure.value.exit_code == 1
+    with pytest.raises(Refused, match="cycels") as failure:
+        client.call("/slidectl/step", {"cycels": 1})
+    assert failure.value.exit_code == 2
+
+
+def test_calls_can_be_on_their_way_together(client: Client) -> None:
+    calls = [client.call_async("/rosapi/topic_type", {"topic": "/clock"}) for _ in range(50)]
+    assert {client.answer(call)["type"] for call in reversed(calls)} == {"rosgraph_msgs/Clock"}
+
+
+def test_what_is_published_arrives_in_order(daemon: Runtime, client: Client) -> None:
+    with daemon.client() as writer, client.subscribe("/numbers", "std_msgs/Int32") as numbers:
+        for number in range(100):
+            writer.publish("/numbers", {"data": number})
+        writer.flush()
+        assert [next(numbers)["data"] for _ in range(100)] == list(range(100))
+        assert numbers.dropped == 0
+
+
+def test_names_without_a_slash_begin_at_the_root(client: Client) -> None:
+    with client.subscribe("relative", "std_msgs/Int32") as messages:
+        client.publish("relative", {"data": 1})
+        assert messages.get() == {"data": 1}
+        assert messages.topic == "/relative"
+
+
+def test_a_new_topic_is_made_by_publishing_with_a_type(daemon: Runtime, client: Client) -> None:
+    with daemon.client() as writer:
+        writer.publish("/fresh", {"data": "x"}, type="std_msgs/String", latch=True)
+        writer.flush()
+        with client.subscribe("/fresh") as messages:
+            assert messages.get()["data"] == "x"
+
+
+def test_flush_raises_the_refusal_of_a_message(client: Client) -> None:
+    with client.subscribe("/strict", "std_msgs/Int32"):
+        client.publish("/strict", {"data": "seven"})
+        with pytest.raises(MessageRefused, match="data") as failure:
+            client.flush()
+        assert failure.value.exit_code == 2
+        client.flush()
+
+
+def test_leaving_a_client_raises_what_was_refused(daemon: Runtime) -> None:
+    with pytest.raises(MessageRefused, match="/nowhere"), daemon.client() as client:
+        client.publish("/nowhere", {})
+
+
+def test_subscribing_what_does_not_exist_says_what_does(client: Client) -> None:
+    with pytest.raises(MessageRefused, match="/clock"):
+        client.subscribe("/cloc")
+
+
+def test_several_subscriptions_share_a_connection(client: Client) -> None:
+    with client.subscribe("/a", "std_msgs/Int32") as first, client.subscribe("/b", "std_msgs/Int32") as second:
+        for number in range(5):
+            client.publish("/a", {"data": number})
+            client.publish("/b", {"data": -number})
+        client.flush()
+        assert (len(first), len(second)) == (5, 5)
+        assert [second.get()["data"] for _ in range(5)] == [0, -1, -2, -3, -4]
+        assert first.get()["data"] == 0
+
+
+def test_two_subscriptions_of_one_topic_both_get_every_message(client: Client) -> None:
+    with client.subscribe("/both", "std_msgs/Int32") as one, client.subscribe("/both") as other:
+        client.publish("/both", {"data": 5})
+        client.flush()
+        assert one.get() == other.get() == {"data": 5}
+        one.close()
+        client.publish("/both", {"data": 6})
+        client.flush()
+        assert (len(one), other.get()["data"]) == (0, 6)
+
+
+def test_a_short_queue_keeps_the_newest_and_counts_the_rest(client: Client) -> None:
+    with client.subscribe("/flood", "std_msgs/Int32", queue_length=3) as messages:
+        for number in range(50):
+            client.publish("/flood", {"data": number})
+        client.flush()
+        received = [messages.get()["data"] for _ in range(len(messages))]
+        assert received == [47, 48, 49]
+        assert messages.dropped == 47
+
+
+def test_throttling_lets_the_first_message_through(client: Client) -> None:
+    with client.subscribe("/throttled", "std_msgs/Int32", throttle_rate=3_600_000) as messages:
+        for number in range(5):
+            client.publish("/throttled", {"data": number})
+        client.flush()
+        assert (len(messages), messages.get()["data"]) == (1, 0)
+
+
+def test_nan_arrives_as_none(client: Client) -> None:
+    with client.subscribe("/nan", "std_msgs/Float64") as messages:
+        client.publish("/nan", {"data": math.nan})
+        assert messages.get()["data"] is None
+
+
+def test_messages_that_came_before_closing_can_still_be_read(client: Client) -> None:
+    messages = client.subscribe("/late", "std_msgs/Int32")
+    client.publish("/late", {"data": 1})
+    client.flush()
+    messages.close()
+    assert messages.get()["data"] == 1
+
+
+def test_waiting_for_a_message_of_a_paused_world_says_that_it_is_paused(client: Client) -> None:
+    with client.subscribe("/clock") as clock, pytest.raises(TimedOut, match="sim resume") as failure:
+        clock.get(timeout=0.01)
+    assert "/clock" in failure.value.message
+
+
+def test_a_call_that_needs_time_says_that_the_world_is_paused(client: Client) -> None:
+    with pytest.raises(TimedOut, match="paused"):
+        client.call("/slidectl/sleep", {"duration": 1.0}, timeout=0.01)
+    assert client.call("/slidectl/status")["paused"] is True
+
+
+def test_names_are_resolved_among_those_that_are_published_or_subscribed(daemon: Runtime, client: Client) -> None:
+    with daemon.client() as other:
+        other.advertise("/one/data", "std_msgs/Int32")
+        other.advertise("/two/data", "std_msgs/Int32")
+        with other.subscribe("/two/data"):
+            assert client.resolve_topic("data", "subscribers") == "/two/data"
+            assert client.resolve_topic("data", "publishers", namespace="/one") == "/one/data"
+            assert client.resolve_topic("/two/data") == "/two/data"
+            with pytest.raises(AmbiguousName, match="/one/data, /two/data"):
+                client.resolve_topic("data", "publishers")
+            with pytest.raises(UnknownName, match="two/data"):
+                client.resolve_topic("dat", "subscribers")
+            with pytest.raises(UnknownName):
+                client.resolve_topic("/one/data", "subscribers")
+
+
+def test_services_are_found_by_their_end(client: Client) -> None:
+    assert client.resolve_service("set_speed") == "/slidectl/set_speed"
+
+
+def test_lines_of_the_log_that_come_during_a_call_are_collected(client: Client) -> None:
+    with client.rosout() as lines:
+        client.publish("/rosout", {"level": 8, "msg": "trouble"})
+        client.publish("/rosout", {"level": 2, "msg": "chatter"})
+        client.call("/slidectl/status")
+    assert [line["msg"] for line in lines] == ["trouble"]
+
+
+def test_events_are_what_is_on_the_wire(client: Client) -> None:
+    with client.subscribe("/raw", "std_msgs/Int32"):
+        client.publish("/raw", {"data": 1})
+        assert next(client.events(timeout=10)) == {"op": "publish", "topic": "/raw", "msg": {"data": 1}}
+
+
+def test_a_message_larger_than_any_buffer_goes_both_ways(client: Client) -> None:
+    text = "x" * 3_000_000
+    with client.subscribe("/large", "std_msgs/String") as messages:
+        client.publish("/large", {"data": text})
+        assert messages.get()["data"] == text
+
+
+def test_refusals_that_nobody_reads_do_not_stop_the_sender(client: Client) -> None:
+    for _ in range(20_000):
+        client.publish("/nowhere", {"data": "this is refused, and the refusal is longer than the question"})
+    with pytest.raises(MessageRefused, match="/nowhere"):
+        client.flush()

@@ -1,0 +1,167 @@
+"""The pacer on a clock of ours: when cycles run, what is caught up, and what the figures say."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from slidectl.daemon.pacing import CATCH_UP_SLICE_S, FREE_SLICE_S, MOST_BEHIND_S, Pacer
+from slidectl.simulation.run_state import RunState
+
+
+class FakeSimulation:
+    """Cycles that take `cost_s` of the fake clock's time each."""
+
+    def __init__(self, cost_s: float = 10e-6) -> None:
+        self.run = RunState()
+        self.timestep_ns = 1_000_000
+        self.now_s = 1000.0
+        self.cost_s = cost_s
+        self.cycles = 0
+        self.breaks_at = math.inf
+
+    def clock(self) -> float:
+        return self.now_s
+
+    def step(self, cycles: int = 1) -> int:
+        done = int(min(cycles, self.breaks_at - self.cycles))
+        self.cycles += done
+        self.now_s += done * self.cost_s
+        self.run.took(done)
+        return done
+
+
+def drive(simulation: FakeSimulation, pacer: Pacer, seconds: float, oversleep_s: float = 0.0) -> None:
+    """Turn as the loop does, sleeping as long as asked (and a little longer)."""
+    end = simulation.now_s + seconds
+    while simulation.now_s < end:
+        wait = pacer.turn()
+        if wait is None:
+            return
+        simulation.now_s += wait + (oversleep_s if wait else 1e-6)
+
+
+@pytest.fixture
+def simulation() -> FakeSimulation:
+    return FakeSimulation()
+
+
+@pytest.fixture
+def pacer(simulation: FakeSimulation) -> Pacer:
+    return Pacer(simulation, simulation.clock)
+
+
+@pytest.mark.parametrize("speed", [0.1, 1.0, 2.0, 50.0])
+def test_the_world_runs_at_the_factor_that_was_asked(simulation: FakeSimulation, pacer: Pacer, speed: float) -> None:
+    simulation.run.speed = speed
+    drive(simulation, pacer, 2.0)
+    assert simulation.cycles == pytest.approx(2000 * speed, abs=2 * max(1.0, speed))
+    assert pacer.report()["speed_reached"] == pytest.approx(speed, rel=0.01)
+    assert pacer.overruns == 0
+
+
+def test_waking_late_does_not_add_up(simulation: FakeSimulation, pacer: Pacer) -> None:
+    drive(simulation, pacer, 5.0, oversleep_s=0.0004)
+    assert simulation.cycles == pytest.approx(5000, abs=2)
+    figures = pacer.report()
+    assert figures["lateness_p50"] == pytest.approx(0.0004)
+    assert (figures["lateness_p99"], figures["overruns"]) == (pytest.approx(0.0004), 0)
+    assert figures["cycle_mean"] == pytest.approx(10e-6)
+
+
+def test_a_short_interruption_is_caught_up_in_slices(simulation: FakeSimulation, pacer: Pacer) -> None:
+    simulation.cost_s = 100e-6
+    drive(simulation, pacer, 1.0)
+    simulation.now_s += 0.05
+    begun = simulation.now_s
+    assert pacer.turn() == 0.0
+    assert simulation.now_s - begun <= CATCH_UP_SLICE_S + 2 * simulation.cost_s
+    drive(simulation, pacer, 0.1)
+    assert simulation.cycles == pytest.approx(1152, abs=4)
+    assert pacer.overruns > 30
+    assert pacer.given_up_s == 0
+
+
+def test_a_long_interruption_is_not_caught_up(simulation: FakeSimulation, pacer: Pacer) -> None:
+    drive(simulation, pacer, 1.0)
+    simulation.now_s += 3600
+    drive(simulation, pacer, 1.0)
+    assert simulation.cycles == pytest.approx(2000 + 1000 * MOST_BEHIND_S, abs=5)
+    assert pacer.given_up_s == pytest.approx(3600 - MOST_BEHIND_S, abs=0.01)
+
+
+def test_a_machine_that_is_too_slow_says_what_it_reaches(simulation: FakeSimulation, pacer: Pacer) -> None:
+    simulation.cost_s = 0.004
+    drive(simulation, pacer, 10.0)
+    figures = pacer.report()
+    assert figures["speed_reached"] == pytest.approx(0.25, rel=0.05)
+    assert figures["overruns"] > 2000
+    assert figures["lateness_p99"] <= MOST_BEHIND_S + 0.004
+
+
+def test_free_running_returns_to_the_sockets_after_a_slice(simulation: FakeSimulation, pacer: Pacer) -> None:
+    simulation.run.speed = math.inf
+    for _ in range(20):
+        begun = simulation.now_s
+        assert pacer.turn() == 0.0
+        assert simulation.now_s - begun <= 1.3 * FREE_SLICE_S
+    assert simulation.cycles > 1000
+
+
+def test_heavy_cycles_are_run_one_at_a_time(simulation: FakeSimulation, pacer: Pacer) -> None:
+    simulation.run.speed = math.inf
+    simulation.cost_s = 0.05
+    pacer.turn()
+    assert simulation.cycles == 1
+
+
+def test_a_paused_world_has_nothing_to_do(simulation: FakeSimulation, pacer: Pacer) -> None:
+    simulation.run.paused = True
+    assert pacer.turn() is None
+    assert simulation.cycles == 0
+    assert pacer.report()["speed_reached"] == 0
+
+
+def test_steps_run_as_fast_as_possible_and_exactly_as_many(simulation: FakeSimulation, pacer: Pacer) -> None:
+    pending = simulation.run.ask_steps(12_345)
+    turns = 0
+    while pacer.turn() is not None:
+        turns += 1
+    assert (simulation.cycles, pending.done, simulation.run.paused) == (12_345, True, True)
+    assert turns > 100  # the sockets had their turn all the while
+    assert simulation.now_s - 1000 == pytest.approx(12_345 * 10e-6)
+
+
+def test_time_that_passed_while_paused_is_not_caught_up(simulation: FakeSimulation, pacer: Pacer) -> None:
+    drive(simulation, pacer, 1.0)
+    simulation.run.paused = True
+    pacer.turn()
+    simulation.now_s += 0.09
+    simulation.run.paused = False
+    drive(simulation, pacer, 1.0)
+    assert simulation.cycles == pytest.approx(2000, abs=3)
+
+
+def test_another_speed_takes_effect_from_now_on(simulation: FakeSimulation, pacer: Pacer) -> None:
+    drive(simulation, pacer, 1.0)
+    simulation.run.set_speed(0.5)
+    drive(simulation, pacer, 1.0)
+    assert simulation.cycles == pytest.approx(1500, abs=3)
+    assert pacer.report()["speed_reached"] == pytest.approx(0.5, rel=0.02)
+
+
+def test_short_cycles_are_grouped_so_that_the_loop_sleeps(simulation: FakeSimulation, pacer: Pacer) -> None:
+    simulation.timestep_ns = 100_000
+    pacer.turn()
+    assert simulation.cycles == 10
+    wait = pacer.turn()
+    assert wait is not None
+    assert wait > 0.0005
+
+
+@pytest.mark.parametrize("speed", [1.0, math.inf])
+def test_a_world_that_breaks_down_stops_the_slice(simulation: FakeSimulation, pacer: Pacer, speed: float) -> None:
+    simulation.run.speed = speed
+    simulation.breaks_at = 0
+    assert pacer.turn() == 0.0
