@@ -13,7 +13,7 @@ from slidectl import names
 from slidectl.cli import live, output
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
-from slidectl.errors import BadFile, UnknownName, UsageError
+from slidectl.errors import BadFile, Refused, UnknownName, UsageError
 
 _INDEXED = re.compile(r"(?P<name>[^\[\]]+)(?P<indices>(\[-?\d+\])+)\Z")
 _ANGLE = re.compile(r"(?P<unit>deg|rad)\((?P<expression>.*)\)\Z", re.DOTALL)
@@ -85,7 +85,7 @@ def _element(full: str, value: Any, index: int) -> Any:
     if not isinstance(value, list):
         raise UsageError(f"{full} is no list: it has no element [{index}]")
     if not -len(value) <= index < len(value):
-        raise UnknownName("element", f"[{index}]", [f"[{i}]" for i in range(len(value))], f"in {full}")
+        raise Refused(f"{full} has no element [{index}]: it has {len(value)}")
     return value[index]
 
 

@@ -97,6 +97,11 @@ class Stream:
                 self._finish(wire)
         return self._queue.popleft() if self._queue else None
 
+    @property
+    def is_drained(self) -> bool:
+        """True when all that has been taken in was read; latched messages are taken in on entry."""
+        return not self._queue
+
     def _finish(self, response: dict[str, Any]) -> None:
         self.ended = True
         if not response.get("result", True):

@@ -1,0 +1,169 @@
+"""Frames and the transforms between them, as /tf and /tf_static tell them: a forest, and poses along it.
+
+Plain arithmetic on tuples: translations x y z in m, quaternions x y z w. It reads no topic.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+from slidectl.errors import Refused, UnknownName
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+
+class Pose(NamedTuple):
+    """Where a frame is in another one."""
+
+    translation: Vector
+    rotation: Quaternion
+
+
+class Edge(NamedTuple):
+    """A frame's place in its parent. `time_ns` is its stamp; a static one holds for all times."""
+
+    parent: str
+    pose: Pose
+    time_ns: int
+    is_static: bool
+
+
+class View(NamedTuple):
+    """A pose between two frames, and the time up to which it is known (None when nothing on the way moves)."""
+
+    pose: Pose
+    time_ns: int | None
+
+
+IDENTITY = Pose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+
+
+class Frames:
+    """The latest transform of every frame."""
+
+    def __init__(self) -> None:
+        self.edges: dict[str, Edge] = {}
+
+    def add(self, message: Mapping[str, Any], is_static: bool) -> None:
+        """Take in a tf2_msgs/TFMessage; newer transforms replace older ones."""
+        for stamped in message["transforms"]:
+            header = stamped["header"]
+            child = _plain(stamped["child_frame_id"])
+            time_ns = header["stamp"]["secs"] * 10**9 + header["stamp"]["nsecs"]
+            self.edges[child] = Edge(_plain(header["frame_id"]), _pose(stamped["transform"]), time_ns, is_static)
+
+    @property
+    def names(self) -> list[str]:
+        """All frames, sorted."""
+        return sorted({*self.edges, *(edge.parent for edge in self.edges.values())})
+
+    @property
+    def roots(self) -> list[str]:
+        """Frames without a parent, sorted."""
+        return [name for name in self.names if name not in self.edges]
+
+    def children(self, name: str) -> list[str]:
+        """Frames whose parent is `name`, sorted."""
+        return sorted(child for child, edge in self.edges.items() if edge.parent == name)
+
+    def way_up(self, name: str) -> list[str]:
+        """The frame, its parent and so on to the root."""
+        way = [name]
+        while way[-1] in self.edges and self.edges[way[-1]].parent not in way:
+            way.append(self.edges[way[-1]].parent)
+        return way
+
+    def are_connected(self, one: str, other: str) -> bool:
+        """True when both are known and have the same root."""
+        known = self.names
+        return one in known and other in known and self.way_up(one)[-1] == self.way_up(other)[-1]
+
+    def look_up(self, reference: str, target: str) -> View:
+        """The pose of `target` in `reference`.
+
+        Raises:
+            UnknownName: no such frame; it lists those there are. Refused: they are not in one tree.
+        """
+        for name in (reference, target):
+            if name not in self.names:
+                raise UnknownName("frame", name, self.names)
+        up, down = self.way_up(reference), self.way_up(target)
+        if up[-1] != down[-1]:
+            raise Refused(f"{reference} and {target} are not connected", f"their roots are {up[-1]} and {down[-1]}")
+        common = next(name for name in up if name in down)
+        up, down = up[: up.index(common)], down[: down.index(common)]
+        times = [edge.time_ns for edge in map(self.edges.__getitem__, up + down) if not edge.is_static]
+        pose = compose(inverse(self._along(up)), self._along(down))
+        return View(pose, min(times) if times else None)
+
+    def _along(self, way: Iterable[str]) -> Pose:
+        """The pose of the first frame of the way in the parent of the last one."""
+        pose = IDENTITY
+        for name in way:
+            pose = compose(self.edges[name].pose, pose)
+        return pose
+
+
+def _plain(frame: str) -> str:
+    # Frames of tf 1 may begin with a slash, those of tf2 never do.
+    return frame.removeprefix("/")
+
+
+def _pose(transform: Mapping[str, Mapping[str, float]]) -> Pose:
+    t, q = transform["translation"], transform["rotation"]
+    return Pose((t["x"], t["y"], t["z"]), normalised((q["x"], q["y"], q["z"], q["w"])))
+
+
+def normalised(q: Quaternion) -> Quaternion:
+    """The unit quaternion; all zeros mean no rotation."""
+    x, y, z, w = q
+    length = math.sqrt(x * x + y * y + z * z + w * w)
+    return (x / length, y / length, z / length, w / length) if length > 0 else IDENTITY.rotation
+
+
+def product(a: Quaternion, b: Quaternion) -> Quaternion:
+    """Hamilton product: rotate by b, then by a."""
+    ax, ay, az, aw = a
+    bx, by, bz, bw = b
+    return (
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+        aw * bw - ax * bx - ay * by - az * bz,
+    )
+
+
+def rotate(q: Quaternion, v: Vector) -> Vector:
+    """The vector rotated by a unit quaternion."""
+    x, y, z, _ = product(product(q, (*v, 0.0)), (-q[0], -q[1], -q[2], q[3]))
+    return x, y, z
+
+
+def compose(outer: Pose, inner: Pose) -> Pose:
+    """The pose of `inner`'s frame where `outer` says how its parent stands."""
+    ox, oy, oz = outer.translation
+    x, y, z = rotate(outer.rotation, inner.translation)
+    return Pose((ox + x, oy + y, oz + z), product(outer.rotation, inner.rotation))
+
+
+def inverse(pose: Pose) -> Pose:
+    """The pose of the parent in the frame."""
+    x, y, z, w = pose.rotation
+    back = (-x, -y, -z, w)
+    tx, ty, tz = rotate(back, pose.translation)
+    return Pose((-tx, -ty, -tz), back)
+
+
+def roll_pitch_yaw(q: Quaternion) -> Vector:
+    """Fixed-axis angles in rad (URDF's rpy); at a pitch of 90 degrees the yaw is 0."""
+    x, y, z, w = q
+    sine = 2 * (x * z - w * y)
+    if abs(sine) >= 1.0 - 1e-12:
+        sign = -1.0 if sine > 0 else 1.0
+        return sign * 2 * math.atan2(x, w), sign * math.pi / 2, 0.0
+    roll = math.atan2(2 * (y * z + w * x), 1 - 2 * (x * x + y * y))
+    yaw = math.atan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
+    return roll, -math.asin(sine), yaw

@@ -1,0 +1,191 @@
+"""`slidectl tf`: the frames of /tf and /tf_static, and the transforms between them."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator
+from time import monotonic
+from typing import Any
+
+import click
+
+from slidectl.cli import output
+from slidectl.cli.commands import group
+from slidectl.cli.context import Context
+from slidectl.cli.frames import Frames, View, roll_pitch_yaw
+from slidectl.cli.options import positive_seconds
+from slidectl.cli.stream import Stream
+from slidectl.cli.topics import PUBLISHERS, users_of
+from slidectl.errors import Refused, SlidectlError
+
+MOVING, STATIC = "/tf", "/tf_static"
+PATIENCE_S = 3.0
+# A publisher repeats itself; when a frame has come so often, all that publish as fast have had their turn.
+_ROUNDS = 3
+
+
+@group(examples=["slidectl tf echo world link2", "slidectl tf tree"])
+def tf() -> None:
+    """Show the frames and the transforms between them."""
+
+
+class Listener:
+    """Collects transforms from a stream of `topics` until there is enough."""
+
+    def __init__(self, ctx: Context, stream: Stream, topics: list[str]) -> None:
+        self._ctx = ctx
+        self._stream = stream
+        self._topics = topics
+        self.frames = Frames()
+        self._heard: Counter[str] = Counter()
+
+    def listen(self, enough: Callable[[Frames], bool]) -> None:
+        """Until it is enough, all frames have come, or `--timeout` (3 s) is over."""
+        deadline = monotonic() + self._ctx.wait_limit(PATIENCE_S)
+        while not enough(self.frames) and not self._is_complete():
+            event = self._stream.next(deadline)
+            if event is None:
+                return
+            self._take(event.topic, event.message)
+
+    def until(self, deadline: float) -> None:
+        """Take in what comes until then (`time.monotonic()`)."""
+        while (event := self._stream.next(deadline)) is not None:
+            self._take(event.topic, event.message)
+            if monotonic() >= deadline:
+                return
+
+    def look_up(self, reference: str, target: str) -> View:
+        """Frames.look_up, which says so when the reason may be a world that stands still."""
+        try:
+            return self.frames.look_up(reference, target)
+        except SlidectlError as error:
+            if MOVING in self._topics and not self._heard:
+                error.hint = f"{error.hint}\nnothing came on {MOVING}; is the simulation paused? slidectl sim status"
+            raise
+
+    def _take(self, topic: str, message: dict[str, Any]) -> None:
+        self.frames.add(message, topic == STATIC)
+        if topic == MOVING:
+            self._heard.update(transform["child_frame_id"] for transform in message["transforms"])
+
+    def _is_complete(self) -> bool:
+        """Static transforms are latched: they come at once, before the first moving one or the answer of a call."""
+        if MOVING not in self._topics:
+            return self._stream.is_drained
+        return any(count >= _ROUNDS for count in self._heard.values())
+
+
+def _open(ctx: Context) -> tuple[Stream, list[str]]:
+    """A stream of the topics of transforms that somebody publishes. Raises Refused when there is none."""
+    known = ctx.client.topics()
+    users = users_of(ctx, [topic for topic in (STATIC, MOVING) if topic in known], PUBLISHERS)
+    topics = [topic for topic, nodes in users.items() if nodes]
+    if not topics:
+        raise Refused("nobody publishes transforms", "spawn a robot: slidectl spawn slider")
+    return Stream(ctx, topics), topics
+
+
+def _frames(ctx: Context) -> Frames:
+    """All frames there are."""
+    stream, topics = _open(ctx)
+    with stream:
+        listener = Listener(ctx, stream, topics)
+        listener.listen(lambda _: False)
+    return listener.frames
+
+
+@tf.command("list", examples=["slidectl tf list", "slidectl tf list --json"])
+@click.pass_obj
+def list_frames(ctx: Context) -> None:
+    """List the frames.
+
+    JSON keys: frame, parent (null for a root), static, time (of the latest transform, simulated s).
+    """
+    frames = _frames(ctx)
+    if ctx.format == "text":
+        return ctx.emit_names(frames.names, "frame")
+    return ctx.emit_rows([_row(frames, name) for name in frames.names], ["frame", "parent", "static", "time"])
+
+
+def _row(frames: Frames, name: str) -> dict[str, Any]:
+    edge = frames.edges.get(name)
+    if edge is None:
+        return {"frame": name, "parent": None, "static": True, "time": None}
+    return {"frame": name, "parent": edge.parent, "static": edge.is_static, "time": edge.time_ns * 1e-9}
+
+
+@tf.command("tree", examples=["slidectl tf tree"])
+@click.pass_obj
+def tree(ctx: Context) -> None:
+    """Show the frames as a tree, children indented under their parent.
+
+    Behind a frame stands 'static' or 'moving'. JSON is one object for each frame, as in 'slidectl tf list'.
+    """
+    frames = _frames(ctx)
+    if ctx.format != "text":
+        return ctx.emit_rows([_row(frames, name) for name in frames.names], ["frame", "parent", "static", "time"])
+    return output.write("\n".join(line for root in frames.roots for line in _branch(frames, root, "")))
+
+
+def _branch(frames: Frames, name: str, indent: str) -> Iterator[str]:
+    edge = frames.edges.get(name)
+    yield f"{indent}{name}" + ("" if edge is None else " (static)" if edge.is_static else " (moving)")
+    for child in frames.children(name):
+        yield from _branch(frames, child, indent + "  ")
+
+
+@tf.command("echo", examples=["slidectl tf echo base_link link2", "slidectl tf echo world link2 -f --rate 5 --json"])
+@click.argument("reference", metavar="A")
+@click.argument("target", metavar="B")
+@click.option("-n", "count", type=click.IntRange(min=1), metavar="COUNT", help="So many transforms.")
+@click.option("-f", "--follow", is_flag=True, help="Go on until Ctrl-C.")
+@click.option(
+    "--rate", type=float, default=1.0, callback=positive_seconds, metavar="HZ", help="How often, on the wall clock (1)."
+)
+@click.pass_obj
+def echo(ctx: Context, reference: str, target: str, count: int | None, follow: bool, rate: float) -> None:
+    """Print the pose of frame B in frame A, as tf_echo does: once, or -n times, or again and again.
+
+    JSON keys: reference, target, time (simulated s; null when nothing between them moves), translation (x y z, m),
+    rotation (x y z w), rpy (rad).
+    """
+    reference, target = reference.removeprefix("/"), target.removeprefix("/")
+    stream, topics = _open(ctx)
+    left = math.inf if follow and count is None else count or 1
+    with stream:
+        listener = Listener(ctx, stream, topics)
+        listener.listen(lambda frames: frames.are_connected(reference, target))
+        due = monotonic()
+        while True:
+            _tell(ctx, reference, target, listener.look_up(reference, target))
+            left -= 1
+            if left <= 0:
+                return
+            due += 1.0 / rate
+            listener.until(due)
+
+
+def _tell(ctx: Context, reference: str, target: str, view: View) -> None:
+    pose, rpy = view.pose, roll_pitch_yaw(view.pose.rotation)
+    time = None if view.time_ns is None else view.time_ns * 1e-9
+    record = {
+        "reference": reference,
+        "target": target,
+        "time": time,
+        "translation": list(pose.translation),
+        "rotation": list(pose.rotation),
+        "rpy": list(rpy),
+    }
+    degrees = [math.degrees(angle) for angle in rpy]
+    ctx.emit(
+        record,
+        f"At time {time or 0.0:.3f}\n- Translation: {_vector(pose.translation)}\n"
+        f"- Rotation: in Quaternion {_vector(pose.rotation)}\n"
+        f"            in RPY (radian) {_vector(rpy)}\n            in RPY (degree) {_vector(degrees)}",
+    )
+
+
+def _vector(numbers: Any) -> str:
+    return "[" + ", ".join(f"{number:.3f}" for number in numbers) + "]"
