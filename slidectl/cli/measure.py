@@ -67,16 +67,16 @@ class RateMeter(Meter):
     def __init__(self, topic: str, window: int) -> None:
         super().__init__(topic)
         self._intervals: deque[float] = deque(maxlen=window - 1)
-        self._last: float | None = None
+        self._last: int | None = None
 
-    def take(self, at: float) -> None:
+    def take(self, at_ns: int) -> None:
         """A message at this time."""
         self.count()
-        if self._last is not None and at < self._last:
+        if self._last is not None and at_ns < self._last:
             self._intervals.clear()
         elif self._last is not None:
-            self._intervals.append(at - self._last)
-        self._last = at
+            self._intervals.append((at_ns - self._last) / 1e9)
+        self._last = at_ns
 
     def spread(self) -> Spread | None:
         """The spread of the intervals in s; None before the second message."""
@@ -136,11 +136,13 @@ class SizeMeter(Meter):
         if rate is None:
             return "no new messages"
         spread = Spread([size for _, size in self._messages])
-        divisor, unit = (1, "B") if rate < 1000 else (1000, "KB") if rate < 1_000_000 else (1_000_000, "MB")
-        shown = [f"{number / divisor:.2f}{unit}" for number in (rate, spread.mean, spread.min, spread.max)]
-        return (
-            f"average: {shown[0]}/s\n\tmean: {shown[1]} min: {shown[2]} max: {shown[3]} window: {len(self._messages)}"
-        )
+        mean, least, most = map(_bytes, (spread.mean, spread.min, spread.max))
+        return f"average: {_bytes(rate)}/s\n\tmean: {mean} min: {least} max: {most} window: {len(self._messages)}"
+
+
+def _bytes(number: float) -> str:
+    divisor, unit = (1, "B") if number < 1000 else (1000, "KB") if number < 1_000_000 else (1_000_000, "MB")
+    return f"{number / divisor:.2f}{unit}"
 
 
 class DelayMeter(Meter):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from time import monotonic
+from time import monotonic, monotonic_ns
 from typing import Any
 
 import click
@@ -125,13 +125,13 @@ def _measure(
             raise
 
 
-def _seconds(target: Target, wall_time: bool) -> Callable[[Event], float]:
+def _time_ns(target: Target, wall_time: bool) -> Callable[[Event], int]:
     """The function that gives a message's time: the stamp of its header, else the clock when it came."""
     if wall_time:
-        return lambda _: monotonic()
+        return lambda _: monotonic_ns()
     if target.schema.has_header:
-        return lambda event: nanoseconds(event.message["header"]["stamp"]) * 1e-9
-    return lambda event: event.time_ns * 1e-9
+        return lambda event: nanoseconds(event.message["header"]["stamp"])
+    return lambda event: event.time_ns
 
 
 @command(
@@ -167,7 +167,7 @@ def hz(
     """
     found = {target.topic: target for target in (look_up(ctx, text, PUBLISHERS) for text in topics)}
     meters = {topic: RateMeter(topic, window) for topic in found}
-    times = {topic: _seconds(target, wall_time) for topic, target in found.items()}
+    times = {topic: _time_ns(target, wall_time) for topic, target in found.items()}
     keeps = {topic: predicate(condition, target.schema) for topic, target in found.items()}
     clock = not wall_time and not all(target.schema.has_header for target in found.values())
     stream = Stream(ctx, list(found), with_clock=clock, sim_seconds=sim_seconds)
@@ -233,6 +233,6 @@ def delay(ctx: Context, topic: str, window: int, reports: int | None, sim_second
     stream = Stream(ctx, [target.topic], with_clock=True, sim_seconds=sim_seconds)
 
     def take(event: Event) -> None:
-        meter.take((event.time_ns - nanoseconds(event.message["header"]["stamp"])) * 1e-9)
+        meter.take((event.time_ns - nanoseconds(event.message["header"]["stamp"])) / 1e9)
 
     _measure(ctx, [meter], stream, take, monotonic, reports, sim_seconds is not None)
