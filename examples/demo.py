@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from rich import box
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
@@ -38,7 +39,7 @@ def main() -> int:
             rows = [slide(client, console, name, target) for name, target in TARGETS]
     finally:
         run("daemon", "stop")
-    console.print(table(rows))
+    console.print(table(rows, box.ROUNDED if console.is_terminal else box.ASCII2))
     return 0 if all(row["reached"] for row in rows) else 1
 
 
@@ -102,9 +103,9 @@ def cell(position: float) -> int:
     return max(0, min(WIDTH - 1, round((position + 1.0) / 2.0 * (WIDTH - 1))))
 
 
-def table(rows: list[dict[str, Any]]) -> Table:
+def table(rows: list[dict[str, Any]], style: box.Box) -> Table:
     """What was asked and what was reached."""
-    out = Table(title="asked and reached")
+    out = Table(title="asked and reached", title_justify="left", box=style)
     for column in ("command", "asked, m", "reached, m", "error, mm", "simulated s", ""):
         out.add_column(column, justify="left" if column in ("command", "") else "right")
     for row in rows:
