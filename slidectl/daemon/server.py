@@ -5,6 +5,7 @@ Called from the event loop between two cycles. Knows no operations: each connect
 
 from __future__ import annotations
 
+import resource
 import socket
 from collections.abc import Callable
 from contextlib import suppress
@@ -19,6 +20,8 @@ from slidectl.daemon.session import Session
 from slidectl.simulation.graph import Graph
 
 MOST_CONNECTIONS = 512
+_KEPT_DESCRIPTORS = 32
+"""File descriptors that connections must leave to the rest of the process."""
 _ACCEPTED_A_TURN = 16
 
 
@@ -54,6 +57,7 @@ class Server:
         self.busy = Busy()
         self.sessions: dict[Connection, Session] = {}
         self._listener = listener
+        self._most = min(MOST_CONNECTIONS, resource.getrlimit(resource.RLIMIT_NOFILE)[0] - _KEPT_DESCRIPTORS)
         self._loop = loop
         self._serial = 0
         self._listening = False
@@ -100,8 +104,8 @@ class Server:
                 self._pause_listening(f"cannot accept: {error.strerror}")
                 return
             self._admit(connection)
-            if len(self.sessions) >= MOST_CONNECTIONS:
-                self._pause_listening(f"{MOST_CONNECTIONS} connections are open; others wait until one of them ends")
+            if len(self.sessions) >= self._most:
+                self._pause_listening(f"{self._most} connections are open; others wait until one of them ends")
                 return
 
     def _pause_listening(self, why: str) -> None:

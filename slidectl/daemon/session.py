@@ -118,12 +118,18 @@ class Session:
         self._graph.close_node(self.node)
 
     def _complain(self, error: SlidectlError, message: Message) -> None:
-        if self._level > LEVELS["error"]:
-            return
-        status: Message = {"op": "status", "level": "error", "msg": str(error), "exit_code": error.exit_code}
-        if "id" in message:
-            status["id"] = message["id"]
-        self._connection.send(encode(status))
+        """Tell the client; who called a service gets an answer even when it is this one."""
+        if message.get("op") == "call_service":
+            answer = {
+                "op": "service_response",
+                **_given_id(message),
+                "service": message.get("service"),
+                **_failure(error),
+            }
+            self._connection.send(encode(answer))
+        elif self._level <= LEVELS["error"]:
+            status = {"op": "status", "level": "error", "msg": str(error), "exit_code": error.exit_code}
+            self._connection.send(encode(status | _given_id(message)))
 
     # --- topics -------------------------------------------------------------------------------------------------
 
@@ -186,19 +192,12 @@ class Session:
 
     def _call_service(self, message: Message) -> None:
         service = _name(message, "service")
-        pending = self._call(service, message.get("args") or {})
+        request = self._by_name(service, message.get("args") or {})
+        pending = self._graph.services.call(service, request)
         if not pending.done:
             self._calls.add(pending)
-        call_id = {"id": message["id"]} if "id" in message else {}
+        call_id = _given_id(message)
         pending.then(lambda answered: self._answer(answered, service, call_id))
-
-    def _call(self, service: str, request: Any) -> Pending:
-        try:
-            return self._graph.services.call(service, self._by_name(service, request))
-        except SlidectlError as error:
-            pending = Pending()
-            pending.reject(error)
-            return pending
 
     def _by_name(self, service: str, values: Any) -> Any:
         """Arguments may come as a list, in the order of the fields."""
@@ -215,8 +214,7 @@ class Session:
         if pending.error is None:
             response |= {"values": pending.result(), "result": True}
         else:
-            error = pending.error
-            response |= {"values": str(error), "result": False, "exit_code": error.exit_code}
+            response |= _failure(pending.error)
         self._connection.send(encode(response))
 
     def _advertise_service(self, message: Message) -> None:
@@ -271,6 +269,15 @@ def _text(message: Message, key: str, default: str | None = None) -> str:
 
 def _name(message: Message, key: str) -> str:
     return names.join("/", _text(message, key))
+
+
+def _given_id(message: Message) -> Message:
+    """The id that comes back with the answer: as it was given, if it was."""
+    return {"id": message["id"]} if "id" in message else {}
+
+
+def _failure(error: SlidectlError) -> Message:
+    return {"values": str(error), "result": False, "exit_code": error.exit_code}
 
 
 def _id(message: Message) -> str | None:

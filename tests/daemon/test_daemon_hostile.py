@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import random
+import resource
 import select
 import socket
 import struct
@@ -253,6 +254,21 @@ def test_many_clients_at_once_are_all_served(connect: Connect) -> None:
     for client in clients:
         client.send(op="call_service", id="x", service="/rosapi/get_time")
     assert all(client.receive()["result"] is True for client in clients)
+
+
+def test_connections_beyond_what_the_process_can_hold_wait_for_their_turn(runtime: Runtime) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (64, hard))
+    try:
+        runtime.start(paused=True)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    clients = [Wire(runtime.paths.socket) for _ in range(80)]
+    assert clients[0].call("/rosapi/get_time")["result"] is True
+    for client in clients[:-1]:
+        client.close()
+    assert clients[-1].call("/rosapi/get_time")["result"] is True
+    clients[-1].close()
 
 
 def test_only_processes_of_the_same_user_may_come_in() -> None:
