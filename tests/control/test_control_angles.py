@@ -1,8 +1,10 @@
 """Angles and the turns between them, by the rules of ros/angles."""
 
-from math import inf, isnan, nan, pi
+from math import cos, inf, isnan, nan, pi, sin
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from slidectl.control.angles import (
     distance_with_large_limits,
@@ -100,3 +102,27 @@ def test_limits_on_the_circle_may_enclose_its_back():
 def test_limits_beyond_pi_are_folded_onto_the_circle():
     assert distance_with_large_limits(0.5, -1.0, -4.0, 4.0) == pytest.approx(-1.5)
     assert distance_with_limits(0.5, -1.0, -4.0, 4.0) == pytest.approx(2 * pi - 1.5)
+
+
+angles = st.floats(-20.0, 20.0)
+
+
+@given(angles, angles, angles, angles)
+def test_whatever_the_limits_a_turn_leads_to_the_end(start, end, one, other):
+    lower, upper = sorted((one, other))
+    for turn in (
+        shortest_angular_distance(start, end),
+        distance_with_large_limits(start, end, lower, upper),
+        distance_with_limits(start, end, lower, upper),
+    ):
+        assert cos(start + turn) == pytest.approx(cos(end), abs=1e-9)
+        assert sin(start + turn) == pytest.approx(sin(end), abs=1e-9)
+
+
+@given(angles, angles, angles, angles)
+def test_large_limits_are_left_only_when_both_ways_leave_them(start, end, one, other):
+    lower, upper = sorted((one, other))
+    turn = distance_with_large_limits(start, end, lower, upper)
+    if not lower <= start + turn <= upper:
+        both = {shortest_angular_distance(start, end), two_pi_complement(shortest_angular_distance(start, end))}
+        assert not any(lower <= start + way <= upper for way in both)

@@ -5,6 +5,7 @@ from math import inf, nan, pi
 import pytest
 from fake_robot import STEP_S, Bench, FakeRobot
 
+from slidectl import msgs
 from slidectl.control.angles import distance_with_large_limits
 from slidectl.control.pid import Gains
 from slidectl.errors import MessageRefused
@@ -218,7 +219,6 @@ class TestState:
         assert state["antiwindup"] is True
 
     def test_the_state_fits_its_type(self, bench):
-        msgs = pytest.importorskip("slidectl.msgs")
         bench.run(2)
         (state,) = bench.graph.sent(STATE)
         assert msgs.check("control_msgs/JointControllerState", state) == state

@@ -3,6 +3,8 @@
 import pytest
 from fake_robot import STEP_NS, Bench, FakeRobot
 
+from slidectl import msgs
+
 TYPE = {"type": "joint_state_controller/JointStateController"}
 TOPIC = "/bot/joint_states"
 
@@ -100,7 +102,6 @@ class TestContents:
         assert "must be a list" in bench.graph.lines("error")
 
     def test_the_message_fits_its_type(self):
-        msgs = pytest.importorskip("slidectl.msgs")
         message = self.message(bench_with(publish_rate=50))
         assert msgs.check("sensor_msgs/JointState", message) == message
 

@@ -2,6 +2,7 @@
 
 import pytest
 
+from slidectl import msgs
 from slidectl.control.live_pid import LivePid
 from slidectl.control.params import BadParameter
 from slidectl.control.pid import Gains
@@ -135,7 +136,6 @@ class TestOffers:
         )
 
     def test_what_is_published_fits_its_type(self, graph, live):
-        msgs = pytest.importorskip("slidectl.msgs")
         live(p=3.0, publish_state=True).pid.compute_command(1.0, 0.001)
         for publisher in graph.publishers.values():
             for message in publisher.messages:

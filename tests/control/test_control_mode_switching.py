@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import pytest
 from fake_robot import COMMAND_INTERFACES, Bench, FakeRobot
 
-from slidectl.control.controller import Controller
+from slidectl.control.controller import Controller, MultiInterfaceController
 
 MODES = {"joint_pv": "pv", "joint_pe": "pe", "joint_ve": "ve"}
 """The interfaces (position, velocity, effort) that each joint can really switch to."""
@@ -149,8 +149,6 @@ def test_a_running_group_cannot_be_restarted_by_one_switch(bench):
 
 
 def test_a_controller_that_conflicts_with_itself_does_not_start(bench):
-    from slidectl.control.controller import MultiInterfaceController
-
     class Selfish(MultiInterfaceController):
         interface_types = (COMMAND_INTERFACES["velocity"], COMMAND_INTERFACES["effort"])
 
