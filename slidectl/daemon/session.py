@@ -119,14 +119,9 @@ class Session:
 
     def _complain(self, error: SlidectlError, message: Message) -> None:
         """Tell the client; who called a service gets an answer even when it is this one."""
-        if message.get("op") == "call_service":
-            answer = {
-                "op": "service_response",
-                **_given_id(message),
-                "service": message.get("service"),
-                **_failure(error),
-            }
-            self._connection.send(encode(answer))
+        if message.get("op") == "call_service" and "service" in message:
+            asked = {"op": "service_response", "service": message["service"]}
+            self._connection.send(encode(asked | _given_id(message) | _failure(error)))
         elif self._level <= LEVELS["error"]:
             status = {"op": "status", "level": "error", "msg": str(error), "exit_code": error.exit_code}
             self._connection.send(encode(status | _given_id(message)))
