@@ -1,36 +1,42 @@
-"""Controllers' parameter files: YAML as `rosparam load` takes it, put under the namespace of the robot that it is for.
+"""Controllers' parameter files: found, put under the namespace of the robot that they are for, and set as parameters.
 
-Reads files and sets parameters. What a parameter means is the controller's affair.
+What a file may hold is for description.controllers_file, what a parameter means for the controller.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from slidectl import names
 from slidectl.cli.context import Context
-from slidectl.errors import BadFile, UsageError
+from slidectl.errors import UsageError
+
+if TYPE_CHECKING:
+    from slidectl.description.robot import Notice
 
 Tree = dict[str, Any]
 
 
-def read(file: str, namespaces: Sequence[str]) -> Tree:
+def read(ctx: Context, file: str, namespaces: Sequence[str]) -> Tree:
     """The parameters of a file by full name, moved to the robot's namespace where the file is for another one.
 
     Args:
         namespaces: those of the robots that it may be for.
 
     Raises:
-        BadFile: missing or no parameters. UsageError: broken YAML, or not clear which robot it is for.
+        BadFile: missing, or no parameters. UsageError: not clear which robot it is for.
     """
+    from slidectl.description import controllers_file
+
     path = _find(file)
-    tree: Tree = {}
-    for document in _documents(path):
-        tree |= dict(leaves(placed(document, namespaces, str(path))))
-    return tree
+    notices: list[Notice] = []
+    tree = controllers_file.read(path, notices)
+    for notice in notices:
+        ctx.warn(str(notice))
+    return dict(leaves(_placed(ctx, tree, namespaces, str(path))))
 
 
 def _find(file: str) -> Path:
@@ -44,63 +50,27 @@ def _find(file: str) -> Path:
     return path
 
 
-def _documents(path: Path) -> Iterator[Tree]:
-    from slidectl.cli.values import read_documents
-
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadFile(f"cannot be read: {getattr(error, 'strerror', None) or error}", str(path)) from None
-    for value in read_documents(text, f"file {path}"):
-        if isinstance(value, dict):
-            yield value
-        elif value is not None:
-            raise BadFile(
-                "holds no mapping of parameters", str(path), hint="a file begins with the namespace: `slider:`"
-            )
-
-
-def placed(tree: Tree, namespaces: Sequence[str], file: str) -> Tree:
-    """The tree from the root on, in which the controllers are below one of the namespaces if that can be told.
-
-    A file whose top key is one of the namespaces stays as it is. One with another single top key, or with controllers
-    at the top, is meant for the one robot there is. All else stays as it is, as `rosparam load` has it.
-    """
-    if any(_below(tree, namespace) is not None for namespace in namespaces):
-        return tree
-    content = _controllers(tree)
-    if content is None or not namespaces:
-        return tree
-    if len(namespaces) > 1:
+def _placed(ctx: Context, tree: Tree, namespaces: Sequence[str], file: str) -> Tree:
+    """The tree from the root on. Where no robot can be told it stays as it is, as `rosparam load` has it."""
+    placed, remark, moved = placements(tree, namespaces)
+    if moved and len(namespaces) > 1:
         raise UsageError(f"{file} fits none of {', '.join(namespaces)} by its top key", "say which with --cm")
-    return _wrapped(content, namespaces[0])
+    if remark:
+        (ctx.detail if moved else ctx.warn)(f"{file}: {remark}")
+    return placed
 
 
-def _below(tree: Tree, namespace: str) -> Any:
-    value: Any = tree
-    for part in namespace.strip("/").split("/"):
-        value = value.get(part) if isinstance(value, Mapping) else None
-    return value
+def placements(tree: Tree, namespaces: Sequence[str]) -> tuple[Tree, str | None, bool]:
+    """The tree for the one of the namespaces that it fits best, a remark, and whether it had to be moved there."""
+    from slidectl.description.controllers_file import retarget
 
-
-def _controllers(tree: Tree) -> Tree | None:
-    """The mapping that holds the controllers: the tree itself, or what its only key holds."""
-    if _holds_controllers(tree):
-        return tree
-    only = next(iter(tree.values())) if len(tree) == 1 else None
-    return only if _holds_controllers(only) else None
-
-
-def _holds_controllers(tree: Any) -> bool:
-    """True when at least one member has a `type`, as every controller has."""
-    members = tree.values() if isinstance(tree, Mapping) else ()
-    return any(isinstance(member, Mapping) and isinstance(member.get("type"), str) for member in members)
-
-
-def _wrapped(content: Tree, namespace: str) -> Tree:
-    for part in reversed([part for part in namespace.split("/") if part]):
-        content = {part: content}
-    return content
+    best: tuple[Tree, str | None, bool] = (tree, None, False)
+    for namespace in reversed(namespaces):
+        placed, remark = retarget(tree, namespace)
+        if placed is tree and remark is None:
+            return tree, None, False
+        best = (placed, remark, placed is not tree)
+    return best
 
 
 def leaves(tree: Tree, namespace: str = "/") -> Iterator[tuple[str, Any]]:

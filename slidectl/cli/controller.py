@@ -230,6 +230,6 @@ def config(ctx: Context, manager: str | None, file: str) -> None:
     """
     from slidectl.cli import configuration
 
-    tree = configuration.read(file, [one.namespace for one in chosen(ctx, manager)])
+    tree = configuration.read(ctx, file, [one.namespace for one in chosen(ctx, manager)])
     configuration.store(ctx, tree)
     ctx.done({"file": file, "parameters": len(tree)}, f"{file}: {len(tree)} parameters")

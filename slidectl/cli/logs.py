@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import select
-from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
@@ -21,19 +20,19 @@ def lines(path: Path, last: int | None, follow: bool) -> Iterator[str]:
         Refused: there is no log, or it cannot be read.
     """
     with _opened(path) as file:
-        yield from _tail(file, last)
+        *whole, begun = file.read().split("\n")
+        yield from whole if last is None else whole[max(0, len(whole) - last) :]
         if follow:
-            yield from _growing(file, path)
+            yield from _growing(file, path, begun)
+        elif begun and last != 0:
+            yield begun
 
 
-def _tail(file: TextIO, last: int | None) -> Iterator[str]:
-    whole = file if last is None else deque(file, maxlen=last)
-    return (line.rstrip("\n") for line in whole)
+def _growing(file: TextIO, path: Path, begun: str) -> Iterator[str]:
+    """New lines of the file, and of the one that takes its name when it is rotated away.
 
-
-def _growing(file: TextIO, path: Path) -> Iterator[str]:
-    """New lines of the file, and of the one that takes its name when it is rotated away."""
-    begun = ""
+    `begun` is the beginning of a line whose end has not been written yet.
+    """
     while True:
         begun += file.readline()
         if begun.endswith("\n"):

@@ -34,7 +34,7 @@ class Manager:
             answer = self._ask(verb, **request)
         reasons = [str(line["msg"]) for line in lines]
         if not answer["ok"]:
-            raise Refused(f"cannot {what}" + "".join(f"\n  {reason}" for reason in reasons[-2:]))
+            raise Refused("\n".join(reasons[-2:]) or f"cannot {what}, and no reason was logged")
         for reason in reasons:
             self.context.warn(reason)
 

@@ -19,7 +19,7 @@ FORMATS = ("text", "json", "yaml", "csv")
 Record = Mapping[str, Any]
 
 
-class ClosedPipe(Exception):  # noqa: N818 - the end of a pipe is no error
+class ClosedPipe(Exception):
     """Whoever read our output has gone: end quietly."""
 
 

@@ -68,7 +68,7 @@ def spawn(
     wanted, namespace = _identity(xml, document, name)
     _check_free(ctx, wanted, namespace)
     if controllers is not None:
-        configuration.store(ctx, configuration.read(controllers, [namespace]))
+        configuration.store(ctx, configuration.read(ctx, controllers, [namespace]))
     manager = Manager(ctx, namespace)
     _check_configured(manager, start)
     _request(ctx, wanted, xml, pose)

@@ -7,6 +7,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+from slidectl import Client
+
+ROOT = Path(__file__).parent.parent.parent
+
 Done = subprocess.CompletedProcess[str]
 
 
@@ -16,18 +20,24 @@ class CommandLine:
     def __init__(self, runtime: Path) -> None:
         self.runtime = runtime
         kept = {key: value for key, value in os.environ.items() if not key.startswith("SLIDECTL_")}
-        self.environment = {**kept, "XDG_RUNTIME_DIR": str(runtime)}
+        search = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+        self.environment = {**kept, "XDG_RUNTIME_DIR": str(runtime), "PYTHONPATH": search}
+
+    def client(self) -> Client:
+        """A connection to the daemon of the default instance."""
+        return Client(socket=str(self.runtime / "slidectl" / "default" / "socket"))
 
     def argv(self, *words: str) -> list[str]:
         return [sys.executable, "-m", "slidectl", *words]
 
-    def __call__(self, *words: str, stdin: str = "", **environment: str) -> Done:
+    def __call__(self, *words: str, stdin: str = "", cwd: Path = ROOT, **environment: str) -> Done:
         return subprocess.run(
             self.argv(*words),
             input=stdin,
             capture_output=True,
             text=True,
             timeout=60,
+            cwd=cwd,
             env={**self.environment, **environment},
             check=False,
         )

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from command_line import CommandLine
+from daemon_fixture import running_daemon
 from fake_daemon import FakeDaemon
 
 
@@ -22,3 +23,10 @@ def fake(tmp_path: Path) -> Iterator[FakeDaemon]:
     daemon = FakeDaemon(tmp_path)
     yield daemon
     daemon.close()
+
+
+@pytest.fixture(scope="module")
+def world() -> Iterator[CommandLine]:
+    """The command line with a real daemon of its own, which is paused: time passes only by `sim step`."""
+    with running_daemon(paused=True) as runtime:
+        yield CommandLine(runtime.folder)

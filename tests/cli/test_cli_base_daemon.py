@@ -1,0 +1,219 @@
+"""`slidectl daemon`, with real processes."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from command_line import CommandLine
+from daemon_fixture import Runtime
+
+
+@pytest.fixture
+def runtime() -> Iterator[Runtime]:
+    """A folder for daemons; those that a test leaves behind are ended."""
+    folder = Runtime()
+    yield folder
+    folder.remove()
+
+
+@pytest.fixture
+def slidectl(runtime: Runtime) -> CommandLine:
+    return CommandLine(runtime.folder)
+
+
+def test_start_returns_when_the_daemon_answers(slidectl: CommandLine, runtime: Runtime) -> None:
+    record = json.loads(slidectl.ok("daemon", "start", "--json"))
+    assert record == {
+        "instance": "default",
+        "pid": runtime.pid,
+        "socket": str(runtime.paths.socket),
+        "log": str(runtime.paths.log),
+        "already": False,
+    }
+    status = json.loads(slidectl.ok("daemon", "status", "--json"))
+    assert (status["running"], status["pid"]) == (True, record["pid"])
+
+
+def test_starting_a_running_daemon_says_so_and_is_success(slidectl: CommandLine, runtime: Runtime) -> None:
+    assert "started, process" in slidectl.ok("daemon", "start", "--paused")
+    pid = runtime.pid
+    done = slidectl("daemon", "start", "--rtf", "2")
+    assert (done.returncode, runtime.pid) == (0, pid)
+    assert "runs already" in done.stdout
+    assert "--rtf had no effect" in done.stderr
+    assert json.loads(slidectl.ok("sim", "status", "--json"))["speed"] == 1.0
+
+
+def test_start_hands_its_options_to_the_world(slidectl: CommandLine) -> None:
+    slidectl.ok("daemon", "start", "--rtf", "max", "--paused", "--timestep", "0.002", "--gravity", "0", "0", "-1.6")
+    status = json.loads(slidectl.ok("sim", "status", "--json"))
+    assert (status["speed"], status["paused"], status["timestep"]) == (0.0, True, 0.002)
+
+
+def test_two_starts_at_once_make_one_daemon(slidectl: CommandLine) -> None:
+    both = [slidectl.start("daemon", "start", "--json") for _ in range(2)]
+    records = [json.loads(process.communicate(timeout=60)[0]) for process in both]
+    assert [process.returncode for process in both] == [0, 0]
+    assert records[0]["pid"] == records[1]["pid"]
+    assert sorted(record["already"] for record in records) == [False, True]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--rtf", "0"),
+        ("--rtf", "-1"),
+        ("--rtf", "fast"),
+        ("--timestep", "0"),
+        ("--gravity", "1", "2", "nan"),
+        ("--warp",),
+    ],
+    ids=" ".join,
+)
+def test_options_that_make_no_world_are_wrong_usage(
+    slidectl: CommandLine, runtime: Runtime, options: tuple[str, ...]
+) -> None:
+    done = slidectl("daemon", "start", *options)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert runtime.pid is None
+
+
+def test_stop_returns_when_the_process_has_ended(slidectl: CommandLine, runtime: Runtime) -> None:
+    slidectl.ok("daemon", "start")
+    pid = runtime.pid
+    assert f"stopped, it was process {pid}" in slidectl.ok("daemon", "stop")
+    assert runtime.pid is None
+    assert slidectl("robots").returncode == 3
+
+
+def test_stopping_what_does_not_run_is_success(slidectl: CommandLine) -> None:
+    done = slidectl("daemon", "stop")
+    assert (done.returncode, done.stdout) == (0, "daemon default: does not run\n")
+    assert json.loads(slidectl.ok("daemon", "stop", "--json"))["pid"] is None
+
+
+def test_restart_makes_a_new_and_empty_world(slidectl: CommandLine, runtime: Runtime) -> None:
+    assert "started" in slidectl.ok("daemon", "restart", "--paused")
+    first = runtime.pid
+    slidectl.ok("spawn", "slider")
+    slidectl.ok("daemon", "restart", "--paused")
+    assert runtime.pid not in (None, first)
+    assert slidectl.ok("robots", "--json") == ""
+
+
+def test_restart_with_a_bad_option_leaves_the_daemon_alone(slidectl: CommandLine, runtime: Runtime) -> None:
+    slidectl.ok("daemon", "start")
+    pid = runtime.pid
+    assert slidectl("daemon", "restart", "--rtf", "0").returncode == 2
+    assert runtime.pid == pid
+
+
+def test_status_without_a_daemon_is_no_daemon(slidectl: CommandLine) -> None:
+    done = slidectl("daemon", "status")
+    assert (done.returncode, done.stdout) == (3, "")
+    done = slidectl("daemon", "status", "--json")
+    assert done.returncode == 3
+    assert json.loads(done.stdout)["running"] is False
+
+
+def test_a_daemon_that_was_killed_does_not_hinder_the_next(slidectl: CommandLine, runtime: Runtime) -> None:
+    slidectl.ok("daemon", "start")
+    pid = runtime.pid
+    assert pid is not None
+    os.kill(pid, signal.SIGKILL)
+    assert slidectl("robots").returncode == 3
+    slidectl.ok("daemon", "start")
+    assert runtime.pid not in (None, pid)
+
+
+def test_instances_live_side_by_side(slidectl: CommandLine) -> None:
+    slidectl.ok("-i", "one", "daemon", "start", "--paused")
+    slidectl.ok("daemon", "start", "--paused", SLIDECTL_INSTANCE="two")
+    slidectl.ok("-i", "one", "spawn", "slider")
+    assert json.loads(slidectl.ok("robots", "--json", "-i", "one"))["name"] == "slider"
+    assert slidectl.ok("robots", "--json", SLIDECTL_INSTANCE="two") == ""
+    slidectl.ok("daemon", "stop", "-i", "one")
+    slidectl.ok("-i", "two", "sim", "status")
+
+
+def test_a_socket_can_be_anywhere_in_a_private_folder(slidectl: CommandLine, runtime: Runtime) -> None:
+    socket = runtime.folder / "mine" / "s"
+    slidectl.ok("--socket", str(socket), "daemon", "start")
+    assert stat.S_IMODE(socket.parent.stat().st_mode) == 0o700
+    assert json.loads(slidectl.ok("daemon", "status", "--json", SLIDECTL_SOCKET=str(socket)))["socket"] == str(socket)
+    slidectl.ok("daemon", "stop", "--socket", str(socket))
+
+
+def test_a_folder_that_others_may_enter_is_refused(slidectl: CommandLine, runtime: Runtime) -> None:
+    open_folder = runtime.folder / "open"
+    open_folder.mkdir(mode=0o755)
+    done = slidectl("--socket", str(open_folder / "s"), "daemon", "start")
+    assert done.returncode == 1
+    assert "chmod 700" in done.stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_daemon_in_the_foreground_is_stopped_cleanly_by_a_signal(
+    slidectl: CommandLine, runtime: Runtime, number: signal.Signals
+) -> None:
+    process = slidectl.start("daemon", "run", "--paused")
+    assert process.stderr is not None
+    assert "answers on" in process.stderr.readline()
+    slidectl.ok("sim", "status")
+    process.send_signal(number)
+    process.communicate(timeout=30)
+    assert process.returncode == 0
+    assert runtime.pid is None
+
+
+def test_logs_prints_the_last_lines(slidectl: CommandLine) -> None:
+    slidectl.ok("daemon", "start")
+    slidectl.ok("daemon", "stop")
+    lines = slidectl.ok("daemon", "logs").splitlines()
+    assert "answers on" in lines[0]
+    assert slidectl.ok("daemon", "logs", "-n", "1").splitlines() == lines[-1:]
+    assert json.loads(slidectl.ok("daemon", "logs", "-n", "1", "--json")) == {"line": lines[-1]}
+    assert slidectl.ok("daemon", "logs", "-n", "0") == ""
+
+
+def test_logs_goes_on_with_what_is_logged_later_and_after_a_rotation(slidectl: CommandLine, runtime: Runtime) -> None:
+    log = private_log(runtime, "first\n")
+    process = slidectl.start("daemon", "logs", "-f")
+    assert process.stdout is not None
+    assert process.stdout.readline() == "first\n"
+    with log.open("a") as file:
+        file.write("second\nhalf")
+        file.flush()
+        assert process.stdout.readline() == "second\n"
+        file.write(" and half\n")
+    assert process.stdout.readline() == "half and half\n"
+    log.rename(log.with_name("log.1"))
+    log.write_text("third\n")
+    assert process.stdout.readline() == "third\n"
+    process.send_signal(signal.SIGINT)
+    assert process.communicate(timeout=30) == ("", "")
+    assert process.returncode == 130
+
+
+def private_log(runtime: Runtime, text: str) -> Path:
+    runtime.paths.folder.mkdir(mode=0o700, parents=True)
+    runtime.paths.log.write_text(text)
+    return runtime.paths.log
+
+
+def test_without_a_log_there_is_nothing_to_print(slidectl: CommandLine) -> None:
+    done = slidectl("daemon", "logs")
+    assert done.returncode == 1
+    assert "no daemon of this instance has run" in done.stderr
+
+
+def test_quiet_says_nothing(slidectl: CommandLine) -> None:
+    for words in (["start"], ["start", "--paused"], ["restart"], ["stop"], ["stop"]):
+        done = slidectl("-q", "daemon", *words)
+        assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

@@ -1,0 +1,279 @@
+"""`slidectl spawn`, `robots` and `delete` in a real daemon. Its world is shared by the tests, so each cleans up."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from command_line import CommandLine
+
+from slidectl.cli import configuration
+from slidectl.cli.spawn import quaternion
+
+CONTROLLERS = "config/slider_control.yaml"
+BOX = """<?xml version="1.0"?>
+<robot name="box">
+  <link name="base">
+    <inertial><mass value="{mass}"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>
+    <collision><geometry><box size="1 1 1"/></geometry></collision>
+  </link>
+  {more}
+</robot>
+"""
+
+
+@pytest.fixture(autouse=True)
+def _empty_again(world: CommandLine) -> Iterator[None]:
+    yield
+    names = [json.loads(line)["name"] for line in world.ok("robots", "--json").splitlines()]
+    if names:
+        world.ok("delete", *names)
+
+
+def robot(world: CommandLine, name: str) -> dict[str, object]:
+    record: dict[str, object] = json.loads(world.ok("robots", name, "--json"))
+    return record
+
+
+def box(tmp_path: Path, mass: float = 1.0, more: str = "") -> str:
+    file = tmp_path / "box.urdf"
+    file.write_text(BOX.format(mass=mass, more=more))
+    return str(file)
+
+
+def test_a_shipped_model_is_there_when_spawn_returns(world: CommandLine) -> None:
+    assert world.ok("spawn", "slider") == "slider: spawned in /slider at 0 0 0, joints: joint1\n"
+    listed = world.ok("robots").splitlines()
+    assert listed[0].split() == ["NAME", "NAMESPACE", "FIXED", "JOINTS", "CONTROLLERS"]
+    assert listed[1].split() == ["slider", "/slider", "yes", "joint1", "-"]
+
+
+def test_spawn_in_json_has_the_keys_of_robots(world: CommandLine) -> None:
+    spawned = json.loads(world.ok("spawn", "rrbot", "--json"))
+    assert spawned == robot(world, "rrbot")
+    assert list(spawned) == ["name", "namespace", "fixed", "pose", "links", "joints", "controllers", "report"]
+    joint = next(joint for joint in spawned["joints"] if joint["name"] == "joint1")
+    assert list(joint) == [
+        "name", "type", "interface", "position", "velocity", "effort", "lower", "upper", "max_velocity", "max_effort",
+    ]  # fmt: skip
+
+
+def test_one_robot_is_shown_with_its_joints_in_every_format(world: CommandLine) -> None:
+    world.ok("spawn", "slider")
+    text = world.ok("robots", "slider")
+    assert "fixed to the world" in text
+    assert "EffortJointInterface" in text
+    assert world.ok("robots", "slider", "-o", "yaml").startswith("name: slider\nnamespace: /slider\n")
+    header, *rows = world.ok("robots", "slider", "-o", "csv").splitlines()
+    assert header.startswith("name,type,interface,position,velocity,effort")
+    assert any(row.startswith("joint1,prismatic,hardware_interface/EffortJointInterface,0.0,") for row in rows)
+
+
+def test_an_empty_world_lists_nothing_on_stdout(world: CommandLine) -> None:
+    done = world("robots")
+    assert (done.returncode, done.stdout) == (0, "")
+    assert "slidectl spawn slider" in done.stderr
+
+
+def test_a_name_moves_a_model_with_a_namespace_argument_into_its_own_namespace(world: CommandLine) -> None:
+    world.ok("spawn", "slider", "-n", "left", "--at", "0", "-1", "0.5")
+    left = robot(world, "left")
+    assert left["namespace"] == "/left"
+    assert left["pose"] == [0.0, -1.0, 0.5, 0.0, 0.0, 0.0, 1.0]
+    world.ok("spawn", "slider", "-n", "right", "namespace:=/elsewhere")
+    assert robot(world, "right")["namespace"] == "/elsewhere"
+    assert robot(world, "/elsewhere")["name"] == "right"
+
+
+def test_at_takes_three_or_six_numbers(world: CommandLine, tmp_path: Path) -> None:
+    world.ok("spawn", box(tmp_path), "--at", "1", "2", "3", "0", "0", "1.5707963267948966")
+    assert robot(world, "box")["pose"] == pytest.approx([1, 2, 3, 0, 0, math.sqrt(0.5), math.sqrt(0.5)])
+    for words in (["1", "2"], ["1", "2", "3", "4"], ["1", "2", "nan"]):
+        assert world("spawn", "slider", "--at", *words).returncode == 2
+
+
+def test_a_quaternion_turns_about_x_then_y_then_z() -> None:
+    half = math.sqrt(0.5)
+    assert quaternion(math.pi / 2, 0, 0) == pytest.approx({"x": half, "y": 0, "z": 0, "w": half})
+    assert quaternion(0, math.pi / 2, 0) == pytest.approx({"x": 0, "y": half, "z": 0, "w": half})
+    assert quaternion(math.pi / 2, math.pi / 2, math.pi / 2) == pytest.approx({"x": 0, "y": half, "z": 0, "w": half})
+
+
+def test_a_root_is_free_unless_it_is_called_world_or_fixed(world: CommandLine, tmp_path: Path) -> None:
+    file = box(tmp_path)
+    world.ok("spawn", file)
+    world.ok("spawn", file, "-n", "held", "--fixed")
+    world.ok("spawn", "slider", "--free")
+    fixed = {name: robot(world, name)["fixed"] for name in ("box", "held", "slider")}
+    assert fixed == {"box": False, "held": True, "slider": False}
+
+
+def test_a_model_may_come_from_standard_input(world: CommandLine) -> None:
+    done = world("spawn", "-", "-n", "piped", stdin=BOX.format(mass=1, more=""))
+    assert done.returncode == 0, done.stderr
+    assert robot(world, "piped")["links"] == ["base"]
+    assert world("spawn", "-", stdin="").returncode == 2
+
+
+def test_controllers_are_configured_before_and_started_after_the_spawn(world: CommandLine) -> None:
+    done = world("spawn", "slider", "--controllers", CONTROLLERS, "--start", "joint_state_controller", "-q", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["controllers"] == ["joint_state_controller"]
+    states = [json.loads(line)["state"] for line in world.ok("controller", "list", "--json").splitlines()]
+    assert states == ["running"]
+
+
+def test_the_same_controllers_file_serves_a_robot_of_another_name(world: CommandLine) -> None:
+    world.ok("spawn", "slider", "-n", "other", "--controllers", CONTROLLERS)
+    world.ok("controller", "load", "joint1_position_controller", "--cm", "/other")
+
+
+def test_the_shipped_configuration_is_found_from_any_folder(world: CommandLine, tmp_path: Path) -> None:
+    done = world("spawn", "slider", "--controllers", CONTROLLERS, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_taken_name_or_namespace_is_refused_and_changes_nothing(world: CommandLine, tmp_path: Path) -> None:
+    world.ok("spawn", "slider", "--controllers", CONTROLLERS)
+    gains = tmp_path / "gains.yaml"
+    gains.write_text("slider:\n  joint1_position_controller:\n    pid: {p: 1.0}\n    type: x/Y\n")
+    again = world("spawn", "slider", "--controllers", str(gains))
+    assert again.returncode == 1
+    assert "a robot 'slider' is there already" in again.stderr
+    same_namespace = world("spawn", "slider", "-n", "second", "namespace:=/slider", "--controllers", str(gains))
+    assert same_namespace.returncode == 1
+    assert "the namespace /slider is that of the robot 'slider'" in same_namespace.stderr
+    world.ok("controller", "load", "joint1_position_controller")
+    assert json.loads(world.ok("controller", "list", "--json"))["type"] == "effort_controllers/JointPositionController"
+
+
+def test_an_unknown_controller_is_found_before_the_robot_is_spawned(world: CommandLine) -> None:
+    done = world("spawn", "slider", "--controllers", CONTROLLERS, "--start", "joint1_positon_controller")
+    assert done.returncode == 1
+    assert "Did you mean 'joint1_position_controller'?" in done.stderr
+    assert world.ok("robots", "--json") == ""
+
+
+def test_a_start_that_is_refused_leaves_the_robot_there(world: CommandLine, tmp_path: Path) -> None:
+    bad = tmp_path / "bad.yaml"
+    bad.write_text("slider:\n  c: {type: effort_controllers/JointPositionController, joint: nope, pid: {p: 1.0}}\n")
+    done = world("spawn", "slider", "--controllers", str(bad), "--start", "c", "--json")
+    assert done.returncode == 1
+    assert "nope" in done.stderr
+    assert json.loads(done.stdout)["name"] == "slider"
+    assert robot(world, "slider")["controllers"] == []
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["slidr"], "Did you mean 'slider'?"),
+        (["./nowhere.xacro"], "nowhere.xacro: no such file"),
+        (["slider", "width"], "'width' is not KEY:=VALUE"),
+        (["slider", ":=1"], "is not KEY:=VALUE"),
+        (["slider", "--controllers", "nowhere.yaml"], "nowhere.yaml: no such file"),
+        (["slider", "-n", "a b"], "not a legal name"),
+        (["slider", "--package", "here"], "is not KEY=VALUE"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_what_cannot_be_read_is_a_short_error(world: CommandLine, words: list[str], said: str) -> None:
+    done = world("spawn", *words)
+    assert done.returncode in (1, 2)
+    assert said in done.stderr
+    assert len(done.stderr.splitlines()) <= 3
+    assert world.ok("robots", "--json") == ""
+
+
+def test_an_error_in_a_model_names_file_and_line(world: CommandLine, tmp_path: Path) -> None:
+    file = box(tmp_path, mass=-1)
+    done = world("spawn", file)
+    assert done.returncode == 2
+    assert f"{file}:4" in done.stderr
+    assert "'base'" in done.stderr
+
+
+def test_an_error_in_a_controllers_file_names_file_and_line(world: CommandLine, tmp_path: Path) -> None:
+    file = tmp_path / "broken.yaml"
+    file.write_text("slider:\n  a: [1, 2\n  b: 3\n")
+    done = world("spawn", "slider", "--controllers", str(file))
+    assert done.returncode == 2
+    assert f"{file}:3: not YAML" in done.stderr
+
+
+def test_tags_without_effect_are_counted_and_v_lists_them(world: CommandLine, tmp_path: Path) -> None:
+    file = box(tmp_path, more='<gazebo reference="base"><kp>1</kp><kd>1</kd></gazebo>')
+    done = world("spawn", file)
+    assert "2 without effect (slidectl robots box -v lists them)" in done.stderr
+    listed = world.ok("robots", "box", "-v")
+    assert f"{file}:7" in listed
+    assert "<kp>" in listed
+    assert robot(world, "box")["report"] != []
+    verbose = world("spawn", file, "-n", "again", "-v")
+    assert f"{file}:7: ignored" in verbose.stderr
+
+
+def test_delete_takes_the_named_robots_and_no_other(world: CommandLine) -> None:
+    for name in ("a", "b", "c"):
+        world.ok("spawn", "slider", "-n", name)
+    assert world.ok("delete", "a", "/b") == "a: deleted\nb: deleted\n"
+    assert [json.loads(line)["name"] for line in world.ok("robots", "--json").splitlines()] == ["c"]
+
+
+def test_deleting_an_unknown_robot_deletes_none(world: CommandLine) -> None:
+    world.ok("spawn", "slider")
+    done = world("delete", "slider", "slidre")
+    assert (done.returncode, done.stdout) == (1, "")
+    assert "no robot 'slidre'. Did you mean 'slider'?" in done.stderr
+    assert robot(world, "slider")
+    assert world("robots", "slidre").returncode == 1
+
+
+CONTROLLER = {"type": "effort_controllers/JointEffortController", "joint": "joint1"}
+
+
+@pytest.mark.parametrize(
+    ("tree", "namespaces", "expected"),
+    [
+        ({"slider": {"c": CONTROLLER}}, ["/slider"], {"slider": {"c": CONTROLLER}}),
+        ({"slider": {"c": CONTROLLER}}, ["/left"], {"left": {"c": CONTROLLER}}),
+        ({"slider": {"c": CONTROLLER}}, ["/a/b"], {"a": {"b": {"c": CONTROLLER}}}),
+        ({"c": CONTROLLER}, ["/left"], {"left": {"c": CONTROLLER}}),
+        ({"c": CONTROLLER}, ["/"], {"c": CONTROLLER}),
+        ({"slider": {"c": CONTROLLER}}, [], {"slider": {"c": CONTROLLER}}),
+        ({"slider": {"c": CONTROLLER}, "x": 1}, ["/left"], {"slider": {"c": CONTROLLER}, "x": 1}),
+        ({"a": {"c": CONTROLLER}}, ["/a", "/b"], {"a": {"c": CONTROLLER}}),
+    ],
+)
+def test_a_configuration_goes_to_the_robot_that_it_is_meant_for(
+    tree: dict[str, object], namespaces: list[str], expected: dict[str, object]
+) -> None:
+    assert configuration.placements(tree, namespaces)[0] == expected
+
+
+def test_a_configuration_for_one_of_several_robots_must_say_which(world: CommandLine, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        world.ok("spawn", "slider", "-n", name)
+    file = tmp_path / "both.yaml"
+    file.write_text(json.dumps({"c": CONTROLLER}))
+    done = world("controller", "config", str(file))
+    assert done.returncode == 2
+    assert "--cm" in done.stderr
+    world.ok("controller", "config", str(file), "--cm", "b")
+    world.ok("controller", "load", "c", "--cm", "b")
+
+
+def test_a_configuration_for_somebody_else_is_loaded_with_a_warning(world: CommandLine, tmp_path: Path) -> None:
+    file = tmp_path / "other.yaml"
+    file.write_text("a: {b: 1}\nc: {d: 2}\n")
+    done = world("spawn", "slider", "--controllers", str(file))
+    assert done.returncode == 0
+    assert "no controllers for /slider" in done.stderr
+
+
+def test_parameters_are_set_leaf_by_leaf() -> None:
+    tree = {"slider": {"pid": {"p": 1.0, "i": []}, "empty": {}}}
+    assert dict(configuration.leaves(tree)) == {"/slider/pid/p": 1.0, "/slider/pid/i": [], "/slider/empty": {}}
