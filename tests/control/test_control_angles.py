@@ -3,7 +3,7 @@
 from math import cos, inf, isnan, nan, pi, sin
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slidectl.control.angles import (
@@ -107,6 +107,7 @@ def test_limits_beyond_pi_are_folded_onto_the_circle():
 angles = st.floats(-20.0, 20.0)
 
 
+@settings(deadline=None)
 @given(angles, angles, angles, angles)
 def test_whatever_the_limits_a_turn_leads_to_the_end(start, end, one, other):
     lower, upper = sorted((one, other))
@@ -119,6 +120,7 @@ def test_whatever_the_limits_a_turn_leads_to_the_end(start, end, one, other):
         assert sin(start + turn) == pytest.approx(sin(end), abs=1e-9)
 
 
+@settings(deadline=None)
 @given(angles, angles, angles, angles)
 def test_large_limits_are_left_only_when_both_ways_leave_them(start, end, one, other):
     lower, upper = sorted((one, other))
