@@ -1,4 +1,7 @@
-"""Small sums in texts, as `pi/2` in an angle, without evaluating anything else."""
+"""Small sums in texts, as `pi/2` in an angle.
+
+Numbers, `pi`, the four operations, powers and brackets; nothing else is ever evaluated.
+"""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from urllib.parse import unquote
 
-from slidectl.description.packages import Packages, UnknownPackage
+from slidectl.description.packages import Packages, UnknownPackage, is_file
 
 _USABLE = "a path is relative to the robot's file, else it is absolute or begins with package://, model:// or file://"
 
@@ -32,7 +32,7 @@ class MeshFiles:
         except UnknownPackage as error:
             return None, str(error)
         for path in candidates:
-            if _is_file(path):
+            if is_file(path):
                 return path.absolute(), ""
         places = ", ".join(str(path) for path in dict.fromkeys(candidates))
         return None, f"no such file; looked for {places}" if candidates else f"cannot be found: {_USABLE}"
@@ -53,7 +53,7 @@ class MeshFiles:
     def _beside(self, path: str, written_in: str) -> list[Path]:
         if Path(path).is_absolute():
             return [Path(path)]
-        folders = [Path(written_in).absolute().parent] if Path(written_in).is_file() else []
+        folders = [Path(written_in).absolute().parent] if is_file(Path(written_in)) else []
         if self.base is not None:
             folders.append(self.base)
         return [folder / path for folder in dict.fromkeys(folders)]
@@ -62,10 +62,3 @@ class MeshFiles:
 def has_known_suffix(uri: str) -> bool:
     """True for STL, OBJ and DAE, in any case."""
     return uri.strip().lower().endswith(SUFFIXES)
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except (OSError, ValueError):  # too long for a name, or holding a null character
-        return False

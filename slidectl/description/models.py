@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from slidectl import paths
+from slidectl.description.packages import is_file
 from slidectl.description.xml_tree import MOST_BYTES
 from slidectl.errors import BadFile, UnknownName
 
@@ -71,8 +72,8 @@ def find(source: str | Path) -> Path:
     known = shipped()
     if text in known:
         return known[text]
-    path = Path(text).expanduser()
-    if looks_like_path(text) or path.is_file():
+    path = Path(os.path.expanduser(text))
+    if looks_like_path(text) or is_file(path):
         return path
     raise UnknownName("shipped model", text, sorted(known), "(and no file of that name here)")
 

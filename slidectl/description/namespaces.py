@@ -1,4 +1,7 @@
-"""The namespace of a robot: topics, services and parameters of its controllers live in there."""
+"""The namespace of a robot: topics, services and parameters of its controllers live in there.
+
+Its control plugin says which, else its name does.
+"""
 
 from __future__ import annotations
 

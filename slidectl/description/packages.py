@@ -32,7 +32,7 @@ class Packages:
     """A lookup of packages. `named` maps names to folders; `start` is the folder from which to walk upwards."""
 
     def __init__(self, named: Mapping[str, str | Path] | None = None, start: str | Path | None = None) -> None:
-        self.named = {name: Path(path).expanduser().absolute() for name, path in (named or {}).items()}
+        self.named = {name: _folder(path) for name, path in (named or {}).items()}
         self.start = Path(start).absolute() if start is not None else None
         self._found: dict[Path, dict[str, Path]] = {}
 
@@ -63,7 +63,7 @@ class Packages:
 
     def _search_path(self) -> list[Path]:
         entries = [entry for variable in _VARIABLES for entry in os.environ.get(variable, "").split(os.pathsep)]
-        return list(dict.fromkeys(Path(entry).expanduser().absolute() for entry in entries if entry))
+        return list(dict.fromkeys(_folder(entry) for entry in entries if entry))
 
     def _packages_below(self, folder: Path) -> dict[str, Path]:
         if folder not in self._found:
@@ -104,11 +104,20 @@ def package_name(folder: Path) -> str:
     return match.group(1) if match else folder.name
 
 
-def _is_package(folder: Path) -> bool:
+def _folder(path: str | Path) -> Path:
+    return Path(os.path.expanduser(path)).absolute()
+
+
+def is_file(path: Path) -> bool:
+    """Whether a file is there that we may see; no name, however odd, is an error."""
     try:
-        return (folder / "package.xml").is_file()
-    except OSError:  # a folder that we may not enter is none of our packages
+        return path.is_file()
+    except (OSError, ValueError):  # in a folder that we may not enter, too long, or holding a null character
         return False
+
+
+def _is_package(folder: Path) -> bool:
+    return is_file(folder / "package.xml")
 
 
 def _crawl(top: Path) -> Iterator[Path]:

@@ -41,11 +41,17 @@ def test_an_unknown_model_lists_the_shipped_ones() -> None:
     assert caught.value.exit_code == EXIT_REFUSED
 
 
-@pytest.mark.parametrize("name", ["./nothing", "nothing.urdf", "some/where", "~/nothing.xacro"])
+@pytest.mark.parametrize("name", ["./nothing", "nothing.urdf", "some/where", "~/nothing.xacro", "~nobody-here/a"])
 def test_what_looks_like_a_path_is_a_missing_file(name: str) -> None:
     with pytest.raises(BadFile, match="no such file") as caught:
         load(name)
     assert caught.value.exit_code == EXIT_USAGE
+
+
+@pytest.mark.parametrize("name", ["a\0b", "x" * 5000])
+def test_names_that_no_file_can_have_are_unknown_models(name: str) -> None:
+    with pytest.raises(UnknownName):
+        load(name)
 
 
 def test_a_shipped_model_with_a_suffix_gets_a_hint(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -130,7 +136,15 @@ def test_a_note_of_sources_that_does_not_fit_is_left_alone(write: Write) -> None
 
 
 @pytest.mark.parametrize(
-    "note", ["", "{}", "[1]", '{"files":["a"],"lines":[[9,1]]}', '{"files":["a"],"lines":[["x"]]}']
+    "note",
+    [
+        "",
+        "{}",
+        '{"files":["a\\u0000"],"lines":[[0,1]]}',
+        "[1]",
+        '{"files":["a"],"lines":[[9,1]]}',
+        '{"files":["a"],"lines":[["x"]]}',
+    ],
 )
 def test_a_broken_note_of_sources_does_no_harm(note: str) -> None:
     assert parse(f"{cart()}<?slidectl-source {note}?>", "bot.urdf").links["cart"].file == "bot.urdf"
