@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from slidectl.cli.schema import BYTES, FLOATS, TIMES, Schema
 from slidectl.cli.yamlform import byte_values
-from slidectl.errors import Refused, UnknownName, UsageError
+from slidectl.errors import Refused, UnknownName, UsageError, closest
 
 Names = Mapping[str, Any]
 Compute = Callable[[Names], Any]
@@ -113,8 +113,10 @@ class Expression:
             return lambda _names: value, _ANYTHING
         if name in _FUNCTIONS:
             raise self._refusal(f"{name} is a function: write {name}(...)", node)
-        known = [*self._variables, *_CONSTANTS, *_FUNCTIONS]
-        raise ExpressionError(f"{self.text!r} is not a valid expression: {UnknownName('name', name, known)}")
+        near = closest(name, [*self._variables, *_CONSTANTS, *_FUNCTIONS])
+        suggestion = f", did you mean {near!r}" if near else ""
+        known = " and ".join([*self._variables, "the names of the math module"])
+        raise self._refusal(f"no name {name!r} (there are {known}{suggestion})", node)
 
     def _list(self, node: ast.List | ast.Tuple) -> tuple[Compute, _Kind]:
         parts = [self._plain(element) for element in node.elts]

@@ -126,7 +126,7 @@ def _target(
     if has_type and given[0] != target.type:
         raise UsageError(f"{target.topic} has the type {target.type}, not {given[0]}", "TYPE may be left out")
     values = given[1:] if has_type else given
-    if values and from_elsewhere:
+    if from_elsewhere and any(word != _ONCE for word in values):
         raise UsageError("a VALUE beside -f or --stdin: give one of them")
     return target, values
 

@@ -1,0 +1,56 @@
+"""A daemon with the slider and its two controllers running, for tests that type commands at it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from command_line import CommandLine
+from daemon_fixture import Runtime, running_daemon
+
+from slidectl.client import Client
+
+CONTROLLERS = ("joint_state_controller", "joint1_position_controller")
+COMMAND = "/slider/joint1_position_controller/command"
+JOINT_STATES = "/slider/joint_states"
+
+
+class World:
+    """The daemon, the command line that reaches it, and a client for what a test does or sees beside it."""
+
+    def __init__(self, daemon: Runtime, client: Client) -> None:
+        self.daemon = daemon
+        self.slidectl = CommandLine(daemon.folder)
+        self.client = client
+
+    def spawn(self, name: str = "slider") -> None:
+        """A slider in a namespace of its name, with its controllers running."""
+        self.slidectl.ok(
+            "spawn", "slider", "-n", name, "--controllers", "config/slider_control.yaml", "--start", *CONTROLLERS
+        )
+
+    def latch(self, topic: str, type_name: str, message: dict[str, Any]) -> None:
+        """Publish a message that stays for those who come later."""
+        self.client.publish(topic, message, type_name, latch=True)
+        self.client.flush()
+
+    def until(self, condition: Callable[[], bool], seconds: float = 30.0) -> None:
+        """Ask again and again; the test fails when the condition does not become true."""
+        deadline = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < deadline, "the condition did not become true"
+
+    def has_subscriber(self, topic: str) -> bool:
+        """True when somebody subscribes to the topic."""
+        return bool(self.client.call("/rosapi/subscribers", {"topic": topic})["subscribers"])
+
+
+@contextmanager
+def slider_world(**options: Any) -> Iterator[World]:
+    """A world with one slider."""
+    with running_daemon(**options) as daemon, daemon.client() as client:
+        world = World(daemon, client)
+        world.spawn()
+        yield world
