@@ -11,8 +11,8 @@ from typing import Any
 import mujoco
 
 from slidectl.description.robot import Joint, Link, Robot
-from slidectl.errors import SlidectlError
 from slidectl.physics.inertia import BadInertia, put_inertia
+from slidectl.physics.parts import BadPart
 from slidectl.physics.rotation import Pose, Vector, from_rpy, perpendicular, unit, wxyz
 from slidectl.physics.selfcollision import pairs_apart
 from slidectl.physics.solids import put_shapes
@@ -32,13 +32,10 @@ SCALAR_TYPES = {"revolute": _HINGE, "continuous": _HINGE, "prismatic": _SLIDE}
 """The joints that have one position, with MuJoCo's type."""
 
 
-class BadJoint(SlidectlError):
+class BadJoint(BadPart):
     """A joint that cannot be simulated."""
 
-    def __init__(self, robot: str, joint: Joint, trouble: str, hint: str | None = None) -> None:
-        at = f" (line {joint.line})" if joint.line is not None else ""
-        super().__init__(f"joint {joint.name!r} of robot {robot!r}{at}: {trouble}", hint)
-        self.joint = joint.name
+    kind = "joint"
 
 
 class RobotBuilder:

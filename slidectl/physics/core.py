@@ -12,31 +12,19 @@ from functools import partial
 from typing import Any
 
 import mujoco
-import numpy as np
 
 from slidectl.description.robot import Robot
-from slidectl.errors import Refused, SlidectlError, UnknownName
+from slidectl.errors import Refused, UnknownName
 from slidectl.physics import engine
 from slidectl.physics.body import Body
 from slidectl.physics.compiler import Settings, compile_world
+from slidectl.physics.divergence import check_divergence
 from slidectl.physics.loads import Loads
 from slidectl.physics.observer import Observer
 from slidectl.physics.rotation import ORIGIN, Pose, Vector, normalized
 
 GRAVITY: Vector = (0.0, 0.0, -9.8)
 """m/s², the default of SDF and so of Gazebo."""
-
-HUGE = 1e10
-"""A position or velocity beyond this is nonsense; MuJoCo's own bound."""
-
-
-class Diverged(SlidectlError):
-    """The state of a robot is no longer a number, or huge."""
-
-    def __init__(self, robot: str) -> None:
-        text = f"the simulation of robot {robot!r} diverged: its state is not finite or huge"
-        super().__init__(text, "reset it (slidectl sim reset) or delete the robot; check masses, damping and gains")
-        self.robot = robot
 
 
 class WorldCore:
@@ -111,6 +99,11 @@ class WorldCore:
             body.announce()
         self._announce()
 
+    def _mend(self) -> None:
+        """After an EngineError MjData has lost its bearings; then go on with a new one."""
+        if self.data.pstack:
+            self._rebuild(self._bodies)
+
     def _install(self, model: Any, time: float) -> None:
         self.model, self.data = model, mujoco.MjData(model)
         self.data.time = time
@@ -134,10 +127,7 @@ class WorldCore:
 
     def check(self) -> None:
         """Raises Diverged when a robot's state is not finite or huge. A few microseconds: meant for once per slice."""
-        for array, part in ((self.data.qpos, "coordinates"), (self.data.qvel, "dofs")):
-            good = np.abs(array) < HUGE
-            if not good.all():
-                raise Diverged(next(b.name for b in self._bodies.values() if not good[getattr(b, part)].all()))
+        check_divergence(self.data, self._bodies.values())
 
     def _step_with_loads(self) -> None:
         self.loads.step(self.model, self.data, self.clock(), self._advance)

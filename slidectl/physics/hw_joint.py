@@ -24,8 +24,9 @@ from slidectl.control.limit_laws import LARGEST
 from slidectl.control.limits import LimitHandle, limit_handle
 from slidectl.control.node import NodeHandle
 from slidectl.description.robot import Joint, TransmissionInfo, TransmissionJoint
-from slidectl.errors import Refused, SlidectlError
+from slidectl.errors import Refused, SlidectlError, listing
 from slidectl.physics.body import Body
+from slidectl.physics.parts import BadPart
 
 INTERFACES: dict[str, type[JointCommandInterface]] = {
     "EffortJointInterface": EffortJointInterface,
@@ -39,26 +40,27 @@ INITIAL_EFFORT = 1.0
 """What a handle holds before the first read, as in DefaultRobotHWSim; angles are unwrapped from there."""
 
 
-class UnsupportedInterface(Refused):
+class BadTransmission(BadPart, Refused):
+    """A transmission that simulated hardware cannot do."""
+
+    kind = "transmission"
+
+
+class UnsupportedInterface(BadTransmission):
     """A transmission asks for an interface that simulated hardware has not."""
 
     def __init__(self, robot: str, transmission: TransmissionInfo, joint: TransmissionJoint) -> None:
-        at = f" (line {transmission.line})" if transmission.line is not None else ""
-        super().__init__(
-            f"transmission {transmission.name!r}{at} of robot {robot!r}: joint {joint.name!r} asks for "
-            f"{joint.hardware_interfaces[0]!r}, which simulated hardware has not",
-            f"it has: {', '.join(PREFIX + name for name in INTERFACES)}",
-        )
+        asked = joint.hardware_interfaces[0]
+        trouble = f"joint {joint.name!r} asks for {asked!r}, which simulated hardware has not"
+        super().__init__(robot, transmission, trouble, f"it has: {', '.join(PREFIX + name for name in INTERFACES)}")
 
 
-class MissingJoint(Refused):
+class MissingJoint(BadTransmission):
     """A transmission drives a joint that the robot has not, or that has no one position."""
 
     def __init__(self, body: Body, transmission: TransmissionInfo, joint: str) -> None:
-        at = f" (line {transmission.line})" if transmission.line is not None else ""
         super().__init__(
-            f"transmission {transmission.name!r}{at} of robot {body.name!r}: no joint {joint!r} that moves",
-            f"moving joints: {', '.join(body.joints) or 'none'}",
+            body.name, transmission, f"no joint {joint!r} that moves", f"such joints: {listing(body.joints)}"
         )
 
 

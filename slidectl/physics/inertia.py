@@ -5,25 +5,21 @@ Errors name the robot and the link. No joints and no shapes here.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 
+from slidectl.description.inertia import why_impossible
 from slidectl.description.robot import Inertial, Link
-from slidectl.errors import SlidectlError
+from slidectl.physics.parts import BadPart
 from slidectl.physics.rotation import from_rpy, matrix, wxyz
 
-SLACK = 1e-6
-"""By how much, relative to the largest, the moments may break the triangle inequality: digits lost in a file."""
 
-
-class BadInertia(SlidectlError):
+class BadInertia(BadPart):
     """A link that cannot be simulated as it is weighed."""
 
-    def __init__(self, robot: str, link: Link, trouble: str, hint: str) -> None:
-        at = f" (line {link.line})" if link.line is not None else ""
-        super().__init__(f"link {link.name!r} of robot {robot!r}{at}: {trouble}", hint)
-        self.link = link.name
+    kind = "link"
 
 
 def put_inertia(body: Any, robot: str, link: Link) -> None:
@@ -53,16 +49,12 @@ def put_inertia(body: Any, robot: str, link: Link) -> None:
 
 def check_moments(robot: str, link: Link, inertial: Inertial) -> None:
     """Raises BadInertia unless the principal moments are positive and each is at most the sum of the others."""
-    tensor = _tensor(inertial)
-    if not np.isfinite(tensor).all():
+    if not all(map(math.isfinite, (*inertial.inertia, *inertial.origin.xyz, *inertial.origin.rpy))):
         raise BadInertia(robot, link, "its inertia is not finite", "give numbers for ixx ... izz")
-    low, middle, high = (float(moment) for moment in np.linalg.eigvalsh(tensor))
-    shown = f"principal moments {low:.4g}, {middle:.4g}, {high:.4g} kg·m²"
-    if low <= 0.0:
-        raise BadInertia(robot, link, f"no body has this inertia, {shown}", "all three must be above 0")
-    if low + middle < high * (1.0 - SLACK):
-        hint = "none may exceed the sum of the other two; for a box: ixx = m (y² + z²) / 12"
-        raise BadInertia(robot, link, f"no body has this inertia, {shown}", hint)
+    why = why_impossible(inertial.inertia)
+    if why is not None:
+        hint = "for a box of sides x, y, z: ixx = m (y² + z²) / 12"
+        raise BadInertia(robot, link, f"no body has its inertia: {why}", hint)
 
 
 def _tensor(inertial: Inertial) -> np.ndarray[Any, Any]:

@@ -28,14 +28,20 @@ class Loads:
         return self.forces.is_empty and self.motors.is_empty
 
     def step(self, model: Any, data: Any, now_ns: int, advance: Callable[[], None]) -> None:
-        """One step with everything that acts at `now_ns`; what the hardware applies is put back exactly afterwards."""
+        """One step with everything that acts at `now_ns`; what the hardware applies is put back exactly afterwards.
+
+        Raises:
+            Diverged: a robot with motors has no state to compute forces from.
+        """
         joint_forces, link_forces = data.qfrc_applied.copy(), data.xfrc_applied.copy()
         self.efforts.clear()
-        self.forces.apply(data, now_ns, self.efforts)
-        if not self.motors.is_empty:
-            self.motors.apply(model, data, self.efforts)
-        advance()
-        data.qfrc_applied[:], data.xfrc_applied[:] = joint_forces, link_forces
+        try:
+            self.forces.apply(data, now_ns, self.efforts)
+            if not self.motors.is_empty:
+                self.motors.apply(model, data, self.efforts)
+            advance()
+        finally:
+            data.qfrc_applied[:], data.xfrc_applied[:] = joint_forces, link_forces
 
     def forget(self, body: Body) -> None:
         """Drop all that acts on one robot."""

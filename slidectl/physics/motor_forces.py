@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from slidectl.physics.body import Array, Body
-
+from slidectl.physics.divergence import Diverged
 
 _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
 _FRICTION = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF)
@@ -35,7 +35,7 @@ class RobotMotors:
     """The motors of one robot in one step: which dofs, what is asked of them, and the forces found so far."""
 
     def __init__(self, body: Body, asked: dict[str, tuple[float, float]]) -> None:
-        self._part = body.dofs
+        self._body, self._part = body, body.dofs
         self.dofs = [body.joints[joint].dof for joint in asked]
         self._own = [dof - self._part.start for dof in self.dofs]
         self._wanted, self._bounds = (np.array(column) for column in zip(*asked.values(), strict=True))
@@ -44,10 +44,16 @@ class RobotMotors:
         """Whether a constraint of the robot could push back at the last look."""
 
     def improve(self, moment: Moment) -> None:
-        """Find better forces than those that act now, and let these act (in qfrc_applied) instead."""
-        coasting, response = self._plant(moment)
-        change = self._wanted - coasting + response @ self.forces
-        forces = bounded_solution(response, change, self._bounds)
+        """Find better forces than those that act now, and let these act (in qfrc_applied) instead.
+
+        Raises:
+            Diverged: the state is no longer one that forces could be found for.
+        """
+        try:
+            coasting, response = self._plant(moment)
+            forces = bounded_solution(response, self._wanted - coasting + response @ self.forces, self._bounds)
+        except np.linalg.LinAlgError as error:
+            raise Diverged(self._body.name) from error
         moment.data.qfrc_applied[self.dofs] += forces - self.forces
         self.forces = forces
 

@@ -52,7 +52,7 @@ class Motors:
             self._asked.pop(body, None)
 
     def apply(self, model: Any, data: Any, efforts: dict[int, float]) -> None:
-        """Add the motors' forces to qfrc_applied and, by dof, to `efforts`. The warm start that this uses up is put back."""
+        """Add the motors' forces to qfrc_applied and, by dof, to `efforts`. The warm start used up here is put back."""
         warmstart = data.qacc_warmstart.copy()
         motors = [RobotMotors(body, asked) for body, asked in self._asked.items()]
         waiting = motors

@@ -5,6 +5,7 @@ Visuals never come here: the simulated world has no picture.
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import mujoco
 
 from slidectl.description.robot import Box, Cylinder, Link, Mesh, Shape, Sphere, Surface
 from slidectl.errors import SlidectlError
+from slidectl.physics.parts import BadPart, place
 from slidectl.physics.rotation import from_rpy, wxyz
 
 GAZEBO_FRICTION = 1.0
@@ -20,13 +22,13 @@ GAZEBO_FRICTION = 1.0
 _BINARY_STL_HEADER = 84
 
 
-class BadShape(SlidectlError):
-    """A collision shape that MuJoCo cannot take."""
+class BadShape(BadPart):
+    """A collision shape that MuJoCo cannot take. `part` is the link's name."""
+
+    kind = "link"
 
     def __init__(self, robot: str, link: Link, shape: Shape, trouble: str) -> None:
-        at = f" (line {shape.line})" if shape.line is not None else ""
-        super().__init__(f"link {link.name!r} of robot {robot!r}: collision shape{at}: {trouble}")
-        self.link = link.name
+        super().__init__(robot, link, f"collision shape{place(shape.file, shape.line)}: {trouble}")
 
 
 def put_shapes(spec: Any, body: Any, robot: str, link: Link) -> None:
@@ -76,6 +78,8 @@ def _put_mesh(spec: Any, geom: Any, robot: str, link: Link, shape: Shape) -> Non
     assert isinstance(source, Mesh)
     if source.path is None:
         raise BadShape(robot, link, shape, f"mesh {source.uri!r} was not found")
+    if not os.access(source.path, os.R_OK):
+        raise BadShape(robot, link, shape, f"mesh {source.path} cannot be read")
     mesh = spec.add_mesh(name=geom.name)
     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
     if _is_native(Path(source.path)):
@@ -91,8 +95,8 @@ def _fill(mesh: Any, source: Mesh, robot: str, link: Link, shape: Shape) -> None
     assert source.path is not None
     try:
         vertices, faces = meshes.load(source.path, source.scale)
-    except OSError as error:
-        raise BadShape(robot, link, shape, f"mesh {source.path}: {error.strerror}") from error
+    except SlidectlError as error:
+        raise BadShape(robot, link, shape, error.message) from error
     mesh.uservert, mesh.userface = vertices.ravel(), faces.ravel()
 
 
@@ -103,12 +107,8 @@ def _is_native(path: Path) -> bool:
 
 
 def _is_binary_stl(path: Path) -> bool:
-    try:
-        with path.open("rb") as file:
-            header = file.read(_BINARY_STL_HEADER)
-            size = path.stat().st_size
-    except OSError:
-        return False
+    with path.open("rb") as file:
+        header = file.read(_BINARY_STL_HEADER)
     if len(header) < _BINARY_STL_HEADER:
         return False
-    return size == _BINARY_STL_HEADER + 50 * int.from_bytes(header[80:84], "little")
+    return path.stat().st_size == _BINARY_STL_HEADER + 50 * int.from_bytes(header[80:84], "little")

@@ -37,6 +37,7 @@ class World(WorldCore):
 
     def reset(self) -> None:
         """All robots back to how they were attached, without forces from outside."""
+        self._mend()
         self.loads.motors.drop()
         self.clear_forces()
         for body in self._bodies.values():
@@ -53,6 +54,7 @@ class World(WorldCore):
         """Back to the moment of the snapshot, exactly. Raises Refused when other robots are in the world now."""
         if snapshot.robots.keys() != self._bodies.keys():
             raise Refused(f"the snapshot is of other robots: {', '.join(snapshot.robots) or 'none'}")
+        self._mend()
         for name, body in self._bodies.items():
             body.put(snapshot.robots[name])
         self.data.time = snapshot.time
