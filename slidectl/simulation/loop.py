@@ -13,7 +13,7 @@ from slidectl.simulation.graph import WORLD_NODE, Graph
 from slidectl.simulation.run_state import RunState
 
 CHECK_EVERY = 256
-"""Cycles between two looks at whether the physics has diverged."""
+"""Cycles between two looks at whether the physics has diverged; counted from time 0, however stepping is cut."""
 
 
 class Loop:
@@ -57,7 +57,8 @@ class Loop:
         self.between_cycles("step")
         left = cycles
         while left > 0:
-            done, trouble = self._checked_burst(self.run.until_answer(min(left, CHECK_EVERY)))
+            until_check = CHECK_EVERY - self.graph.clock.cycles % CHECK_EVERY
+            done, trouble = self._burst(self.run.until_answer(min(left, until_check)))
             left -= done
             self.run.took(done)
             if trouble is not None:
@@ -65,16 +66,19 @@ class Loop:
                 break
         return cycles - left
 
-    def _checked_burst(self, count: int) -> tuple[int, SlidectlError | None]:
-        before = self.graph.clock.cycles
+    def _burst(self, count: int) -> tuple[int, SlidectlError | None]:
+        """At most `count` cycles: how many, and what is wrong with the physics when that was looked at."""
+        clock = self.graph.clock
+        before = clock.cycles
         try:
-            self._burst(count)
-            self.world.check()
+            done = self._run_cycles(count)
+            if clock.cycles % CHECK_EVERY == 0:
+                self.world.check()
         except Diverged as trouble:
-            return self.graph.clock.cycles - before, trouble
+            return done, trouble
         except EngineError as trouble:
-            return self.graph.clock.cycles - before, Refused(f"MuJoCo cannot go on: {trouble}")
-        return self.graph.clock.cycles - before, None
+            return clock.cycles - before, Refused(f"MuJoCo cannot go on: {trouble}")
+        return done, None
 
     def _give_up(self, trouble: SlidectlError) -> None:
         """Hold the world; whoever drives it is told by the log, whoever calls it directly by the error."""
@@ -84,7 +88,7 @@ class Loop:
         if not self.driven:
             raise trouble
 
-    def _burst(self, count: int) -> None:
+    def _run_cycles(self, count: int) -> int:
         """At most `count` cycles, up to and with the first after which a timer is due. The innermost loop."""
         graph, world, step_ns, robots = self.graph, self.world, self.step_ns, self.cycles
         clock, timers, clock_topic = graph.clock, graph.timers, graph.clock_topic
@@ -108,3 +112,4 @@ class Loop:
             clock.cycles += done
         if time_ns >= timers.next_ns:
             timers.fire()
+        return done

@@ -31,7 +31,7 @@ class RunState:
         self.paused = False
         self.speed = 1.0
         self.on_halt: Callable[[], None] = _nothing
-        """Called when the world comes to a stand by `pause`, or because nobody waits for its steps any more."""
+        """Called when the world comes to a stand: by `pause`, after the last step, or when nobody waits for steps."""
         self._requests: deque[StepRequest] = deque()
 
     @property
@@ -73,6 +73,7 @@ class RunState:
             if self._requests[0].remaining <= 0:
                 request = self._requests.popleft()
                 request.pending.resolve(request.asked)
+                self._look_for_halt()
 
     def abandon_steps(self, reason: str) -> None:
         """Forget the steps; those who wait are told the reason."""

@@ -129,6 +129,16 @@ def test_a_switch_whose_steps_are_given_up_is_finished_all_the_same(driven: Simu
     assert answer.result()["ok"]
 
 
+def test_a_switch_that_is_asked_for_at_the_end_of_the_last_step_is_not_left_hanging(driven: Simulation) -> None:
+    driven.pause()
+    answers: list[Pending] = []
+    sleep = driven.graph.services.call("/slidectl/sleep", {"duration": 0.002})
+    sleep.then(lambda _: answers.append(ask(driven, "switch_controller", start_controllers=["states"], strictness=2)))
+    driven.graph.services.call("/slidectl/step", {"cycles": 2})
+    driven.step(driven.run.allowed(10))
+    assert answers[0].result()["ok"]
+
+
 def test_who_goes_while_queued_is_passed_over(driven: Simulation) -> None:
     ask(driven, "switch_controller", start_controllers=["states"], strictness=2)
     unload = ask(driven, "unload_controller", name="position1")

@@ -212,10 +212,27 @@ def test_when_the_physics_diverges_the_world_is_held_and_the_robot_is_named(driv
     assert driven.step(10) == 10
 
 
+@pytest.mark.parametrize("cut", [1, 100, 1000])
+def test_a_divergence_is_found_in_the_same_cycle_however_stepping_is_cut(driven: Simulation, cut: int) -> None:
+    driven.spawn(cart(), "bad")
+    driven.step(300)
+    break_physics(driven, "bad")
+    driven.resume()
+    while not driven.run.paused:
+        driven.step(cut)
+    assert driven.cycles == 512
+
+
+def test_a_timer_may_reset_the_time_in_the_middle_of_a_step(simulation: Simulation) -> None:
+    simulation.graph.timers.at(5_000_000, simulation.reset_simulation)
+    assert simulation.step(12) == 12
+    assert simulation.cycles == 7
+
+
 def test_a_reset_brings_a_diverged_world_back(driven: Simulation) -> None:
     driven.spawn(cart(), "bad")
     break_physics(driven, "bad")
-    driven.step(100)
+    assert driven.step(1000) < 1000
     driven.reset_simulation()
     assert driven.step(100) == 100
     assert state(driven, "bad") == (0.0, 0.0, 0.0)
@@ -225,7 +242,7 @@ def test_who_steps_directly_is_told_of_a_divergence_by_an_error(simulation: Simu
     simulation.spawn(cart(), "bad")
     break_physics(simulation, "bad")
     with pytest.raises(Diverged, match="'bad'"):
-        simulation.step(10)
+        simulation.step(1000)
 
 
 def test_a_time_step_must_be_above_0(simulation: Simulation) -> None:
