@@ -44,7 +44,7 @@ class InstancePaths:
 
     @property
     def lock(self) -> Path:
-        """Locked (flock) by the living daemon; it holds the daemon's process id as text."""
+        """Locked by the living daemon; it holds the daemon's process id as text."""
         return self.folder / f"{self.prefix}lock"
 
     @property
@@ -68,7 +68,7 @@ def runtime_folder() -> str:
     """`$XDG_RUNTIME_DIR/slidectl`, else a folder of the user under the temporary folder."""
     base = os.environ.get("XDG_RUNTIME_DIR")
     if base:
-        return os.path.join(base, "slidectl")
+        return os.path.join(os.path.abspath(base), "slidectl")
     return os.path.join(_temporary_folder(), f"slidectl-{os.getuid()}")
 
 

@@ -41,6 +41,9 @@ class Receiver(Protocol):
     def closed(self) -> None:
         """The connection is gone."""
 
+    def unexpected(self, what: str) -> None:
+        """The exception that is being handled is a fault of ours: log it."""
+
 
 class Connection:
     """A non-blocking socket with a buffer of lines on each side. `busy` collects those that need the next turn."""
@@ -61,7 +64,7 @@ class Connection:
         self._incoming = LineBuffer()
         self._receiver = receiver(self)
         self._outbox = Outbox(self._receiver.report)
-        self._chunk = b""
+        self._chunk: bytes | memoryview = b""
         self._failure: BadLine | None = None
         self._blocked = False  # the kernel takes no more for now
         self._ended = False  # no more will be read
@@ -73,13 +76,24 @@ class Connection:
     # --- in -----------------------------------------------------------------------------------------------------
 
     def _ready(self, events: int) -> None:
+        self._safely(lambda: self._take_events(events))
+
+    def _safely(self, action: Callable[[], None]) -> None:
+        """A fault of ours ends one connection, not the daemon."""
+        try:
+            action()
+        except Exception:
+            self._receiver.unexpected("serving a connection failed")
+            self.close()
+
+    def _take_events(self, events: int) -> None:
         if events & READ:
             self._receive()
         elif events & HANG_UP and not self._incoming.lines:  # what it said before it went is still carried out
             self.close()
         if events & WRITE and self.open:
             self._blocked = False
-            self.flush()
+            self._send_some()
 
     def _receive(self) -> None:
         try:
@@ -95,7 +109,7 @@ class Connection:
         except BadLine as error:
             self._failure = error
             self._ended = True
-        self.serve()
+        self._serve_some()
 
     def _end_of_input(self) -> None:
         self._ended = True
@@ -104,6 +118,9 @@ class Connection:
 
     def serve(self) -> None:
         """Hand some of the lines on. The rest comes after the next cycles: no client holds up the world."""
+        self._safely(self._serve_some)
+
+    def _serve_some(self) -> None:
         lines = self._incoming.lines
         for _ in range(min(len(lines), _LINES_A_TURN)):
             self._receiver.take(lines.popleft())
@@ -138,6 +155,9 @@ class Connection:
 
     def flush(self) -> None:
         """Send what the kernel takes now, within reason."""
+        self._safely(self._send_some)
+
+    def _send_some(self) -> None:
         sent = 0
         while (self._chunk or self._outbox) and not self._blocked and sent < _SENT_A_TURN:
             chunk = self._chunk or self._outbox.take(_CHUNK)
@@ -148,7 +168,7 @@ class Connection:
             except OSError:
                 self._stop_sending()
                 break
-            self._chunk = chunk[count:]
+            self._chunk = memoryview(chunk)[count:]  # no copy: a piece may be 16 MiB, and go out in a hundred parts
             self._blocked = bool(self._chunk)
             sent += count
         self._settle()
@@ -183,5 +203,5 @@ class Connection:
         self._busy.forget(self)
         self._loop.forget(self._fd)
         self._socket.close()
-        self._receiver.closed()
         self._on_close(self)
+        self._safely(self._receiver.closed)

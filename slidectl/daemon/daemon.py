@@ -127,7 +127,7 @@ class Daemon:
         return {
             "version": slidectl.__version__,
             "pid": os.getpid(),
-            "instance": self._start.paths.prefix.rstrip(".") or self._start.paths.folder.name,
+            "instance": self._start.paths.name,
             "connections": len(self._server.sessions),
             "memory": _resident_bytes(),
             "uptime": time.monotonic() - self._began_s,

@@ -98,7 +98,7 @@ def run(paths: InstancePaths, options: DaemonOptions | None = None) -> NoReturn:
 
 def _ask_to_stop(paths: InstancePaths, timeout: float) -> bool:
     try:
-        with Client(socket=str(paths.socket), timeout=timeout) as client:
+        with Client(socket=paths.socket_text, timeout=timeout) as client:
             client.call("/slidectl/shutdown")
     except NoDaemon as error:
         return "went away" in error.message
@@ -135,7 +135,7 @@ def _wait_for_the_other(paths: InstancePaths, deadline: float) -> int | None:
         if left <= 0:
             raise TimedOut(f"process {pid} holds {paths.lock} but does not answer", command(paths, "daemon logs"))
         try:
-            with Client(socket=str(paths.socket), timeout=left) as client:
+            with Client(socket=paths.socket_text, timeout=left) as client:
                 client.call("/slidectl/status")
                 return client.daemon_pid
         except NoDaemon:
@@ -216,7 +216,7 @@ def _interpreter() -> list[str]:
 
 
 def _arguments(paths: InstancePaths, options: DaemonOptions) -> list[str]:
-    where = f"--socket={paths.socket}" if paths.prefix else f"--instance={paths.folder.name}"
+    where = f"--socket={paths.socket_text}" if paths.prefix else f"--instance={paths.name}"
     return [where, *options.arguments()]
 
 

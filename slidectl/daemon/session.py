@@ -78,7 +78,7 @@ class Session:
         except SlidectlError as error:
             self._complain(error, message)
         except Exception as error:
-            self._around.unexpected(f"{self.node} sent {line[:200]!r}")
+            self.unexpected(f"{self.node} sent {line[:200]!r}")
             self._complain(Refused(f"internal error: {error!r}; the daemon's log has more"), message)
 
     def _operation(self, message: Message) -> Callable[[Message], None]:
@@ -99,6 +99,10 @@ class Session:
             return b""
         text = f"{share.dropped} messages on {share.topic} were dropped: read too slowly"
         return encode({"op": "status", "level": "warning", "topic": share.topic, "dropped": share.dropped, "msg": text})
+
+    def unexpected(self, what: str) -> None:
+        """The exception that is being handled is a fault of ours: log it."""
+        self._around.unexpected(what)
 
     def tell(self, level: str, text: str) -> None:
         """A status line that answers nothing in particular."""
