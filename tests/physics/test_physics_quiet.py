@@ -1,0 +1,86 @@
+"""Trouble in the engine is an error with a name, never a line on the console or a file in the folder."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from physics_robots import arm, at, block, one_joint, state_of
+
+from slidectl.physics import Diverged, EngineError, World, take_warnings
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+RUNAWAY = """
+from physics_robots import one_joint
+from slidectl.physics import Diverged, World, take_warnings
+world = World()
+world.attach(one_joint(), "one")
+world.data.qfrc_applied[:] = float("inf")
+world.step_n(10)
+try:
+    world.check()
+except Diverged as error:
+    assert error.robot == "one"
+    assert any("unstable" in warning for warning in take_warnings())
+else:
+    raise SystemExit("not seen")
+"""
+
+
+def test_a_runaway_prints_nothing_and_writes_no_file(tmp_path: Path) -> None:
+    path = f"{REPOSITORY}:{Path(__file__).parent}"
+    done = subprocess.run(
+        [sys.executable, "-c", RUNAWAY], cwd=tmp_path, env={"PYTHONPATH": path}, capture_output=True, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), 1e12])
+def test_the_robot_that_diverged_is_named_and_the_others_go_on(value: float) -> None:
+    world = World()
+    world.attach(one_joint(), "sane")
+    world.attach(one_joint(), "mad")
+    world.check()
+    place = world.body("mad").place("joint1")
+    world.data.qvel[place.dof] = value
+    world.step_n(3)
+    with pytest.raises(Diverged, match="the simulation of robot 'mad' diverged"):
+        world.check()
+    alone = World()
+    alone.attach(one_joint(), "sane")
+    alone.step_n(3)
+    assert state_of(world, "sane") == state_of(alone, "sane")
+
+
+def test_a_reset_brings_a_diverged_robot_back() -> None:
+    world = World()
+    world.attach(arm(2, reach=1.0), "arm")
+    world.data.qvel[:] = float("nan")
+    world.step_n(3)
+    world.reset()
+    world.step_n(100)
+    world.check()
+    fresh = World()
+    fresh.attach(arm(2, reach=1.0), "arm")
+    fresh.step_n(100)
+    assert state_of(world, "arm") == state_of(fresh, "arm")
+    take_warnings()
+
+
+def test_more_contacts_than_the_engine_can_hold_are_an_error_that_a_reset_survives() -> None:
+    world = World(ground=False)
+    world.attach(block(), "alone", at(50.0, 0.0, 0.0))
+    for number in range(40):
+        world.attach(arm(3), f"arm{number}")
+    for _ in range(2):
+        with pytest.raises(EngineError):
+            world.step()
+        world.reset()
+    for number in range(40):
+        world.detach(f"arm{number}")
+    world.step_n(100)
+    assert world.link_pose("alone", "base")[0][2] == pytest.approx(-0.05, abs=0.01)
