@@ -27,7 +27,7 @@ Pose = tuple[tuple[float, float, float], tuple[float, float, float, float]]
 ORIGIN: Pose = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 DESCRIPTION = "robot_description"
 _HARDWARE = ("gazebo_ros_control/DefaultRobotHWSim", "DefaultRobotHWSim")
-_SEVERITIES = {"wrong": "warn", "ignored": "warn", "converted": "info", "used": "debug"}
+_SEVERITIES = {"wrong": "warn", "ignored": "warn", "converted": "info"}
 
 
 class SpawnedRobot:
@@ -85,7 +85,8 @@ def assemble(robot: SpawnedRobot, world: World, loop: Loop, pose: Pose, companio
 def report(robot: SpawnedRobot) -> None:
     """What became of the tags of the robot's file, on the log."""
     for notice in robot.paper.report:
-        robot.node.log(_SEVERITIES[notice.verdict], f"{robot.name}: {notice}")
+        if notice.verdict in _SEVERITIES:
+            robot.node.log(_SEVERITIES[notice.verdict], f"{robot.name}: {notice}")
 
 
 def _put_description(robot: SpawnedRobot, loop: Loop, stack: ExitStack) -> None:

@@ -7,15 +7,12 @@ from __future__ import annotations
 
 from typing import Any
 
+from slidectl.control.duration import NANOSECONDS, to_stamp
 from slidectl.control.node import Publisher
 
-SECOND = 1_000_000_000
-
-
-def stamp(time_ns: int) -> dict[str, int]:
-    """The time as it stands on messages."""
-    secs, nsecs = divmod(time_ns, SECOND)
-    return {"secs": secs, "nsecs": nsecs}
+SECOND = NANOSECONDS
+stamp = to_stamp
+"""The time as it stands on messages."""
 
 
 class Clock:

@@ -15,6 +15,7 @@ from slidectl.simulation.message_path import as_number
 
 _NUMERIC = ("near", "above", "below")
 KINDS = (*_NUMERIC, "equals")
+_LONGEST = 120
 
 
 class Condition:
@@ -38,8 +39,8 @@ class Condition:
         self.tolerance = tolerance
         self.wanted = _parse(value)
         self._number = as_number(self.wanted)
-        if kind in _NUMERIC and (self._number is None or math.isnan(self._number)):
-            raise BadMessage(f"{kind} needs a number, not {value}", "value")
+        if kind in _NUMERIC and (self._number is None or not math.isfinite(self._number)):
+            raise BadMessage(f"{kind} needs a number, not {value[:80]}", "value")
 
     def __str__(self) -> str:
         text = f"{self.kind} {show(self.wanted)}"
@@ -53,49 +54,46 @@ class Condition:
                 f"{path} is {type_name}, and {self.kind} needs a number", "field", "choose a field or an element"
             )
 
-    def holds(self, value: Any) -> bool:
-        """Whether the value fulfils the condition."""
-        return self.distance(value) <= 0
-
     def distance(self, value: Any) -> float:
         """How far the value is from fulfilling it, in its unit: 0 or less when it does, inf when beyond compare."""
         number = as_number(value)
-        if number is None or self._number is None:
-            return (
-                0.0 if self.kind == "equals" and value == self.wanted and _same_kind(value, self.wanted) else math.inf
-            )
-        if math.isnan(number):
+        if self.kind == "equals":
+            return self._from_equal(value, number)
+        if number is None or self._number is None or math.isnan(number):
             return math.inf
         return _DISTANCES[self.kind](number, self._number, self.tolerance)
 
+    def _from_equal(self, value: Any, number: float | None) -> float:
+        if number is None or self._number is None:
+            same = value == self.wanted and isinstance(value, bool) == isinstance(self.wanted, bool)
+            return 0.0 if same else math.inf
+        if (number if isinstance(value, dict) else value) == self.wanted:
+            return 0.0
+        return math.inf if math.isnan(number) else _more_than_0(abs(number - self._number))
+
 
 def show(value: Any) -> str:
-    """Short text of a value for messages: numbers with six digits, all else as JSON."""
+    """Short text of a value for messages: numbers with six digits, all else as JSON, cut where it is long."""
     if isinstance(value, float):
         return f"{value:.6g}"
-    return json.dumps(value)
+    text = json.dumps(value)
+    return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
 
 
 def _parse(text: str) -> Any:
     try:
         return json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         raise BadMessage(f"the value {text[:80]!r} is not JSON", "value", 'text needs quotes: "\\"on\\""') from None
 
 
-def _same_kind(value: Any, wanted: Any) -> bool:
-    """True and 1 are equal to Python, not to a person."""
-    return isinstance(value, bool) == isinstance(wanted, bool)
-
-
-def _beyond(excess: float) -> float:
-    """Strictly above: the limit itself does not count."""
-    return excess if excess != 0 else 5e-324
+def _more_than_0(distance: float) -> float:
+    """A limit that does not count itself."""
+    return distance if distance != 0 else 5e-324
 
 
 _DISTANCES: dict[str, Callable[[float, float, float], float]] = {
     "near": lambda value, wanted, tolerance: max(wanted - tolerance - value, value - (wanted + tolerance)),
-    "above": lambda value, wanted, _: _beyond(wanted - value),
-    "below": lambda value, wanted, _: _beyond(value - wanted),
-    "equals": lambda value, wanted, _: abs(value - wanted) if value != wanted else 0.0,
+    "above": lambda value, wanted, _: _more_than_0(wanted - value),
+    "below": lambda value, wanted, _: _more_than_0(value - wanted),
 }

@@ -5,6 +5,8 @@ Checked against the type before the first message; only an index can turn out wr
 
 from __future__ import annotations
 
+import binascii
+import math
 import re
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -14,6 +16,8 @@ from slidectl.errors import UnknownName, UsageError
 
 _PART = re.compile(r"(\w+)((?:\[-?\d+\])*)\Z")
 _TIMES = ("time", "duration")
+_BYTES = ("uint8", "char")
+"""Arrays of these are base64 text inside messages."""
 
 
 class MessagePath(NamedTuple):
@@ -64,7 +68,7 @@ def _step(owner: str, part: str) -> tuple[str, Callable[[Any], Any]]:
     if len(indices) > (field.array >= 0):
         raise UsageError(f"{part!r}: {name} is {field.type_text}, which has no such element")
     if indices:
-        return field.type, _element(name, indices[0])
+        return field.type, _element(field, indices[0])
     return field.type_text, lambda message: message[name]
 
 
@@ -79,9 +83,11 @@ def _field(owner: str, name: str) -> msgs.Field:
     raise UnknownName("field", name, [field.name for field in fields], f"in {owner}")
 
 
-def _element(name: str, index: int) -> Callable[[Any], Any]:
+def _element(field: msgs.Field, index: int) -> Callable[[Any], Any]:
+    name, packed = field.name, field.type in _BYTES
+
     def take(message: Any) -> Any:
-        values = message[name]
+        values = binascii.a2b_base64(message[name]) if packed else message[name]
         if not -len(values) <= index < len(values):
             raise NoElement(name, index, len(values))
         return values[index]
@@ -103,7 +109,14 @@ def as_number(value: Any) -> float | None:
     if isinstance(value, bool):
         return None
     if isinstance(value, int | float):
-        return float(value)
+        return _as_float(value)
     if isinstance(value, dict) and value.keys() == {"secs", "nsecs"}:
         return float(value["secs"] + 1e-9 * value["nsecs"])
     return None
+
+
+def _as_float(value: int | float) -> float:
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf

@@ -14,6 +14,8 @@ from slidectl.control.node import MISSING
 from slidectl.errors import UnknownName, UsageError
 
 Path = tuple[str, ...]
+DEEPEST = 64
+"""Levels of mappings and lists in one value."""
 
 
 class UnknownParameter(UnknownName, KeyError):
@@ -159,12 +161,14 @@ def _leaves(value: Any, path: Path) -> Iterator[tuple[Path, Any]]:
         yield path, value
 
 
-def _checked(value: Any, where: str) -> Any:
+def _checked(value: Any, where: str, depth: int = 0) -> Any:
     """A copy with keys that hold slashes taken apart, or an error that says where it is wrong."""
+    if depth > DEEPEST:
+        raise UsageError(f"parameter {where[:80]}... is nested deeper than {DEEPEST} levels")
     if isinstance(value, dict):
-        return _checked_mapping(value, where)
+        return _checked_mapping(value, where, depth)
     if isinstance(value, list | tuple):
-        return [_checked(item, f"{where}[{index}]") for index, item in enumerate(value)]
+        return [_checked(item, f"{where}[{index}]", depth + 1) for index, item in enumerate(value)]
     if isinstance(value, bool | int | float | str):
         return value
     kind = "null" if value is None else type(value).__name__
@@ -173,12 +177,12 @@ def _checked(value: Any, where: str) -> Any:
     )
 
 
-def _checked_mapping(value: dict[Any, Any], where: str) -> dict[str, Any]:
+def _checked_mapping(value: dict[Any, Any], where: str, depth: int) -> dict[str, Any]:
     result: dict[str, Any] = {}
     for key, below in value.items():
         if not isinstance(key, str) or not _path(key) or any(letter.isspace() for letter in key):
             raise UsageError(f"parameter {where}: {key!r} cannot be a name", "names are text without blanks")
-        content = _checked(below, f"{where.rstrip('/')}/{key.strip('/')}")
+        content = _checked(below, f"{where.rstrip('/')}/{key.strip('/')}", depth + 1)
         node = result
         *above, last = _path(key)
         for part in above:

@@ -50,7 +50,7 @@ def _absolute(name: str) -> str:
 def _from_json(text: str) -> Any:
     try:
         return json.loads(text)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise BadMessage(
             f"the value is not JSON ({error}): {text[:80]!r}", "value", "text needs quotes of its own"
         ) from None
@@ -60,5 +60,5 @@ def _text_or_json(text: str) -> Any:
     """rosapi takes a default that is no JSON for the text that it is."""
     try:
         return json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         return text

@@ -56,8 +56,7 @@ class Services:
             raise Refused(f"{name!r} is not an absolute service name", f"write /{name}")
         if name in self._services:
             raise Refused(f"service {name} is already provided by {self._services[name].node}")
-        if not msgs.service_exists(type_name):
-            raise UnknownName("service type", type_name, msgs.service_names())
+        msgs.request_type(type_name)  # raises UnknownName
         service = self._services[name] = Service(name, type_name, node, handler, self._forget)
         return service
 

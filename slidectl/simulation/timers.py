@@ -9,6 +9,7 @@ import heapq
 from collections.abc import Callable
 
 NEVER = 1 << 62
+_FEW = 64
 
 
 class Timer:
@@ -30,13 +31,14 @@ class Timer:
 class Timers:
     """Timers in the order of their due times; those of one time fire in the order in which they were made."""
 
-    __slots__ = ("_heap", "_made", "next_ns", "now_ns")
+    __slots__ = ("_heap", "_made", "_most", "next_ns", "now_ns")
 
     def __init__(self, now_ns: Callable[[], int]) -> None:
         self.now_ns = now_ns
         self.next_ns = NEVER
         self._heap: list[tuple[int, int, Timer]] = []
         self._made = 0
+        self._most = _FEW
 
     def at(self, due_ns: int, callback: Callable[[], None]) -> Timer:
         """Once, at the end of the first cycle whose time is `due_ns` or later."""
@@ -86,8 +88,16 @@ class Timers:
     def _push(self, timer: Timer) -> Timer:
         self._made += 1
         heapq.heappush(self._heap, (timer.due_ns, self._made, timer))
+        if len(self._heap) > self._most:
+            self._sweep()
         self._update_next()
         return timer
+
+    def _sweep(self) -> None:
+        """Drop the cancelled ones; in a world that stands still nothing else would."""
+        self._heap = [entry for entry in self._heap if entry[2].active]
+        heapq.heapify(self._heap)
+        self._most = 2 * len(self._heap) + _FEW
 
     def _update_next(self) -> None:
         while self._heap and not self._heap[0][2].active:

@@ -217,8 +217,7 @@ class Topics:
         return next((p for p in entry.publishers if p.node == node), None) if entry else None
 
     def _agrees(self, topic: str, type_name: str) -> None:
-        if not msgs.exists(type_name):
-            raise UnknownName("message type", type_name, msgs.type_names())
+        msgs.fields(type_name)  # raises UnknownName
         entry = self._topics.get(topic)
         if entry is not None and entry.type != type_name:
             raise TypeConflict(topic, entry.type, type_name, entry.nodes())

@@ -21,6 +21,7 @@ from slidectl.simulation.topics import Subscription
 
 NODE = "/slidectl"
 _NOTHING: Any = object()
+_LONGEST_S = 1e9
 
 
 def advertise(graph: Graph) -> None:
@@ -38,7 +39,7 @@ def wait(graph: Graph, request: Message) -> Pending:
     path = parse(type_name, request["field"])
     condition = Condition(request["condition"], request["value"], request["tolerance"])
     condition.check_type(f"{request['topic']}/{path.text}", path.type)
-    hold_s, within_s = _seconds("hold", request["hold"]), _seconds("within", request["within"])
+    hold_s, within_s = _duration("hold", request["hold"]), _duration("within", request["within"])
     return Wait(graph, request["topic"], path, condition, hold_s, within_s).pending
 
 
@@ -114,10 +115,10 @@ class Wait:
 
     def _failure(self) -> str:
         what = f"{self._path_text()} {self._condition}{self._for()} within {self._within_s:g} s"
-        if self._last is not _NOTHING:
-            return f"{what}; last {show(self._last)}, closest {show(self._closest)}"
-        silent = "no message came" if self._graph.topics.publishers(self._topic) else "nobody publishes it"
-        return f"{what}; {silent}"
+        alone = "" if self._graph.topics.publishers(self._topic) else "; nobody publishes it"
+        if self._last is _NOTHING:
+            return what + (alone or "; no message came")
+        return f"{what}; last {show(self._last)}, closest {show(self._closest)}{alone}"
 
     def _for(self) -> str:
         return f" for {self._hold_s:g} s" if self._hold_s else ""
@@ -137,8 +138,8 @@ def _as_json(value: Any) -> str:
     return "" if value is _NOTHING else json.dumps(value)
 
 
-def _seconds(name: str, value: float) -> float:
-    """0 where there is none; endless is none too."""
-    if math.isnan(value):
-        raise Refused(f"{name} is a number of seconds")
-    return value if 0 < value < math.inf else 0.0
+def _duration(name: str, value: float) -> float:
+    """0 for none. Raises Refused for what no clock can measure."""
+    if not -_LONGEST_S < value < _LONGEST_S:
+        raise Refused(f"{name} is a number of seconds, not {value:g}")
+    return max(value, 0.0)

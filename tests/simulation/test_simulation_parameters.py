@@ -133,3 +133,11 @@ def test_the_root_can_be_replaced_by_a_mapping_only(parameters: Parameters) -> N
     assert parameters.names() == ["/a"]
     parameters.delete("/")
     assert parameters.names() == []
+
+
+def test_what_is_nested_without_end_is_refused(parameters: Parameters) -> None:
+    deep: list[object] = []
+    for _ in range(500):
+        deep = [deep]
+    with pytest.raises(UsageError, match="nested deeper"):
+        parameters.set("/deep", deep)

@@ -138,6 +138,8 @@ def test_an_unset_parameter_fails_unless_a_default_is_given(ask: Any) -> None:
 def test_a_value_that_is_not_json_is_refused(ask: Any) -> None:
     with pytest.raises(BadMessage, match="not JSON"):
         ask("set_param", name="/x", value="{p: 1}")
+    with pytest.raises(BadMessage, match="not JSON"):
+        ask("set_param", name="/x", value="[" * 100_000)
 
 
 def test_the_whole_tree_can_be_read(ask: Any, graph: Graph) -> None:

@@ -69,6 +69,15 @@ def test_a_cancelled_timer_does_not_fire_and_is_not_waited_for(stage: Stage) -> 
     assert stage.timers.next_ns == NEVER
 
 
+def test_cancelled_timers_do_not_pile_up_while_time_stands_still(stage: Stage) -> None:
+    kept = [stage.timers.after((k + 1) * MS, stage.note(str(k))) for k in range(100)]
+    for _ in range(10_000):
+        stage.timers.after(MS, stage.note("never")).cancel()
+    assert len(stage.timers._heap) < 1000
+    stage.run_until(100)
+    assert [name for name, _ in stage.fired] == [str(k) for k in range(len(kept))]
+
+
 def test_what_a_timer_makes_due_fires_too(stage: Stage) -> None:
     stage.timers.at(2 * MS, lambda: stage.timers.soon(stage.note("chained")))
     stage.run_until(3)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+import math
 from typing import Any
 
 import pytest
 
-from slidectl.errors import BadMessage, UnknownName
+from slidectl.errors import BadMessage, Refused, UnknownName
 from slidectl.simulation import waits
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.pending import Pending
@@ -140,9 +141,32 @@ def test_times_count_in_seconds(scene: Scene) -> None:
     assert wait.result()["success"]
 
 
-def test_nan_fulfils_nothing(scene: Scene) -> None:
-    wait = scene.wait(condition="below", value="5", within=0.2)
+@pytest.mark.parametrize("condition", ["near", "above", "below", "equals"])
+def test_nan_fulfils_nothing(scene: Scene, condition: str) -> None:
+    wait = scene.wait(condition=condition, value="5", within=0.2)
     scene.play(float("nan"), float("nan"))
+    assert not wait.result()["success"]
+
+
+def test_bytes_are_numbers(scene: Scene) -> None:
+    bytes_ = scene.graph.topics.advertise("/bytes", "std_msgs/UInt8MultiArray", "/gazebo", latch=True)
+    bytes_.publish({"layout": {"dim": [], "data_offset": 0}, "data": "AQID"})
+    assert scene.wait(topic="/bytes", field="data[-1]", condition="equals", value="3").result()["success"]
+
+
+def test_when_nobody_publishes_any_more_that_is_said(scene: Scene) -> None:
+    wait = scene.wait(within=0.3)
+    scene.play(0.5)
+    scene.joints.close()
+    scene.graph.clock.time_ns = 300 * MS
+    scene.graph.timers.fire()
+    assert wait.result()["message"].endswith("last 0.5, closest 0.5; nobody publishes it")
+
+
+def test_numbers_of_any_size_can_be_compared(scene: Scene) -> None:
+    huge = "1" + "0" * 400
+    wait = scene.wait(condition="equals", value=huge, within=0.1)
+    scene.play(0.5)
     assert not wait.result()["success"]
 
 
@@ -175,11 +199,21 @@ def test_an_element_that_is_not_there_fails_at_the_first_message(scene: Scene) -
         ({"value": '"up"'}, "near needs a number"),
         ({"value": "up"}, "not JSON"),
         ({"tolerance": -1.0}, "tolerance"),
+        ({"tolerance": math.nan}, "tolerance"),
+        ({"value": "1e999"}, "near needs a number"),
+        ({"value": "[" * 100_000}, "not JSON"),
     ],
 )
 def test_what_makes_no_sense_is_refused(scene: Scene, request_: Any, text: str) -> None:
     with pytest.raises(BadMessage, match=text):
         scene.wait(**request_).result()
+
+
+@pytest.mark.parametrize("value", [math.inf, math.nan, 1e300])
+@pytest.mark.parametrize("name", ["hold", "within"])
+def test_a_time_that_no_clock_can_measure_is_refused(scene: Scene, name: str, value: float) -> None:
+    with pytest.raises(Refused, match=f"{name} is a number of seconds"):
+        scene.wait(**{name: value}).result()
 
 
 def test_who_goes_leaves_nothing_behind(scene: Scene) -> None:
@@ -189,6 +223,13 @@ def test_who_goes_leaves_nothing_behind(scene: Scene) -> None:
     assert not scene.joints.wanted
     scene.play(*[None] * 110)
     assert wait.cancelled
+
+
+def test_large_integers_are_compared_exactly(scene: Scene) -> None:
+    count = scene.graph.topics.advertise("/count", "std_msgs/UInt64", "/gazebo", latch=True)
+    count.publish({"data": 2**60 + 1})
+    assert not scene.wait(topic="/count", field="", condition="equals", value=str(2**60)).done
+    assert scene.wait(topic="/count", field="", condition="equals", value=str(2**60 + 1)).done
 
 
 def test_true_is_not_1(scene: Scene) -> None:
