@@ -88,7 +88,7 @@ def arm(
         links.append(Link(f"link{i}", inertial, collisions=(shape,), surface=Surface(mu1=0.8)))
         origin = Pose((0.0, 0.06, 0.4 if i else 0.1 if free else 1.0), (0.0, 0.0, 0.3 * i))
         axis = (0.0, 1.0, 0.0) if i % 2 == 0 else (1.0, 0.0, 0.0)
-        limit = Limit(-reach, reach, 100.0, 10.0) if reach else None
+        limit = Limit(-reach, reach, 2.0, 10.0) if reach else None
         kind = "revolute" if reach else "continuous"
         made.append(Joint(f"joint{i}", kind, parent, f"link{i}", origin, axis, limit, damping, friction))
         parent = f"link{i}"
