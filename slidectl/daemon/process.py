@@ -9,7 +9,6 @@ from __future__ import annotations
 import gc
 import json
 import os
-import resource
 import signal
 import sys
 import time
@@ -74,11 +73,10 @@ def _settle_in(start: Start) -> None:
     with suppress(OSError):
         os.setsid()
     os.chdir("/")
-    keep = start.ready_fd
-    most = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-    os.closerange(3, most if keep is None else keep)
-    if keep is not None:
-        os.closerange(keep + 1, most)
+    for fd in map(int, os.listdir("/proc/self/fd")):
+        if fd > 2 and fd != start.ready_fd:
+            with suppress(OSError):
+                os.close(fd)
     with suppress(OSError), open("/proc/self/oom_score_adj", "w", encoding="ascii") as score:
         score.write(_OOM_SCORE)  # when memory runs out, the simulation goes rather than the user's session
 

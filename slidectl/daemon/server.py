@@ -57,7 +57,7 @@ class Server:
         self.busy = Busy()
         self.sessions: dict[Connection, Session] = {}
         self._listener = listener
-        self._most = min(MOST_CONNECTIONS, resource.getrlimit(resource.RLIMIT_NOFILE)[0] - _KEPT_DESCRIPTORS)
+        self._most = _room()
         self._loop = loop
         self._serial = 0
         self._listening = False
@@ -140,3 +140,11 @@ class Server:
     def _ended(self, connection: Connection) -> None:
         self.sessions.pop(connection, None)
         self._listen()
+
+
+def _room() -> int:
+    """How many connections there may be."""
+    limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    if limit == resource.RLIM_INFINITY:
+        return MOST_CONNECTIONS
+    return max(1, min(MOST_CONNECTIONS, limit - _KEPT_DESCRIPTORS))

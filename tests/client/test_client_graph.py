@@ -190,3 +190,13 @@ def test_refusals_that_nobody_reads_do_not_stop_the_sender(client: Client) -> No
         client.publish("/nowhere", {"data": "this is refused, and the refusal is longer than the question"})
     with pytest.raises(MessageRefused, match="/nowhere"):
         client.flush()
+
+
+def test_a_call_times_out_although_messages_keep_coming(client: Client, daemon: Runtime) -> None:
+    with daemon.client() as driver, client.subscribe("/clock"):
+        steps = driver.call_async("/slidectl/step", {"cycles": 10**9})
+        driver.flush()
+        with pytest.raises(TimedOut, match="did not answer"):
+            client.call("/slidectl/sleep", {"duration": 1e6}, timeout=0.05)
+        driver.call("/gazebo/pause_physics")  # gives the steps up
+        assert driver.answer(steps)["success"] is False
