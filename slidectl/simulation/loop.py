@@ -38,7 +38,7 @@ class Loop:
         """Raises Refused inside a cycle, where the action would pull the floor from under others."""
         if self.in_cycle:
             raise Refused(
-                f"cannot {action} in the middle of a control cycle", "do it after the cycle: timers.soon(...)"
+                f"cannot {action} in the middle of a control cycle", "do it after the cycle: graph.timers.soon(...)"
             )
 
     def after_cycle(self, callback: Callable[[], None]) -> None:

@@ -7,6 +7,7 @@ are the affair of whoever has one.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from slidectl import msgs, names
@@ -157,7 +158,8 @@ class Topics:
         entry.update()
         for publisher in tuple(entry.publishers):
             if publisher.last is not None:
-                callback(publisher.last)
+                with suppress(SlidectlError):  # who published it is not there to hear a refusal
+                    callback(publisher.last)
         return subscription
 
     def publish(self, topic: str, type_name: str | None, message: Any, node: str) -> None:

@@ -10,7 +10,7 @@ from sim_robots import cart, command, logged, running_cart, state
 
 from slidectl import msgs
 from slidectl.errors import Refused, SlidectlError, UnknownName
-from slidectl.physics import Diverged
+from slidectl.physics import Diverged, EngineError
 from slidectl.simulation import Pending, Simulation
 
 
@@ -243,6 +243,23 @@ def test_who_steps_directly_is_told_of_a_divergence_by_an_error(simulation: Simu
     break_physics(simulation, "bad")
     with pytest.raises(Diverged, match="'bad'"):
         simulation.step(1000)
+
+
+def test_a_step_that_mujoco_cannot_do_at_all_holds_the_world_too(
+    driven: Simulation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail() -> None:
+        raise EngineError("out of memory")
+
+    driven.resume()
+    lines = logged(driven)
+    monkeypatch.setattr(driven.world, "step", fail)
+    driven.step(10)
+    monkeypatch.undo()
+    assert driven.run.paused
+    assert ("fatal", "MuJoCo cannot go on: out of memory") in lines
+    driven.resume()
+    assert driven.step(10) == 10
 
 
 def test_a_time_step_must_be_above_0(simulation: Simulation) -> None:

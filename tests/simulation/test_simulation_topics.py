@@ -139,6 +139,13 @@ def test_a_publisher_inside_does_not_hear_refusals(topics: Topics) -> None:
     topics.advertise("/level", FLOAT, "/sim", kind=NodePublisher).publish({"data": 1.0})
 
 
+def test_a_latched_message_that_is_refused_does_not_keep_a_subscriber_out(topics: Topics) -> None:
+    publisher = topics.advertise("/level", FLOAT, "/client", latch=True)
+    publisher.publish({"data": 1.0})
+    topics.subscribe("/level", FLOAT, "/picky", refuse)
+    assert topics.subscribers("/level") == ["/picky"]
+
+
 def test_a_subscriber_may_leave_while_a_message_is_delivered(topics: Topics) -> None:
     heard: list[str] = []
     first = topics.subscribe("/level", FLOAT, "/first", lambda _: (heard.append("first"), first.close()))
