@@ -54,7 +54,7 @@ class WorldCore:
         """
         if name in self._bodies:
             raise Refused(f"a robot named {name!r} is in the world already", "give another name, or delete it first")
-        body = Body(name, robot, (finite(pose[0]), normalized(pose[1])))
+        body = Body(name, robot, (finite(pose[0]), normalized(finite4(pose[1]))))
         self._weigh(body)
         self._rebuild({**self._bodies, name: body})
         return body
