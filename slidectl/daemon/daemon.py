@@ -57,7 +57,6 @@ class Daemon:
     def run(self) -> None:
         """Turn until stopped: the cycles that are due and what they published, then the sockets and what they asked."""
         _wake_punctually()
-        gc.disable()
         self._log.write("info", f"slidectl {slidectl.__version__} answers on {self._start.paths.socket}")
         while not self._stopping:
             wait_s = self._cycles()
@@ -79,7 +78,7 @@ class Daemon:
             return 0.0
 
     def _tidy(self, wait_s: float | None) -> None:
-        """Collect garbage now and then; the loop runs without the collector, whose moment would be any."""
+        """Collect garbage now and then: the process runs without the collector, which would choose any moment."""
         now = time.monotonic()
         if now < self._next_tidy_s and wait_s is not None:
             return

@@ -106,12 +106,12 @@ def _run(start: Start, starter: Starter) -> int:
 
 def _serve(start: Start, listener: socket.socket, log: LogFile, ready: Callable[[], None]) -> None:
     began = time.monotonic()
+    gc.disable()  # what is imported stays; looking through it for garbage would only take time
     # MuJoCo's package looks for a way to draw when it is imported. Nothing is drawn here, and the search takes 30 ms.
     os.environ.setdefault("MUJOCO_GL", "disable")
     from slidectl.daemon.daemon import Daemon
 
     daemon = Daemon(start, listener, log, began)
-    gc.collect()
     gc.freeze()
     ready()
     daemon.run()
