@@ -32,7 +32,7 @@ HEADER = ["t", "command", "position", "velocity", "effort"]
 COMPARED = HEADER[2:]
 
 
-class Unreadable(Exception):  # noqa: N818 - it is the outcome, not a fault of this program
+class Unreadable(Exception):
     """A file that is missing, broken or of another format."""
 
 

@@ -55,13 +55,10 @@ class WorldCore:
         if name in self._bodies:
             raise Refused(f"a robot named {name!r} is in the world already", "give another name, or delete it first")
         body = Body(name, robot, (finite(pose[0]), normalized(finite4(pose[1]))))
-        self._weigh(body)
-        self._rebuild({**self._bodies, name: body})
+        alone = compile_world(self._settings, (body,), name)
+        body.bind(alone, None)
+        self._rebuild({**self._bodies, name: body}, None if self._bodies else alone)
         return body
-
-    def _weigh(self, body: Body) -> None:
-        """Compile the robot alone. That finds its errors, and what it weighs without the others."""
-        body.bind(compile_world(self._settings, (body,), body.name), None)
 
     def detach(self, name: str) -> None:
         """Take a robot out, with the forces on it. Raises UnknownName."""
@@ -84,8 +81,10 @@ class WorldCore:
         """Call back whenever `model`, `data` or `step` were replaced."""
         self._listeners.append(callback)
 
-    def _rebuild(self, bodies: dict[str, Body]) -> None:
-        model = compile_world(self._settings, bodies.values(), next(reversed(bodies), ""))
+    def _rebuild(self, bodies: dict[str, Body], model: Any = None) -> None:
+        """Go on with these robots; `model` is theirs when it is compiled already."""
+        if model is None:
+            model = compile_world(self._settings, bodies.values(), next(reversed(bodies), ""))
         states = {name: body.capture() for name, body in self._bodies.items() if name in bodies}
         self._bodies = bodies
         self._install(model, self.data.time)

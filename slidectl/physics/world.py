@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from slidectl.errors import Refused
+from slidectl.errors import Refused, listing
 from slidectl.physics.body import Body, RobotState
 from slidectl.physics.core import WorldCore, finite, finite4, number
 from slidectl.physics.forces import JointForce, Wrench
@@ -24,7 +24,7 @@ class Snapshot:
     """The whole state of a world at one moment, for the same robots again."""
 
     time: float
-    robots: dict[str, RobotState]
+    robots: dict[Body, RobotState]
     joint_forces: tuple[JointForce, ...]
     wrenches: tuple[Wrench, ...]
     motors: Asked
@@ -46,17 +46,17 @@ class World(WorldCore):
 
     def snapshot(self) -> Snapshot:
         """The state of this moment, for `restore`."""
-        robots = {name: body.capture() for name, body in self._bodies.items()}
+        robots = {body: body.capture() for body in self._bodies.values()}
         forces, motors = self.loads.forces, self.loads.motors.asked()
         return Snapshot(self.data.time, robots, tuple(forces.joint_forces), tuple(forces.wrenches), motors)
 
     def restore(self, snapshot: Snapshot) -> None:
         """Back to the moment of the snapshot, exactly. Raises Refused when other robots are in the world now."""
-        if snapshot.robots.keys() != self._bodies.keys():
-            raise Refused(f"the snapshot is of other robots: {', '.join(snapshot.robots) or 'none'}")
+        if list(snapshot.robots) != list(self._bodies.values()):
+            raise Refused(f"the snapshot is of other robots: {listing(body.name for body in snapshot.robots)}")
         self._mend()
-        for name, body in self._bodies.items():
-            body.put(snapshot.robots[name])
+        for body, state in snapshot.robots.items():
+            body.put(state)
         self.data.time = snapshot.time
         self.loads.forces.joint_forces, self.loads.forces.wrenches = (
             list(snapshot.joint_forces),

@@ -154,6 +154,12 @@ def test_a_snapshot_is_of_its_robots_only() -> None:
     world.attach(block(), "other", at(3.0, 0.0, 1.0))
     with pytest.raises(Refused, match="the snapshot is of other robots: subject"):
         world.restore(snapshot)
+    world.detach("other")
+    world.restore(snapshot)
+    world.detach("subject")
+    world.attach(block(), "subject")
+    with pytest.raises(Refused):
+        world.restore(snapshot)
 
 
 @pytest.mark.parametrize("subject", SUBJECTS)
