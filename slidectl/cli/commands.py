@@ -101,6 +101,7 @@ class Command(_Shared):
     def make_parser(self, ctx: click.Context) -> Any:
         """click's parser behind a door that marks values and spreads variadic options."""
         parser = super().make_parser(ctx)
+        _know_short_options(parser)
         inner = parser.parse_args
         params = self.get_params(ctx)
 
@@ -133,6 +134,16 @@ class Command(_Shared):
             else:
                 result.append(token)
         return result
+
+
+def _know_short_options(parser: Any) -> None:
+    """Save click a detour: it looks `-n` up as a long option first, and writes an error with suggestions when it fails.
+
+    That costs more than all the rest of parsing. Where click keeps its tables otherwise, the detour is taken.
+    """
+    long, short = getattr(parser, "_long_opt", None), getattr(parser, "_short_opt", None)
+    if isinstance(long, dict) and isinstance(short, dict):
+        long.update(short)
 
 
 def _end_of_values(option: Variadic, args: Sequence[str], start: int) -> int:

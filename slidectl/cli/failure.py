@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import select
 import sys
 from collections.abc import Callable
 
 import click
 
 from slidectl.cli.context import Context, paint
-from slidectl.cli.output import ClosedPipe
+from slidectl.cli.output import ClosedPipe, reader_has_gone
 from slidectl.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_REFUSED, EXIT_USAGE, NoDaemon, SlidectlError
 
 
@@ -25,7 +24,7 @@ def guard(action: Callable[[], None], context: Context) -> int:
     except (KeyboardInterrupt, click.Abort):
         return EXIT_INTERRUPTED
     except BrokenPipeError as error:
-        return EXIT_DONE if _reader_has_gone() else _report(NoDaemon(f"the connection broke: {error}"), context)
+        return EXIT_DONE if reader_has_gone() else _report(NoDaemon(f"the connection broke: {error}"), context)
     except Exception as error:
         return _report(error, context)
 
@@ -55,10 +54,3 @@ def describe(error: Exception) -> tuple[str, int]:
 
 def _where_to_look(error: click.UsageError) -> str:
     return f"\nsee '{error.ctx.command_path} --help'" if error.ctx is not None else ""
-
-
-def _reader_has_gone() -> bool:
-    poll = select.poll()
-    for stream in (sys.stdout, sys.stderr):
-        poll.register(stream.fileno(), 0)
-    return any(event & (select.POLLERR | select.POLLHUP) for _, event in poll.poll(0))

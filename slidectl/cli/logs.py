@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
 
+from slidectl.cli.output import watch_reader
 from slidectl.errors import Refused
 
 _LOOK_AGAIN_S = 0.1
@@ -23,6 +24,7 @@ def lines(path: Path, last: int | None, follow: bool) -> Iterator[str]:
         *whole, begun = file.read().split("\n")
         yield from whole if last is None else whole[max(0, len(whole) - last) :]
         if follow:
+            watch_reader()
             yield from _growing(file, path, begun)
         elif begun and last != 0:
             yield begun

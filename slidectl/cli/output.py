@@ -18,6 +18,8 @@ FORMATS = ("text", "json", "yaml", "csv")
 
 Record = Mapping[str, Any]
 
+_LOOK_EVERY_S = 0.2
+
 
 class ClosedPipe(Exception):
     """Whoever read our output has gone: end quietly."""
@@ -36,6 +38,31 @@ def write(text: str) -> None:
         raise ClosedPipe from None
     except OSError as error:
         raise Refused(f"cannot write the output: {error.strerror or error}") from None
+
+
+def reader_has_gone() -> bool:
+    """True when standard output or standard error is a pipe that nobody can read any more."""
+    import select
+
+    poll = select.poll()
+    for stream in (sys.stdout, sys.stderr):
+        poll.register(stream.fileno(), 0)
+    return any(event & (select.POLLERR | select.POLLHUP) for _, event in poll.poll(0))
+
+
+def watch_reader() -> None:
+    """From now on the command ends soon after its reader has gone, though it may have nothing to write for long.
+
+    For commands that follow something without end. Main thread only, as signals are.
+    """
+    import signal
+
+    def look(*_: Any) -> None:
+        if reader_has_gone():
+            raise ClosedPipe
+
+    signal.signal(signal.SIGALRM, look)
+    signal.setitimer(signal.ITIMER_REAL, _LOOK_EVERY_S, _LOOK_EVERY_S)
 
 
 def is_terminal(stream: TextIO) -> bool:

@@ -113,7 +113,7 @@ def _dumped(value: Any) -> str:
 )
 @click.argument("name", shell_complete=live.parameters)
 @click.argument("value", required=False)
-@click.option("-t", "--textfile", type=click.Path(), metavar="FILE", help="The text of a file as the value.")
+@click.option("-t", "--textfile", shell_complete=live.files, metavar="FILE", help="The text of a file as the value.")
 @click.pass_obj
 def set_parameter(ctx: Context, name: str, value: str | None, textfile: str | None) -> None:
     """Set a parameter.
@@ -187,7 +187,7 @@ def delete(ctx: Context, name: str) -> None:
 
 
 @param.command("load", examples=["slidectl param load config/slider_control.yaml", "slidectl param load - /slider"])
-@click.argument("file", type=click.Path())
+@click.argument("file", shell_complete=live.files)
 @click.argument("namespace", required=False, shell_complete=live.parameters)
 @click.pass_obj
 def load(ctx: Context, file: str, namespace: str | None) -> None:
@@ -224,7 +224,7 @@ def _tree(ctx: Context, text: str, file: str, may_be_list: bool) -> Any:
 
 
 @param.command("dump", examples=["slidectl param dump", "slidectl param dump slider.yaml /slider"])
-@click.argument("file", required=False, type=click.Path())
+@click.argument("file", required=False, shell_complete=live.files)
 @click.argument("namespace", required=False, shell_complete=live.parameters)
 @click.pass_obj
 def dump(ctx: Context, file: str | None, namespace: str | None) -> None:

@@ -53,7 +53,7 @@ def _complete(click_context: click.Context, param: click.Parameter, incomplete: 
 )
 @click.option("-n", "count", type=click.IntRange(min=1), metavar="COUNT", help="So many messages.")
 @click.option("--latch", is_flag=True, help="Keep the last message for those who come later; stays until Ctrl-C.")
-@click.option("-f", "--file", type=click.Path(), metavar="FILE", help="Values from a YAML or JSON lines file.")
+@click.option("-f", "--file", shell_complete=live.files, metavar="FILE", help="Values from a YAML or JSON lines file.")
 @click.option("--stdin", is_flag=True, help="Values from stdin: YAML documents or JSON lines.")
 @click.option("--allow-unheard", is_flag=True, help="Publish although nobody subscribes.")
 @click.pass_obj
@@ -82,13 +82,12 @@ def pub(
         once, words = True, words[1:]
     _check_options(words, once, rate, file, stdin)
     name, *given = words
-    target, given = _target(ctx, name, given, allow_unheard, file is not None or stdin)
-    given, marked = _without_once(given, len(target.typedefs[0]["fieldnames"]))
+    from_elsewhere = file is not None or stdin
+    target, given = _target(ctx, name, given, allow_unheard, from_elsewhere)
+    given, marked = _without_once(given, 0 if from_elsewhere else len(target.typedefs[0]["fieldnames"]))
     once = once or marked
     _check_options(words, once, rate, file, stdin)
-    sources = (
-        _from_documents(target, file, rate) if file is not None or stdin else _from_words(target, given, rate, count)
-    )
+    sources = _from_documents(target, file, rate) if from_elsewhere else _from_words(target, given, rate, count)
     run = Publication(ctx, target, rate, latch=latch, advertise=allow_unheard or latch)
     with run:
         run.publish(islice(sources, 1 if once else count))

@@ -13,6 +13,7 @@ from time import monotonic
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from slidectl.cli.output import watch_reader
 from slidectl.errors import Refused
 
 if TYPE_CHECKING:
@@ -48,6 +49,7 @@ class Stream:
         self.ended = False
 
     def __enter__(self) -> Stream:
+        watch_reader()
         if self._with_clock:
             self.time_ns = nanoseconds(self._client.call("/rosapi/get_time")["time"])
         if self._with_clock and CLOCK not in self._topics:

@@ -65,6 +65,7 @@ def test_version_is_said_in_every_way(slidectl: CommandLine) -> None:
 @command("probe", examples=[])
 @click.argument("words", nargs=-1)
 @click.option("-1", "--once", is_flag=True)
+@click.option("-n", "--count", type=int)
 @click.option("--near", type=float)
 @click.option("--start", cls=Variadic)
 @click.option("--at", cls=Variadic, type=float, takes=looks_like_number)
@@ -91,6 +92,11 @@ def test_an_option_that_looks_like_a_number_stays_an_option() -> None:
 def test_the_value_of_an_option_may_be_negative() -> None:
     assert parsed("--near", "-0.5") == {"near": -0.5}
     assert parsed("--near=-0.5") == {"near": -0.5}
+
+
+@pytest.mark.parametrize("words", [("-n", "5"), ("-n5",), ("-n=5",), ("--count", "5"), ("--count=5",), ("-1n", "5")])
+def test_short_and_long_options_may_be_written_in_every_usual_way(words: tuple[str, ...]) -> None:
+    assert parsed(*words)["count"] == 5
 
 
 def test_what_is_no_number_and_no_option_is_refused() -> None:

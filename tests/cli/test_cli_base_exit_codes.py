@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
+from pathlib import Path
 
 import pytest
 from command_line import CommandLine
@@ -112,6 +113,20 @@ def test_a_closed_pipe_ends_quietly(slidectl: CommandLine, fake: FakeDaemon) -> 
     )
     os.close(writer)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_command_that_follows_ends_when_its_reader_has_gone(slidectl: CommandLine, tmp_path: Path) -> None:
+    folder = tmp_path / "slidectl" / "default"
+    folder.mkdir(mode=0o700, parents=True)
+    (folder / "log").write_text("only line\n")
+    process = slidectl.start("daemon", "logs", "-f")
+    assert process.stdout is not None
+    assert process.stdout.readline() == "only line\n"
+    process.stdout.close()
+    assert process.wait(30) == 0
+    assert process.stderr is not None
+    assert process.stderr.read() == ""
+    process.stderr.close()
 
 
 def test_a_full_disk_is_an_error(slidectl: CommandLine) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -112,6 +113,35 @@ def test_an_everyday_command_imports_only_what_is_allowed(
     assert foreign(loaded) <= ALLOWED
     rooms = {name.split(".")[1] for name in loaded if name.startswith("slidectl.")}
     assert rooms <= {"cli", "client", "errors", "names", "paths"}
+
+
+@pytest.fixture
+def moving(world: CommandLine) -> Iterator[CommandLine]:
+    """A real daemon with a slider under control, time running."""
+    controllers = ("joint_state_controller", "joint1_position_controller")
+    world.ok("spawn", "slider", "--controllers", "config/slider_control.yaml", "--start", *controllers)
+    world.ok("sim", "resume")
+    yield world
+    world.ok("sim", "pause")
+    world.ok("delete", "slider")
+
+
+HEADLINES = [
+    ("pub", "command", "1.0"),
+    ("pub", "/slider/joint1_position_controller/command", "std_msgs/Float64", "data: 1.0"),
+    ("echo", "joint_states", "-n", "1"),
+    ("service", "call", "list_controllers"),
+    ("topic", "list"),
+]
+
+
+@pytest.mark.parametrize("words", HEADLINES, ids=" ".join)
+def test_a_command_of_the_tutorial_imports_only_what_is_allowed(
+    moving: CommandLine, tmp_path: Path, words: tuple[str, ...]
+) -> None:
+    loaded = modules(moving, tmp_path, *words)
+    assert foreign(loaded) <= ALLOWED | {"signal", "binascii"}
+    assert not {name for name in loaded if name.startswith(("slidectl.description", "slidectl.daemon"))}
 
 
 def test_the_help_imports_no_command_and_no_client(slidectl: CommandLine, tmp_path: Path) -> None:
