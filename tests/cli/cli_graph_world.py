@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -30,6 +31,15 @@ class World:
         self.slidectl.ok(
             "spawn", "slider", "-n", name, "--controllers", "config/slider_control.yaml", "--start", *CONTROLLERS
         )
+
+    @contextmanager
+    def running(self, *words: str) -> Iterator[subprocess.Popen[str]]:
+        """A command that goes on until it is ended; killed when the test is over."""
+        with self.slidectl.start(*words) as process:
+            try:
+                yield process
+            finally:
+                process.kill()
 
     def latch(self, topic: str, type_name: str, message: dict[str, Any]) -> None:
         """Publish a message that stays for those who come later."""

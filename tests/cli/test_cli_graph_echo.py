@@ -148,7 +148,7 @@ def test_silence_for_longer_than_the_timeout_is_exit_code_4(world: World) -> Non
 
 
 def test_every_message_is_flushed_and_ctrl_c_is_exit_code_130(world: World) -> None:
-    with world.slidectl.start("echo", "joint_states/position[0]") as process:
+    with world.running("echo", "joint_states/position[0]") as process:
         assert process.stdout is not None
         assert process.stdout.readline().strip().replace(".", "").lstrip("-")[0].isdigit()
         process.send_signal(signal.SIGINT)
@@ -177,7 +177,7 @@ def test_a_name_that_fits_two_robots_is_exit_code_2_and_lists_both() -> None:
 
 def test_when_the_daemon_dies_what_came_before_is_printed_and_the_exit_code_is_3() -> None:
     with slider_world() as world:
-        with world.slidectl.start("echo", "joint_states/position[0]", "--json") as process:
+        with world.running("echo", "joint_states/position[0]", "--json") as process:
             assert process.stdout is not None
             first = process.stdout.readline()
             assert world.daemon.pid is not None
@@ -192,7 +192,7 @@ def test_messages_that_came_too_fast_are_counted_on_stderr() -> None:
     cycles = 60_000
     with running_daemon(paused=True) as daemon, daemon.client(timeout=60) as client:
         world = World(daemon, client)
-        with world.slidectl.start("echo", "/clock", "--for", str(cycles / 1000), "--json") as process:
+        with world.running("echo", "/clock", "--for", str(cycles / 1000), "--json") as process:
             world.until(lambda: world.has_subscriber("/clock"))
             client.call("/slidectl/step", {"cycles": cycles})
             output, errors = process.communicate(timeout=60)
