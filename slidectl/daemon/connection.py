@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol
 
 from slidectl.client.lines import BadLine, LineBuffer
-from slidectl.daemon.loop import HANG_UP, READ, WRITE, EventLoop
+from slidectl.daemon.loop import HANG_UP, ONCE, READ, WRITE, EventLoop
 from slidectl.daemon.outbox import Outbox, Share
 
 if TYPE_CHECKING:
@@ -69,9 +69,10 @@ class Connection:
         self._blocked = False  # the kernel takes no more for now
         self._ended = False  # no more will be read
         self._deaf = False  # the client takes no more, ever
-        self._events = READ
+        self._readable = True  # the kernel may have something for us
+        self._waits_to_write = False
         self.open = True
-        loop.watch(self._fd, READ, self._ready)
+        loop.watch(self._fd, READ | ONCE, self._ready)
 
     # --- in -----------------------------------------------------------------------------------------------------
 
@@ -87,19 +88,39 @@ class Connection:
             self.close()
 
     def _take_events(self, events: int) -> None:
-        if events & READ:
-            self._receive()
-        elif events & HANG_UP and not self._incoming.lines:  # what it said before it went is still carried out
-            self.close()
+        self._readable = True
+        if events & HANG_UP:
+            self._stop_sending()
+        self._serve_some()  # also what it said before it hung up
         if events & WRITE and self.open:
             self._blocked = False
             self._send_some()
 
-    def _receive(self) -> None:
+    def serve(self) -> None:
+        """Go on with what was left over. There is a limit to each turn, so that no client holds up the world."""
+        self._safely(self._serve_some)
+
+    def _serve_some(self) -> None:
+        lines = self._incoming.lines
+        for _ in range(_LINES_A_TURN):
+            if lines:
+                self._receiver.take(lines.popleft())
+            elif not self._receive():
+                break
+        if self._failure is not None and not lines:
+            failure, self._failure = self._failure, None
+            self._receiver.refuse(failure)
+        self._settle()
+
+    def _receive(self) -> bool:
+        """Read a piece. False when there is none to be had."""
+        if not self._listening():
+            return False
         try:
             data = self._socket.recv(_CHUNK)
         except BlockingIOError:
-            return
+            self._readable = False
+            return False
         except OSError:
             data = b""
         try:
@@ -109,27 +130,16 @@ class Connection:
         except BadLine as error:
             self._failure = error
             self._ended = True
-        self._serve_some()
+        return not self._ended
+
+    def _listening(self) -> bool:
+        # A client that does not take its answers is not listened to until it does: that bounds what we keep for it.
+        return self._readable and not self._ended and self._outbox.unbounded < _MOST_UNREAD
 
     def _end_of_input(self) -> None:
         self._ended = True
         if self._incoming.unfinished:
             raise BadLine(f"a line that was cut off after {self._incoming.unfinished} bytes")
-
-    def serve(self) -> None:
-        """Hand some of the lines on. The rest comes after the next cycles: no client holds up the world."""
-        self._safely(self._serve_some)
-
-    def _serve_some(self) -> None:
-        lines = self._incoming.lines
-        for _ in range(min(len(lines), _LINES_A_TURN)):
-            self._receiver.take(lines.popleft())
-        if lines:
-            self._busy.with_lines.add(self)
-        elif self._failure is not None:
-            failure, self._failure = self._failure, None
-            self._receiver.refuse(failure)
-        self._settle()
 
     # --- out ----------------------------------------------------------------------------------------------------
 
@@ -139,7 +149,7 @@ class Connection:
             return
         self._outbox.put(line)
         if not self._blocked:
-            self._busy.with_output.add(self)
+            self._busy.with_output[self] = None
 
     def post(self, share: Share, line: bytes) -> None:
         """A message of a subscription; older ones of its share make room when the client does not read."""
@@ -147,7 +157,7 @@ class Connection:
             return
         self._outbox.put_in(share, line)
         if not self._blocked:
-            self._busy.with_output.add(self)
+            self._busy.with_output[self] = None
 
     def forget(self, share: Share) -> None:
         """The subscription ended: what it has waiting is not sent."""
@@ -187,13 +197,12 @@ class Connection:
         if not self.open:
             return
         if unsent and not self._blocked:
-            self._busy.with_output.add(self)
-        # A client that does not take its answers is not listened to until it does: that bounds what we keep for it.
-        listening = not self._ended and not lines and self._outbox.unbounded < _MOST_UNREAD
-        events = (READ if listening else 0) | (WRITE if self._blocked else 0)
-        if events != self._events:
-            self._events = events
-            self._loop.change(self._fd, events)
+            self._busy.with_output[self] = None
+        if lines or self._listening():
+            self._busy.with_input[self] = None
+        if self._blocked != self._waits_to_write:
+            self._waits_to_write = self._blocked
+            self._loop.change(self._fd, READ | ONCE | (WRITE if self._blocked else 0))
 
     def close(self) -> None:
         """End it now; the session takes back all that the client had."""

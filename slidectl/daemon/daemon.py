@@ -60,10 +60,11 @@ class Daemon:
         self._log.write("info", f"slidectl {slidectl.__version__} answers on {self._start.paths.socket}")
         while not self._stopping:
             wait_s = self._cycles()
+            self._server.serve()
             self._server.flush()
             self._tidy(wait_s)
             self._loop.poll(0.0 if self._server.busy else wait_s)
-            self._server.serve()
+            self._server.flush()
         self._end()
 
     def _cycles(self) -> float | None:

@@ -26,19 +26,19 @@ _ACCEPTED_A_TURN = 16
 
 
 class Busy:
-    """Connections that have more to do before the loop may wait."""
+    """Connections that have more to do before the loop may wait, in order."""
 
     def __init__(self) -> None:
-        self.with_lines: set[Connection] = set()
-        self.with_output: set[Connection] = set()
+        self.with_input: dict[Connection, None] = {}
+        self.with_output: dict[Connection, None] = {}
 
     def __bool__(self) -> bool:
-        return bool(self.with_lines or self.with_output)
+        return bool(self.with_input or self.with_output)
 
     def forget(self, connection: Connection) -> None:
         """It was closed."""
-        self.with_lines.discard(connection)
-        self.with_output.discard(connection)
+        self.with_input.pop(connection, None)
+        self.with_output.pop(connection, None)
 
 
 class Server:
@@ -64,17 +64,16 @@ class Server:
         self._listen()
 
     def serve(self) -> None:
-        """Lines that were left over from an earlier turn, then all answers."""
-        if self.busy.with_lines:
-            connections, self.busy.with_lines = self.busy.with_lines, set()
+        """Go on with those who said more than one turn allows; they come before what has arrived since."""
+        if self.busy.with_input:
+            connections, self.busy.with_input = self.busy.with_input, {}
             for connection in connections:
                 connection.serve()
-        self.flush()
 
     def flush(self) -> None:
         """Send what the clients take."""
         if self.busy.with_output:
-            connections, self.busy.with_output = self.busy.with_output, set()
+            connections, self.busy.with_output = self.busy.with_output, {}
             for connection in connections:
                 connection.flush()
 
