@@ -136,9 +136,9 @@ def as_rich_table(rows: Sequence[Sequence[str]], header: Sequence[str], colour: 
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, header_style="bold")
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0), header_style="bold")
     for index, name in enumerate(header):
-        table.add_column(name, style="cyan" if index == 0 else "")
+        table.add_column(name, style="cyan" if index == 0 else "", overflow="fold")
     for row in rows:
         table.add_row(*(Text(text) for text in row))
     buffer = io.StringIO()

@@ -58,3 +58,22 @@ class CommandLine:
             text=True,
             env={**self.environment, **environment},
         )
+
+    def on_a_terminal(self, *words: str, **environment: str) -> bytes:
+        """What it writes when its standard streams are a terminal. NO_COLOR counts only when it is given here."""
+        master, slave = os.openpty()
+        kept = {key: value for key, value in self.environment.items() if key != "NO_COLOR"}
+        env = {**kept, "TERM": "xterm", **environment}
+        process = subprocess.Popen(self.argv(*words), stdin=slave, stdout=slave, stderr=slave, env=env, cwd=ROOT)
+        os.close(slave)
+        output = b"".join(iter(lambda: _read(master), b""))
+        process.wait(30)
+        os.close(master)
+        return output
+
+
+def _read(terminal: int) -> bytes:
+    try:
+        return os.read(terminal, 4096)
+    except OSError:  # the last process that had the terminal open has ended
+        return b""

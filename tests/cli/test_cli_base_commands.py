@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import re
-import subprocess
 from collections.abc import Iterator
 
 import click
@@ -145,27 +143,6 @@ def test_a_table_in_a_pipe_is_plain(slidectl: CommandLine) -> None:
 
 
 def test_errors_are_coloured_on_a_terminal_unless_no_color_is_set(slidectl: CommandLine) -> None:
-    assert b"\x1b[31m" in on_a_terminal(slidectl, "robots")
-    assert b"\x1b" not in on_a_terminal(slidectl, "robots", NO_COLOR="1")
-    assert b"\x1b" not in on_a_terminal(slidectl, "robots", TERM="dumb")
-
-
-def on_a_terminal(slidectl: CommandLine, *words: str, **environment: str) -> bytes:
-    """What the command writes when its standard streams are a terminal."""
-    master, slave = os.openpty()
-    env = {"TERM": "xterm", **slidectl.environment, **environment}
-    env.pop("NO_COLOR", None) if "NO_COLOR" not in environment else None
-    process = subprocess.Popen(slidectl.argv(*words), stdin=slave, stdout=slave, stderr=slave, env=env)
-    os.close(slave)
-    output = b""
-    while True:
-        try:
-            chunk = os.read(master, 4096)
-        except OSError:  # the last process that held the terminal has ended
-            break
-        if not chunk:
-            break
-        output += chunk
-    process.wait(30)
-    os.close(master)
-    return output
+    assert b"\x1b[31m" in slidectl.on_a_terminal("robots")
+    assert b"\x1b" not in slidectl.on_a_terminal("robots", NO_COLOR="1")
+    assert b"\x1b" not in slidectl.on_a_terminal("robots", TERM="dumb")

@@ -72,6 +72,16 @@ def test_one_robot_is_shown_with_its_joints_in_every_format(world: CommandLine) 
     assert any(row.startswith("joint1,prismatic,hardware_interface/EffortJointInterface,0.0,") for row in rows)
 
 
+def test_a_table_on_a_terminal_is_coloured_and_complete(world: CommandLine) -> None:
+    world.ok("spawn", "slider", "-n", "a_robot_with_a_name_that_is_longer_than_a_terminal_is_wide_" + 60 * "Z")
+    shown = world.on_a_terminal("robots")
+    assert b"\x1b[36m" in shown
+    assert shown.count(b"Z") == 2 * 60
+    assert b"\x1b[36m" not in world.on_a_terminal("robots", NO_COLOR="1")
+    assert b"\x1b" not in world.on_a_terminal("robots", TERM="dumb")
+    assert b"\x1b" not in world.on_a_terminal("robots", "--json")
+
+
 def test_an_empty_world_lists_nothing_on_stdout(world: CommandLine) -> None:
     done = world("robots")
     assert (done.returncode, done.stdout) == (0, "")
