@@ -1,0 +1,190 @@
+"""`slidectl param` at a real daemon: the semantics of rosparam."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+from cli_graph_world import World, slider_world
+
+PID = "/slider/joint1_position_controller/pid"
+
+
+@pytest.fixture(scope="module")
+def world() -> Iterator[World]:
+    with slider_world() as made:
+        yield made
+
+
+@pytest.mark.parametrize(
+    ("value", "printed"),
+    [
+        ("1", "1\n"),
+        ("1.5", "1.5\n"),
+        ("-0.5", "-0.5\n"),
+        ("-5", "-5\n"),
+        ("1e-3", "0.001\n"),
+        ("1.0e-9", "1.0e-09\n"),
+        ("hello", "hello\n"),
+        ("two words", "two words\n"),
+        ("pkg/Type", "pkg/Type\n"),
+        ("", "''\n"),
+        ("true", "true\n"),
+        ("off", "false\n"),
+        ('"1"', "'1'\n"),
+        ("3000000000", "3000000000\n"),
+        ("deg(90)", "1.5707963267948966\n"),
+        ("rad(pi/2)", "1.5707963267948966\n"),
+        ("[1, 2.0, x]", "- 1\n- 2.0\n- x\n\n"),
+        ("{p: 1.0, nested: {x: deg(180)}}", "nested:\n  x: 3.141592653589793\np: 1.0\n\n"),
+    ],
+)
+def test_what_is_set_is_got_as_rosparam_prints_it(world: World, value: str, printed: str) -> None:
+    world.slidectl.ok("param", "set", "/set/value", "0")
+    assert world.slidectl.ok("param", "set", "/set/value", value) == ""
+    assert world.slidectl.ok("param", "get", "/set/value") == printed
+
+
+def test_a_mapping_is_merged_and_all_else_replaces(world: World) -> None:
+    world.slidectl.ok("param", "set", "/merged", "{p: 1.0, i: 0.1, nested: {x: 2}}")
+    world.slidectl.ok("param", "set", "/merged", "{d: 0.01, nested: {y: 3}}")
+    assert json.loads(world.slidectl.ok("param", "get", "/merged", "--json"))["value"] == {
+        "p": 1.0, "i": 0.1, "nested": {"x": 2, "y": 3}, "d": 0.01,
+    }  # fmt: skip
+    world.slidectl.ok("param", "set", "/merged", "1")
+    assert world.slidectl.ok("param", "get", "/merged") == "1\n"
+    world.slidectl.ok("param", "set", "/merged/b", "2")
+    assert world.slidectl.ok("param", "get", "/merged") == "b: 2\n\n"
+
+
+def test_a_gain_of_a_running_controller_is_found_by_the_end_of_its_name(world: World) -> None:
+    done = world.slidectl("param", "set", "pid/p", "150")
+    assert (done.returncode, done.stderr) == (0, f"set {PID}/p\n")
+    assert float(world.slidectl.ok("param", "get", "joint1_position_controller/pid/p")) == 150.0
+    state = json.loads(world.slidectl.ok("echo", "joint1_position_controller/state", "-n", "1", "--json"))
+    assert state["p"] == 150.0
+
+
+def test_a_relative_name_that_does_not_exist_is_set_in_the_namespace(world: World) -> None:
+    world.slidectl.ok("--ns", "/left", "param", "set", "fresh_name", "1")
+    assert world.slidectl.ok("param", "get", "/left/fresh_name") == "1\n"
+
+
+def test_the_text_of_a_file_can_be_a_value(world: World, tmp_path: Path) -> None:
+    (tmp_path / "text").write_text("data: 3.25\n")
+    world.slidectl.ok("param", "set", "/text", "-t", str(tmp_path / "text"))
+    assert world.slidectl.ok("param", "get", "/text") == "'data: 3.25\n\n  '\n"
+
+
+def test_an_element_of_a_list_is_got_by_its_index(world: World) -> None:
+    world.slidectl.ok("param", "set", "/numbers", "[1, [2, 3]]")
+    assert world.slidectl.ok("param", "get", "/numbers[0]") == "1\n"
+    assert world.slidectl.ok("param", "get", "/numbers[-1][0]") == "2\n"
+    assert "has no element [5]: it has 2" in world.slidectl("param", "get", "/numbers[5]").stderr
+
+
+def test_a_default_stands_for_what_is_not_set(world: World) -> None:
+    assert world.slidectl.ok("param", "get", "/not/set", "--default", "7.5") == "7.5\n"
+
+
+def test_list_prints_the_leaves_below_a_namespace(world: World) -> None:
+    world.slidectl.ok("param", "set", "/listed", "{b: 1, a: {x: 2}}")
+    assert world.slidectl.ok("param", "list", "/listed") == "/listed/a/x\n/listed/b\n"
+    assert world.slidectl.ok("param", "list", "/listed/b") == ""
+    assert "/listed/b" in world.slidectl.ok("param", "list").splitlines()
+    assert world.slidectl.ok("param", "list", "/listed/a", "--json") == '{"parameter": "/listed/a/x"}\n'
+
+
+def test_delete_takes_a_parameter_or_a_namespace_away(world: World) -> None:
+    world.slidectl.ok("param", "set", "/doomed", "{a: 1, b: {c: 2}}")
+    assert world.slidectl.ok("param", "delete", "/doomed/b") == ""
+    assert world.slidectl.ok("param", "get", "/doomed") == "a: 1\n\n"
+    world.slidectl.ok("param", "delete", "/doomed")
+    assert world.slidectl("param", "get", "/doomed").returncode == 1
+
+
+def test_load_takes_all_documents_and_their_namespaces(world: World, tmp_path: Path) -> None:
+    file = tmp_path / "p.yaml"
+    file.write_text(
+        "controller:\n  type: position_controllers/JointPositionController\n  limits: [-0.5, 0.5]\n"
+        "  offset: deg(45)\n---\nb: 2\n---\n_ns: inner\na: 1\n"
+    )
+    assert world.slidectl.ok("param", "load", str(file), "/loaded") == ""
+    assert world.slidectl.ok("param", "dump", "-", "/loaded") == (
+        "b: 2\ncontroller:\n  limits:\n  - -0.5\n  - 0.5\n  offset: 0.7853981633974483\n"
+        "  type: position_controllers/JointPositionController\ninner:\n  a: 1\n"
+    )
+
+
+def test_load_reads_stdin_and_a_list_with_a_name(world: World) -> None:
+    world.slidectl.ok("param", "set", "/piped/kept", "1")
+    assert world.slidectl("param", "load", "-", "/piped", stdin="k: 1\n").returncode == 0
+    assert world.slidectl.ok("param", "get", "/piped") == "k: 1\nkept: 1\n\n"
+    assert world.slidectl("param", "load", "-", "/piped_list", stdin="[1, 2]\n").returncode == 0
+    assert world.slidectl.ok("param", "get", "/piped_list") == "- 1\n- 2\n\n"
+
+
+def test_load_warns_of_a_name_that_is_there_twice(world: World) -> None:
+    done = world.slidectl("param", "load", "-", "/twice", stdin="a: 1\na: 2\n")
+    assert done.returncode == 0
+    assert "stdin:2: a is there twice" in done.stderr
+    assert world.slidectl.ok("param", "get", "/twice/a") == "2\n"
+
+
+def test_dump_writes_a_file_that_load_reads_back(world: World, tmp_path: Path) -> None:
+    file = tmp_path / "slider.yaml"
+    assert world.slidectl.ok("param", "dump", str(file), PID) == ""
+    dumped = yaml.safe_load(file.read_text())
+    assert {"p", "i", "d", "i_clamp_min"} <= set(dumped)
+    world.slidectl.ok("param", "load", str(file), "/again")
+    assert json.loads(world.slidectl.ok("param", "get", "/again", "--json"))["value"] == dumped
+    assert json.loads(world.slidectl.ok("param", "dump", "--json"))["again"] == dumped
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["get", "/nope"], 1, "no parameter '/nope'"),
+        (["get", "joint1_position_controler/pid/p"], 1, "Did you mean '" + PID + "/p'?"),
+        (["delete", "/nope"], 1, "no parameter '/nope'"),
+        (["dump", "-", "/nope"], 1, "no parameter '/nope'"),
+        (["get", "type"], 2, "fits more than one parameter"),
+        (["set", "/x", "null"], 2, "null is no value of a parameter"),
+        (["set", "/x", "2020-01-01"], 2, "is a date to YAML"),
+        (["set", "/x", "{1: 2}"], 2, "the key 1"),
+        (["set", "/x", "a: [1"], 2, "not valid YAML"),
+        (["set", "/x", ".inf"], 2, "parameters hold finite numbers"),
+        (["set", "/x", "deg(banana)"], 2, "no name 'banana'"),
+        (["set", "/bad name", "1"], 2, "is not a legal name"),
+        (["set", "/x"], 2, "give a VALUE or -t FILE"),
+        (["set", "/x", "-t", "/no/file"], 2, "/no/file: No such file"),
+        (["set"], 2, "Missing argument"),
+        (["set", "/x", "1", "2"], 2, "unexpected extra argument"),
+        (["load", "/no/file.yaml"], 2, "/no/file.yaml: No such file"),
+        (["dump", "/no/folder/x.yaml"], 2, "cannot be written"),
+        (["bogus"], 2, "no command 'bogus'"),
+    ],
+)
+def test_errors_say_what_is_wrong(world: World, words: list[str], code: int, said: str) -> None:
+    done = world.slidectl("param", *words)
+    assert done.returncode == code, done.stderr
+    assert said in done.stderr
+    assert done.stdout == ""
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [("a: [1\n", "stdin:"), ("5\n", "stdin:1: expected names with values"), ("a: 2020-01-01\n", "stdin:1:")],
+)
+def test_a_broken_file_is_named_with_its_line_and_sets_nothing(world: World, text: str, said: str) -> None:
+    done = world.slidectl("param", "load", "-", "/broken", stdin=text)
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert world.slidectl("param", "get", "/broken").returncode == 1
+
+
+def test_no_daemon_is_exit_code_3(world: World) -> None:
+    assert world.slidectl("-i", "nowhere", "param", "get", "/x").returncode == 3

@@ -1,0 +1,193 @@
+"""Frames, transforms between them, and `slidectl tf` at a real daemon."""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from cli_graph_world import World, slider_world
+from daemon_fixture import running_daemon
+from hypothesis import given
+from hypothesis import strategies as st
+
+from slidectl.cli.frames import Frames, Pose, Quaternion, compose, inverse, normalised, roll_pitch_yaw
+from slidectl.errors import Refused, UnknownName
+
+TURN = (0.0, 0.0, math.sin(math.pi / 12), math.cos(math.pi / 12))
+
+
+def stamped(parent: str, child: str, xyz: tuple[float, float, float], q: Quaternion, secs: int = 0) -> dict[str, Any]:
+    return {
+        "header": {"seq": 0, "stamp": {"secs": secs, "nsecs": 0}, "frame_id": parent},
+        "child_frame_id": child,
+        "transform": {
+            "translation": dict(zip("xyz", xyz, strict=True)),
+            "rotation": dict(zip("xyzw", q, strict=True)),
+        },
+    }
+
+
+@pytest.fixture
+def frames() -> Frames:
+    made = Frames()
+    made.add({"transforms": [stamped("world", "base", (0, 0, 0.1), (0, 0, 0, 1))]}, is_static=True)
+    made.add({"transforms": [stamped("base", "slider", (0.25, 0, 0), TURN, 7)]}, is_static=False)
+    made.add({"transforms": [stamped("/elsewhere", "/alone", (1, 0, 0), (0, 0, 0, 0))]}, is_static=True)
+    return made
+
+
+def test_a_pose_is_that_of_the_second_frame_in_the_first(frames: Frames) -> None:
+    view = frames.look_up("world", "slider")
+    assert view.pose.translation == pytest.approx((0.25, 0.0, 0.1))
+    assert view.pose.rotation == pytest.approx(TURN)
+    assert view.time_ns == 7 * 10**9
+
+
+def test_the_way_back_is_the_inverse(frames: Frames) -> None:
+    view = frames.look_up("slider", "base")
+    assert view.pose.translation == pytest.approx((-0.2165063509, 0.125, 0.0))
+    assert roll_pitch_yaw(view.pose.rotation) == pytest.approx((0.0, 0.0, -math.pi / 6))
+
+
+def test_static_ways_have_no_time_and_a_frame_is_at_itself(frames: Frames) -> None:
+    assert frames.look_up("world", "base").time_ns is None
+    assert frames.look_up("slider", "slider").pose == Pose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+
+
+def test_frames_of_two_trees_are_not_connected(frames: Frames) -> None:
+    with pytest.raises(Refused, match="world and alone are not connected"):
+        frames.look_up("world", "alone")
+
+
+def test_an_unknown_frame_lists_the_known_ones(frames: Frames) -> None:
+    with pytest.raises(UnknownName, match="frames: alone, base, elsewhere, slider, world"):
+        frames.look_up("world", "nope")
+
+
+def test_a_ring_of_frames_ends(frames: Frames) -> None:
+    frames.add({"transforms": [stamped("slider", "world", (0, 0, 0), (0, 0, 0, 1))]}, is_static=True)
+    assert not frames.are_connected("world", "alone")
+
+
+numbers = st.floats(-10, 10)
+poses = st.builds(
+    lambda t, q: Pose(t, normalised(q)),
+    st.tuples(numbers, numbers, numbers),
+    st.tuples(numbers, numbers, numbers, numbers),
+)
+
+
+@given(poses)
+def test_a_pose_and_its_inverse_cancel(pose: Pose) -> None:
+    x, y, z, w = compose(pose, inverse(pose)).rotation
+    assert compose(pose, inverse(pose)).translation == pytest.approx((0, 0, 0), abs=1e-9)
+    assert (x, y, z, abs(w)) == pytest.approx((0, 0, 0, 1), abs=1e-9)
+
+
+@given(poses)
+def test_angles_make_the_same_rotation_again(pose: Pose) -> None:
+    roll, pitch, yaw = (angle / 2 for angle in roll_pitch_yaw(pose.rotation))
+    about = [(1, 0, 0, roll), (0, 1, 0, pitch), (0, 0, 1, yaw)]
+    turns = [Pose((0, 0, 0), (x * math.sin(h), y * math.sin(h), z * math.sin(h), math.cos(h))) for x, y, z, h in about]
+    again = compose(compose(turns[2], turns[1]), turns[0]).rotation
+    assert abs(sum(a * b for a, b in zip(again, pose.rotation, strict=True))) == pytest.approx(1.0, abs=1e-9)
+
+
+# --- the commands ---------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def world() -> Iterator[World]:
+    with slider_world() as made:
+        yield made
+
+
+def test_echo_prints_the_block_of_tf_echo_once(world: World) -> None:
+    lines = world.slidectl.ok("tf", "echo", "world", "base_link").splitlines()
+    assert lines[0].startswith("At time ")
+    assert lines[1].startswith("- Translation: [0.000, 0.000, ")
+    assert lines[2:] == [
+        "- Rotation: in Quaternion [0.000, 0.000, 0.000, 1.000]",
+        "            in RPY (radian) [0.000, -0.000, 0.000]",
+        "            in RPY (degree) [0.000, -0.000, 0.000]",
+    ]
+
+
+def test_echo_follows_the_joint(world: World) -> None:
+    record = json.loads(world.slidectl.ok("tf", "echo", "base_link", "link2", "--json"))
+    assert set(record) == {"reference", "target", "time", "translation", "rotation", "rpy"}
+    assert (record["reference"], record["target"]) == ("base_link", "link2")
+    assert record["time"] > 0
+    back = json.loads(world.slidectl.ok("tf", "echo", "/link2", "/base_link", "--json"))
+    assert back["translation"][:2] == pytest.approx([-x for x in record["translation"][:2]])
+
+
+def test_echo_repeats_as_often_as_it_is_told(world: World) -> None:
+    lines = world.slidectl.ok("tf", "echo", "base_link", "link2", "-n", "3", "--rate", "50", "--json").splitlines()
+    times = [json.loads(line)["time"] for line in lines]
+    assert len(times) == 3
+    assert times == sorted(times)
+
+
+def test_echo_follow_goes_on_until_ctrl_c(world: World) -> None:
+    with world.running("tf", "echo", "base_link", "link2", "--follow", "--rate", "50", "--json") as process:
+        assert process.stdout is not None
+        assert all(process.stdout.readline().startswith("{") for _ in range(3))
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=20)
+    assert process.returncode == 130
+
+
+def test_list_and_tree_show_the_frames(world: World) -> None:
+    assert world.slidectl.ok("tf", "list") == "base_link\nlink2\nworld\n"
+    assert world.slidectl.ok("tf", "tree") == "world\n  base_link (static)\n    link2 (moving)\n"
+    rows = {row["frame"]: row for row in map(json.loads, world.slidectl.ok("tf", "list", "--json").splitlines())}
+    assert (rows["world"]["parent"], rows["base_link"]["parent"], rows["link2"]["parent"]) == (
+        None,
+        "world",
+        "base_link",
+    )
+    assert (rows["base_link"]["static"], rows["link2"]["static"]) == (True, False)
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["echo", "world", "nope"], 1, "no frame 'nope'.\nframes: base_link, link2, world"),
+        (["echo", "wrld", "link2"], 1, "Did you mean 'world'?"),
+        (["echo", "world"], 2, "Missing argument"),
+        (["echo", "world", "link2", "--rate", "0"], 2, "0 is not above 0"),
+        (["echo", "world", "link2", "-n", "0"], 2, "0 is not in the range"),
+    ],
+)
+def test_errors_say_what_is_wrong(world: World, words: list[str], code: int, said: str) -> None:
+    done = world.slidectl("tf", *words)
+    assert (done.returncode, done.stdout) == (code, ""), done.stderr
+    assert said in done.stderr
+
+
+def test_a_paused_world_is_named_as_the_reason_for_missing_frames() -> None:
+    with slider_world() as world:
+        world.slidectl.ok("sim", "pause")
+        done = world.slidectl("tf", "echo", "world", "link2", "--timeout", "0.5")
+        assert done.returncode == 1
+        assert "is the simulation paused?" in done.stderr
+
+
+def test_a_world_without_robots_has_no_frames() -> None:
+    with running_daemon() as daemon, daemon.client() as client:
+        done = World(daemon, client).slidectl("tf", "tree")
+        assert done.returncode == 1
+        assert "nobody publishes transforms" in done.stderr
+
+
+def test_static_frames_alone_are_complete_at_once() -> None:
+    with running_daemon(paused=True) as daemon, daemon.client() as client:
+        world = World(daemon, client)
+        world.latch("/tf_static", "tf2_msgs/TFMessage", {"transforms": [stamped("a", "b", (1.0, 0.0, 0.0), TURN)]})
+        assert json.loads(world.slidectl.ok("tf", "echo", "a", "b", "--json"))["time"] is None
+        assert world.slidectl.ok("tf", "tree") == "a\n  b (static)\n"
