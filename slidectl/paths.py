@@ -126,7 +126,9 @@ def check_private(folder: str | Path) -> None:
             f"{folder} belongs to another user (uid {info.st_uid})", "choose another --instance or XDG_RUNTIME_DIR"
         )
     if stat.S_IMODE(info.st_mode) & 0o077:
-        raise Refused(f"{folder} is open to other users", f"chmod 700 {folder}")
+        shared = info.st_mode & stat.S_ISVTX  # like /tmp, which must stay as it is
+        hint = "put the socket into a folder of your own" if shared else f"chmod 700 {folder}"
+        raise Refused(f"{folder} is open to other users", hint)
 
 
 def share(kind: str) -> Path:

@@ -203,6 +203,12 @@ def test_a_folder_that_is_open_to_others_is_refused_by_both_sides(runtime: Runti
         runtime.client()
 
 
+def test_a_socket_in_a_folder_that_all_share_is_refused_without_advice_that_would_close_it(runtime: Runtime) -> None:
+    runtime.folder.chmod(0o1777)
+    with runtime.environment(), pytest.raises(Refused, match="a folder of your own"):
+        lifecycle.start(paths.instance(socket=str(runtime.folder / "robot.sock")))
+
+
 def test_the_daemon_keeps_nothing_of_its_starter(runtime: Runtime) -> None:
     with socket.socket() as inherited:
         inherited.set_inheritable(True)
