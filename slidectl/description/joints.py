@@ -106,7 +106,7 @@ class JointReader:
         if kind == "continuous":
             for name in ("lower", "upper"):
                 if name in limit.attributes:
-                    self.report.ignored(limit, f"a continuous joint has no {name!r}", place)
+                    self.report.ignored(limit, f"a continuous joint has no {name!r}", place, name)
             return 0.0, 0.0
         lower = values.number(limit, "lower", owner, 0.0)
         upper = values.number(limit, "upper", owner, 0.0)
