@@ -45,7 +45,7 @@ def describe(error: Exception) -> tuple[str, int]:
     if isinstance(error, SlidectlError):
         return str(error), error.exit_code
     if isinstance(error, click.UsageError):
-        return error.format_message() + _where_to_look(error), EXIT_USAGE
+        return error.format_message().replace("\n\t", " ") + _where_to_look(error), EXIT_USAGE
     if isinstance(error, click.ClickException):
         return error.format_message(), error.exit_code
     name = type(error).__name__
