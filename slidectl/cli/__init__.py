@@ -6,16 +6,21 @@ rest are imported inside the functions that need them.
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 from typing import NoReturn
 
 _INTERRUPTED = 130
+# New objects between two looks for garbage: more than a short command makes (a tenth of its time went into looking),
+# and still few enough for one that follows a topic for days.
+_GARBAGE_THRESHOLD = 100_000
 
 
 def entry() -> NoReturn:
     """Run the command line of this process and leave with its exit code."""
     code = _INTERRUPTED
+    gc.set_threshold(_GARBAGE_THRESHOLD)
     try:
         from slidectl.cli.main import run
 
