@@ -13,7 +13,7 @@ from slidectl import names
 from slidectl.cli import live, output
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
-from slidectl.errors import BadFile, Refused, UnknownName, UsageError
+from slidectl.errors import BadFile, Refused, UnknownName, UsageError, listing
 
 _INDEXED = re.compile(r"(?P<name>[^\[\]]+)(?P<indices>(\[-?\d+\])+)\Z")
 _ANGLE = re.compile(r"(?P<unit>deg|rad)\((?P<expression>.*)\)\Z", re.DOTALL)
@@ -30,7 +30,11 @@ def _resolved(ctx: Context, name: str) -> str:
         return name
     known = ctx.names("parameter")
     spaces = {space for each in known for space in _above(each)}
-    return names.resolve(name.rstrip("/"), {*known, *spaces}, kind="parameter", namespace=ctx.namespace)
+    try:
+        return names.resolve(name.rstrip("/"), {*known, *spaces}, kind="parameter", namespace=ctx.namespace)
+    except UnknownName as error:
+        error.hint = f"parameters: {listing(known)}"
+        raise
 
 
 def _above(name: str) -> Iterator[str]:
