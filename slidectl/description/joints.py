@@ -163,7 +163,8 @@ class JointReader:
             )
             self.report.wrong(element, text, place)
         if safety.k_position == 0.0:
-            self.report.wrong(element, "with k_position 0 the soft limits allow no velocity at all", place)
+            text = "with k_position 0 the soft limits allow no velocity at all"
+            self.report.add("wrong", element, text, place, "k_position")
 
     def _mimic(self, element: Element, kind: JointType, owner: str) -> Mimic | None:
         mimic = self.report.only(element, "mimic")

@@ -116,6 +116,15 @@ def is_file(path: Path) -> bool:
         return False
 
 
+def shown(path: Path) -> str:
+    """A file's name in messages: relative when it lies below the working folder."""
+    absolute = Path(os.path.abspath(path))
+    try:
+        return str(absolute.relative_to(Path.cwd()))
+    except (ValueError, OSError):
+        return str(absolute)
+
+
 def _is_package(folder: Path) -> bool:
     return is_file(folder / "package.xml")
 
