@@ -204,6 +204,8 @@ def _call_once(ctx: Context, full: str, request: dict[str, Any], typedefs: Seque
     ctx.emit(response, _as_yaml(response, typedefs))
     verdict = next((field for field in _VERDICTS if response.get(field) is False), None)
     if verdict is None:
+        for line in lines:
+            ctx.warn(line["msg"])
         return []
     reasons = [str(response[field]) for field in _REASONS if response.get(field)]
     logged = [str(line["msg"]) for line in lines if line["msg"] not in reasons]
