@@ -47,7 +47,9 @@ def markdown(rows: list[Row]) -> str:
     for row in rows:
         asked = "" if row.goal is None else f"{'≤' if row.better == 'lower' else '≥'} {row.goal:g} {row.unit}".strip()
         verdict = {True: "", False: "**missed** ", None: ""}[row.met]
-        lines.append(f"| {row.name} | {figure(row.value)} {row.unit} | {asked} | {verdict}{row.note} |".replace("  ", " "))
+        lines.append(
+            f"| {row.name} | {figure(row.value)} {row.unit} | {asked} | {verdict}{row.note} |".replace("  ", " ")
+        )
     return "\n".join(lines)
 
 

@@ -51,6 +51,11 @@ def _measure(model: str, controllers: tuple[str, ...], goal: float | None) -> li
         bare_rates.append(CYCLES / bare)
     return [
         Row(f"{model}: bare mj_step", statistics.median(bare_rates) / 1e3, "kHz", note="in C, same model, same run"),
-        Row(f"{model}: cycles", statistics.median(rates) / 1e3, "kHz", note=f"{1e6 / statistics.median(rates):.2f} us each"),
+        Row(
+            f"{model}: cycles",
+            statistics.median(rates) / 1e3,
+            "kHz",
+            note=f"{1e6 / statistics.median(rates):.2f} us each",
+        ),
         Row(f"{model}: ratio to bare", statistics.median(ratios), "", goal, better="higher"),
     ]
