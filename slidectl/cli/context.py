@@ -65,6 +65,11 @@ class Context:
             self._client = Client(self.instance, self.socket, timeout=self.wait_limit(DEFAULT_TIMEOUT_S))
         return self._client
 
+    @property
+    def uri(self) -> str:
+        """Where every node and service answers: the daemon's socket."""
+        return f"unix://{self.client.paths.socket_text}"
+
     def wait_limit(self, default_s: float) -> float:
         """How long this command may wait: `--timeout` if given, else `default_s` (wall seconds)."""
         return default_s if self.timeout is None else self.timeout

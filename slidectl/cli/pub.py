@@ -84,7 +84,7 @@ def pub(
     name, *given = words
     from_elsewhere = file is not None or stdin
     target, given = _target(ctx, name, given, allow_unheard, from_elsewhere)
-    given, marked = _without_once(given, 0 if from_elsewhere else len(target.typedefs[0]["fieldnames"]))
+    given, marked = without_once(given, 0 if from_elsewhere else len(target.typedefs[0]["fieldnames"]))
     once = once or marked
     _check_options(words, once, rate, file, stdin)
     sources = _from_documents(target, file, rate) if from_elsewhere else _from_words(target, given, rate, count)
@@ -154,7 +154,7 @@ def _new_topic(ctx: Context, name: str, given: list[str]) -> tuple[Target, list[
 # --- the values -----------------------------------------------------------------------------------------------------
 
 
-def _without_once(given: list[str], fields: int) -> tuple[list[str], bool]:
+def without_once(given: list[str], fields: int) -> tuple[list[str], bool]:
     """The values without `-1` as an option, and whether it was one; where a value is missing it is a number."""
     plain = [word for word in given if word != _ONCE]
     by_name = len(plain) == 1 and (":" in plain[0] or plain[0].startswith("{"))

@@ -113,7 +113,7 @@ def _measure(
             raise
 
 
-def _time_ns(target: Target, wall_time: bool) -> Callable[[Event], int]:
+def time_ns(target: Target, wall_time: bool) -> Callable[[Event], int]:
     """The function that gives a message's time: the stamp of its header, else the clock when it came."""
     if wall_time:
         return lambda _: monotonic_ns()
@@ -155,7 +155,7 @@ def hz(
     """
     found = {target.topic: target for target in (look_up(ctx, text, PUBLISHERS) for text in topics)}
     meters = {topic: RateMeter(topic, window) for topic in found}
-    times = {topic: _time_ns(target, wall_time) for topic, target in found.items()}
+    times = {topic: time_ns(target, wall_time) for topic, target in found.items()}
     keeps = {topic: predicate(condition, target.schema) for topic, target in found.items()}
     clock = not wall_time and not all(target.schema.has_header for target in found.values())
     stream = Stream(ctx, list(found), with_clock=clock, sim_seconds=sim_seconds)
