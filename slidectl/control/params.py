@@ -154,4 +154,6 @@ def described(value: Any) -> str:
         float(value)
     except ValueError:
         return f"the string {value!r}"
-    return f"the string {value!r} (YAML reads a number with an exponent only with a dot in it, as 1.0e-3)"
+    if "e" in value.lower():
+        return f"the string {value!r} (YAML reads a number with an exponent only with a dot in it, as 1.0e-3)"
+    return f"the string {value!r} (a number has no quotes)"
