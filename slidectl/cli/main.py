@@ -39,6 +39,7 @@ COMMANDS = {
     "spawn": Entry("Robots", "spawn", "Put a robot into the world."),
     "delete": Entry("Robots", "robots", "Take robots out of the world."),
     "robots": Entry("Robots", "robots", "List the robots, or show one with its joints."),
+    "check": Entry("Robots", "check", "Check a model or controllers, without a daemon."),
     "controller": Entry("Robots", "controller", "Load, start, stop and list controllers."),
     "pub": Entry("Topics, services, parameters", "pub", "Publish a message."),
     "echo": Entry("Topics, services, parameters", "echo", "Print the messages of a topic."),
