@@ -89,15 +89,16 @@ class _Reading:
         """The robot, after a finding for each of its tags and faults; None when it is beyond repair."""
         for _ in range(_MOST_FAULTS):
             trace = Trace()
-            traced = TracedElement(self.root, trace)
+            traced, report = TracedElement(self.root, trace), TracedReport(trace)
             try:
-                robot = parse_tree(traced, MeshFiles(Packages(), None), TracedReport(trace))
+                robot = parse_tree(traced, MeshFiles(Packages(), None), report)
             except BadFile as error:
                 self.findings.fail(_subject(trace.culprit), error)
                 if not self._without(traced, trace.culprit):
                     self.findings.extend(notice for said in trace.said.values() for _, notice in said)
                     return None
             else:
+                simulated.say(robot, traced, report)
                 self._classify(traced, trace, robot)
                 return robot
         return None
