@@ -5,7 +5,6 @@ What trees mean is for controllers.py and hardware.py.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -35,7 +34,7 @@ class ParameterFile:
         while path:
             if path in self.lines:
                 return self.lines[path]
-            path = re.sub(r"(/[^/\[]*|\[\d+\])$", "", path) if path[-1] != "/" else path[:-1]
+            path = path[: max(path.rfind("/"), path.rfind("["), 0)]
         return self.first_line
 
     def add(self, verdict: Verdict, path: str, text: str, about: str | None = None) -> None:
