@@ -45,11 +45,14 @@ COMMANDS = {
     "echo": Entry("Topics, services, parameters", "echo", "Print the messages of a topic."),
     "wait": Entry("Topics, services, parameters", "wait", "Wait until a field of a topic has a value."),
     "topic": Entry("Topics, services, parameters", "topic", "List, inspect and measure topics."),
+    "hz": Entry("Topics, services, parameters", "topic_measure", "Measure how often messages come."),
     "service": Entry("Topics, services, parameters", "service", "List, inspect and call services."),
     "param": Entry("Topics, services, parameters", "param", "Get, set, load and dump parameters."),
     "tf": Entry("Topics, services, parameters", "tf", "Show the frames and the transforms between them."),
     "msg": Entry("Topics, services, parameters", "msg", "Show message types."),
     "srv": Entry("Topics, services, parameters", "msg", "Show service types."),
+    "ros": Entry("The ROS commands", "ros.command", "Run a ROS command word for word."),
+    "ros-commands": Entry("The ROS commands", "ros.shells", "Print shell functions named as the ROS commands."),
     "completion": Entry("slidectl", "completion", "Print the completion script of a shell."),
     "version": Entry("slidectl", "version", "Print the version."),
 }
@@ -108,7 +111,7 @@ class Root(Group):
 
 def load(name: str, entry: Entry) -> click.Command:
     """Import the module of a command and take the command out of it."""
-    command = getattr(import_module(f"slidectl.cli.{entry.module}"), name)
+    command = getattr(import_module(f"slidectl.cli.{entry.module}"), name.replace("-", "_"))
     assert isinstance(command, click.Command)
     return command
 
