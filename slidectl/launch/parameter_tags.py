@@ -126,7 +126,7 @@ def _load(tag: Tag, name: str) -> None:
         text = _text(tag, file) if file else tag.text
         return _yaml(tag, text if substitution is None else _substituted(tag, text, substitution), file)
 
-    tag.plan.settings.append(Setting(name, tag.place, origin, compute))
+    tag.plan.settings.append(Setting(name, tag.place, origin, compute, source=file))
 
 
 def _substituted(tag: Tag, text: str, substitution: Substitution) -> str:

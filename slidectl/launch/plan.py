@@ -41,6 +41,8 @@ class Setting:
     compute: Callable[[], Any]
     runs_command: bool = False
     """True when computing it runs a program of the user's."""
+    source: str = ""
+    """The file that a `<rosparam>` loads."""
     _value: Any = None
     _known: bool = False
 

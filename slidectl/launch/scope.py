@@ -7,18 +7,23 @@ from __future__ import annotations
 
 import os
 import socket
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from slidectl.description import xml_tree
 from slidectl.description.packages import Packages, is_file
+from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile
 from slidectl.launch.plan import Place, Plan, Remap, Setting
 from slidectl.launch.substitution import Substitution
 
 if TYPE_CHECKING:
     from slidectl.launch.tag import Tag
+
+Parse = Callable[[bytes, str], Element]
+"""Elements of the text of a file, given its name in messages. Raises BadFile."""
 
 MOST_TAGS = 20_000
 DEEPEST_INCLUDE = 60
@@ -31,6 +36,7 @@ class Launch:
     packages: Packages
     environment: Mapping[str, str] = field(default_factory=lambda: os.environ)
     run_commands: bool = True
+    parse: Parse = xml_tree.read
     plan: Plan = field(default_factory=Plan)
     _anonymous: dict[str, str] = field(default_factory=dict)
     _tags: int = 0
