@@ -41,6 +41,7 @@ COMMANDS = {
     "robots": Entry("Robots", "robots", "List the robots, or show one with its joints."),
     "check": Entry("Robots", "check", "Check a model or controllers, without a daemon."),
     "controller": Entry("Robots", "controller", "Load, start, stop and list controllers."),
+    "launch": Entry("Robots", "launch", "Run a launch file as roslaunch does."),
     "pub": Entry("Topics, services, parameters", "pub", "Publish a message."),
     "echo": Entry("Topics, services, parameters", "echo", "Print the messages of a topic."),
     "wait": Entry("Topics, services, parameters", "wait", "Wait until a field of a topic has a value."),

@@ -49,7 +49,8 @@ def _setting(tag: Tag) -> Setting:
         found = f"not {len(given)} of them" if given else "and none is there"
         raise tag.error(f"{name} needs exactly one of {', '.join(SOURCES)}, {found}")
     compute, runs = _source(tag, given[0], kind)
-    return Setting(name, tag.place, given[0], compute, runs)
+    file = tag.required(given[0]) if given[0] in ("textfile", "binfile") else ""
+    return Setting(name, tag.place, given[0], compute, runs, source=file)
 
 
 def _source(tag: Tag, source: str, kind: str) -> tuple[Callable[[], Any], bool]:

@@ -42,7 +42,7 @@ class Setting:
     runs_command: bool = False
     """True when computing it runs a program of the user's."""
     source: str = ""
-    """The file that a `<rosparam>` loads."""
+    """The file that the value is read from, if it is."""
     _value: Any = None
     _known: bool = False
 
