@@ -59,12 +59,13 @@ def _start(ctx: Context) -> int:
     """The process id of a new daemon. Raises Failure when one runs already."""
     from slidectl import __version__
     from slidectl.daemon import lifecycle
+    from slidectl.daemon.options import DaemonOptions
 
     uri = f"unix://{ctx.paths.socket_text}"
     if lifecycle.running(ctx.paths) is not None:
         raise _already(uri)
     output.write(f"... logging to {ctx.paths.log}\nPress Ctrl-C to interrupt\nstarted roslaunch server {uri}")
-    pid, already = lifecycle.start(ctx.paths, None, ctx.wait_limit(_START_LIMIT_S))
+    pid, already = lifecycle.start(ctx.paths, DaemonOptions(child=True), ctx.wait_limit(_START_LIMIT_S))
     if already:
         raise _already(uri)
     parameters = _set_parameters(ctx, __version__)

@@ -15,7 +15,7 @@ from slidectl.cli.msg import Kind
 from slidectl.cli.ros.arguments import Arguments, Option, Parser
 from slidectl.cli.ros.failure import Failure
 from slidectl.cli.ros.verbs import NO_SUCH_VERB, Tool, Verb
-from slidectl.errors import closest
+from slidectl.errors import UnknownName, closest
 
 _PLEASE = "Please refer to msg/srv types as 'package_name/Type'."
 _SINGLE_LINE = Option(("-s",), "single_line", "list on one line")
@@ -84,12 +84,12 @@ class Types:
 
     def _found(self, kind: Kind, wanted: str) -> list[str]:
         """The types that are meant: one, or those of every package for a bare name. Raises Failure."""
+        if "/" in wanted and _exists(kind, wanted):
+            return [wanted]
         known = kind.names()
-        found = [each for each in known if each == wanted or each.endswith("/" + wanted)]
-        if found:
-            return found
         if "/" not in wanted:
-            raise Failure(f"Could not find {self._suffix} '{wanted}'{_suggestion(wanted, known)}")
+            found = [each for each in known if each.endswith("/" + wanted)]
+            return found or _fail(f"Could not find {self._suffix} '{wanted}'{_suggestion(wanted, known)}")
         trouble = "Unable to load msg" if self._suffix == "msg" else "Unknown srv type"
         raise Failure(f"{trouble} [{wanted}]: {self._not_located(wanted)}{_suggestion(wanted, known)}")
 
@@ -140,6 +140,19 @@ class Types:
         given = parser.parse(argv)
         known = sorted({name.partition("/")[0] for name in self._kind().names()})
         output.write((" " if given.single_line else "\n").join(known))
+
+
+def _exists(kind: Kind, wanted: str) -> bool:
+    """Without the list of all types, which takes longer than everything else here."""
+    try:
+        kind.source(wanted)
+    except UnknownName:
+        return False
+    return True
+
+
+def _fail(text: str) -> list[str]:
+    raise Failure(text)
 
 
 def _packages() -> list[str]:
