@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slidectl.cli import live, output
+from slidectl.cli import live
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
 from slidectl.cli.options import positive_seconds
@@ -78,6 +78,7 @@ def launch(ctx: Context, /, words: tuple[str, ...], packages: tuple[str, ...], *
     fails ends the launch with 1 and names its file and line; a broken file is 2. NAME is a launch file that is
     shipped; - is standard input. JSON keys: event, text, and those of the event.
     """
+    from slidectl.cli import launch_tell
     from slidectl.launch import files, kinds, loader
 
     lookup = _packages(packages)
@@ -87,11 +88,11 @@ def launch(ctx: Context, /, words: tuple[str, ...], packages: tuple[str, ...], *
     plan = loader.load(
         sources, arguments, lookup, run_commands=not given["no_commands"], arguments_only=given["ros_args"]
     )
-    if _tell_plan(ctx, plan, given):
+    if launch_tell.plan_only(ctx, plan, given):
         return
     tasks = kinds.tasks(plan, lookup, given["skip_unknown"])
     if given["dry_run"] or given["args_of"]:
-        _tell_tasks(ctx, plan, tasks, given)
+        launch_tell.tasks(ctx, plan, tasks, given)
         return
     title = " ".join(source.shown for source in sources)
     _run(ctx, plan, tasks, lookup, title, given)
@@ -132,65 +133,6 @@ def _check_listings(given: dict[str, Any]) -> None:
         raise UsageError(f"{' and '.join(asked)} exclude each other")
 
 
-# --- telling --------------------------------------------------------------------------------------------------------
-
-
-def _tell_plan(ctx: Context, plan: Plan, given: dict[str, Any]) -> bool:
-    """Print what needs the files alone; False when nothing of that was asked for."""
-    from slidectl.launch import listing
-
-    if given["nodes"]:
-        ctx.emit_names(listing.nodes(plan), "node", "no nodes")
-    elif given["files"]:
-        ctx.emit_names(listing.files(plan), "file")
-    elif given["find_node"]:
-        ctx.emit({"file": listing.node(plan, given["find_node"]).file}, listing.node(plan, given["find_node"]).file)
-    elif given["ros_args"]:
-        rows = [{"name": one.name, "default": one.default, "doc": one.doc} for one in plan.arguments.values()]
-        if ctx.format == "text":
-            output.write(listing.arguments(plan))
-        else:
-            ctx.emit_rows(rows, ["name", "default", "doc"])
-    elif given["dump_params"]:
-        _tell_parameters(ctx, plan)
-    else:
-        return False
-    return True
-
-
-def _tell_parameters(ctx: Context, plan: Plan) -> None:
-    from slidectl.launch import listing
-
-    if ctx.format == "text":
-        text = listing.parameters(plan)
-        if text:
-            output.write(text)
-    else:
-        ctx.emit({name: value for name, (value, _) in sorted(plan.parameters().items())})
-    _tell_notices(ctx, plan)
-
-
-def _tell_notices(ctx: Context, plan: Plan) -> None:
-    for notice in plan.notices:
-        if notice.verdict == "wrong" or ctx.verbose:
-            ctx.warn(str(notice))
-
-
-def _tell_tasks(ctx: Context, plan: Plan, tasks: Sequence[Task], given: dict[str, Any]) -> None:
-    from slidectl.launch import listing
-
-    if given["args_of"]:
-        node = listing.node(plan, given["args_of"])
-        task = next((task for task in tasks if task.node is node), None)
-        if task is None:
-            raise Refused(f"{node.place}: node {node.full_name} is left out by --skip-unknown")
-        ctx.emit({"node": node.full_name, "command": listing.command_line(task)}, listing.command_line(task))
-        return
-    for step in listing.steps(plan, tasks):
-        ctx.emit(step, f"{step['file']}:{step['line']}: {step['text']}")
-    _tell_notices(ctx, plan)
-
-
 # --- running --------------------------------------------------------------------------------------------------------
 
 
@@ -210,7 +152,7 @@ def _run(
         background.fork()
     with Interrupts() as interrupts:
         session = _session(ctx, plan, tasks, packages, interrupts, given)
-        _PidFile(given["pid_file"]).around(lambda: _drive(ctx, session, title, given["detach"], background))
+        _PidFile(given["pid_file"]).around(lambda: _drive(session, title, given["detach"], background))
 
 
 def _session(
@@ -266,7 +208,7 @@ class _PidFile:
             Path(self.path).unlink(missing_ok=True)
 
 
-def _drive(ctx: Context, session: Session, title: str, detach: bool, background: Any) -> None:
+def _drive(session: Session, title: str, detach: bool, background: Any) -> None:
     """Up, watched, down. A detached launch that needs nobody to stay is left as it is."""
     from slidectl.launch.interrupts import Interrupted
 

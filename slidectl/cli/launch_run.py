@@ -178,4 +178,3 @@ class Background:
             os.dup2(source, target)
         os.write(self._write, b"1")
         os.close(self._write)
-

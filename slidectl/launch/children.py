@@ -68,7 +68,10 @@ class Child:
     def _open(self, name: str, descriptor: int) -> None:
         os.set_blocking(descriptor, False)
         self._pipes[name] = descriptor
-        self._watch.add(descriptor, lambda: self._read(name))
+        self._watch.add(descriptor, lambda: self._take(name))
+
+    def _take(self, name: str) -> None:
+        self._read(name)
 
     def _read(self, name: str) -> bool:
         """Take what has come; False when there is nothing more, now or ever."""

@@ -25,7 +25,11 @@ _TEXT_METHODS = {
     "partition", "removeprefix", "removesuffix", "replace", "rfind", "rpartition", "rsplit", "rstrip", "split",
     "splitlines", "startswith", "strip", "swapcase", "title", "upper",
 }  # fmt: skip
-_OTHER_METHODS = {dict: {"get", "items", "keys", "values"}, list: {"count", "index"}, tuple: {"count", "index"}}
+_OTHER_METHODS: dict[type[Any], set[str]] = {
+    dict: {"get", "items", "keys", "values"},
+    list: {"count", "index"},
+    tuple: {"count", "index"},
+}
 
 MATH: dict[str, Any] = {
     name: value for name, value in vars(math).items() if not name.startswith("_") and name not in _TOO_COSTLY
@@ -191,8 +195,9 @@ class _Evaluation:
         if node.attr not in known:
             raise ExpressionError(f"{ast.unparse(node.value)} has no {node.attr!r} here")
         method: Callable[..., Any] = getattr(owner, node.attr)
-        bounded = {"replace": _replace, "join": _join}.get(node.attr)
-        return bounded(owner) if bounded else method
+        if node.attr == "replace":
+            return _replace(owner)
+        return _join(owner) if node.attr == "join" else method
 
     def _subscript(self, node: ast.Subscript) -> Any:
         owner = self.value(node.value)

@@ -1,6 +1,6 @@
-"""Signals that end a launch: the first is raised at once, or when what must not be torn apart is done; later ones noted.
+"""Signals that end a launch: the first is raised at once, or when what must not be torn apart is done.
 
-Main thread only, as signals are. What is done about a signal is the session's affair.
+Later ones are only noted. Main thread only, as signals are. What is done about a signal is the session's affair.
 """
 
 from __future__ import annotations

@@ -6,7 +6,6 @@ A scope is copied for a group and an include, so that nothing leaks out of it. N
 from __future__ import annotations
 
 import os
-import socket
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -44,7 +43,7 @@ class Launch:
     def anonymous(self, identifier: str) -> str:
         """`identifier` with host, process and a random number behind it; the same again for the same identifier."""
         if identifier not in self._anonymous:
-            host = "".join(letter if letter.isalnum() and letter.isascii() else "_" for letter in socket.gethostname())
+            host = "".join(letter if letter.isalnum() and letter.isascii() else "_" for letter in os.uname().nodename)
             number = int.from_bytes(os.urandom(6), "big")
             self._anonymous[identifier] = f"{identifier}_{host}_{os.getpid()}_{number}"
         return self._anonymous[identifier]

@@ -41,7 +41,9 @@ def _clear(run: Run, namespace: str, place: Place) -> None:
 
 def _carry_out(run: Run, command: RosparamCommand) -> None:
     if not run.call("/rosapi/has_param", {"name": command.name})["exists"]:
-        run.console.warn(f"{command.place}: <rosparam>: {command.name} is not set, so there is nothing to {command.verb}")
+        run.console.warn(
+            f"{command.place}: <rosparam>: {command.name} is not set, so there is nothing to {command.verb}"
+        )
         if command.verb == "delete":
             return
     if command.verb == "delete":

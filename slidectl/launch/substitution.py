@@ -1,4 +1,4 @@
-"""`$(env V)`, `$(optenv V words)`, `$(find PKG)`, `$(anon ID)`, `$(arg A)`, `$(dirname)` and `$(eval EXPRESSION)` in a text.
+"""`$(...)` in a text: `env V`, `optenv V words`, `find PKG`, `anon ID`, `arg A`, `dirname` and `eval EXPRESSION`.
 
 Texts in, texts out: what is found is put in as it is and not looked through again. Paths come out protected
 (see protected.py). Knows no tags and no places; who has a place adds it to the error.
@@ -29,7 +29,9 @@ class SubstitutionError(SlidectlError):
 class Surroundings(Protocol):
     """What a whole launch shares: the packages, the environment, and the names that `anon` has given."""
 
-    environment: Mapping[str, str]
+    @property
+    def environment(self) -> Mapping[str, str]:
+        """The environment variables."""
 
     def find(self, package: str) -> str:
         """The package's folder."""
@@ -160,4 +162,3 @@ def _unknown(command: str, inside: str) -> SubstitutionError:
     near = closest(command, [*COMMANDS, "eval"])
     suggestion = f" Did you mean {near!r}?" if near else ""
     return SubstitutionError(f"unknown substitution $({plain(inside)}).{suggestion}", f"there are {known} and eval")
-

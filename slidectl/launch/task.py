@@ -74,7 +74,7 @@ class Run:
     """For logs of nodes; made when it is needed."""
     environment: Mapping[str, str] = field(default_factory=dict)
     """What the programs of nodes get beside the environment of this process: how to reach the daemon."""
-    settings: WorldSettings = WorldSettings()
+    settings: WorldSettings = field(default_factory=WorldSettings)
     owns_daemon: bool = False
     spawned: list[str] = field(default_factory=list)
     """Robots that this run has put into the world and that are to leave it with the run."""

@@ -46,7 +46,9 @@ class Gazebo(Task):
 
     @property
     def text(self) -> str:
-        return f"the world{', paused' if self.paused else ''}" + (f", as {self.world.file} has it" if self.world else "")
+        return f"the world{', paused' if self.paused else ''}" + (
+            f", as {self.world.file} has it" if self.world else ""
+        )
 
     def settings(self, others: WorldSettings) -> WorldSettings:
         """What is asked for, over what others ask for."""

@@ -171,4 +171,3 @@ def _until(run: Run, condition: Callable[[], bool], seconds: float) -> None:
     deadline = time.monotonic() + seconds
     while not condition() and (left := deadline - time.monotonic()) > 0 and len(run.interrupts.received) < 2:
         run.watch.turn(left)
-

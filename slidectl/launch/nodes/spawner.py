@@ -111,7 +111,7 @@ class Spawner(Task):
         gone = []
         _try(run, lambda: manager.switch((), self.loaded))
         for name in reversed(self.loaded):
-            if _try(run, lambda name=name: manager.unload(name)):  # type: ignore[misc]
+            if _try(run, lambda name=name: manager.unload(name)):
                 gone.append(name)
         self.loaded.clear()
         self.settled(run, f"{', '.join(gone) or 'nothing'} stopped and unloaded", controllers=gone)
