@@ -8,7 +8,7 @@ from pathlib import Path
 from slidectl.check import controllers, kinds, model
 from slidectl.check.findings import Findings
 from slidectl.description import models
-from slidectl.description.packages import Packages, is_file
+from slidectl.description.packages import Packages, is_file, shown
 from slidectl.errors import UsageError
 
 
@@ -47,7 +47,7 @@ def check(
         _refuse_arguments(source, arguments)
         controllers.check(source, None, findings, text)
         return findings
-    robot = model.check(text.decode("utf-8", "replace") if text else source, arguments, packages, findings, ask_others)
+    robot = model.check(_model(source, text), arguments, packages, findings, ask_others)
     for path in parameter_files:
         controllers.check(path, robot, findings)
     return findings
@@ -67,6 +67,14 @@ def _kind(words: Sequence[str], text: bytes | None) -> kinds.Kind:
     from slidectl.launch import files
 
     return "launch" if words[0] in files.shipped() else "model"
+
+
+def _model(source: str, text: bytes | None) -> str:
+    """What to read: the text, or a path, which of a shipped model is the shortest that leads there."""
+    if text is not None:
+        return text.decode("utf-8", "replace")
+    path = models.shipped().get(source)
+    return source if path is None else shown(path)
 
 
 def _refuse_arguments(source: str, arguments: Mapping[str, str]) -> None:
