@@ -1,5 +1,6 @@
 """`rostopic list`, `info`, `type`, `find` and `echo` in recorded sessions of the real tool: output and exit codes."""
 
+# ruff: noqa: W291 - the tools end lines of YAML with a blank
 from __future__ import annotations
 
 import re
@@ -133,7 +134,10 @@ LOOKING = [
         "rostopic list -v /slide/command",
         "\nPublished topics:\n\nSubscribed topics:\n * /slide/command [std_msgs/Float64] 1 subscriber\n\n",
     ),
-    Session("rostopic list -v -p /slide/raw", "\nPublished topics:\n * /slide/raw [std_msgs/UInt8MultiArray] 1 publisher\n\n"),
+    Session(
+        "rostopic list -v -p /slide/raw",
+        "\nPublished topics:\n * /slide/raw [std_msgs/UInt8MultiArray] 1 publisher\n\n",
+    ),
     usage("rostopic list -p -s", LIST, "you may only specify one of -p, -s"),
     usage("rostopic list a b", LIST, "you may only specify one input topic"),
     usage("rostopic list --bogus", LIST, "no such option: --bogus"),
@@ -223,7 +227,10 @@ ECHOED = [
         "field.data0,field.data1,field.data2\n1,f,3,3,0,1.0,-2.5,1e-09\n",
     ),
     Session("rostopic echo -p -n 1 /slide/status", '%time,field.data\n1,ok: "moving"\n'),
-    Session("rostopic echo -p -n 1 /slide/joint_states/position", f"%time,field0,field1\n{TIME},-0.009203153466526904,0.25\n"),
+    Session(
+        "rostopic echo -p -n 1 /slide/joint_states/position",
+        f"%time,field0,field1\n{TIME},-0.009203153466526904,0.25\n",
+    ),
     Session("rostopic echo -p -n 1 '/slide/joint_states/position[0]'", f"%time,field\n{TIME},-0.009203153466526904\n"),
     Session(
         "rostopic echo -p -n 1 --nostr /slide/joint_states",
