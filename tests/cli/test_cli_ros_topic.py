@@ -6,9 +6,9 @@ from __future__ import annotations
 import re
 import signal
 from collections.abc import Iterator
-from typing import NamedTuple
 
 import pytest
+from cli_ros_sessions import Session, usage
 from cli_ros_world import SlideWorld, slide_world
 
 
@@ -16,20 +16,6 @@ from cli_ros_world import SlideWorld, slide_world
 def slide() -> Iterator[SlideWorld]:
     with slide_world() as world:
         yield world
-
-
-class Session(NamedTuple):
-    """A line, what it prints, and its exit code."""
-
-    line: str
-    stdout: str = ""
-    stderr: str = ""
-    code: int = 0
-
-
-def usage(line: str, text: str, complaint: str) -> Session:
-    tool = line.split()[0]
-    return Session(line, "", f"Usage: {text}\n\n{tool}: error: {complaint}\n", 2)
 
 
 SLIDE = ["command", "description", "forces", "joint_states", "pose", "poses", "position", "raw", "status"]
@@ -144,11 +130,11 @@ LOOKING = [
     Session("rostopic list -b /nofile.bag", "", "ERROR: bag file [/nofile.bag] does not exist\n", 1),
     Session(
         "rostopic info /slide/position",
-        "Type: std_msgs/Float64\n\nPublishers: \n * NODE (URI)\n\nSubscribers: None\n\n\n",
+        "Type: std_msgs/Float64\n\nPublishers: \n * <node> (<uri>)\n\nSubscribers: None\n\n\n",
     ),
     Session(
         "rostopic info slide/command",
-        "Type: std_msgs/Float64\n\nPublishers: None\n\nSubscribers: \n * NODE (URI)\n\n\n",
+        "Type: std_msgs/Float64\n\nPublishers: None\n\nSubscribers: \n * <node> (<uri>)\n\n\n",
     ),
     Session("rostopic info /nope", "", "ERROR: Unknown topic /nope\n", 1),
     Session("rostopic info /slide/position/data", "", "ERROR: Unknown topic /slide/position/data\n", 1),
@@ -299,7 +285,7 @@ def as_printed(text: str, line: str) -> str:
 @pytest.mark.parametrize("session", [*LOOKING, *ECHOED], ids=lambda session: session.line)
 def test_the_line_prints_what_the_real_tool_prints(slide: SlideWorld, session: Session) -> None:
     done = slide(session.line)
-    expected = session.stdout.replace("NODE", slide.node.name).replace("URI", slide.uri)
+    expected = session.stdout.replace("<node>", slide.node.name).replace("<uri>", slide.uri)
     assert as_printed(done.stdout, session.line) == expected
     assert done.stderr == session.stderr
     assert done.returncode == session.code
