@@ -44,10 +44,10 @@ def load(
     for source in sources:
         scope = Scope(launch, source.path, given=dict(arguments))
         scope.nesting = ((source.path, ()),)
-        if arguments_only:
-            _read_arguments(source, scope)
-        else:
-            _read(source, scope)
+        try:
+            (_read_arguments if arguments_only else _read)(source, scope)
+        except RecursionError:
+            raise BadFile("groups and includes are nested too deeply", source.shown) from None
         declared |= scope.declared
     for name in arguments:
         if name not in declared:

@@ -74,7 +74,7 @@ def _converted(tag: Tag, text: str, kind: str) -> Any:
     except BadFile as error:
         raise tag.error(f"its value is {error.reason}") from None
     except ValueError as error:
-        raise tag.error(f"its value is no {kind}: {error}") from None
+        raise tag.error(f"its value is no {'parameter' if kind == 'auto' else kind}: {error}") from None
     if value is None:
         raise tag.error("its value is nothing, which no parameter can be")
     return value

@@ -5,7 +5,7 @@ Knows no tag by name.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from functools import cached_property
 
 from slidectl import names
@@ -133,18 +133,16 @@ class Tag:
                 suggestion = f"; did you mean {near!r}?" if near else ""
                 self.notice("wrong", f"attribute {name!r} is unknown and has no effect{suggestion}")
 
-    def children(self, known: Collection[str]) -> list[Tag]:
-        """The tags inside that apply, in order; those that are not known are pointed out."""
-        found = []
+    def children(self, known: Collection[str]) -> Iterator[Tag]:
+        """The tags inside, in order; those that are not known are pointed out."""
         for element in self.element.children:
             self.scope.launch.count(self)
             if element.tag in known:
-                found.append(Tag(element, self.scope))
+                yield Tag(element, self.scope)
             else:
                 near = closest(element.tag, known)
                 suggestion = f"; did you mean <{near}>?" if near else ""
                 Tag(element, self.scope).notice("wrong", f"is unknown in <{self.name}> and has no effect{suggestion}")
-        return found
 
     def notice(self, verdict: str, text: str) -> None:
         """Say something about the tag that is no error."""

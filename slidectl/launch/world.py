@@ -26,7 +26,7 @@ _DRAWN = ("gui", "scene", "light", "audio", "road", "material")
 
 @dataclass(frozen=True)
 class WorldSettings:
-    """`timestep` in s, `gravity` in m/s², `speed` is the real-time factor (`inf`: as fast as it goes). None: not said."""
+    """`timestep` in s, `gravity` in m/s², `speed` as real-time factor (`inf`: as fast as it goes). None: not said."""
 
     paused: bool = False
     timestep: float | None = None
