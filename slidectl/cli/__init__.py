@@ -6,9 +6,14 @@ rest are imported inside the functions that need them.
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
-from typing import NoReturn
+from contextlib import suppress
+from typing import TYPE_CHECKING, NoReturn
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
 
 _INTERRUPTED = 130
 
@@ -16,13 +21,19 @@ _INTERRUPTED = 130
 def entry() -> NoReturn:
     """Run the command line of this process and leave with its exit code."""
     code = _INTERRUPTED
-    try:
-        from slidectl.cli.main import run
-
-        code = run(sys.argv[1:])
-    except KeyboardInterrupt:
-        pass
+    with suppress(KeyboardInterrupt):
+        code = _imported_run()(sys.argv[1:])
     leave(code)
+
+
+def _imported_run() -> Callable[[Sequence[str]], int]:
+    """The function that runs a command line. What is imported is no garbage, so none is looked for meanwhile."""
+    gc.disable()
+    from slidectl.cli.main import run
+
+    gc.freeze()
+    gc.enable()
+    return run
 
 
 def leave(code: int) -> NoReturn:

@@ -12,7 +12,6 @@ import click
 from slidectl.cli import live, output
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
-from slidectl.cli.csvform import CsvForm
 from slidectl.cli.fieldpath import Selection, select
 from slidectl.cli.options import positive_seconds
 from slidectl.cli.schema import Schema
@@ -157,6 +156,8 @@ def pruned(schema: Schema, type_name: str, depth: int, value: Any, look: Look) -
 
 
 def _csv_writer(ctx: Context, schema: Schema, selection: Selection, look: Look) -> Write:
+    from slidectl.cli.csvform import CsvForm
+
     form = CsvForm(schema, look.arrays, look.strings)
     header = ""
 

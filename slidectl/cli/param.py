@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Iterator
 from typing import Any
@@ -15,8 +16,8 @@ from slidectl.cli.commands import group
 from slidectl.cli.context import Context
 from slidectl.errors import BadFile, Refused, UnknownName, UsageError
 
-_INDEXED = re.compile(r"(?P<name>[^\[\]]+)(?P<indices>(\[-?\d+\])+)\Z")
-_ANGLE = re.compile(r"(?P<unit>deg|rad)\((?P<expression>.*)\)\Z", re.DOTALL)
+_INDEXED = r"(?P<name>[^\[\]]+)(?P<indices>(\[-?\d+\])+)\Z"
+_ANGLE = r"(?s)(?P<unit>deg|rad)\((?P<expression>.*)\)\Z"
 
 
 @group(examples=["slidectl param get joint1_position_controller/pid", "slidectl param set pid/p 150"])
@@ -68,7 +69,7 @@ def get(ctx: Context, name: str, fallback: str | None) -> None:
 
     An element of a list is NAME[0]. JSON keys: parameter, value.
     """
-    match = _INDEXED.match(name)
+    match = re.match(_INDEXED, name)
     try:
         full = _resolved(ctx, match["name"] if match else name)
         value = _get(ctx, full)
@@ -95,6 +96,8 @@ def as_rosparam(value: Any) -> str:
         return "true" if value else "false"
     if isinstance(value, int):
         return str(value)
+    if isinstance(value, float) and math.isfinite(value) and "e" not in repr(value):
+        return repr(value)  # as YAML writes it, without loading YAML
     text = _dumped(value)
     return text + "\n" if isinstance(value, dict | list) else text.removesuffix("...\n")
 
@@ -150,7 +153,7 @@ def _with_angles(value: Any) -> Any:
         return {key: _with_angles(item) for key, item in value.items()}
     if isinstance(value, list):
         return [_with_angles(item) for item in value]
-    match = _ANGLE.match(value) if isinstance(value, str) else None
+    match = re.match(_ANGLE, value) if isinstance(value, str) else None
     if match is None:
         return value
     from math import radians

@@ -22,15 +22,15 @@ from slidectl.cli.topics import SUBSCRIBERS, Target, Unused, details, look_up
 from slidectl.errors import UnknownName, UsageError
 
 _ONCE = "-1"
-_TYPE = re.compile(r"[A-Za-z]\w*/[A-Za-z]\w*\Z")
-_EXPRESSION = re.compile(r"-\s*(\d|\.\d|\(|[A-Za-z_]\w*\()")
+_TYPE = r"[A-Za-z]\w*/[A-Za-z]\w*\Z"
+_EXPRESSION = r"-\s*(\d|\.\d|\(|[A-Za-z_]\w*\()"
 
 
 class PubCommand(Command):
     """`-1` may be an option or a number, and `-sin(t)` is a value: both reach the command as words."""
 
     def is_value(self, token: str, before: Sequence[str]) -> bool:
-        return token == _ONCE or bool(_EXPRESSION.match(token)) or super().is_value(token, before)
+        return token == _ONCE or bool(re.match(_EXPRESSION, token)) or super().is_value(token, before)
 
 
 def _complete(click_context: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
@@ -141,11 +141,11 @@ def _is_type(given: Sequence[str], target: Target, from_elsewhere: bool) -> bool
         return True
     alone = [word for word in given if word != _ONCE] == [given[0]] and not from_elsewhere
     takes_text = target.typedefs[0]["fieldtypes"] == ["string"]
-    return bool(_TYPE.match(given[0])) and not (alone and takes_text)
+    return bool(re.match(_TYPE, given[0])) and not (alone and takes_text)
 
 
 def _new_topic(ctx: Context, name: str, given: list[str]) -> tuple[Target, list[str]]:
-    if not given or not _TYPE.match(given[0]):
+    if not given or not re.match(_TYPE, given[0]):
         raise UsageError(f"there is no topic {name!r} yet, so give its TYPE", "slidectl msg list shows the types")
     full = names.check(names.join(ctx.namespace, name))
     return Target(full, given[0], "", details(ctx, given[0]), []), given[1:]

@@ -130,6 +130,14 @@ def _request_typedefs(ctx: Context, kind: str) -> list[dict[str, Any]]:
     return list(ctx.call("/rosapi/service_request_details", {"type": kind})["typedefs"])
 
 
+def _typedefs(ctx: Context, kind: str) -> list[list[dict[str, Any]]]:
+    """Those of the request and of the response, in one round trip."""
+    asked = [
+        ctx.client.call_async(f"/rosapi/service_{part}_details", {"type": kind}) for part in ("request", "response")
+    ]
+    return [list(ctx.client.answer(call)["typedefs"]) for call in asked]
+
+
 def _arguments(typedefs: Sequence[dict[str, Any]]) -> list[str]:
     from slidectl.msgs.fill import field_paths, fields_from
 
@@ -159,8 +167,7 @@ def call(ctx: Context, name: str, given: tuple[str, ...], stdin: bool) -> None:
     waits for a minute at most, or for --timeout. With --json it prints the response as one object.
     """
     full, kind = _typed(ctx, name)
-    request_types = _request_typedefs(ctx, kind)
-    response_types = list(ctx.call("/rosapi/service_response_details", {"type": kind})["typedefs"])
+    request_types, response_types = _typedefs(ctx, kind)
     if not given and not stdin and request_types[0]["fieldnames"]:
         fields = ", ".join(request_types[0]["fieldnames"])
         raise UsageError(f"no VALUE given for {full} ({kind})", f"the request has the fields: {fields}")

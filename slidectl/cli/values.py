@@ -13,12 +13,11 @@ from typing import Any
 
 from slidectl.errors import BadFile, UsageError
 
-_INTEGER = re.compile(r"[-+]?(0|[1-9][0-9]*)\Z")
-_FLOAT = re.compile(r"[-+]?([0-9]+\.[0-9]*|\.[0-9]+|(0|[1-9][0-9]*)(?=[eE]))([eE][-+]?[0-9]+)?\Z")
-_WORDS = re.compile(r"[A-Za-z_/][A-Za-z0-9_/.-]*( [A-Za-z0-9_/.-]+)*\Z")
-_PAIR = re.compile(
-    r"(?P<open>\{?)[ ]*(?P<key>[A-Za-z_][A-Za-z0-9_]*):[ ]+(?P<value>[^:#,{}\[\]'\"&*!|>%@`]+?)[ ]*(?P<close>\}?)\Z"
-)
+# Texts, not compiled patterns: compiling takes longer than a command has, and most commands need none of them.
+_INTEGER = r"[-+]?(0|[1-9][0-9]*)\Z"
+_FLOAT = r"[-+]?([0-9]+\.[0-9]*|\.[0-9]+|(0|[1-9][0-9]*)(?=[eE]))([eE][-+]?[0-9]+)?\Z"
+_WORDS = r"[A-Za-z_/][A-Za-z0-9_/.-]*( [A-Za-z0-9_/.-]+)*\Z"
+_PAIR = r"(?P<open>\{?)[ ]*(?P<key>[A-Za-z_][A-Za-z0-9_]*):[ ]+(?P<value>[^:#,{}\[\]'\"&*!|>%@`]+?)[ ]*(?P<close>\}?)\Z"
 _CONSTANTS = {
     "": None, "~": None, "null": None, "Null": None, "NULL": None,
     ".inf": float("inf"), ".Inf": float("inf"), ".INF": float("inf"), "+.inf": float("inf"), "-.inf": float("-inf"),
@@ -71,20 +70,22 @@ def read_documents(text: str, what: str, file: str | None = None) -> Iterator[An
 
 
 def _scalar(text: str) -> Any:
-    if _INTEGER.match(text):
+    if text.count(".") == 1 and text.removeprefix("-").replace(".", "").isdecimal() and text.isascii():
+        return float(text)  # what nearly every command line holds
+    if re.match(_INTEGER, text):
         return int(text)
-    if _FLOAT.match(text):
+    if re.match(_FLOAT, text):
         return float(text)
     if text in _CONSTANTS:
         return _CONSTANTS[text]
     if text.lower() in _BOOLEANS and (text.islower() or text.isupper() or text.istitle()):
         return _BOOLEANS[text.lower()]
-    return text if _WORDS.match(text) else _UNKNOWN
+    return text if re.match(_WORDS, text) else _UNKNOWN
 
 
 def _pair(text: str) -> Any:
     """`data: 1.0` and `{data: 1.0}`: what every tutorial types."""
-    match = _PAIR.match(text)
+    match = re.match(_PAIR, text)
     if not match or bool(match["open"]) != bool(match["close"]):
         return _UNKNOWN
     value = _scalar(match["value"])

@@ -13,8 +13,8 @@ from fake_daemon import FakeDaemon
 
 from slidectl.cli.main import COMMANDS
 
-# Beyond click, json and socket and what these import themselves.
-ALLOWED = {"_struct", "struct"}
+# Beyond click, json and socket and what these import themselves; gc is part of the interpreter.
+ALLOWED = {"_struct", "gc", "struct"}
 # click's help writer asks for the width of the terminal and wraps text.
 ALLOWED_FOR_HELP = {
     "shutil",
