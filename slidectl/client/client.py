@@ -68,7 +68,8 @@ class Client:
     def answer(self, call_id: str, *, timeout: float | None = None) -> Message:
         """The response to an earlier `call_async`. Raises as `call` does."""
         try:
-            self.wait_until(lambda: call_id in self._answers, timeout, "the service did not answer")
+            if call_id not in self._answers:
+                self.wait_until(lambda: call_id in self._answers, timeout, "the service did not answer")
         finally:
             self._waiting.discard(call_id)
         answer = self._answers.pop(call_id)

@@ -11,11 +11,12 @@ from collections.abc import Callable
 READ = select.EPOLLIN
 WRITE = select.EPOLLOUT
 HANG_UP = select.EPOLLHUP | select.EPOLLERR
-ONCE = select.EPOLLET | select.EPOLLRDHUP
+PEER_CLOSED = select.EPOLLRDHUP
+ONCE = select.EPOLLET | PEER_CLOSED
 """Tell of each arrival once instead of as long as something is there. Only so are events told in order of arrival."""
 
 Handler = Callable[[int], None]
-"""Takes the events that are ready: a mix of READ, WRITE and HANG_UP."""
+"""Takes the events that are ready: a mix of READ, WRITE, PEER_CLOSED and HANG_UP."""
 
 
 class EventLoop:
