@@ -50,7 +50,7 @@ class Daemon:
         graph.log.sink = self._keep_line
         graph.services.advertise("/slidectl/shutdown", "slidectl/Shutdown", NODE, self._shut_down)
         self._loop = EventLoop()
-        self._pacer = Pacer(self.simulation)
+        self._pacer = Pacer(self.simulation, knocked=self._loop.is_ready)
         self._server = Server(listener, self._loop, graph, self._unexpected)
         self._watch_signals()
 

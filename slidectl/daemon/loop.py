@@ -41,6 +41,10 @@ class EventLoop:
         if self._handlers.pop(fd, None) is not None:
             self._epoll.unregister(fd)
 
+    def is_ready(self) -> bool:
+        """True when `poll` would serve somebody at once. Costs a microsecond."""
+        return bool(select.select(self._waiting, (), (), 0.0)[0])
+
     def poll(self, timeout_s: float | None) -> None:
         """Serve what is ready, waiting at most `timeout_s` for it (None: until something is)."""
         if timeout_s != 0.0 and not select.select(self._waiting, (), (), timeout_s)[0]:
