@@ -2,7 +2,7 @@
 
     python -m benchmarks [NAME ...] [--no-write]
 
-Names are the modules of this folder: commands, cycles, realtime.
+Names are the modules of this folder, see NAMES.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from benchmarks.harness import Row
 
 HERE = Path(__file__).parent
 README = HERE.parent / "README.md"
-NAMES = ("commands", "cycles", "realtime")
+NAMES = ("commands", "cycles", "realtime", "latency", "streams", "spawns")
 BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
 
 
@@ -47,7 +47,9 @@ def markdown(rows: list[Row]) -> str:
     for row in rows:
         asked = "" if row.goal is None else f"{'≤' if row.better == 'lower' else '≥'} {row.goal:g} {row.unit}".strip()
         verdict = {True: "", False: "**missed** ", None: ""}[row.met]
-        lines.append(f"| {row.name} | {figure(row.value)} {row.unit} | {asked} | {verdict}{row.note} |".replace("  ", " "))
+        lines.append(
+            f"| {row.name} | {figure(row.value)} {row.unit} | {asked} | {verdict}{row.note} |".replace("  ", " ")
+        )
     return "\n".join(lines)
 
 

@@ -53,6 +53,8 @@ class Daemon:
         self.folder = tempfile.mkdtemp(prefix="slidectl-bench-", dir="/tmp")
         self.environment = {**os.environ, "XDG_RUNTIME_DIR": self.folder, "SLIDECTL_INSTANCE": "bench"}
         self.environment.pop("SLIDECTL_SOCKET", None)
+        # Who installs slidectl has it compiled; a machine that keeps no compiled files would compile in every command.
+        self.environment.pop("PYTHONDONTWRITEBYTECODE", None)
 
     def run(self, *words: str) -> str:
         """One slidectl command; its standard output."""
@@ -69,7 +71,16 @@ class Daemon:
     def spawn(self, model: str, controllers: Sequence[str], name: str | None = None, at: str = "0 0 0") -> None:
         naming = ["-n", name] if name else []
         config = f"config/{model}_control.yaml"
-        self.run("spawn", model, *naming, "--at", *at.split(), "--controllers", config, "--start", *controllers)
+        self.run(
+            "spawn",
+            model,
+            *naming,
+            "--at",
+            *at.split(),
+            "--controllers",
+            config,
+            *(["--start", *controllers] if controllers else []),
+        )
 
 
 @contextmanager
@@ -104,6 +115,6 @@ def percentile(values: Sequence[float], share: float) -> float:
 
 
 def process_cpu_s(pid: int) -> float:
-    """User and system time that a process has used, s."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    """Processor time that a process has used, s, by the scheduler's own count (to the nanosecond, not by sampling)."""
+    tasks = Path(f"/proc/{pid}/task").glob("*/schedstat")
+    return sum(int(task.read_text().split()[0]) for task in tasks) * 1e-9

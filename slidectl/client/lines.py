@@ -16,7 +16,7 @@ LONGEST_LINE = 16 * 1024 * 1024
 
 
 def _strict_encoder() -> Callable[[Any], str]:
-    """As `JSONEncoder(allow_nan=False, ...).encode`, whose C part is made anew for every message: here it is made once."""
+    """`JSONEncoder.encode` with its C part made once instead of for every message."""
     plain = json.JSONEncoder(allow_nan=False, check_circular=False, separators=(",", ":"))
     make = getattr(json.encoder, "c_make_encoder", None)
     if make is None:
