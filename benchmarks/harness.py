@@ -70,17 +70,9 @@ class Daemon:
 
     def spawn(self, model: str, controllers: Sequence[str], name: str | None = None, at: str = "0 0 0") -> None:
         naming = ["-n", name] if name else []
-        config = f"config/{model}_control.yaml"
-        self.run(
-            "spawn",
-            model,
-            *naming,
-            "--at",
-            *at.split(),
-            "--controllers",
-            config,
-            *(["--start", *controllers] if controllers else []),
-        )
+        config = ["--controllers", f"config/{model}_control.yaml"]
+        start = ["--start", *controllers] if controllers else []
+        self.run("spawn", model, *naming, "--at", *at.split(), *config, *start)
 
 
 @contextmanager
