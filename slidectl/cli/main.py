@@ -55,6 +55,7 @@ COMMANDS = {
     "tf": Entry("Topics, services, parameters", "tf", "Show the frames and the transforms between them."),
     "msg": Entry("Topics, services, parameters", "msg", "Show message types."),
     "srv": Entry("Topics, services, parameters", "msg", "Show service types."),
+    "shell": Entry("slidectl", "shell", "Run many commands in one process."),
     "completion": Entry("slidectl", "completion", "Print the completion script of a shell."),
     "version": Entry("slidectl", "version", "Print the version."),
 }

@@ -63,6 +63,8 @@ class Stream:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        for subscription in self._subscriptions:
+            subscription.close()
         dropped = sum(subscription.dropped for subscription in self._subscriptions)
         if dropped:
             self._ctx.warn(f"{dropped} messages were dropped: they came faster than they were read")
