@@ -14,7 +14,6 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from slidectl.cli.output import watch_reader
-from slidectl.errors import Refused
 
 if TYPE_CHECKING:
     from slidectl.cli.context import Context
@@ -54,10 +53,10 @@ class Stream:
             self.time_ns = nanoseconds(self._client.call("/rosapi/get_time")["time"])
         if self._with_clock and CLOCK not in self._topics:
             self._follow(CLOCK, self._tick)
+        if self._sim_seconds is not None:  # first, so that who sees us listen can rely on it
+            self._sleep = self._client.call_async("/slidectl/sleep", {"duration": self._sim_seconds})
         for topic in self._topics:
             self._follow(topic, self._keeper(topic))
-        if self._sim_seconds is not None:
-            self._sleep = self._client.call_async("/slidectl/sleep", {"duration": self._sim_seconds})
         return self
 
     def __exit__(
@@ -94,22 +93,17 @@ class Stream:
             NoDaemon: the daemon went away. Refused: the wait for the simulated time failed.
         """
         while not self._queue and not self.ended:
-            wire = next(self._client.events(max(0.0, deadline - monotonic())), None)
-            if wire is None:
+            if self._sleep is not None and self._client.is_answered(self._sleep):
+                self._client.answer(self._sleep)
+                self.ended = True
+            elif next(self._client.events(max(0.0, deadline - monotonic())), None) is None:
                 return None
-            if self._sleep is not None and wire.get("op") == "service_response" and wire.get("id") == self._sleep:
-                self._finish(wire)
         return self._queue.popleft() if self._queue else None
 
     @property
     def is_drained(self) -> bool:
         """True when all that has been taken in was read; latched messages are taken in on entry."""
         return not self._queue
-
-    def _finish(self, response: dict[str, Any]) -> None:
-        self.ended = True
-        if not response.get("result", True):
-            raise Refused(str(response.get("values")))
 
 
 def nanoseconds(time: dict[str, int]) -> int:

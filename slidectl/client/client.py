@@ -78,6 +78,10 @@ class Client:
             raise _refusal(Refused, str(values), answer)
         return values if isinstance(values, dict) else {}
 
+    def is_answered(self, call_id: str) -> bool:
+        """True when the response to an earlier `call_async` is here: `answer` will not wait."""
+        return call_id in self._answers
+
     # --- topics -------------------------------------------------------------------------------------------------
 
     def advertise(self, topic: str, type: str | None = None, latch: bool = False) -> None:
