@@ -63,7 +63,7 @@ class WorldCore:
             model = self._compile_with(body)
         else:
             self._spec = spec
-        self._rebuild({**self._bodies, name: body}, model)
+        self._rebuild({**self._bodies, name: body}, model, body)
         return body
 
     def _compile_with(self, newcomer: Body) -> Any:
@@ -97,13 +97,16 @@ class WorldCore:
         """Call back whenever `model`, `data` or `step` were replaced."""
         self._listeners.append(callback)
 
-    def _rebuild(self, bodies: dict[str, Body], model: Any) -> None:
-        """Go on with these robots, whose model it is."""
+    def _rebuild(self, bodies: dict[str, Body], model: Any, newcomer: Body | None = None) -> None:
+        """Go on with these robots, whose model it is; `newcomer` is the last of them when the others were there."""
         states = {name: body.capture() for name, body in self._bodies.items() if name in bodies}
         self._bodies = bodies
         self._install(model, self.data.time)
         for name, body in bodies.items():
-            body.bind(model, self.data)
+            if newcomer in (None, body):
+                body.bind(model, self.data)
+            else:
+                body.follow(model, self.data)
             if name in states:
                 body.put(states[name])
             else:
