@@ -16,6 +16,7 @@ $(STAMP): pyproject.toml
 	@$(PYTHON) -m venv --clear $(VENV) || { echo "python's venv module does not work (on Debian: apt install python3-venv)" >&2; exit 1; }
 	@echo "installing slidectl into $(VENV) ..."
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@$(BIN)/python -m compileall -q slidectl
 	@touch $@
 
 demo: $(STAMP)  ## start a daemon, slide up, to the middle and down, show it moving, stop

@@ -8,7 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 
-from benchmarks.harness import SLIDECTL, SLIDER_CONTROLLERS, Daemon, Row, daemon, timed
+from benchmarks.harness import ENVIRONMENT, SLIDECTL, SLIDER_CONTROLLERS, Daemon, Row, daemon, timed
 
 RUNS = 21
 GOAL_S = 0.070
@@ -55,7 +55,7 @@ def interleaved(actions: dict[str, Callable[[], object]], runs: int) -> dict[str
 
 
 def _python(code: str) -> Callable[[], object]:
-    return lambda: subprocess.run([sys.executable, "-c", code], check=True)
+    return lambda: subprocess.run([sys.executable, "-c", code], env=ENVIRONMENT, check=True)
 
 
 def _slidectl(instance: Daemon, *words: str) -> Callable[[], object]:

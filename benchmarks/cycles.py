@@ -49,8 +49,14 @@ def _measure(model: str, controllers: tuple[str, ...], goal: float | None) -> li
         ratios.append(bare / ours)
         rates.append(CYCLES / ours)
         bare_rates.append(CYCLES / bare)
+    each = f"{1e6 / statistics.median(rates):.2f} us each"
     return [
         Row(f"{model}: bare mj_step", statistics.median(bare_rates) / 1e3, "kHz", note="in C, same model, same run"),
-        Row(f"{model}: cycles", statistics.median(rates) / 1e3, "kHz", note=f"{1e6 / statistics.median(rates):.2f} us each"),
+        Row(
+            f"{model}: cycles",
+            statistics.median(rates) / 1e3,
+            "kHz",
+            note=each,
+        ),
         Row(f"{model}: ratio to bare", statistics.median(ratios), "", goal, better="higher"),
     ]

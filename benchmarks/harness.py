@@ -22,6 +22,9 @@ from slidectl import Client
 
 SLIDECTL = str(Path(sys.executable).with_name("slidectl"))
 SLIDER_CONTROLLERS = ("joint_state_controller", "joint1_position_controller")
+# Without what leads elsewhere, and with compiled modules kept, as an installed package has them.
+_UNWANTED = ("SLIDECTL_SOCKET", "SLIDECTL_NAMESPACE", "PYTHONDONTWRITEBYTECODE")
+ENVIRONMENT = {name: value for name, value in os.environ.items() if name not in _UNWANTED}
 RRBOT_CONTROLLERS = ("joint_state_controller", "joint1_position_controller", "joint2_position_controller")
 
 
@@ -51,10 +54,7 @@ class Daemon:
 
     def __init__(self) -> None:
         self.folder = tempfile.mkdtemp(prefix="slidectl-bench-", dir="/tmp")
-        self.environment = {**os.environ, "XDG_RUNTIME_DIR": self.folder, "SLIDECTL_INSTANCE": "bench"}
-        self.environment.pop("SLIDECTL_SOCKET", None)
-        # Who installs slidectl has it compiled; a machine that keeps no compiled files would compile in every command.
-        self.environment.pop("PYTHONDONTWRITEBYTECODE", None)
+        self.environment = {**ENVIRONMENT, "XDG_RUNTIME_DIR": self.folder, "SLIDECTL_INSTANCE": "bench"}
 
     def run(self, *words: str) -> str:
         """One slidectl command; its standard output."""

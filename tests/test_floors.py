@@ -13,7 +13,7 @@ FLOORS = {
     "errors": 0, "names": 0, "paths": 0, "msgs": 0,
     "description": 1, "control": 1, "client": 1,
     "physics": 2, "launch": 2,
-    "simulation": 3,
+    "simulation": 3, "check": 3,
     "daemon": 4,
     "cli": 5,
 }  # fmt: skip
@@ -28,12 +28,14 @@ FORBIDDEN = {
     "client": {"asyncio", "click", "mujoco", "numpy", "yaml", "rosbags", "lxml", "threading"},
     "physics": {"click", "socket", "select", "threading"},
     "simulation": {"click", "mujoco", "socket", "select", "time", "threading", "asyncio"},
+    "launch": {"asyncio", "click", "mujoco", "socket", "threading"},
+    "check": {"click", "mujoco", "socket"},
     "daemon": {"click", "asyncio", "threading"},
     "cli": {"mujoco", "asyncio"},
 }
 
 # The door to the daemon's life cycle is the only thing that the command line takes from the daemon's floor directly.
-CLI_MAY_TAKE = {"errors", "names", "paths", "msgs", "description", "client", "daemon", "cli"}
+CLI_MAY_TAKE = {"errors", "names", "paths", "msgs", "description", "client", "daemon", "check", "launch", "cli"}
 
 
 def modules() -> list[Path]:

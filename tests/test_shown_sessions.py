@@ -1,6 +1,6 @@
 """Every session that a page shows (a fenced `console` block) is typed into a shell, and prints what the page says.
 
-Numbers may differ; a line `...` stands for any lines.
+Numbers may differ; a line `...` stands for any lines. Every fenced `python` block runs beside a slider.
 """
 
 from __future__ import annotations
@@ -78,6 +78,29 @@ def test_the_sessions_of_a_page_print_what_it_shows(page: Path, environment: dic
         assert pattern(lines).match(printed), (
             f"$ {command}\n--- printed (exit {done.returncode}):\n{printed}--- shown:\n" + "\n".join(lines)
         )
+
+
+PROGRAM = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
+PROGRAMS = [
+    pytest.param(program, id=f"{page.name}-{index}")
+    for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+    for index, program in enumerate(PROGRAM.findall(page.read_text(encoding="utf-8")))
+]
+SLIDER = (
+    "slidectl daemon start --rtf max",
+    "slidectl spawn slider --controllers config/slider_control.yaml"
+    " --start joint_state_controller joint1_position_controller",
+)
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_the_programs_of_a_page_run(program: str, environment: dict[str, str]) -> None:
+    for command in SLIDER:
+        subprocess.run(["bash", "-c", command], cwd=ROOT, env=environment, check=True, capture_output=True)
+    variables = {**environment, "SLIDECTL_SOCKET": f"{environment['XDG_RUNTIME_DIR']}/slidectl/default/socket"}
+    done = subprocess.run([sys.executable, "-c", program], env=variables, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip()
 
 
 def test_numbers_may_differ_but_words_may_not() -> None:

@@ -9,31 +9,34 @@ from __future__ import annotations
 import gc
 import os
 import sys
-from contextlib import suppress
-from typing import TYPE_CHECKING, NoReturn
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+from typing import NoReturn
 
 _INTERRUPTED = 130
+# New objects between two looks for garbage: more than a short command makes (a tenth of its time went into looking),
+# and still few enough for one that follows a topic for days.
+_GARBAGE_THRESHOLD = 100_000
 
 
 def entry() -> NoReturn:
     """Run the command line of this process and leave with its exit code."""
     code = _INTERRUPTED
-    with suppress(KeyboardInterrupt):
-        code = _imported_run()(sys.argv[1:])
+    gc.set_threshold(_GARBAGE_THRESHOLD)
+    if None in (sys.stdin, sys.stdout, sys.stderr):
+        _stand_in()
+    try:
+        from slidectl.cli.main import run
+
+        code = run(sys.argv[1:])
+    except KeyboardInterrupt:
+        pass
     leave(code)
 
 
-def _imported_run() -> Callable[[Sequence[str]], int]:
-    """The function that runs a command line. What is imported is no garbage, so none is looked for meanwhile."""
-    gc.disable()
-    from slidectl.cli.main import run
-
-    gc.freeze()
-    gc.enable()
-    return run
+def _stand_in() -> None:
+    """Put /dev/null in the place of standard streams that were closed, before a socket gets their number."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
 
 
 def leave(code: int) -> NoReturn:

@@ -31,7 +31,7 @@ def read(ctx: Context, file: str, namespaces: Sequence[str]) -> Tree:
     """
     from slidectl.description import controllers_file
 
-    path = _find(file)
+    path = find(file)
     notices: list[Notice] = []
     tree = controllers_file.read(path, notices)
     for notice in notices:
@@ -39,7 +39,7 @@ def read(ctx: Context, file: str, namespaces: Sequence[str]) -> Tree:
     return dict(leaves(_placed(ctx, tree, namespaces, str(path))))
 
 
-def _find(file: str) -> Path:
+def find(file: str) -> Path:
     """The file, else the shipped one of that name, so that the tutorials' lines work in any folder."""
     from slidectl.paths import share
 

@@ -41,6 +41,7 @@ class Context:
         self.timeout: float | None = None
         """Wall seconds of `--timeout`; None when it was not given."""
         self._client: Client | None = None
+        self._emitted: list[str] | None = None
 
     # --- the daemon ---------------------------------------------------------------------------------------------
 
@@ -65,12 +66,12 @@ class Context:
         return self._client
 
     @property
-    def is_connected(self) -> bool:
-        """True when `client` has been used already."""
-        return self._client is not None
+    def uri(self) -> str:
+        """Where every node and service answers: the daemon's socket."""
+        return f"unix://{self.client.paths.socket_text}"
 
     def close(self) -> None:
-        """Close the connection if there is one."""
+        """Close the connection if there is one; where a process runs many commands."""
         if self._client is not None:
             self._client.close()
             self._client = None
@@ -103,15 +104,20 @@ class Context:
     # --- printing -----------------------------------------------------------------------------------------------
 
     def emit(self, record: Mapping[str, Any], text: str | None = None) -> None:
-        """One result. As text it is `text`, else `key: value` lines; csv is a header and one row."""
+        """One result of one or several. As text it is `text` (nothing when empty), else `key: value` lines.
+
+        Several are lines of json, documents of yaml, or rows of csv below one header.
+        """
         if self.format == "json":
             output.write(output.as_json(record))
         elif self.format == "yaml":
-            output.write(output.as_yaml(record))
+            output.write(("" if self._emitted is None else "---\n") + output.as_yaml(record))
         elif self.format == "csv":
-            output.write(output.as_csv([list(record), list(record.values())]))
+            header = [] if self._emitted == list(record) else [list(record)]
+            output.write(output.as_csv([*header, list(record.values())]))
         elif text != "":
             output.write(output.as_lines(record) if text is None else text)
+        self._emitted = list(record)
 
     def emit_rows(self, rows: Sequence[Mapping[str, Any]], columns: Sequence[str], empty: str = "") -> None:
         """Many results: a table as text, an object a line as json, a list as yaml, a header and rows as csv.

@@ -35,6 +35,8 @@ class Look(NamedTuple):
     width: int | None
     clear: bool
     offset: bool
+    arrival: bool = False
+    """The time of a CSV line is when the message came, whatever its header says."""
 
 
 @command(
@@ -89,7 +91,7 @@ def echo(
     needs_clock = offset or (look.form == "csv" and not schema.has_header)
     if count != 0:
         with Stream(ctx, [found.topic], with_clock=needs_clock, sim_seconds=sim_seconds) as stream:
-            _print(stream, keep, write, count, ctx.timeout)
+            follow(stream, keep, write, count, ctx.timeout)
 
 
 def predicate(condition: str | None, schema: Schema) -> Keep:
@@ -102,7 +104,8 @@ def predicate(condition: str | None, schema: Schema) -> Keep:
     return lambda message: bool(expression(m=message))
 
 
-def _print(stream: Stream, keep: Keep, write: Write, count: int | None, patience: float | None) -> None:
+def follow(stream: Stream, keep: Keep, write: Write, count: int | None, patience: float | None) -> None:
+    """Print messages until so many are printed or the stream ends. Raises TimedOut when none comes for `patience` s."""
     printed = 0
     while printed != count:
         event = stream.next(math.inf if patience is None else monotonic() + patience)
@@ -159,12 +162,13 @@ def _csv_writer(ctx: Context, schema: Schema, selection: Selection, look: Look) 
     from slidectl.cli.csvform import CsvForm
 
     form = CsvForm(schema, look.arrays, look.strings)
+    stamped = schema.has_header and not look.arrival
     header = ""
 
     def write(event: Event) -> None:
         nonlocal header
         form.offset_ns = event.time_ns if look.offset else 0
-        time_ns = nanoseconds(event.message["header"]["stamp"]) if schema.has_header else event.time_ns
+        time_ns = nanoseconds(event.message["header"]["stamp"]) if stamped else event.time_ns
         row = form.row(selection.take(event.message), selection.type, selection.depth, time_ns)
         if row.header != header:
             if header:

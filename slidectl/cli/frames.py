@@ -9,7 +9,8 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
-from slidectl.errors import Refused, UnknownName
+from slidectl import names
+from slidectl.errors import AmbiguousName, Refused, UnknownName
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -76,16 +77,32 @@ class Frames:
             way.append(self.edges[way[-1]].parent)
         return way
 
-    def are_connected(self, one: str, other: str) -> bool:
-        """True when both are known and have the same root."""
+    def find(self, name: str, namespace: str = "/") -> str:
+        """The frame that `name` means: one below the namespace, else the unique end of a frame's name.
+
+        Raises:
+            UnknownName: it lists the frames there are. AmbiguousName: several end so.
+        """
         known = self.names
+        try:
+            full = names.resolve(name, [f"/{frame}" for frame in known], kind="frame", namespace=namespace)
+        except AmbiguousName as error:
+            raise AmbiguousName("frame", name, [match[1:] for match in error.matches]) from None
+        except UnknownName:
+            raise UnknownName("frame", name, known) from None
+        return full[1:]
+
+    def are_connected(self, one: str, other: str) -> bool:
+        """True when both are known, by their full names, and have the same root."""
+        known = self.names
+        one, other = one.removeprefix("/"), other.removeprefix("/")
         return one in known and other in known and self.way_up(one)[-1] == self.way_up(other)[-1]
 
     def look_up(self, reference: str, target: str) -> View:
         """The pose of `target` in `reference`.
 
         Raises:
-            UnknownName: no such frame; it lists those there are. Refused: they are not in one tree.
+            UnknownName: no such frame. Refused: they are not in one tree.
         """
         for name in (reference, target):
             if name not in self.names:

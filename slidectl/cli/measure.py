@@ -157,8 +157,12 @@ class DelayMeter(Meter):
         self.count()
         self._delays.append(delay)
 
+    def spread(self) -> Spread | None:
+        """The spread of the delays in s; None before the first message."""
+        return Spread(self._delays) if self._delays else None
+
     def record(self) -> dict[str, Any]:
-        spread = Spread(self._delays) if self._delays else None
+        spread = self.spread()
         figures = spread.record() if spread else dict.fromkeys(("min", "max", "std_dev", "p50", "p99"))
         delay = spread.mean if spread else None
         return {"topic": self.topic, "delay": delay, **figures, "window": len(self._delays), "new": self.new}

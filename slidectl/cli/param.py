@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 import re
 from collections.abc import Iterator
 from typing import Any
@@ -11,13 +9,12 @@ from typing import Any
 import click
 
 from slidectl import names
-from slidectl.cli import live, output
+from slidectl.cli import live, output, parameters
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
-from slidectl.errors import BadFile, Refused, UnknownName, UsageError
+from slidectl.errors import BadFile, Refused, UnknownName, UsageError, listing
 
-_INDEXED = r"(?P<name>[^\[\]]+)(?P<indices>(\[-?\d+\])+)\Z"
-_ANGLE = r"(?s)(?P<unit>deg|rad)\((?P<expression>.*)\)\Z"
+_INDEXED = re.compile(r"(?P<name>[^\[\]]+)(?P<indices>(\[-?\d+\])+)\Z")
 
 
 @group(examples=["slidectl param get joint1_position_controller/pid", "slidectl param set pid/p 150"])
@@ -31,17 +28,17 @@ def _resolved(ctx: Context, name: str) -> str:
         return name
     known = ctx.names("parameter")
     spaces = {space for each in known for space in _above(each)}
-    return names.resolve(name.rstrip("/"), {*known, *spaces}, kind="parameter", namespace=ctx.namespace)
+    try:
+        return names.resolve(name.rstrip("/"), {*known, *spaces}, kind="parameter", namespace=ctx.namespace)
+    except UnknownName as error:
+        error.hint = f"parameters: {listing(known)}"
+        raise
 
 
 def _above(name: str) -> Iterator[str]:
     """The namespaces that hold a name, without the root."""
     while (name := names.parent(name)) != "/":
         yield name
-
-
-def _get(ctx: Context, full: str) -> Any:
-    return json.loads(ctx.call("/rosapi/get_param", {"name": full})["value"])
 
 
 # --- list, get ------------------------------------------------------------------------------------------------------
@@ -69,14 +66,14 @@ def get(ctx: Context, name: str, fallback: str | None) -> None:
 
     An element of a list is NAME[0]. JSON keys: parameter, value.
     """
-    match = re.match(_INDEXED, name)
+    match = _INDEXED.match(name)
     try:
         full = _resolved(ctx, match["name"] if match else name)
-        value = _get(ctx, full)
+        value = parameters.get(ctx, full)
     except UnknownName:
         if fallback is None:
             raise
-        full, value, match = names.join(ctx.namespace, name), _value(fallback), None
+        full, value, match = names.join(ctx.namespace, name), parameters.typed(fallback), None
     for index in re.findall(r"-?\d+", match["indices"]) if match else ():
         value = _element(full, value, int(index))
     ctx.emit({"parameter": full, "value": value}, as_rosparam(value))
@@ -92,20 +89,8 @@ def _element(full: str, value: Any, index: int) -> Any:
 
 def as_rosparam(value: Any) -> str:
     """The value as `rosparam get` prints it: YAML, and an empty line after a mapping or a list."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, int):
-        return str(value)
-    if isinstance(value, float) and math.isfinite(value) and "e" not in repr(value):
-        return repr(value)  # as YAML writes it, without loading YAML
-    text = _dumped(value)
+    text = parameters.dumped(value)
     return text + "\n" if isinstance(value, dict | list) else text.removesuffix("...\n")
-
-
-def _dumped(value: Any) -> str:
-    import yaml
-
-    return str(yaml.safe_dump(value, default_flow_style=False))
 
 
 # --- set, delete ----------------------------------------------------------------------------------------------------
@@ -125,43 +110,18 @@ def set_parameter(ctx: Context, name: str, value: str | None, textfile: str | No
     there, all else replaces it. A short NAME means the parameter that ends so, if there is one. One that belongs to a
     running controller takes effect at its next cycle. JSON keys: parameter, value.
     """
-    from slidectl.cli.configuration import leaves, store
+    from slidectl.cli.configuration import store
     from slidectl.cli.documents import text_of
 
     if (value is None) == (textfile is None):
         raise UsageError("give a VALUE or -t FILE")
-    content = text_of(textfile) if textfile is not None else _value(value or "")
-    if content is None:
-        raise UsageError("null is no value of a parameter", f"slidectl param delete {name}")
+    content = text_of(textfile) if textfile is not None else parameters.typed(value or "")
     full = _name_to_set(ctx, name)
-    store(ctx, dict(leaves(content, full)) if isinstance(content, dict) and content else {full: content})
+    store(ctx, parameters.settings(content, full))
     if full != names.join(ctx.namespace, name):
         ctx.say(f"set {full}")
     ctx.detail(f"set parameter [{full}] to [{content}]")
     ctx.emit({"parameter": full, "value": content}, "")
-
-
-def _value(text: str) -> Any:
-    """What was typed, with angles in radians. Raises UsageError."""
-    from slidectl.cli.values import read
-
-    return "" if text == "" else _with_angles(read(text))
-
-
-def _with_angles(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _with_angles(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_with_angles(item) for item in value]
-    match = re.match(_ANGLE, value) if isinstance(value, str) else None
-    if match is None:
-        return value
-    from math import radians
-
-    from slidectl.cli.expressions import Expression
-
-    angle = float(Expression(match["expression"])())
-    return radians(angle) if match["unit"] == "deg" else angle
 
 
 def _name_to_set(ctx: Context, name: str) -> str:
@@ -204,26 +164,13 @@ def load(ctx: Context, file: str, namespace: str | None) -> None:
 
     shown = "stdin" if file == "-" else file
     inside = names.check(names.join(ctx.namespace, (namespace or "").rstrip("/") or ctx.namespace))
-    tree = _tree(ctx, text_of(file), shown, namespace is not None)
-    parameters = dict(leaves(tree, inside)) if isinstance(tree, dict) else {inside: tree}
-    store(ctx, parameters)
-    for name, value in parameters.items():
+    tree = parameters.tree(ctx, text_of(file), shown, namespace is not None)
+    chosen = dict(leaves(tree, inside)) if isinstance(tree, dict) else {inside: tree}
+    store(ctx, chosen)
+    for name, value in chosen.items():
         ctx.detail(f"{name}={value}")
     if ctx.format != "text":
-        ctx.emit_rows([{"parameter": n, "value": v} for n, v in parameters.items()], ["parameter", "value"])
-
-
-def _tree(ctx: Context, text: str, file: str, may_be_list: bool) -> Any:
-    """The parameters in a text: a mapping, or, where there is a namespace to be its name, a list. Raises BadFile."""
-    from slidectl.description import yaml_tree
-
-    if may_be_list and re.match(r"(\s*(#.*)?\n)*\s*(-\s|\[)", text) and not text.startswith("---"):
-        return yaml_tree.read_value(text, file)
-    notices: list[Any] = []
-    tree = yaml_tree.read(text, file, notices)
-    for notice in notices:
-        ctx.warn(f"{notice.file}:{notice.line}: {notice.subject} {notice.text}")
-    return tree
+        ctx.emit_rows([{"parameter": n, "value": v} for n, v in chosen.items()], ["parameter", "value"])
 
 
 @param.command("dump", examples=["slidectl param dump", "slidectl param dump slider.yaml /slider"])
@@ -235,8 +182,8 @@ def dump(ctx: Context, file: str | None, namespace: str | None) -> None:
 
     With --json it is one object.
     """
-    value = _get(ctx, "/" if namespace is None else _resolved(ctx, namespace))
-    text = output.as_json(value) + "\n" if ctx.format == "json" else _dumped(value)
+    value = parameters.get(ctx, "/" if namespace is None else _resolved(ctx, namespace))
+    text = output.as_json(value) + "\n" if ctx.format == "json" else parameters.dumped(value)
     if file in (None, "-"):
         return output.write(text)
     try:

@@ -30,7 +30,7 @@ class PubCommand(Command):
     """`-1` may be an option or a number, and `-sin(t)` is a value: both reach the command as words."""
 
     def is_value(self, token: str, before: Sequence[str]) -> bool:
-        return token == _ONCE or bool(re.match(_EXPRESSION, token)) or super().is_value(token, before)
+        return token == _ONCE or super().is_value(token, before) or bool(re.match(_EXPRESSION, token))
 
 
 def _complete(click_context: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
@@ -43,7 +43,7 @@ def _complete(click_context: click.Context, param: click.Parameter, incomplete: 
         "slidectl pub command 1.0",
         "slidectl pub /slider/joint1_position_controller/command std_msgs/Float64 'data: 1.0'",
         "slidectl pub joint1_position_controller/command -r 100 'sin(2*pi*0.2*t)'",
-        "slidectl echo command --json | slidectl pub other_command --stdin",
+        "slidectl echo /left/goal --json | slidectl pub /right/goal --stdin",
     ],
 )
 @click.argument("words", nargs=-1, required=True, metavar="TOPIC [TYPE] [VALUE]...", shell_complete=_complete)
@@ -84,7 +84,7 @@ def pub(
     name, *given = words
     from_elsewhere = file is not None or stdin
     target, given = _target(ctx, name, given, allow_unheard, from_elsewhere)
-    given, marked = _without_once(given, 0 if from_elsewhere else len(target.typedefs[0]["fieldnames"]))
+    given, marked = without_once(given, 0 if from_elsewhere else len(target.typedefs[0]["fieldnames"]))
     once = once or marked
     _check_options(words, once, rate, file, stdin)
     sources = _from_documents(target, file, rate) if from_elsewhere else _from_words(target, given, rate, count)
@@ -141,7 +141,7 @@ def _is_type(given: Sequence[str], target: Target, from_elsewhere: bool) -> bool
         return True
     alone = [word for word in given if word != _ONCE] == [given[0]] and not from_elsewhere
     takes_text = target.typedefs[0]["fieldtypes"] == ["string"]
-    return bool(re.match(_TYPE, given[0])) and not (alone and takes_text)
+    return "/" in given[0] and bool(re.match(_TYPE, given[0])) and not (alone and takes_text)
 
 
 def _new_topic(ctx: Context, name: str, given: list[str]) -> tuple[Target, list[str]]:
@@ -154,7 +154,7 @@ def _new_topic(ctx: Context, name: str, given: list[str]) -> tuple[Target, list[
 # --- the values -----------------------------------------------------------------------------------------------------
 
 
-def _without_once(given: list[str], fields: int) -> tuple[list[str], bool]:
+def without_once(given: list[str], fields: int) -> tuple[list[str], bool]:
     """The values without `-1` as an option, and whether it was one; where a value is missing it is a number."""
     plain = [word for word in given if word != _ONCE]
     by_name = len(plain) == 1 and (":" in plain[0] or plain[0].startswith("{"))

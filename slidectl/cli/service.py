@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import click
 
 from slidectl import names
-from slidectl.cli import live, output
+from slidectl.cli import live, output, servicecall
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
+from slidectl.cli.servicecall import argument_names, as_yaml, ask_each, request_typedefs, typedefs
 from slidectl.cli.topics import fitting
 from slidectl.errors import Refused, UsageError
-
-CALL_TIMEOUT_S = 60.0
-_VERDICTS = ("ok", "success")
-_REASONS = ("message", "status_message")
 
 
 @group(examples=["slidectl service list", "slidectl service call /gazebo/get_world_properties"])
@@ -39,15 +36,10 @@ def list_services(ctx: Context, namespace: str | None, nodes: bool) -> None:
         known = [name for name in known if names.is_under(name, inside)]
     if not nodes:
         return ctx.emit_names(known, "service")
-    providers = _ask_each(ctx, "/rosapi/service_node", known, "node")
+    providers = ask_each(ctx, "/rosapi/service_node", known, "node")
     if ctx.format == "text" and known:
         return output.write("\n".join(f"{name} {providers[name]}" for name in known))
     return ctx.emit_rows([{"service": name, "node": providers[name]} for name in known], ["service", "node"])
-
-
-def _ask_each(ctx: Context, question: str, services: Iterable[str], key: str) -> dict[str, str]:
-    calls = {name: ctx.client.call_async(question, {"service": name}) for name in services}
-    return {name: str(ctx.client.answer(call)[key]) for name, call in calls.items()}
 
 
 @service.command("info", examples=["slidectl service info list_controllers"])
@@ -60,9 +52,9 @@ def info(ctx: Context, name: str) -> None:
     """
     full, kind = _typed(ctx, name)
     node = ctx.call("/rosapi/service_node", {"service": full})["node"]
-    arguments = _arguments(_request_typedefs(ctx, kind))
-    record = {"service": full, "node": node, "uri": _uri(ctx), "type": kind, "args": arguments}
-    ctx.emit(record, f"Node: {node}\nURI: {_uri(ctx)}\nType: {kind}\nArgs: {' '.join(arguments)}")
+    arguments = argument_names(request_typedefs(ctx, kind))
+    record = {"service": full, "node": node, "uri": ctx.uri, "type": kind, "args": arguments}
+    ctx.emit(record, f"Node: {node}\nURI: {ctx.uri}\nType: {kind}\nArgs: {' '.join(arguments)}")
 
 
 @service.command("type", examples=["slidectl service type list_controllers"])
@@ -86,7 +78,7 @@ def args(ctx: Context, name: str) -> None:
     JSON keys: service, type, args.
     """
     full, kind = _typed(ctx, name)
-    arguments = _arguments(_request_typedefs(ctx, kind))
+    arguments = argument_names(request_typedefs(ctx, kind))
     ctx.emit({"service": full, "type": kind, "args": arguments}, " ".join(arguments) + "\n")
 
 
@@ -99,7 +91,7 @@ def uri(ctx: Context, name: str) -> None:
     JSON keys: service, uri.
     """
     full = ctx.resolve("service", name)
-    ctx.emit({"service": full, "uri": _uri(ctx)}, _uri(ctx))
+    ctx.emit({"service": full, "uri": ctx.uri}, ctx.uri)
 
 
 @service.command("find", examples=["slidectl service find controller_manager_msgs/ListControllers"])
@@ -117,31 +109,9 @@ def find(ctx: Context, type_name: str) -> None:
 def _typed(ctx: Context, name: str) -> tuple[str, str]:
     """The full name of a service, and its type: two round trips. Raises UnknownName, AmbiguousName."""
     known = ctx.names("service")
-    types = _ask_each(ctx, "/rosapi/service_type", fitting(name, known, ctx.namespace), "type")
+    types = ask_each(ctx, "/rosapi/service_type", fitting(name, known, ctx.namespace), "type")
     full = names.resolve(name, known, kind="service", namespace=ctx.namespace)
     return full, types[full]
-
-
-def _uri(ctx: Context) -> str:
-    return f"unix://{ctx.client.paths.socket}"
-
-
-def _request_typedefs(ctx: Context, kind: str) -> list[dict[str, Any]]:
-    return list(ctx.call("/rosapi/service_request_details", {"type": kind})["typedefs"])
-
-
-def _typedefs(ctx: Context, kind: str) -> list[list[dict[str, Any]]]:
-    """Those of the request and of the response, in one round trip."""
-    asked = [
-        ctx.client.call_async(f"/rosapi/service_{part}_details", {"type": kind}) for part in ("request", "response")
-    ]
-    return [list(ctx.client.answer(call)["typedefs"]) for call in asked]
-
-
-def _arguments(typedefs: Sequence[dict[str, Any]]) -> list[str]:
-    from slidectl.msgs.fill import field_paths, fields_from
-
-    return field_paths(fields_from(typedefs), str(typedefs[0]["type"]))
 
 
 # --- call -----------------------------------------------------------------------------------------------------------
@@ -167,13 +137,17 @@ def call(ctx: Context, name: str, given: tuple[str, ...], stdin: bool) -> None:
     waits for a minute at most, or for --timeout. With --json it prints the response as one object.
     """
     full, kind = _typed(ctx, name)
-    request_types, response_types = _typedefs(ctx, kind)
+    request_types, response_types = typedefs(ctx, kind)
     if not given and not stdin and request_types[0]["fieldnames"]:
         fields = ", ".join(request_types[0]["fieldnames"])
         raise UsageError(f"no VALUE given for {full} ({kind})", f"the request has the fields: {fields}")
     refusals = []
     for values in _requests(given, stdin):
-        refusals += _call_once(ctx, full, _filled(ctx, request_types, values), response_types)
+        answer = servicecall.call(ctx, full, _filled(ctx, request_types, values))
+        ctx.emit(answer.response, as_yaml(answer.response, response_types))
+        for line in [] if answer.refusal else answer.logged:
+            ctx.warn(line)
+        refusals += answer.refusal
     if refusals:
         raise Refused("\n".join(refusals))
 
@@ -202,25 +176,3 @@ def _filled(ctx: Context, typedefs: Sequence[dict[str, Any]], values: Sequence[A
         time = ctx.call("/rosapi/get_time")["time"]
         now = (time["secs"], time["nsecs"])
     return fill(fields_from(typedefs), str(typedefs[0]["type"]), template.at(0, 0.0), now)
-
-
-def _call_once(ctx: Context, full: str, request: dict[str, Any], typedefs: Sequence[dict[str, Any]]) -> list[str]:
-    """Call and print the response. Lines that say why it was refused; none when it was not."""
-    with ctx.client.rosout() as lines:
-        response = ctx.call(full, request, ctx.wait_limit(CALL_TIMEOUT_S))
-    ctx.emit(response, _as_yaml(response, typedefs))
-    verdict = next((field for field in _VERDICTS if response.get(field) is False), None)
-    if verdict is None:
-        return []
-    reasons = [str(response[field]) for field in _REASONS if response.get(field)]
-    logged = [str(line["msg"]) for line in lines if line["msg"] not in reasons]
-    indented = [f"  {line}" for reason in reasons + logged[-2:] for line in reason.splitlines()]
-    return [f"{full} answered {verdict}: false", *indented]
-
-
-def _as_yaml(response: dict[str, Any], typedefs: Sequence[dict[str, Any]]) -> str:
-    from slidectl.cli.schema import from_typedefs
-    from slidectl.cli.yamlform import YamlForm
-
-    schema = from_typedefs(typedefs)
-    return YamlForm(schema).printer(schema.root)(response) + "\n"

@@ -10,7 +10,7 @@ import click
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
 from slidectl.cli.options import wait_for_world_s
-from slidectl.errors import Refused, UsageError
+from slidectl.errors import Refused, TimedOut, UsageError
 
 _STEPS = r"\d+"
 _SECONDS = r"(?i)(?P<number>\d+\.?\d*|\.\d+)(e[-+]?\d+)?\s*(?P<unit>s|ms)"
@@ -120,7 +120,13 @@ def step(ctx: Context, amount: str) -> None:
     """
     request = parse_amount(amount)
     seconds = request["seconds"] or request["cycles"] * 1e-3
-    answer = _demand(ctx.call("/slidectl/step", request, ctx.wait_limit(wait_for_world_s(seconds))))
+    limit = ctx.wait_limit(wait_for_world_s(seconds))
+    try:
+        answer = _demand(ctx.call("/slidectl/step", request, limit))
+    except TimedOut:
+        raise TimedOut(
+            f"the steps are not done within {limit:g} s", "the rest is given up; allow more with --timeout"
+        ) from None
     record = {"time": answer["time"], "cycles": answer["cycles"]}
     ctx.done(record, f"time {answer['time']:.6g} s after {answer['cycles']} cycles")
 

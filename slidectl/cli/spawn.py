@@ -62,7 +62,7 @@ def spawn(
     arguments; a model with an argument `namespace` gets /NAME for it when -n is given. A root link called `world` is
     fixed, any other is free. JSON keys: name, namespace, fixed, pose, links, joints, controllers, report.
     """
-    document = _document(model, _pairs(arguments, ":="), name, _pairs(packages, "="))
+    document = _document(model, pairs(arguments, ":="), name, pairs(packages, "="))
     xml = _rooted(document, fixed)
     pose = _pose(at)
     wanted, namespace = _identity(xml, document, name)
@@ -81,11 +81,12 @@ def spawn(
     _tell(ctx, wanted)
 
 
-def _pairs(words: Sequence[str], sign: str) -> dict[str, str]:
+def pairs(words: Sequence[str], sign: str, command: str = "spawn") -> dict[str, str]:
     """`key:=value` words as a mapping. Raises UsageError."""
     for word in words:
         if not word.partition(sign)[0] or sign not in word:
-            raise UsageError(f"{word!r} is not KEY{sign}VALUE", "slidectl spawn --help shows the order of arguments")
+            hint = f"slidectl {command} --help shows the order of arguments"
+            raise UsageError(f"{word!r} is not KEY{sign}VALUE", hint)
     return {key: value for key, _, value in (word.partition(sign) for word in words)}
 
 
@@ -185,6 +186,6 @@ def _tell_report(ctx: Context, name: str, document: Document) -> None:
 
 def _tell(ctx: Context, name: str) -> None:
     robot = robots.record(robots.find(robots.all_robots(ctx), name))
-    x, y, z = robot["pose"][:3]
+    x, y, z = (round(value, 3) + 0.0 for value in robot["pose"][:3])
     joints = " ".join(robots.moving(robot)) or "none"
     ctx.done(robot, f"{name}: spawned in {robot['namespace']} at {x:g} {y:g} {z:g}, joints: {joints}")

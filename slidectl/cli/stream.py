@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from slidectl.client import Subscription
 
 CLOCK = "/clock"
+_SILENCE_S = 1.0
 
 
 class Event(NamedTuple):
@@ -44,6 +45,8 @@ class Stream:
         self._sim_seconds = sim_seconds
         self._subscriptions: list[Subscription] = []
         self._sleep: str | None = None
+        self._status: str | None = None
+        self._doubt = math.inf
         self.time_ns = 0
         self.ended = False
 
@@ -57,6 +60,7 @@ class Stream:
             self._sleep = self._client.call_async("/slidectl/sleep", {"duration": self._sim_seconds})
         for topic in self._topics:
             self._follow(topic, self._keeper(topic))
+        self._doubt = monotonic() + _SILENCE_S
         return self
 
     def __exit__(
@@ -96,9 +100,26 @@ class Stream:
             if self._sleep is not None and self._client.is_answered(self._sleep):
                 self._client.answer(self._sleep)
                 self.ended = True
-            elif next(self._client.events(max(0.0, deadline - monotonic())), None) is None:
+                break
+            wire = next(self._client.events(max(0.0, min(deadline, self._doubt) - monotonic())), None)
+            if wire is None and monotonic() >= deadline:
                 return None
+            if wire is None:
+                self._ask_why()
+            elif wire.get("op") == "service_response":
+                self._take_answer(wire)
+            elif self._queue:
+                self._doubt = math.inf
         return self._queue.popleft() if self._queue else None
+
+    def _ask_why(self) -> None:
+        """Nothing has come yet: that may be because the world stands still."""
+        self._doubt = math.inf
+        self._status = self._client.call_async("/slidectl/status")
+
+    def _take_answer(self, response: dict[str, Any]) -> None:
+        if response.get("id") == self._status and self._client.answer(str(self._status))["paused"]:
+            self._ctx.say("the simulation is paused; nothing comes until it goes on: slidectl sim resume")
 
     @property
     def is_drained(self) -> bool:

@@ -56,10 +56,10 @@ class Listener:
             if monotonic() >= deadline:
                 return
 
-    def look_up(self, reference: str, target: str) -> View:
-        """Frames.look_up, which says so when the reason may be a world that stands still."""
+    def find(self, *wanted: str) -> list[str]:
+        """The frames' full names; an error says so when the reason may be a world that stands still."""
         try:
-            return self.frames.look_up(reference, target)
+            return [self.frames.find(name, self._ctx.namespace) for name in wanted]
         except SlidectlError as error:
             if MOVING in self._topics and not self._heard:
                 error.hint = f"{error.hint}\nnothing came on {MOVING}; is the simulation paused? slidectl sim status"
@@ -113,7 +113,7 @@ def _row(frames: Frames, name: str) -> dict[str, Any]:
     edge = frames.edges.get(name)
     if edge is None:
         return {"frame": name, "parent": None, "static": True, "time": None}
-    return {"frame": name, "parent": edge.parent, "static": edge.is_static, "time": edge.time_ns * 1e-9}
+    return {"frame": name, "parent": edge.parent, "static": edge.is_static, "time": edge.time_ns / 1e9}
 
 
 @tf.command("tree", examples=["slidectl tf tree"])
@@ -148,18 +148,19 @@ def _branch(frames: Frames, name: str, indent: str) -> Iterator[str]:
 def echo(ctx: Context, reference: str, target: str, count: int | None, follow: bool, rate: float) -> None:
     """Print the pose of frame B in frame A, as tf_echo does: once, or -n times, or again and again.
 
+    The end of a frame's name is enough when no other one ends so.
     JSON keys: reference, target, time (simulated s; null when nothing between them moves), translation (x y z, m),
     rotation (x y z w), rpy (rad).
     """
-    reference, target = reference.removeprefix("/"), target.removeprefix("/")
     stream, topics = _open(ctx)
     left = math.inf if follow and count is None else count or 1
     with stream:
         listener = Listener(ctx, stream, topics)
-        listener.listen(lambda frames: frames.are_connected(reference, target))
+        listener.listen(lambda frames: ctx.namespace == "/" and frames.are_connected(reference, target))
         due = monotonic()
+        reference, target = listener.find(reference, target)
         while True:
-            _tell(ctx, reference, target, listener.look_up(reference, target))
+            _tell(ctx, reference, target, listener.frames.look_up(reference, target))
             left -= 1
             if left <= 0:
                 return
@@ -169,7 +170,7 @@ def echo(ctx: Context, reference: str, target: str, count: int | None, follow: b
 
 def _tell(ctx: Context, reference: str, target: str, view: View) -> None:
     pose, rpy = view.pose, roll_pitch_yaw(view.pose.rotation)
-    time = None if view.time_ns is None else view.time_ns * 1e-9
+    time = None if view.time_ns is None else view.time_ns / 1e9
     record = {
         "reference": reference,
         "target": target,

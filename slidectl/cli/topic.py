@@ -15,6 +15,7 @@ from slidectl.cli.echo import echo
 from slidectl.cli.fieldpath import select
 from slidectl.cli.pub import pub
 from slidectl.cli.topic_measure import bw, delay, hz
+from slidectl.cli.topic_text import details, usage_of_topics
 from slidectl.cli.topics import PUBLISHERS, SUBSCRIBERS, look_up, users_of
 from slidectl.errors import UsageError
 
@@ -66,20 +67,10 @@ def _show_users(ctx: Context, rows: list[dict[str, Any]], published: bool, subsc
     if ctx.format != "text":
         ctx.emit_rows(kept, ["topic", "type", PUBLISHERS, SUBSCRIBERS])
     elif ctx.verbose:
-        sections = [] if subscribed else [_section("Published topics:", kept, PUBLISHERS)]
-        sections += [] if published else [_section("Subscribed topics:", kept, SUBSCRIBERS)]
-        output.write("\n" + "\n".join(sections) + "\n")
+        types = {row["topic"]: row["type"] for row in kept}
+        output.write(usage_of_topics(types, None if subscribed else publishers, None if published else subscribers))
     elif kept:
         ctx.emit_names([row["topic"] for row in kept], "topic")
-
-
-def _section(title: str, rows: list[dict[str, Any]], role: str) -> str:
-    lines = [title]
-    for row in rows:
-        count = len(row[role])
-        if count:
-            lines.append(f" * {row['topic']} [{row['type']}] {count} {role if count > 1 else role[:-1]}")
-    return "\n".join(lines) + "\n"
 
 
 @topic.command("info", examples=["slidectl topic info joint_states", "slidectl topic info command --json"])
@@ -94,14 +85,7 @@ def info(ctx: Context, name: str) -> None:
     full = names.resolve(name, types, kind="topic", namespace=ctx.namespace)
     publishers, subscribers = (users_of(ctx, [full], role)[full] for role in (PUBLISHERS, SUBSCRIBERS))
     record = {"topic": full, "type": types[full], PUBLISHERS: publishers, SUBSCRIBERS: subscribers}
-    blocks = [_nodes(ctx, "Publishers", publishers), _nodes(ctx, "Subscribers", subscribers)]
-    ctx.emit(record, f"Type: {types[full]}\n\n" + "\n".join(blocks) + "\n\n")
-
-
-def _nodes(ctx: Context, title: str, nodes: list[str]) -> str:
-    if not nodes:
-        return f"{title}: None\n"
-    return f"{title}: \n" + "".join(f" * {node} (unix://{ctx.client.paths.socket})\n" for node in nodes)
+    ctx.emit(record, details(types[full], publishers, subscribers, ctx.uri))
 
 
 @topic.command("type", examples=["slidectl topic type joint_states", "slidectl topic type 'joint_states/position[0]'"])

@@ -17,7 +17,7 @@ from slidectl.cli.measure import DelayMeter, Meter, RateMeter, SizeMeter, size_c
 from slidectl.cli.options import positive_seconds
 from slidectl.cli.stream import Event, Stream, nanoseconds
 from slidectl.cli.topics import PUBLISHERS, Target, look_up
-from slidectl.errors import Refused, TimedOut
+from slidectl.errors import NoDaemon, Refused, TimedOut
 
 REPORT_PERIOD_S = 1.0
 
@@ -32,7 +32,6 @@ class Session:
         self._meters = meters
         self._left = math.inf if reports is None else reports
         self._period = math.inf if once_at_end and reports is None else REPORT_PERIOD_S
-        self._header_is_due = True
 
     def run(self, stream: Stream, take: Take, now: Callable[[], float]) -> None:
         """Until the reports are done or the stream ends. Raises TimedOut, and Refused when not one message came."""
@@ -60,9 +59,8 @@ class Session:
             meter.now = now
         if self._ctx.format == "text":
             output.write(self._text())
-        else:
-            self._records([meter.record() for meter in self._meters])
         for meter in self._meters:
+            self._ctx.emit(meter.record(), "")
             meter.new = 0
 
     def _text(self) -> str:
@@ -72,23 +70,13 @@ class Session:
         columns = ["topic", "rate", "min", "max", "std_dev", "window"]
         return output.table(rows, columns) + "\n" if rows else "no new messages"
 
-    def _records(self, records: list[dict[str, Any]]) -> None:
-        if self._ctx.format == "json":
-            output.write("\n".join(map(output.as_json, records)))
-        elif self._ctx.format == "yaml":
-            output.write("".join(output.as_yaml(record) + "---\n" for record in records))
-        else:
-            header = [list(records[0])] if self._header_is_due else []
-            output.write(output.as_csv(header + [list(record.values()) for record in records]))
-            self._header_is_due = False
-
     def _check_heard(self) -> None:
         silent = [meter.topic for meter in self._meters if not meter.total]
         if len(silent) == len(self._meters):
             raise Refused(f"no messages on {', '.join(silent)}", "is the simulation paused? see: slidectl sim status")
 
     def last_words(self, now: float) -> None:
-        """The report of an interrupted session, as rostopic gives one on Ctrl-C."""
+        """The report of a session that was cut off, as rostopic gives one on Ctrl-C."""
         if any(meter.new for meter in self._meters):
             self._report(now)
 
@@ -120,12 +108,12 @@ def _measure(
         ctx.say("\n".join(f"subscribed to [{meter.topic}]" for meter in meters))
         try:
             session.run(stream, take, now)
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, NoDaemon):
             session.last_words(now())
             raise
 
 
-def _time_ns(target: Target, wall_time: bool) -> Callable[[Event], int]:
+def time_ns(target: Target, wall_time: bool) -> Callable[[Event], int]:
     """The function that gives a message's time: the stamp of its header, else the clock when it came."""
     if wall_time:
         return lambda _: monotonic_ns()
@@ -136,7 +124,7 @@ def _time_ns(target: Target, wall_time: bool) -> Callable[[Event], int]:
 
 @command(
     examples=[
-        "slidectl topic hz joint_states --for 2",
+        "slidectl hz joint_states --for 2",
         "slidectl topic hz joint_states --for 2 --min 49 --max 51 --json",
         "slidectl topic hz joint_states /clock -n 3",
     ]
@@ -167,7 +155,7 @@ def hz(
     """
     found = {target.topic: target for target in (look_up(ctx, text, PUBLISHERS) for text in topics)}
     meters = {topic: RateMeter(topic, window) for topic in found}
-    times = {topic: _time_ns(target, wall_time) for topic, target in found.items()}
+    times = {topic: time_ns(target, wall_time) for topic, target in found.items()}
     keeps = {topic: predicate(condition, target.schema) for topic, target in found.items()}
     clock = not wall_time and not all(target.schema.has_header for target in found.values())
     stream = Stream(ctx, list(found), with_clock=clock, sim_seconds=sim_seconds)
@@ -204,7 +192,7 @@ def bw(ctx: Context, topic: str, window: int, reports: int | None, sim_seconds: 
     target = look_up(ctx, topic, PUBLISHERS)
     meter, size = SizeMeter(target.topic, window), size_counter(target.schema)
     stream = Stream(ctx, [target.topic], with_clock=not wall_time, sim_seconds=sim_seconds)
-    now = monotonic if wall_time else lambda: stream.time_ns * 1e-9
+    now = monotonic if wall_time else lambda: stream.time_ns / 1e9
     _measure(
         ctx,
         [meter],

@@ -13,9 +13,8 @@ from typing import Any
 
 from slidectl.errors import BadFile, UsageError
 
-# Texts, not compiled patterns: compiling takes longer than a command has, and most commands need none of them.
-_INTEGER = r"[-+]?(0|[1-9][0-9]*)\Z"
-_FLOAT = r"[-+]?([0-9]+\.[0-9]*|\.[0-9]+|(0|[1-9][0-9]*)(?=[eE]))([eE][-+]?[0-9]+)?\Z"
+# Patterns that an everyday command does not need are compiled when they are.
+_NUMERIC = frozenset("0123456789.+-eE")
 _WORDS = r"[A-Za-z_/][A-Za-z0-9_/.-]*( [A-Za-z0-9_/.-]+)*\Z"
 _PAIR = r"(?P<open>\{?)[ ]*(?P<key>[A-Za-z_][A-Za-z0-9_]*):[ ]+(?P<value>[^:#,{}\[\]'\"&*!|>%@`]+?)[ ]*(?P<close>\}?)\Z"
 _CONSTANTS = {
@@ -25,8 +24,7 @@ _CONSTANTS = {
 }  # fmt: skip
 _BOOLEANS = {"yes": True, "true": True, "on": True, "no": False, "false": False, "off": False}
 # YAML 1.1 wants a point and a signed exponent in a float, and no sign before a bare point; people do not.
-_FLOAT_WITHOUT_POINT = re.compile(r"[-+]?(?:[0-9][0-9_]*\.?[0-9_]*[eE][-+]?[0-9]+|\.[0-9][0-9_]*(?:[eE][-+]?[0-9]+)?)$")
-
+_FLOAT_WITHOUT_POINT = r"[-+]?(?:[0-9][0-9_]*\.?[0-9_]*[eE][-+]?[0-9]+|\.[0-9][0-9_]*(?:[eE][-+]?[0-9]+)?)$"
 _SHORT = 4096
 _MOST_NODES = 1_000_000
 
@@ -70,17 +68,23 @@ def read_documents(text: str, what: str, file: str | None = None) -> Iterator[An
 
 
 def _scalar(text: str) -> Any:
-    if text.count(".") == 1 and text.removeprefix("-").replace(".", "").isdecimal() and text.isascii():
-        return float(text)  # what nearly every command line holds
-    if re.match(_INTEGER, text):
-        return int(text)
-    if re.match(_FLOAT, text):
-        return float(text)
+    if text and _NUMERIC.issuperset(text):
+        return _number(text)
     if text in _CONSTANTS:
         return _CONSTANTS[text]
     if text.lower() in _BOOLEANS and (text.islower() or text.isupper() or text.istitle()):
         return _BOOLEANS[text.lower()]
     return text if re.match(_WORDS, text) else _UNKNOWN
+
+
+def _number(text: str) -> Any:
+    digits = text.lstrip("+-")
+    if digits.isdigit() and digits[0] == "0" and digits != "0":
+        return _UNKNOWN  # octal in YAML 1.1
+    try:
+        return int(text) if digits.isdigit() else float(text)
+    except ValueError:
+        return _UNKNOWN
 
 
 def _pair(text: str) -> Any:
@@ -112,7 +116,7 @@ def _loader(length: int) -> Any:
     fast = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     base = fast if length > _SHORT else yaml.SafeLoader
     loader: Any = type("Loader", (base,), {})
-    loader.add_implicit_resolver("tag:yaml.org,2002:float", _FLOAT_WITHOUT_POINT, list("-+0123456789."))
+    loader.add_implicit_resolver("tag:yaml.org,2002:float", re.compile(_FLOAT_WITHOUT_POINT), list("-+0123456789."))
     return loader
 
 

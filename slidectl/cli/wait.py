@@ -62,8 +62,11 @@ def wait(
         "hold": hold,
         "within": within or 0.0,
     }
-    answer = ctx.call("/slidectl/wait", request, ctx.wait_limit(wait_for_world_s(hold + (within or 0.0))))
-    _tell(ctx, request, answer)
+    limit = ctx.wait_limit(wait_for_world_s(hold + (within or 0.0)))
+    call = ctx.client.call_async("/slidectl/wait", request)
+    if ctx.call("/slidectl/status")["paused"]:
+        ctx.say("the simulation is paused; this waits until somebody lets it go on or steps it")
+    _tell(ctx, request, ctx.client.answer(call, timeout=limit))
 
 
 def _condition(**given: Any) -> tuple[str, Any]:

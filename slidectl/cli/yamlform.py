@@ -16,9 +16,9 @@ from slidectl.cli.schema import BYTES, FLOATS, INTEGERS, TIMES, Schema
 Printer = Callable[[Any], str]
 
 # Text that PyYAML writes without quotes: no number, no word of YAML's own, nothing that begins like a structure.
-_PLAIN_WORD = r"[A-Za-z_/][A-Za-z0-9_/]*\Z"
+_PLAIN_WORD = re.compile(r"[A-Za-z_/][A-Za-z0-9_/]*\Z")
 _YAML_WORDS = frozenset(("yes", "no", "true", "false", "on", "off", "null"))
-_SIMPLE_TEXT = r"[ !#-\[\]-~]+\Z"
+_SIMPLE_TEXT = re.compile(r"[ !#-\[\]-~]+\Z")
 _ESCAPES = {
     "\0": "\\0", "\a": "\\a", "\b": "\\b", "\t": "\\t", "\n": "\\n", "\v": "\\v", "\f": "\\f", "\r": "\\r",
     "\x1b": "\\e", '"': '\\"', "\\": "\\\\", "\x85": "\\N", "\xa0": "\\_", "\u2028": "\\L", "\u2029": "\\P",
@@ -31,7 +31,7 @@ def quoted(text: str) -> str:
     """The text as a double-quoted YAML scalar; `''` when empty."""
     if not text:
         return "''"
-    inside = text if re.match(_SIMPLE_TEXT, text) else "".join(map(_escaped, text))
+    inside = text if _SIMPLE_TEXT.match(text) else "".join(map(_escaped, text))
     return f'"{inside}"' if len(inside) <= _LONGEST_UNFOLDED else _dumped(text, '"')
 
 
@@ -51,12 +51,14 @@ def _dumped(value: Any, style: str | None = None) -> str:
     return text.rstrip("\n")
 
 
+def is_plain(text: str) -> bool:
+    """True for text that PyYAML surely writes as it is, without quotes and in one line."""
+    return bool(_PLAIN_WORD.match(text)) and text.lower() not in _YAML_WORDS and len(text) < _LONGEST_UNFOLDED
+
+
 def _block(texts: list[str]) -> list[str]:
     """The lines of a list of strings in block style."""
-    if all(
-        re.match(_PLAIN_WORD, text) and text.lower() not in _YAML_WORDS and len(text) < _LONGEST_UNFOLDED
-        for text in texts
-    ):
+    if all(map(is_plain, texts)):
         return [f"- {text}" for text in texts]
     return _dumped(texts).splitlines()
 

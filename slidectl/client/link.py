@@ -60,6 +60,8 @@ class Link:
     def _connect(self, deadline: float) -> socket:
         connection = socket(AF_UNIX)
         try:
+            if self._paths.prefix:
+                os.lstat(self._paths.socket_text)  # where nothing is, nobody answers, whatever the folder is like
             check_private(self._paths.folder_text)
             # The kernel makes a connect wait while the daemon's backlog is full, but only that of a blocking socket.
             connection.settimeout(max(0.001, min(deadline - time.monotonic(), 1e6)))

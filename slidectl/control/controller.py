@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Generic
 
 from slidectl.control.interfaces import ClaimedResources
 from slidectl.control.node import NodeHandle
+from slidectl.control.parameters import Parameter
 from slidectl.control.robot_hw import AnyInterface, I, RobotHW
 from slidectl.control.states import State
 from slidectl.errors import Refused, listing
@@ -27,6 +28,9 @@ class MissingInterface(Refused):
 
 class ControllerBase:
     """States, requests and hooks. Times are nanoseconds of simulated time, periods seconds."""
+
+    parameters: ClassVar[tuple[Parameter, ...]] = ()
+    """All that it reads below its own name; `slidectl check` knows files by this."""
 
     def __init__(self) -> None:
         self.state = State.CONSTRUCTED

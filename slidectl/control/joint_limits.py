@@ -10,6 +10,7 @@ from typing import Any
 
 from slidectl.control import params
 from slidectl.control.node import NodeHandle
+from slidectl.control.parameters import BOOLEAN, NUMBER, Parameter
 from slidectl.description.robot import Joint
 
 
@@ -42,6 +43,27 @@ class SoftJointLimits:
 
 
 NO_LIMITS = JointLimits()
+
+LIMITS = (
+    Parameter("has_position_limits", BOOLEAN, "min_position and max_position count, or (false) there are none"),
+    Parameter("min_position", NUMBER, "least position", "m or rad"),
+    Parameter("max_position", NUMBER, "largest position", "m or rad"),
+    Parameter("has_velocity_limits", BOOLEAN, "max_velocity counts, or (false) there is none"),
+    Parameter("max_velocity", NUMBER, "largest velocity", "m/s or rad/s"),
+    Parameter("has_acceleration_limits", BOOLEAN, "max_acceleration counts, or (false) there is none"),
+    Parameter("max_acceleration", NUMBER, "largest acceleration", "m/s² or rad/s²"),
+    Parameter("has_jerk_limits", BOOLEAN, "max_jerk counts, or (false) there is none"),
+    Parameter("max_jerk", NUMBER, "largest jerk", "m/s³ or rad/s³"),
+    Parameter("has_effort_limits", BOOLEAN, "max_effort counts, or (false) there is none"),
+    Parameter("max_effort", NUMBER, "largest effort", "N or N·m"),
+    Parameter("angle_wraparound", BOOLEAN, "the joint turns on and on"),
+    Parameter("has_soft_limits", BOOLEAN, "the four values of soft limits count"),
+    Parameter("soft_lower_limit", NUMBER, "where slowing down ends, below", "m or rad"),
+    Parameter("soft_upper_limit", NUMBER, "where slowing down ends, above", "m or rad"),
+    Parameter("k_position", NUMBER, "velocity allowed per distance to the soft limit", "1/s"),
+    Parameter("k_velocity", NUMBER, "effort allowed per velocity left", "N·s/m or N·m·s/rad"),
+)
+"""What `joint_limits/<joint>` may hold, as joint_limits_interface reads it."""
 
 _BOUNDS = {
     "has_velocity_limits": "max_velocity",

@@ -11,8 +11,21 @@ from math import isfinite, isnan
 from slidectl.control import gain_config, params
 from slidectl.control.duration import from_seconds, to_stamp
 from slidectl.control.node import Message, NodeHandle, Publisher
+from slidectl.control.parameters import BOOLEAN, NUMBER, Parameter
 from slidectl.control.pid import Gains, Pid
 from slidectl.errors import Refused
+
+GAINS = (
+    Parameter("p", NUMBER, "proportional gain", required=True),
+    Parameter("i", NUMBER, "integral gain", default=0.0),
+    Parameter("d", NUMBER, "derivative gain", default=0.0),
+    Parameter("i_clamp", NUMBER, "bounds the integral term both ways", default=0.0),
+    Parameter("i_clamp_min", NUMBER, "bounds the integral term below; goes before i_clamp"),
+    Parameter("i_clamp_max", NUMBER, "bounds the integral term above; goes before i_clamp"),
+    Parameter("antiwindup", BOOLEAN, "bounds the integral itself, not only its term", default=False),
+    Parameter("publish_state", BOOLEAN, "publishes control_msgs/PidState", default=False),
+)
+"""What a namespace of gains may hold, as control_toolbox reads it."""
 
 
 class LivePid:

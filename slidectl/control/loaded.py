@@ -92,7 +92,7 @@ class LoadedController:
 def described(failure: Exception) -> str:
     """An error on one line: our own by their text, others with their class and the place."""
     if isinstance(failure, SlidectlError):
-        return str(failure).replace("\n", "; ")
+        return "; ".join(line.rstrip(".") for line in str(failure).splitlines())
     frames = traceback.extract_tb(failure.__traceback__)
     place = f" ({frames[-1].filename}:{frames[-1].lineno})" if frames else ""
     return f"{type(failure).__name__}: {failure}{place}".replace("\n", " ")

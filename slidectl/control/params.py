@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import ceil, floor, isfinite
-from typing import Any, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from slidectl import names
 from slidectl.control.node import NodeHandle
@@ -25,7 +25,7 @@ class BadParameter(Refused):
         if value is None:
             super().__init__(f"parameter {where} is not set; it must be {wanted}", f"slidectl param set {where} VALUE")
         else:
-            super().__init__(f"parameter {where} must be {wanted}, not {_described(value)}")
+            super().__init__(f"parameter {where} must be {wanted}, not {described(value)}")
 
 
 def as_number(value: Any) -> float | None:
@@ -68,70 +68,85 @@ def as_numbers(value: Any) -> list[float] | None:
     return None
 
 
+class Kind(NamedTuple, Generic[T]):
+    """A type of parameters: how messages name it, and what makes a value of it (None when it is none)."""
+
+    words: str
+    convert: Callable[[Any], T | None]
+
+
+NUMBER = Kind("a number", as_number)
+INTEGER = Kind("an integer", as_integer)
+BOOLEAN = Kind("true or false", as_boolean)
+TEXT = Kind("a string", as_text)
+TEXTS = Kind("a list of strings", as_texts)
+NUMBERS = Kind("a list of numbers", as_numbers)
+
+
 def number(node: NodeHandle, name: str) -> float | None:
     """The parameter as a number, None when it is not one."""
-    return _read(node, name, as_number, "a number")
+    return _read(node, name, NUMBER)
 
 
 def integer(node: NodeHandle, name: str) -> int | None:
     """The parameter as an integer, None when it is not one."""
-    return _read(node, name, as_integer, "an integer")
+    return _read(node, name, INTEGER)
 
 
 def boolean(node: NodeHandle, name: str) -> bool | None:
     """The parameter as a boolean, None when it is not one."""
-    return _read(node, name, as_boolean, "true or false")
+    return _read(node, name, BOOLEAN)
 
 
 def text(node: NodeHandle, name: str) -> str | None:
     """The parameter as a string, None when it is not one."""
-    return _read(node, name, as_text, "a string")
+    return _read(node, name, TEXT)
 
 
 def texts(node: NodeHandle, name: str) -> list[str] | None:
     """The parameter as a list of strings, None when it is not one."""
-    return _read(node, name, as_texts, "a list of strings")
+    return _read(node, name, TEXTS)
 
 
 def numbers(node: NodeHandle, name: str) -> list[float] | None:
     """The parameter as a list of numbers, None when it is not one."""
-    return _read(node, name, as_numbers, "a list of numbers")
+    return _read(node, name, NUMBERS)
 
 
 def needed_number(node: NodeHandle, name: str) -> float:
     """The parameter as a number. Raises BadParameter when it is not one."""
-    return _needed(node, name, as_number, "a number")
+    return _needed(node, name, NUMBER)
 
 
 def needed_text(node: NodeHandle, name: str) -> str:
     """The parameter as a string. Raises BadParameter when it is not one."""
-    return _needed(node, name, as_text, "a string")
+    return _needed(node, name, TEXT)
 
 
 def needed_texts(node: NodeHandle, name: str) -> list[str]:
     """The parameter as a list of strings. Raises BadParameter when it is not one."""
-    return _needed(node, name, as_texts, "a list of strings")
+    return _needed(node, name, TEXTS)
 
 
-def _read(node: NodeHandle, name: str, convert: Callable[[Any], T | None], wanted: str) -> T | None:
+def _read(node: NodeHandle, name: str, kind: Kind[T]) -> T | None:
     value = node.get_param(name, None)
     if value is None:
         return None
-    converted = convert(value)
+    converted = kind.convert(value)
     if converted is None:
         where = names.join(node.namespace, name)
-        node.log("warn", f"parameter {where} has no effect: it must be {wanted}, not {_described(value)}")
+        node.log("warn", f"parameter {where} has no effect: it must be {kind.words}, not {described(value)}")
     return converted
 
 
-def _needed(node: NodeHandle, name: str, convert: Callable[[Any], T | None], wanted: str) -> T:
-    converted = convert(node.get_param(name, None))
+def _needed(node: NodeHandle, name: str, kind: Kind[T]) -> T:
+    converted = kind.convert(node.get_param(name, None))
     if converted is None:
-        raise BadParameter(node, name, wanted)
+        raise BadParameter(node, name, kind.words)
     return converted
 
 
-def _described(value: Any) -> str:
+def described(value: Any) -> str:
     """The value with its type; a number that YAML took for text gets the reason."""
     if not isinstance(value, str):
         return f"{value!r}"
@@ -139,4 +154,6 @@ def _described(value: Any) -> str:
         float(value)
     except ValueError:
         return f"the string {value!r}"
-    return f"the string {value!r} (YAML reads a number with an exponent only with a dot in it, as 1.0e-3)"
+    if "e" in value.lower():
+        return f"the string {value!r} (YAML reads a number with an exponent only with a dot in it, as 1.0e-3)"
+    return f"the string {value!r} (a number has no quotes)"

@@ -5,10 +5,13 @@ The error and what becomes of it are the children's part.
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from slidectl.control.duration import to_stamp
 from slidectl.control.handles import JointHandle
-from slidectl.control.live_pid import LivePid
+from slidectl.control.live_pid import GAINS, LivePid
 from slidectl.control.node import Message, NodeHandle, Publisher
+from slidectl.control.parameters import JOINT, Parameter, within
 from slidectl.control.pid import Gains, Pid
 from slidectl.control.scalar import ScalarController
 
@@ -18,6 +21,7 @@ UPDATES_PER_STATE = 10
 class PidController(ScalarController):
     """A joint, its PID, and its state on every tenth update."""
 
+    parameters: ClassVar[tuple[Parameter, ...]] = (JOINT, *within("pid", GAINS))
     _joint: JointHandle
     _pid: Pid
     _live_pid: LivePid

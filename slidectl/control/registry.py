@@ -76,13 +76,18 @@ def types() -> list[str]:
     return sorted(_known)
 
 
-def create(type_name: str) -> ControllerBase:
-    """A fresh controller of that type. Raises UnknownType."""
+def find(type_name: str) -> type[ControllerBase]:
+    """The class of that type. Raises UnknownType."""
     _import_shipped()
     cls = _known.get(type_name)
     if cls is None:
         raise UnknownType(type_name, types())
-    return cls()
+    return cls
+
+
+def create(type_name: str) -> ControllerBase:
+    """A fresh controller of that type. Raises UnknownType."""
+    return find(type_name)()
 
 
 @cache

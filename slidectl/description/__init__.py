@@ -6,7 +6,7 @@ Heavy modules are imported by the functions that need them.
 
 from __future__ import annotations
 
-from slidectl.description.document import Document, declared_arguments, load
+from slidectl.description.document import Document, declared_arguments, declaring_elements, load
 from slidectl.description.namespaces import namespace_of
 from slidectl.description.packages import Packages, UnknownPackage
 from slidectl.description.parser import parse
@@ -20,6 +20,7 @@ __all__ = [
     "Robot",
     "UnknownPackage",
     "declared_arguments",
+    "declaring_elements",
     "load",
     "namespace_of",
     "parse",

@@ -83,6 +83,12 @@ def declared_arguments(source: str | Path, packages: Packages | None = None) -> 
     Raises:
         BadFile, UnknownName: as load.
     """
+    found = declaring_elements(source, packages)
+    return {name: element.get("default") or "" for name, element in found.items()}
+
+
+def declaring_elements(source: str | Path, packages: Packages | None = None) -> dict[str, Element]:
+    """The same `<xacro:arg>` as elements, which know where they were written."""
     model = models.read(source)
     base = model.path.absolute().parent if model.path is not None else Path.cwd()
     packages = packages.starting_at(base) if packages is not None else Packages(start=base)

@@ -74,12 +74,14 @@ class GazeboReader:
 
     def _control(self, element: Element, place: str) -> ControlPlugin:
         self.report.unknown(element, {"name", "filename"}, _PARAMETERS, place)
-        texts = {tag: _text(child) for tag in _PARAMETERS if (child := self.report.only(element, tag)) is not None}
+        found = {tag: child for tag in _PARAMETERS if (child := self.report.only(element, tag)) is not None}
+        texts = {tag: _text(child) for tag, child in found.items()}
         sim_type = texts.get("robotSimType", _SIM_TYPE)
         if sim_type != _SIM_TYPE:
-            self.report.wrong(element, f"robotSimType {sim_type} is unknown; there is {_SIM_TYPE} only", place)
+            text = f"robotSimType {sim_type} is unknown; there is {_SIM_TYPE} only"
+            self.report.wrong(found["robotSimType"], text, place)
         if "legacyModeNS" in texts:
-            self.report.ignored(element, "legacyModeNS has no effect, as since ROS Melodic", place)
+            self.report.ignored(found["legacyModeNS"], "legacyModeNS has no effect, as since ROS Melodic", place)
         return ControlPlugin(
             _namespace(element, texts.get("robotNamespace")),
             texts.get("robotParam") or "robot_description",

@@ -106,7 +106,7 @@ class JointReader:
         if kind == "continuous":
             for name in ("lower", "upper"):
                 if name in limit.attributes:
-                    self.report.ignored(limit, f"a continuous joint has no {name!r}", place)
+                    self.report.ignored(limit, f"a continuous joint has no {name!r}", place, name)
             return 0.0, 0.0
         lower = values.number(limit, "lower", owner, 0.0)
         upper = values.number(limit, "upper", owner, 0.0)
@@ -163,7 +163,8 @@ class JointReader:
             )
             self.report.wrong(element, text, place)
         if safety.k_position == 0.0:
-            self.report.wrong(element, "with k_position 0 the soft limits allow no velocity at all", place)
+            text = "with k_position 0 the soft limits allow no velocity at all"
+            self.report.add("wrong", element, text, place, "k_position")
 
     def _mimic(self, element: Element, kind: JointType, owner: str) -> Mimic | None:
         mimic = self.report.only(element, "mimic")

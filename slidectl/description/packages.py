@@ -1,7 +1,8 @@
 """Where a ROS package's folder is: `$(find NAME)` and `package://NAME/...`.
 
-Given names first, then the folders of SLIDECTL_PACKAGE_PATH and ROS_PACKAGE_PATH, then upwards from the file that asks.
-No ROS installation is consulted.
+Given names first, then the folders of SLIDECTL_PACKAGE_PATH and ROS_PACKAGE_PATH, then upwards from the file that asks,
+and last the packages that are shipped: samples, and counterparts of some that else come with ROS. No ROS installation
+is consulted beyond that.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from slidectl import paths
 from slidectl.errors import UnknownName
 
 _NAME = re.compile(r"<name\b[^>]*>\s*([^<\s]+)\s*</name>")
@@ -33,12 +35,15 @@ class Packages:
 
     def __init__(self, named: Mapping[str, str | Path] | None = None, start: str | Path | None = None) -> None:
         self.named = {name: _folder(path) for name, path in (named or {}).items()}
-        self.start = Path(start).absolute() if start is not None else None
+        self.starts = (Path(start).absolute(),) if start is not None else ()
         self._found: dict[Path, dict[str, Path]] = {}
 
     def starting_at(self, folder: str | Path) -> Packages:
-        """The same lookup, walking upwards from `folder`."""
-        return Packages(self.named, folder)
+        """The same lookup, walking upwards from `folder`, and then from where this one does."""
+        other = Packages(self.named)
+        other.starts = tuple(dict.fromkeys((Path(folder).absolute(), *self.starts)))
+        other._found = self._found
+        return other
 
     def find(self, name: str) -> Path:
         """The folder of the package, absolute.
@@ -46,15 +51,21 @@ class Packages:
         Raises:
             UnknownPackage: nowhere; the message lists where it looked.
         """
+        for folder in self.candidates(name):
+            return folder
+        raise UnknownPackage(name, [*self.names(), *self._shipped()], self._looked())
+
+    def candidates(self, name: str) -> Iterator[Path]:
+        """All folders that could be the package; `find` takes the first."""
         if name in self.named:
-            return self.named[name]
+            yield self.named[name]
         for folder in self._search_path():
             if name in self._packages_below(folder):
-                return self._packages_below(folder)[name]
-        above = self._above(name)
-        if above is None:
-            raise UnknownPackage(name, self.names(), self._looked())
-        return above
+                yield self._packages_below(folder)[name]
+        for start in self.starts:
+            yield from self._above(name, start)
+        if name in self._shipped():
+            yield self._shipped()[name]
 
     def names(self) -> list[str]:
         """The names of all packages that can be found without walking upwards."""
@@ -73,25 +84,23 @@ class Packages:
             self._found[folder] = found
         return self._found[folder]
 
-    def _above(self, name: str) -> Path | None:
-        """The package that holds the starting folder, or one beside a folder above it."""
-        for folder in self._ancestors():
-            if folder.name == name or (_is_package(folder) and package_name(folder) == name):
-                return folder
-            if _is_package(folder / name):
-                return folder / name
-        return None
+    def _shipped(self) -> dict[str, Path]:
+        return self._packages_below(paths.share("launch"))
 
-    def _ancestors(self) -> list[Path]:
-        return [self.start, *self.start.parents] if self.start is not None else []
+    def _above(self, name: str, start: Path) -> Iterator[Path]:
+        """The package that holds the starting folder, or one beside a folder above it."""
+        for folder in (start, *start.parents):
+            if folder.name == name or (_is_package(folder) and package_name(folder) == name):
+                yield folder
+            if _is_package(folder / name):
+                yield folder / name
 
     def _looked(self) -> list[str]:
         looked = [f"--package {name}" for name in self.named]
         for variable in _VARIABLES:
             if value := os.environ.get(variable):
                 looked.append(f"{variable}={value}")
-        if self.start is not None:
-            looked.append(f"{self.start} and the folders above it")
+        looked += [f"{start} and the folders above it" for start in self.starts]
         return looked
 
 
@@ -114,6 +123,15 @@ def is_file(path: Path) -> bool:
         return path.is_file()
     except (OSError, ValueError):  # in a folder that we may not enter, too long, or holding a null character
         return False
+
+
+def shown(path: Path) -> str:
+    """A file's name in messages: relative when it lies below the working folder."""
+    absolute = Path(os.path.abspath(path))
+    try:
+        return str(absolute.relative_to(Path.cwd()))
+    except (ValueError, OSError):
+        return str(absolute)
 
 
 def _is_package(folder: Path) -> bool:

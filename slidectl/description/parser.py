@@ -45,17 +45,25 @@ def parse(
     Raises:
         BadFile: with file and line, and the link or joint by name.
     """
-    root = xml_tree.read(xml, file)
+    return parse_tree(xml_tree.read(xml, file), MeshFiles(packages or Packages(start=base), base), Report())
+
+
+def parse_tree(root: Element, meshes: MeshFiles, report: Report) -> Robot:
+    """The robot of a tree of elements; what becomes of them is written into `report` on the way.
+
+    Raises:
+        BadFile: as parse; the report then holds what was said before.
+    """
     if root.tag != "robot":
         raise root.error(f"the outermost element is <{root.tag}>, expected <robot>")
-    return _RobotReader(root, MeshFiles(packages or Packages(start=base), base)).read()
+    return _RobotReader(root, meshes, report).read()
 
 
 class _RobotReader:
-    def __init__(self, root: Element, meshes: MeshFiles) -> None:
+    def __init__(self, root: Element, meshes: MeshFiles, report: Report) -> None:
         self.root = root
-        self.report = Report()
-        self.materials = Materials(self.report)
+        self.report = report
+        self.materials = Materials(report)
         self.meshes = meshes
 
     def read(self) -> Robot:

@@ -20,8 +20,15 @@ class Report:
         self._notices: list[Notice] = []
         self._untold = 0
 
-    def add(self, verdict: Verdict, element: Element, text: str, subject: str | None = None) -> None:
-        """One line about `element`; `subject` replaces the element's own tag as what it is about."""
+    def add(
+        self,
+        verdict: Verdict,
+        element: Element,
+        text: str,
+        subject: str | None = None,
+        attribute: str | None = None,  # noqa: ARG002 - for a report that follows attributes one by one
+    ) -> None:
+        """One line about `element`, or about one `attribute` of it; `subject` replaces the element's own tag."""
         if len(self._notices) < MOST_NOTICES:
             self._notices.append(Notice(verdict, subject or element.title, text, element.file, element.line))
         else:
@@ -34,8 +41,8 @@ class Report:
         text = f"{self._untold} more notices are left out"
         return (*self._notices, Notice("ignored", root.title, text, root.file, None))
 
-    def ignored(self, element: Element, text: str, subject: str | None = None) -> None:
-        self.add("ignored", element, text, subject)
+    def ignored(self, element: Element, text: str, subject: str | None = None, attribute: str | None = None) -> None:
+        self.add("ignored", element, text, subject, attribute)
 
     def converted(self, element: Element, text: str, subject: str | None = None) -> None:
         self.add("converted", element, text, subject)
@@ -49,8 +56,8 @@ class Report:
         """Report every attribute and child of `element` that is not among the known ones."""
         place = owner or element.title
         for name in element.attributes:
-            if name not in attributes and not _is_namespace(name):
-                self.ignored(element, f"attribute {name!r} is unknown here and has no effect", place)
+            if name not in attributes and not is_namespace(name):
+                self.ignored(element, f"attribute {name!r} is unknown here and has no effect", place, name)
         for child in element.children:
             if child.tag not in children:
                 self.ignored(child, "is unknown here and has no effect", f"{place}/{child.title}")
@@ -65,5 +72,6 @@ class Report:
         return found[0] if found else None
 
 
-def _is_namespace(attribute: str) -> bool:
+def is_namespace(attribute: str) -> bool:
+    """True for the attribute that only names an XML namespace."""
     return attribute == "xmlns" or attribute.startswith("xmlns:")

@@ -150,18 +150,27 @@ class TransmissionReader:
 
     def _check_interface(self, element: Element, joint: TransmissionJoint) -> None:
         place = f'{element.title}/<joint name="{joint.name}">'
+        written, *others = _interface_elements(element, joint.name)
         first = joint.hardware_interfaces[0]
-        if len(joint.hardware_interfaces) > 1:
-            self.report.ignored(element, f"of several hardware interfaces only the first counts, {first}", place)
+        for other in others:
+            self.report.ignored(other, f"of several hardware interfaces only the first counts, {first}", place)
         if first in _SIMULATED:
-            self.report.converted(element, f"{first} is read as {_PREFIX}{first}", place)
+            self.report.converted(written, f"{first} is read as {_PREFIX}{first}", place)
         elif first.removeprefix(_PREFIX) not in _SIMULATED:
             known = ", ".join(_PREFIX + name for name in _SIMULATED)
-            self.report.wrong(element, f"{first} is no interface of simulated joints; known: {known}", place)
+            self.report.wrong(written, f"{first} is no interface of simulated joints; known: {known}", place)
 
 
 def _interfaces(element: Element) -> tuple[str, ...]:
     return tuple(text for child in element.find_all("hardwareInterface") if (text := child.first_text))
+
+
+def _interface_elements(transmission: Element, joint: str) -> list[Element]:
+    """The tags that name the interfaces of the one joint that was not skipped."""
+    joints = [child for child in transmission.find_all("joint") if (child.get("name") or "").strip() == joint]
+    return next(
+        found for child in joints if (found := [e for e in child.find_all("hardwareInterface") if e.first_text])
+    )
 
 
 def _role(element: Element) -> str:

@@ -9,24 +9,24 @@ import re
 from pathlib import Path
 
 from slidectl.description import xml_tree
-from slidectl.description.packages import Packages
+from slidectl.description.packages import Packages, shown
 from slidectl.description.xml_tree import Element
 from slidectl.errors import SlidectlError
 
 _FIND = re.compile(r"\$\(find\s+([^\s)]+)\s*\)")
 
 
-def declared(root: Element, base: Path, packages: Packages) -> dict[str, str]:
-    """Names and defaults, in the order of the file; the first declaration of a name counts, as for xacro."""
-    found: dict[str, str] = {}
+def declared(root: Element, base: Path, packages: Packages) -> dict[str, Element]:
+    """The `<xacro:arg>` by name, in the order of the file; the first one of a name counts, as for xacro."""
+    found: dict[str, Element] = {}
     _collect(root, base, packages, found, set())
     return found
 
 
-def _collect(root: Element, base: Path, packages: Packages, found: dict[str, str], seen: set[Path]) -> None:
+def _collect(root: Element, base: Path, packages: Packages, found: dict[str, Element], seen: set[Path]) -> None:
     for element in root.walk():
         if element.tag == "xacro:arg" and (name := element.get("name")):
-            found.setdefault(name, element.get("default") or "")
+            found.setdefault(name, element)
         elif element.tag == "xacro:include" and (filename := element.get("filename")):
             path = _included(filename, base, packages)
             if path is not None and path not in seen:
@@ -34,9 +34,9 @@ def _collect(root: Element, base: Path, packages: Packages, found: dict[str, str
                 _follow(path, packages, found, seen)
 
 
-def _follow(path: Path, packages: Packages, found: dict[str, str], seen: set[Path]) -> None:
+def _follow(path: Path, packages: Packages, found: dict[str, Element], seen: set[Path]) -> None:
     try:
-        root = xml_tree.read(path.read_bytes(), str(path))
+        root = xml_tree.read(path.read_bytes(), shown(path))
     except (OSError, SlidectlError):
         return  # running xacro will name the fault at the include
     _collect(root, path.parent, packages, found, seen)

@@ -7,7 +7,6 @@ back. Python expressions of the file are evaluated here, on the side of who owns
 from __future__ import annotations
 
 import contextlib
-import os
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -18,7 +17,7 @@ import xacro
 from xacro import substitution_args
 
 from slidectl.description import xml_tree
-from slidectl.description.packages import Packages
+from slidectl.description.packages import Packages, shown
 from slidectl.description.robot import Notice
 from slidectl.description.xacro_dom import LocatedElement, to_document, to_element
 from slidectl.description.xml_tree import Element
@@ -175,15 +174,6 @@ class _Run:
     def placed(self, error: SlidectlError) -> BadFile:
         """An error of ours, at the place where xacro met it unless it has one of its own."""
         return error if isinstance(error, BadFile) else self.error(error.message, error.hint)
-
-
-def shown(path: Path) -> str:
-    """A file's name in messages: relative when it lies below the working folder."""
-    absolute = Path(os.path.abspath(path))
-    try:
-        return str(absolute.relative_to(Path.cwd()))
-    except (ValueError, OSError):
-        return str(absolute)
 
 
 def _clause(error: BaseException) -> str:

@@ -17,6 +17,9 @@ MOST_BYTES = 16 * 1024 * 1024
 MOST_ELEMENTS = 200_000
 DEEPEST = 200
 
+TITLES = ("reference", "name", "filename")
+"""The attributes by which elements of one tag are told from each other."""
+
 
 class Comment(str):
     """The text of an XML comment, kept because a comment before a text hides it from TinyXML."""
@@ -71,7 +74,7 @@ class Element:
     @property
     def title(self) -> str:
         """The tag as a report shows it, with the attribute that tells it from its like."""
-        for name in ("reference", "name", "filename"):
+        for name in TITLES:
             if name in self.attributes:
                 return f'<{self.tag} {name}="{self.attributes[name]}">'
         return f"<{self.tag}>"

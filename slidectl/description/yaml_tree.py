@@ -52,6 +52,28 @@ def read_value(text: str, file: str = "<value>") -> Any:
     return _Reader(file, []).value_of(text)
 
 
+def places(text: str | bytes, file: str) -> dict[str, int]:
+    """The line of every value by its path, as `/slider/joint1_position_controller/pid/p` or `/a/extra_joints[0]/name`.
+
+    Of a name that is written twice the last line counts, as its value does.
+
+    Raises:
+        BadFile: not YAML.
+    """
+    reader = _Reader(file, [])
+    found: dict[str, int] = {}
+    for node in reader.nodes(text):
+        reader.place(node, _namespace(node), found, 1)
+    return found
+
+
+def _namespace(document: yaml.Node) -> str:
+    """What a document's `_ns` puts all its names under, as a path."""
+    pairs = document.value if isinstance(document, yaml.MappingNode) else []
+    written = next((str(value.value) for key, value in pairs if _text(key) == "_ns"), "")
+    return "".join(f"/{name}" for name in written.split("/") if name)
+
+
 class _Reader:
     def __init__(self, file: str, notices: list[Notice]) -> None:
         self.file = file
@@ -117,7 +139,10 @@ class _Reader:
             seen[key] = _line(key_node)
             if _is_empty(value_node):
                 raise self.error(key_node, f"{key!r} has no value", "write one, or leave the name out")
-            merge(tree, nest(key, self.value(value_node, depth + 1)))
+            value = self.value(value_node, depth + 1)
+            if not key.strip("/") and not isinstance(value, dict):
+                raise self.error(key_node, f"{key!r} is no name for a value")
+            merge(tree, nest(key, value))
         return tree
 
     def pairs(self, node: yaml.MappingNode) -> list[Pair]:
@@ -142,6 +167,23 @@ class _Reader:
             if not isinstance(source, yaml.MappingNode):
                 raise self.error(source, "`<<` merges mappings only")
         return [pair for source in sources for pair in self.pairs(source)]
+
+    def place(self, node: yaml.Node, path: str, found: dict[str, int], depth: int) -> None:
+        """Note the lines of what is below `node`, as deep and as far as values are read."""
+        self.count += 1
+        if self.count > MOST_VALUES or depth > DEEPEST:
+            return
+        if isinstance(node, yaml.SequenceNode):
+            for index, child in enumerate(node.value):
+                found[f"{path}[{index}]"] = _line(child)
+                self.place(child, f"{path}[{index}]", found, depth + 1)
+        elif isinstance(node, yaml.MappingNode):
+            for key, value in self.pairs(node):
+                below = path
+                for name in (part for part in _text(key).split("/") if part):
+                    below += f"/{name}"
+                    found[below] = _line(key)
+                self.place(value, below, found, depth + 1)
 
     def key(self, node: yaml.Node) -> str:
         if not isinstance(node, yaml.ScalarNode) or node.tag != "tag:yaml.org,2002:str":

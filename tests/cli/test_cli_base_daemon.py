@@ -180,6 +180,9 @@ def test_logs_prints_the_last_lines(slidectl: CommandLine) -> None:
     assert slidectl.ok("daemon", "logs", "-n", "1").splitlines() == lines[-1:]
     assert json.loads(slidectl.ok("daemon", "logs", "-n", "1", "--json")) == {"line": lines[-1]}
     assert slidectl.ok("daemon", "logs", "-n", "0") == ""
+    assert slidectl.ok("daemon", "logs", "-o", "csv").splitlines()[0] == "line"
+    assert len(slidectl.ok("daemon", "logs", "-o", "csv").splitlines()) == 1 + len(lines)
+    assert slidectl.ok("daemon", "logs", "-n", "2", "-o", "yaml").count("\n---\n") == 1
 
 
 def test_logs_goes_on_with_what_is_logged_later_and_after_a_rotation(slidectl: CommandLine, runtime: Runtime) -> None:

@@ -13,7 +13,7 @@ from fake_daemon import FakeDaemon
 
 from slidectl.cli.main import COMMANDS
 
-# Beyond click, json and socket and what these import themselves; gc is part of the interpreter.
+# Beyond click, json and socket and what these import themselves.
 ALLOWED = {"_struct", "gc", "struct"}
 # click's help writer asks for the width of the terminal and wraps text.
 ALLOWED_FOR_HELP = {

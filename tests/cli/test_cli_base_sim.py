@@ -71,6 +71,14 @@ def test_step_pauses_a_world_that_runs(slidectl: CommandLine) -> None:
     assert status(slidectl)["paused"] is True
 
 
+def test_a_step_that_takes_too_long_is_given_up(slidectl: CommandLine) -> None:
+    done = slidectl("sim", "step", "100000000", "--timeout", "0.2")
+    assert (done.returncode, done.stdout) == (4, "")
+    assert "--timeout" in done.stderr
+    assert status(slidectl)["paused"] is True
+    assert slidectl.ok("sim", "step").endswith(" cycles\n")
+
+
 def test_pause_and_resume_say_what_is(slidectl: CommandLine) -> None:
     assert json.loads(slidectl.ok("sim", "resume", "--json"))["paused"] is False
     assert json.loads(slidectl.ok("sim", "pause", "--json"))["paused"] is True
@@ -148,6 +156,7 @@ def test_wait_that_fails_prints_what_was_expected_the_last_and_the_closest_value
 def test_wait_in_a_world_that_stands_still_times_out_and_says_why(slider: CommandLine) -> None:
     done = slider("wait", "joint_states/position[0]", "--above", "0.7", "--within", "1", "--timeout", "0.3")
     assert (done.returncode, done.stdout) == (4, "")
+    assert done.stderr.startswith("the simulation is paused")
     assert "slidectl sim resume" in done.stderr
 
 

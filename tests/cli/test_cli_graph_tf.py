@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slidectl.cli.frames import Frames, Pose, Quaternion, compose, inverse, normalised, roll_pitch_yaw
-from slidectl.errors import Refused, UnknownName
+from slidectl.errors import AmbiguousName, Refused, UnknownName
 
 TURN = (0.0, 0.0, math.sin(math.pi / 12), math.cos(math.pi / 12))
 
@@ -66,6 +66,24 @@ def test_frames_of_two_trees_are_not_connected(frames: Frames) -> None:
 def test_an_unknown_frame_lists_the_known_ones(frames: Frames) -> None:
     with pytest.raises(UnknownName, match="frames: alone, base, elsewhere, slider, world"):
         frames.look_up("world", "nope")
+
+
+def test_the_end_of_a_frames_name_is_enough_when_it_is_the_only_one(frames: Frames) -> None:
+    for robot in ("left", "right"):
+        frames.add({"transforms": [stamped("world", f"{robot}/base", (0, 0, 0), TURN)]}, is_static=True)
+    frames.add({"transforms": [stamped("left/base", "left/tip", (0, 0, 0), TURN)]}, is_static=True)
+    assert (frames.find("base"), frames.find("tip"), frames.find("left/base")) == ("base", "left/tip", "left/base")
+    assert (frames.find("tip", "/left"), frames.find("/base"), frames.find("base", "/left")) == (
+        "left/tip",
+        "base",
+        "left/base",
+    )
+    del frames.edges["base"], frames.edges["slider"]
+    assert frames.find("base", "/right") == "right/base"
+    with pytest.raises(AmbiguousName, match="left/base, right/base"):
+        frames.find("base")
+    with pytest.raises(UnknownName, match="Did you mean 'left/tip'"):
+        frames.find("top")
 
 
 def test_a_ring_of_frames_ends(frames: Frames) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 from collections.abc import Iterator
 
@@ -129,6 +130,18 @@ def test_hz_ends_on_ctrl_c_with_a_last_report_and_exit_code_130(world: World) ->
         process.send_signal(signal.SIGINT)
         process.communicate(timeout=20)
     assert process.returncode == 130
+
+
+def test_hz_prints_a_last_report_when_the_daemon_dies_and_exits_3() -> None:
+    with slider_world() as world:
+        with world.running("topic", "hz", "/clock", "--json") as process:
+            assert process.stdout is not None
+            process.stdout.readline()
+            assert world.daemon.pid is not None
+            os.kill(world.daemon.pid, signal.SIGKILL)
+            _, errors = process.communicate(timeout=20)
+        assert process.returncode == 3
+        assert "the daemon went away" in errors
 
 
 def test_hz_judges_a_rate(world: World) -> None:

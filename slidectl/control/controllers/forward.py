@@ -5,6 +5,8 @@ Parameter `joint`. No PID, no limits, no state topic.
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from slidectl.control import params
 from slidectl.control.handles import JointHandle
 from slidectl.control.interfaces import (
@@ -14,6 +16,7 @@ from slidectl.control.interfaces import (
     VelocityJointInterface,
 )
 from slidectl.control.node import NodeHandle
+from slidectl.control.parameters import JOINT, Parameter
 from slidectl.control.registry import controller
 from slidectl.control.scalar import ScalarController
 
@@ -21,11 +24,12 @@ from slidectl.control.scalar import ScalarController
 class ForwardController(ScalarController):
     """joint command = the last command, 0 until there is one."""
 
+    parameters: ClassVar[tuple[Parameter, ...]] = (JOINT,)
     _joint: JointHandle
 
     def init(self, interface: JointCommandInterface, node: NodeHandle) -> None:
         """Raises SlidectlError: the parameter or the joint is missing."""
-        self._joint = interface.get_handle(params.needed_text(node, "joint"))
+        self._joint = interface.get_handle(params.needed_text(node, JOINT.name))
         self._command = 0.0
         self._listen(node)
 

@@ -12,6 +12,7 @@ from slidectl.control import params
 from slidectl.control.angles import distance_with_large_limits, shortest_angular_distance
 from slidectl.control.interfaces import EffortJointInterface, JointCommandInterface, VelocityJointInterface
 from slidectl.control.node import NodeHandle
+from slidectl.control.parameters import JOINT
 from slidectl.control.pid_controller import UPDATES_PER_STATE, PidController
 from slidectl.control.registry import controller
 from slidectl.control.robot_description import joint_on_paper
@@ -23,7 +24,7 @@ class JointPositionController(PidController):
 
     def init(self, interface: JointCommandInterface, node: NodeHandle) -> None:
         """Raises SlidectlError: a parameter, the joint, or the robot description is missing."""
-        name = params.needed_text(node, "joint")
+        name = params.needed_text(node, JOINT.name)
         self._offer_pid(node)
         self._offer_state(node)
         self._listen(node)

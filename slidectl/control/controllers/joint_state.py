@@ -6,7 +6,7 @@ Parameters `publish_rate`, `joints`, `extra_joints`. It commands nothing and cla
 from __future__ import annotations
 
 from math import inf, isnan
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from slidectl import names
 from slidectl.control import params
@@ -14,6 +14,7 @@ from slidectl.control.controller import Controller
 from slidectl.control.duration import from_seconds, to_stamp
 from slidectl.control.interfaces import JointStateInterface
 from slidectl.control.node import Message, NodeHandle
+from slidectl.control.parameters import FLOAT, LIST, NUMBER, TEXT, TEXTS, Parameter
 from slidectl.control.registry import controller
 from slidectl.errors import Refused
 
@@ -36,6 +37,15 @@ class JointStateController(Controller[JointStateInterface]):
     """sensor_msgs/JointState on `joint_states` of the robot's namespace, at `publish_rate` per simulated second."""
 
     interface_type = JointStateInterface
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("publish_rate", NUMBER, "messages per simulated second; none unless above 0", "1/s", required=True),
+        Parameter("joints", TEXTS, "which joints, in this order; all by default", names_joints=True),
+        Parameter("extra_joints", LIST, "joints that the hardware does not have"),
+        Parameter("extra_joints[]/name", TEXT, "name of such a joint", required=True),
+        Parameter("extra_joints[]/position", FLOAT, "its constant position", "m or rad", default=0.0),
+        Parameter("extra_joints[]/velocity", FLOAT, "its constant velocity", "m/s or rad/s", default=0.0),
+        Parameter("extra_joints[]/effort", FLOAT, "its constant effort", "N or N·m", default=0.0),
+    )
 
     def init_in_root(self, interface: JointStateInterface, root: NodeHandle, node: NodeHandle) -> None:
         """Raises SlidectlError: no publish_rate, or an unknown joint."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 from slidectl.control import params
 from slidectl.control.interfaces import EffortJointInterface, JointCommandInterface
 from slidectl.control.node import NodeHandle
+from slidectl.control.parameters import JOINT
 from slidectl.control.pid_controller import UPDATES_PER_STATE, PidController
 from slidectl.control.registry import controller
 
@@ -20,7 +21,7 @@ class JointVelocityController(PidController):
 
     def init(self, interface: JointCommandInterface, node: NodeHandle) -> None:
         """Raises SlidectlError: a parameter or the joint is missing."""
-        self._joint = interface.get_handle(params.needed_text(node, "joint"))
+        self._joint = interface.get_handle(params.needed_text(node, JOINT.name))
         self._offer_pid(node)
         self._offer_state(node)
         self._listen(node)

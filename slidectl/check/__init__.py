@@ -1,0 +1,11 @@
+"""Checks files without a daemon: models, files of controllers, launch files.
+
+Every tag, attribute, parameter and limit is found used, converted, ignored or wrong, with file and line. It starts
+nothing and changes nothing; heavy modules are imported by the functions that need them.
+"""
+
+from __future__ import annotations
+
+from slidectl.check.findings import VERDICTS, Findings
+
+__all__ = ["VERDICTS", "Findings"]

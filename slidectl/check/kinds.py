@@ -1,0 +1,49 @@
+"""What a file is: a model, a launch file, or controllers; by its suffix, else by what stands in it.
+
+Nothing is parsed here.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Literal
+
+from slidectl.description import models
+from slidectl.errors import BadFile
+
+Kind = Literal["model", "launch", "controllers"]
+
+_SUFFIXES: dict[str, Kind] = {
+    ".xacro": "model",
+    ".urdf": "model",
+    ".launch": "launch",
+    ".test": "launch",
+    ".yaml": "controllers",
+    ".yml": "controllers",
+}
+_ROOT = re.compile(rb"<([A-Za-z_][\w:.-]*)")
+_SKIPPED = re.compile(rb"<!--.*?-->|<\?.*?\?>|<!DOCTYPE[^>]*>", re.DOTALL)
+
+
+def of_file(path: Path) -> Kind:
+    """The kind of a file.
+
+    Raises:
+        BadFile: no such file, or XML that is neither a robot nor a launch file.
+    """
+    known = _SUFFIXES.get(path.suffix.lower())
+    return known if known is not None else of_text(models.read_file(path), str(path))
+
+
+def of_text(text: bytes, file: str) -> Kind:
+    """The kind of a text; `file` is its name in the error. What is no XML is taken for YAML."""
+    start = text.removeprefix(b"\xef\xbb\xbf").lstrip()
+    if not start.startswith(b"<"):
+        return "controllers"
+    root = _ROOT.match(_SKIPPED.sub(b"", start).lstrip())
+    tag = root.group(1).decode() if root else ""
+    if tag in ("robot", "launch"):
+        return "model" if tag == "robot" else "launch"
+    what = f"the outermost element is <{tag}>" if tag else "it is no XML"
+    raise BadFile(f"{what}, expected <robot> or <launch>", file, 1)

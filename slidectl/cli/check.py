@@ -1,0 +1,113 @@
+"""`slidectl check`: what becomes of everything in a file, without a daemon.
+
+Finding things out is the check room's; here they are printed.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from slidectl.cli import configuration, live, output
+from slidectl.cli.commands import command
+from slidectl.cli.context import Context
+from slidectl.cli.spawn import pairs
+from slidectl.errors import EXIT_REFUSED
+
+if TYPE_CHECKING:
+    from slidectl.check import Findings
+    from slidectl.description import Notice
+    from slidectl.description.robot import Verdict
+
+_COLUMNS = ("file", "line", "verdict", "subject", "text")
+_VERDICTS: tuple[Verdict, ...] = ("used", "converted", "ignored", "wrong")
+_COLOURS = {"used": "green", "converted": "cyan", "ignored": "yellow", "wrong": "red"}
+
+
+@command(
+    examples=[
+        "slidectl check slider --controllers config/slider_control.yaml",
+        "slidectl check robot.urdf.xacro width:=0.2 --strict",
+        "slidectl check config/slider_control.yaml --only ignored --only wrong",
+    ]
+)
+@click.argument("source", metavar="MODEL|CONTROLLERS", shell_complete=live.models)
+@click.argument("arguments", nargs=-1, metavar="[KEY:=VALUE]...")
+@click.option(
+    "--controllers",
+    multiple=True,
+    metavar="FILE",
+    shell_complete=live.files,
+    help="Controllers of the model; may repeat.",
+)
+@click.option("--strict", is_flag=True, help="Exit 1 when anything is ignored, too.")
+@click.option("--only", multiple=True, type=click.Choice(_VERDICTS), help="Print findings of this kind; may repeat.")
+@click.option("--package", "packages", multiple=True, metavar="NAME=PATH", help="Where a ROS package is; may repeat.")
+@click.pass_context
+def check(
+    click_context: click.Context,
+    source: str,
+    arguments: tuple[str, ...],
+    controllers: tuple[str, ...],
+    strict: bool,
+    only: tuple[str, ...],
+    packages: tuple[str, ...],
+) -> None:
+    """Check a model or controllers, without a daemon.
+
+    Every tag, attribute, limit and parameter is listed as used, converted (taken otherwise than written), ignored (no
+    effect here) or wrong, with file and line. Exits 0 when nothing is wrong, 1 when something is, and 2 when a file
+    cannot be used at all. JSON keys: file, line, verdict, subject, text.
+    """
+    ctx = click_context.find_object(Context)
+    assert ctx is not None
+    from slidectl.check.run import check as run
+    from slidectl.description import Packages
+
+    places = Packages({name: Path(path) for name, path in pairs(packages, "=", "check").items()})
+    files = [configuration.find(file) for file in controllers]
+    text = sys.stdin.buffer.read() if source == "-" else None
+    name = "<stdin>" if source == "-" else _shipped_or_own(source)
+    findings = run(name, pairs(arguments, ":=", "check"), places, files, text)
+    _print(ctx, findings, only)
+    for error in findings.broken[:1]:
+        raise error
+    if findings.count("wrong") or (strict and findings.count("ignored")):
+        click_context.exit(EXIT_REFUSED)
+
+
+def _shipped_or_own(source: str) -> str:
+    """A file of controllers by that name may be a shipped one."""
+    return str(configuration.find(source)) if source.endswith((".yaml", ".yml")) else source
+
+
+def _print(ctx: Context, findings: Findings, only: Sequence[str]) -> None:
+    notices = findings.sorted(only)
+    if ctx.format != "text":
+        ctx.emit_rows([_row(notice) for notice in notices], _COLUMNS)
+        return
+    groups: dict[str, list[Notice]] = {}
+    for notice in notices:
+        groups.setdefault(notice.file, []).append(notice)
+    counts = ", ".join(f"{findings.count(verdict)} {verdict}" for verdict in _VERDICTS)
+    output.write("\n\n".join([*("\n".join(_lines(group)) for group in groups.values()), counts]))
+
+
+def _row(notice: Notice) -> dict[str, Any]:
+    return {key: getattr(notice, key) for key in _COLUMNS}
+
+
+def _lines(notices: Sequence[Notice]) -> list[str]:
+    """`file:line  verdict  subject: text`, in columns."""
+    width = max(len(notice.where) for notice in notices)
+    longest = max(map(len, _VERDICTS))
+    return [f"{n.where:<{width}}  {_painted(n.verdict, longest)}  {n.subject}: {n.text}" for n in notices]
+
+
+def _painted(verdict: str, width: int) -> str:
+    padded = f"{verdict:<{width}}"
+    return click.style(padded, fg=_COLOURS[verdict]) if output.wants_colour(sys.stdout) else padded

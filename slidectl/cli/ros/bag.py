@@ -1,0 +1,172 @@
+"""Bags (rosbag 2.0) for `rostopic echo -b`, `rostopic list -b` and `rosmsg show -b`.
+
+Types are those that the bag itself carries. rosbags is imported when a bag is opened, not before.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from slidectl import names
+from slidectl.cli import output
+from slidectl.cli.context import Context
+from slidectl.cli.echo import Look, Write, predicate, writer
+from slidectl.cli.fieldpath import select
+from slidectl.cli.ros.failure import Failure
+from slidectl.cli.schema import TIMES, Field, Schema
+from slidectl.cli.stream import Event
+from slidectl.cli.target import splits
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Connection
+    from rosbags.rosbag1 import Reader
+
+_SECTION = re.compile(r"^=+\s*\nMSG: *(\S+) *\n", re.MULTILINE)
+_NO_BAG = "This does not appear to be a bag file"
+
+
+class Bag:
+    """An open bag. Messages come out in the shape that they have on the wire."""
+
+    def __init__(self, reader: Reader) -> None:
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+        self._reader = reader
+        self._store = get_typestore(Stores.EMPTY)
+        self.schemas: dict[str, Schema] = {}
+        self.texts: dict[str, str] = {}
+        for connection in reader.connections:
+            text = connection.msgdef.data
+            self._store.register(get_types_from_msg(text, connection.msgtype))
+            texts = _definitions(ros1_name(connection), text)
+            self.texts |= texts
+            self.schemas[connection.topic] = _schema(ros1_name(connection), texts)
+
+    @property
+    def topics(self) -> list[str]:
+        """All topics, sorted."""
+        return sorted(self.schemas)
+
+    def messages(self, topics: set[str]) -> Iterator[Event]:
+        """The messages of these topics in the order of their recording; `time_ns` is when that was."""
+        chosen = [connection for connection in self._reader.connections if connection.topic in topics]
+        for connection, time_ns, raw in self._reader.messages(connections=chosen):
+            schema = self.schemas[connection.topic]
+            message = self._store.deserialize_ros1(raw, connection.msgtype)
+            yield Event(connection.topic, _plain(schema, schema.root, message), time_ns)
+
+    def times(self, topics: set[str]) -> list[int]:
+        """When the messages of these topics were recorded, in ns."""
+        chosen = [connection for connection in self._reader.connections if connection.topic in topics]
+        return [time_ns for _, time_ns, _ in self._reader.messages(connections=chosen)] if chosen else []
+
+
+@contextmanager
+def opened(path: str, trouble: str = "ERROR: unable to use bag file: ") -> Iterator[Bag]:
+    """The bag at `path`. Raises Failure (1) when there is none."""
+    from rosbags.rosbag1 import Reader, ReaderError
+
+    if not os.path.exists(path):
+        raise Failure(f"ERROR: bag file [{path}] does not exist")
+    try:
+        with Reader(Path(path)) as reader:
+            yield Bag(reader)
+    except ReaderError as error:
+        text = str(error)
+        raise Failure(trouble + (_NO_BAG if "magic" in text or "File" in text else text)) from None
+
+
+def ros1_name(connection: Connection) -> str:
+    """`sensor_msgs/JointState`, where rosbags says `sensor_msgs/msg/JointState`."""
+    return connection.msgtype.replace("/msg/", "/")
+
+
+def _definitions(root: str, text: str) -> dict[str, str]:
+    """Type -> definition, out of one in which those of nested types follow, each behind a line of its own."""
+    first, *rest = _SECTION.split(text)
+    return {root: first, **dict(zip(rest[::2], rest[1::2], strict=True))}
+
+
+def _schema(root: str, texts: Mapping[str, str]) -> Schema:
+    from slidectl.msgs.parsing import parse_message
+
+    definitions = {name: parse_message(text, name) for name, text in texts.items()}
+    return Schema(root, {name: tuple(Field(*field) for field in d.fields) for name, d in definitions.items()})
+
+
+def _plain(schema: Schema, type_name: str, value: Any) -> Any:
+    if type_name in TIMES:
+        return {"secs": value.sec, "nsecs": value.nanosec}
+    if not schema.fields(type_name):
+        return value if not hasattr(value, "item") else value.item()
+    return {field.name: _field(schema, field, getattr(value, field.name)) for field in schema.fields(type_name)}
+
+
+def _field(schema: Schema, field: Field, value: Any) -> Any:
+    if field.array < 0:
+        return _plain(schema, field.type, value)
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    return [_plain(schema, field.type, each) for each in value]
+
+
+# --- what the tools do with bags --------------------------------------------------------------------------------------
+
+
+def list_topics(path: str, namespace: str | None) -> None:
+    """The topics, or how many messages those below a namespace have, and from when to when."""
+    with opened(path) as bag:
+        if namespace is None:
+            return output.write("\n".join(bag.topics))
+        times = bag.times({topic for topic in bag.topics if names.is_under(topic, namespace)})
+        if not times:
+            raise Failure(f"ERROR: no messages on [{namespace}] in {path}; topics: {', '.join(bag.topics)}")
+        first, last = (time.strftime("%d %b %Y %H:%M:%S", time.localtime(t // 10**9)) for t in (min(times), max(times)))
+        return output.write(f"{len(times)} message(s) from {first} to {last}")
+
+
+def echo(ctx: Context, path: str, target: str | None, look: Look, condition: str | None, count: int | None) -> None:
+    """Print the messages of a topic, of a field, or with no target of all topics."""
+    left = float("inf") if count is None else count
+    with opened(path) as bag:
+        fields = dict.fromkeys(bag.topics, "") if target is None else _chosen(bag, target, path)
+        writers: Mapping[str, Write] = {
+            topic: writer(ctx, bag.schemas[topic], select(bag.schemas[topic], field), look)
+            for topic, field in fields.items()
+        }
+        keeps = {topic: predicate(condition, bag.schemas[topic]) for topic in fields}
+        for event in bag.messages(set(fields)):
+            if left <= 0:
+                return
+            if keeps[event.topic](event.message):
+                writers[event.topic](event)
+                left -= 1
+
+
+def _chosen(bag: Bag, target: str, path: str) -> dict[str, str]:
+    for topic, field in splits(target):
+        if topic in bag.schemas:
+            return {topic: field}
+    raise Failure(f"ERROR: no topic [{target}] in {path}; topics: {', '.join(bag.topics)}")
+
+
+def definition(path: str, type_name: str, raw: bool) -> str:
+    """What a type in the bag is made of, as `rosmsg show` prints it. Raises Failure when it holds no such type."""
+    with opened(path) as bag:
+        for schema in bag.schemas.values():
+            if type_name in schema.types:
+                return bag.texts[type_name] if raw else "\n".join(_shown(schema, type_name, ""))
+        known = sorted({name for schema in bag.schemas.values() for name in schema.types})
+    raise Failure(f"Unable to load msg [{type_name}]: it is not in {path}\ntypes: {' '.join(known)}")
+
+
+def _shown(schema: Schema, type_name: str, indent: str) -> Iterator[str]:
+    for field in schema.fields(type_name):
+        yield f"{indent}{field.spelled} {field.name}"
+        yield from _shown(schema, field.type, indent + "  ")

@@ -1,0 +1,50 @@
+"""Names on the command line of a ROS tool: ROS_NAMESPACE, private names, and remapping arguments; and waiting.
+
+Exact, as there: the unique end of a name is not enough.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Sequence
+from time import monotonic
+
+from slidectl import names
+from slidectl.cli.context import Context
+
+HOST = "localhost"
+"""Where everything runs: on this machine, behind one socket."""
+
+_REMAPPING = re.compile(r"[A-Za-z0-9_~/]+:=")
+_NODE_ARGUMENT = re.compile(r"__(name|ns|log|ip|hostname|master):=")
+
+
+def resolve(ctx: Context, name: str, tool: str) -> str:
+    """The absolute name: below ROS_NAMESPACE (or `--ns`), and below the tool's own name for `~private`."""
+    if name.startswith("~"):
+        return names.join(names.join("/", tool), name[1:].lstrip("/"))
+    return names.join(os.environ.get("ROS_NAMESPACE") or ctx.namespace, name)
+
+
+def without_remappings(words: Sequence[str], payload_from: int | None = None) -> list[str]:
+    """The words without `from:=to`, which a launch file adds for its nodes and which rename nothing on a command line.
+
+    From the positional number `payload_from` on only `__name:=` and its like go: `a:=b` may be a text to publish.
+    """
+    kept: list[str] = []
+    positionals = 0
+    for word in words:
+        is_payload = payload_from is not None and positionals >= payload_from
+        if (_NODE_ARGUMENT if is_payload else _REMAPPING).match(word):
+            continue
+        positionals += not word.startswith("-")
+        kept.append(word)
+    return kept
+
+
+def pause(ctx: Context, seconds: float) -> None:
+    """Wait, but notice at once when the daemon goes away."""
+    deadline = monotonic() + seconds
+    while (left := deadline - monotonic()) > 0:
+        next(ctx.client.events(left), None)

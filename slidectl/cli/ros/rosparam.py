@@ -1,0 +1,258 @@
+"""`rosparam`: get, set, load, dump, delete and list parameters, with rosparam's own lines.
+
+Without a verb it prints the list of them and exits 0, as rosparam does.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any
+
+from slidectl import names
+from slidectl.cli import output, parameters
+from slidectl.cli.configuration import leaves, store
+from slidectl.cli.context import Context
+from slidectl.cli.ros.arguments import Option, Parser
+from slidectl.cli.ros.failure import Failure
+from slidectl.cli.ros.naming import resolve
+from slidectl.cli.ros.verbs import Tool, Verb
+from slidectl.errors import BadFile, UsageError
+
+TOOL = Tool(
+    "rosparam",
+    "rosparam gets and sets parameters.",
+    {
+        "set": Verb("rosparam:set_parameter", "set a parameter"),
+        "get": Verb("rosparam:get", "print a parameter, or all below a namespace"),
+        "load": Verb("rosparam:load", "set the parameters of a file"),
+        "dump": Verb("rosparam:dump", "write parameters to a file"),
+        "delete": Verb("rosparam:delete", "delete a parameter"),
+        "list": Verb("rosparam:list_parameters", "list parameters"),
+    },
+    without=0,
+    unknown=0,
+)
+_VERBOSE = Option(("-v",), "verbose", "turn on verbose output")
+_INT32 = range(-(2**31), 2**31)
+_NO_NAME = "invalid arguments. Please specify a parameter name"
+_TOO_MANY = "too many arguments"
+
+
+def main(ctx: Context, argv: Sequence[str]) -> None:
+    """Run a verb."""
+    TOOL.run(ctx, argv)
+
+
+def _parser(usage: str, *options: Option) -> Parser:
+    return Parser("rosparam", f"rosparam {usage}", [*options, _VERBOSE])
+
+
+def _full(ctx: Context, name: str) -> str:
+    return resolve(ctx, name, "rosparam").rstrip("/") or "/"
+
+
+# --- set --------------------------------------------------------------------------------------------------------------
+
+
+def set_parameter(ctx: Context, argv: Sequence[str]) -> None:
+    """A value in YAML, or with -t and -b what a file holds."""
+    parser = _parser(
+        "set [options] parameter value",
+        Option(("-t", "--textfile"), "textfile", "set parameters to contents of text file", "TEXT_FILE"),
+        Option(("-b", "--binfile"), "binfile", "set parameters to contents of binary file, as base64", "BINARY_FILE"),
+    )
+    given = parser.parse(argv)
+    file = given.textfile or given.binfile
+    if not given.words:
+        parser.error(_NO_NAME)
+    if len(given.words) == 1 and file is None:
+        parser.error("invalid arguments. Please specify a parameter value")
+    if len(given.words) > (2 if file is None else 1):
+        parser.error(_TOO_MANY)
+    content = _typed(given.words[1]) if file is None else _content(parser, file, binary=given.textfile is None)
+    full = names.check(_full(ctx, given.words[0]))
+    _store(ctx, content, full)
+    if given.verbose:
+        output.write(f"set parameter [{full}] to [{content}]")
+
+
+def _typed(text: str) -> Any:
+    try:
+        return parameters.typed(text)
+    except UsageError as error:
+        keys = "YAML dictionaries must have string keys. Invalid dictionary is:"
+        if "is not text" in error.message:
+            raise Failure(f"ERROR: {keys}\n{_python(text)}") from None
+        raise Failure(f"ERROR: {error}") from None
+
+
+def _python(text: str) -> str:
+    """The value as Python writes it, which is how rosparam shows it."""
+    import yaml
+
+    return str(yaml.safe_load(text))
+
+
+def _content(parser: Parser, file: str, binary: bool) -> str:
+    """The text of a file, or its bytes in base64: parameters are JSON here."""
+    if not os.path.isfile(file):
+        parser.error(f"file '{file}' does not exist")
+    with open(file, "rb") as source:
+        content = source.read()
+    if binary:
+        from base64 import b64encode
+
+        return b64encode(content).decode()
+    return content.decode("utf-8", "replace")
+
+
+def _store(ctx: Context, content: Any, full: str) -> None:
+    """Set it; a mapping is merged. Raises Failure for what a parameter server cannot hold."""
+    try:
+        chosen = parameters.settings(content, full)
+        for name, value in chosen.items():
+            _check_integers(name, value)
+        store(ctx, chosen)
+    except UsageError as error:
+        raise Failure(f"ERROR: {error}") from None
+
+
+def _check_integers(name: str, value: Any) -> None:
+    """Integers have 32 bits there (XML-RPC), and so in every node that would read them."""
+    for each in value if isinstance(value, list) else [value]:
+        if isinstance(each, list):
+            _check_integers(name, each)
+        elif isinstance(each, int) and not isinstance(each, bool) and each not in _INT32:
+            raise Failure(f"ERROR: parameter [{name}] cannot be {each}: integers have 32 bits; write {float(each)!r}")
+
+
+# --- get, delete, list ------------------------------------------------------------------------------------------------
+
+
+def _one_name(parser: Parser, words: Sequence[str]) -> str:
+    if not words:
+        parser.error(_NO_NAME)
+    if len(words) > 1:
+        parser.error(_TOO_MANY)
+    return words[0]
+
+
+def get(ctx: Context, argv: Sequence[str]) -> None:
+    """The value as YAML."""
+    parser = _parser("get [options] parameter", Option(("-p",), "pretty", "pretty print. WARNING: not YAML-safe"))
+    given = parser.parse(argv)
+    full = _full(ctx, _one_name(parser, given.words))
+    if given.verbose:
+        output.write(f"getting parameter [{full}]")
+    value = _value(ctx, full)
+    output.write(pretty(value) if given.pretty and isinstance(value, str | dict) else printed(value))
+
+
+def _value(ctx: Context, full: str) -> Any:
+    """Raises Failure when it is not set. The root is always there."""
+    if full != "/" and not ctx.call("/rosapi/has_param", {"name": full})["exists"]:
+        raise Failure(f"ERROR: Parameter [{full}] is not set")
+    return parameters.get(ctx, full)
+
+
+def printed(value: Any) -> str:
+    """YAML with one more line end, as rosparam writes it; no `...` behind a scalar."""
+    text = parameters.dumped(value)
+    return text.removesuffix("...\n") if text.endswith("\n...\n") else text + "\n"
+
+
+def pretty(value: Any, indent: str = "") -> str:
+    """Text as it is, mappings a name a line."""
+    if not isinstance(value, dict):
+        return f"{indent}{value}"
+    lines = []
+    for key in sorted(value):
+        item = value[key]
+        inner = pretty(item, indent + "  ") if isinstance(item, dict) else ""
+        lines.append(f"{indent}{key}:\n{inner}" if inner else f"{indent}{key}: {item}")
+    return "\n".join(lines)
+
+
+def delete(ctx: Context, argv: Sequence[str]) -> None:
+    """A parameter or a namespace."""
+    parser = _parser("delete [options] parameter")
+    given = parser.parse(argv)
+    full = _full(ctx, _one_name(parser, given.words))
+    if full != "/" and not ctx.call("/rosapi/has_param", {"name": full})["exists"]:
+        raise Failure(f"ERROR: parameter [{full}] is not set")
+    ctx.call("/rosapi/delete_param", {"name": full})
+    if given.verbose:
+        output.write(f"deleted parameter [{full}]")
+
+
+def list_parameters(ctx: Context, argv: Sequence[str]) -> None:
+    """Names below a namespace, without the namespace itself."""
+    parser = Parser("rosparam", "rosparam list [namespace]")
+    given = parser.parse(argv)
+    (namespace,) = parser.at_most(given, 1, _TOO_MANY)
+    inside = "/" if namespace is None else _full(ctx, namespace)
+    known = ctx.names("parameter")
+    output.write("\n".join(name for name in known if names.is_under(name, inside) and name != inside))
+
+
+# --- load, dump -------------------------------------------------------------------------------------------------------
+
+
+def load(ctx: Context, argv: Sequence[str]) -> None:
+    """The parameters of a YAML file or of stdin, below a namespace."""
+    parser = _parser("load [options] file [namespace]")
+    given = parser.parse(argv)
+    file, namespace = parser.at_most(given, 2, _TOO_MANY)
+    if file is None:
+        parser.error("invalid arguments. Please specify a file name or - for stdin")
+    text = _text(str(file))
+    if given.verbose:
+        output.write(f"reading parameters from [{file}]")
+    inside = _full(ctx, namespace or "")
+    try:
+        tree = parameters.tree(ctx, text, "stdin" if file == "-" else str(file), namespace is not None)
+    except BadFile as error:
+        raise Failure(f"ERROR: {error}") from None
+    if tree != {}:
+        _store(ctx, tree, inside)
+    if given.verbose:
+        _show(tree, inside)
+
+
+def _text(file: str) -> str:
+    from slidectl.cli.documents import text_of
+
+    if file != "-" and not os.path.isfile(file):
+        raise Failure(f"ERROR: file [{file}] does not exist")
+    try:
+        return text_of(file)
+    except BadFile as error:
+        raise Failure(f"ERROR: {error}") from None
+
+
+def _show(tree: Any, inside: str) -> None:
+    """A line for each parameter."""
+    for name, value in leaves(tree, inside) if isinstance(tree, dict) else [(inside, tree)]:
+        output.write(f"{name}={value}")
+
+
+def dump(ctx: Context, argv: Sequence[str]) -> None:
+    """All parameters, or those below a namespace, into a file or to stdout."""
+    parser = _parser("dump [options] file [namespace]")
+    given = parser.parse(argv)
+    file, namespace = parser.at_most(given, 2, _TOO_MANY)
+    inside = "/" if namespace is None else _full(ctx, namespace)
+    value = _value(ctx, inside)
+    if file is None or file == "-":
+        return output.write(parameters.dumped(value))
+    if given.verbose:
+        output.write(f"dumping namespace [{inside}] to file [{file}]")
+    try:
+        with open(file, "w", encoding="utf-8") as target:
+            target.write(parameters.dumped(value))
+    except OSError as error:
+        raise Failure(f"ERROR: cannot write [{file}]: {error.strerror or error}") from None
+    if given.verbose:
+        _show(value, inside)
+    return None

@@ -1,0 +1,66 @@
+"""`slidectl ros-commands`: shell functions named as the ROS commands, for `eval`. Only text; it asks no daemon."""
+
+from __future__ import annotations
+
+import os
+import sys
+from shlex import quote
+
+import click
+
+from slidectl.cli import output
+from slidectl.cli.commands import command
+from slidectl.cli.context import Context
+from slidectl.cli.ros.command import TOOLS
+from slidectl.errors import UsageError
+
+SHELLS = ("bash", "zsh", "fish")
+# Shells that read the functions of bash.
+_LIKE_BASH = ("sh", "dash", "ash", "ksh", "mksh")
+
+
+@command(
+    "ros-commands",
+    examples=['eval "$(slidectl ros-commands)"', "slidectl ros-commands --shell fish | source"],
+)
+@click.option("--shell", type=click.Choice(SHELLS), help="For which shell; by default that of $SHELL.")
+@click.pass_obj
+def ros_commands(ctx: Context, shell: str | None) -> None:
+    """Print shell functions named as the ROS commands.
+
+    With eval "$(slidectl ros-commands)" the lines of a ROS tutorial work in this shell, and in bash scripts that it
+    starts. Each function calls 'slidectl ros NAME'; the daemon that --instance or --socket choose here is theirs.
+    """
+    prefix = " ".join(map(quote, _program(ctx)))
+    output.write(_fish(prefix) if (shell or _of_the_user()) == "fish" else _posix(prefix))
+
+
+def _of_the_user() -> str:
+    """`bash`, `zsh` or `fish` by $SHELL. Raises UsageError for a shell that has no such functions."""
+    name = os.path.basename(os.environ.get("SHELL") or "bash")
+    if name in SHELLS or name in _LIKE_BASH:
+        return name
+    raise UsageError(f"no functions for the shell {name!r} ($SHELL)", f"give --shell {' or '.join(SHELLS)}")
+
+
+def _program(ctx: Context) -> list[str]:
+    """The command line before `ros`: this program, from wherever it was started, with the options of this call."""
+    started = os.path.abspath(sys.argv[0])
+    is_script = os.access(started, os.X_OK) and os.path.basename(started) == "slidectl"
+    words = [started] if is_script else [sys.executable, "-m", "slidectl"]
+    for option, value in (("--instance", ctx.instance), ("--socket", ctx.socket)):
+        words += [option, os.path.abspath(value) if option == "--socket" else value] if value else []
+    if ctx.namespace != "/":
+        words += ["--ns", ctx.namespace]
+    return words
+
+
+def _posix(prefix: str) -> str:
+    """bash, zsh and their kin. bash exports functions to the scripts that it starts."""
+    lines = [f'{name}() {{ {prefix} ros {name} "$@"; }}' for name in TOOLS]
+    export = f'if [ -n "${{BASH_VERSION:-}}" ]; then export -f {" ".join(TOOLS)}; fi'
+    return "\n".join([*lines, export])
+
+
+def _fish(prefix: str) -> str:
+    return "\n".join(f"function {name}; {prefix} ros {name} $argv; end" for name in TOOLS)

@@ -1,0 +1,83 @@
+"""Calling a service for a command: its types, the names of its arguments, its answer as YAML, and why it said no.
+
+Only service calls and text. What the words of a command line mean is for the commands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from slidectl.cli.context import Context
+
+CALL_TIMEOUT_S = 60.0
+_VERDICTS = ("ok", "success")
+_REASONS = ("message", "status_message")
+
+Typedefs = list[dict[str, Any]]
+
+
+class Answer(NamedTuple):
+    """What came of a call.
+
+    `refusal`: when the response says no (a false `ok` or `success`) the lines that say so, with the reasons that it
+    gives or that were logged. `logged`: what was logged on /rosout meanwhile, warnings and errors.
+    """
+
+    response: dict[str, Any]
+    refusal: list[str]
+    logged: list[str]
+
+
+def ask_each(ctx: Context, question: str, services: Iterable[str], key: str) -> dict[str, str]:
+    """Service -> the answer of rosapi about it, asked in one go."""
+    calls = {name: ctx.client.call_async(question, {"service": name}) for name in services}
+    return {name: str(ctx.client.answer(call)[key]) for name, call in calls.items()}
+
+
+def typedefs(ctx: Context, kind: str) -> tuple[Typedefs, Typedefs]:
+    """What the request and the response of a service type are made of, asked in one go."""
+    questions = "/rosapi/service_request_details", "/rosapi/service_response_details"
+    calls = [ctx.client.call_async(question, {"type": kind}) for question in questions]
+    request, response = (list(ctx.client.answer(call)["typedefs"]) for call in calls)
+    return request, response
+
+
+def request_typedefs(ctx: Context, kind: str) -> Typedefs:
+    """What the request of a service type is made of."""
+    return list(ctx.call("/rosapi/service_request_details", {"type": kind})["typedefs"])
+
+
+def argument_names(request: Typedefs) -> list[str]:
+    """The fields of a request, nested ones as `a.b`."""
+    from slidectl.msgs.fill import field_paths, fields_from
+
+    return field_paths(fields_from(request), str(request[0]["type"]))
+
+
+def as_yaml(message: dict[str, Any], parts: Typedefs) -> str:
+    """A complete request or response as rosservice prints it, with its line end."""
+    from slidectl.cli.schema import from_typedefs
+    from slidectl.cli.yamlform import YamlForm
+
+    schema = from_typedefs(parts)
+    return YamlForm(schema).printer(schema.root)(message) + "\n"
+
+
+def call(ctx: Context, full: str, request: dict[str, Any]) -> Answer:
+    """Call it and collect what is logged meanwhile. Raises as Client.call; TimedOut after a minute."""
+    with ctx.client.rosout() as lines:
+        response = ctx.call(full, request, ctx.wait_limit(CALL_TIMEOUT_S))
+    logged = [str(line["msg"]) for line in lines]
+    return Answer(response, _refusal(full, response, logged), logged)
+
+
+def _refusal(full: str, response: dict[str, Any], logged: Sequence[str]) -> list[str]:
+    verdict = next((field for field in _VERDICTS if response.get(field) is False), None)
+    if verdict is None:
+        return []
+    reasons = [str(response[field]) for field in _REASONS if response.get(field)]
+    reasons += [line for line in logged if line not in reasons][-2:]
+    indented = [f"  {line}" for reason in reasons for line in reason.splitlines()]
+    return [f"{full} answered {verdict}: false", *indented]

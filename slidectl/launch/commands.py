@@ -1,0 +1,100 @@
+"""`<param command="...">`: xacro runs in this process, by our own; any other command as the user's own program.
+
+As roslaunch does it, there is no shell: words, quotes, and nothing is expanded.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from pathlib import Path
+
+from slidectl.description.packages import is_file
+from slidectl.errors import BadFile, SlidectlError
+from slidectl.launch.tag import Tag
+
+_XACRO = ("xacro", "xacro.py")
+_FLAGS = ("--inorder", "-i", "-q", "-v", "--check-order", "--xacro-ns", "--debug")
+_WITHOUT_EFFECT = ("--verbosity",)
+
+
+class Command:
+    """One command, taken apart. What is wrong with it is said when it is read, not when it runs."""
+
+    def __init__(self, tag: Tag) -> None:
+        self.tag = tag
+        self.words = tag.words("command")
+        if not self.words:
+            raise tag.error("the attribute 'command' is empty")
+        self.is_xacro = _is_xacro(self.words)
+        if self.is_xacro:
+            self.file, self.arguments = _xacro_arguments(tag, _after_xacro(self.words))
+        elif not tag.scope.launch.run_commands:
+            raise tag.error(f"runs the program {self.words[0]!r}", "that is refused by --no-commands")
+
+    def output(self) -> str:
+        """What the command prints. Raises BadFile when it fails."""
+        return self._expand() if self.is_xacro else self._run()
+
+    def _expand(self) -> str:
+        from slidectl import description
+
+        try:
+            document = description.load(self.file, self.arguments, self.tag.scope.packages)
+        except BadFile:
+            raise
+        except SlidectlError as error:
+            raise self.tag.error(error.message, error.hint) from None
+        self.tag.plan.notices += document.report
+        return document.xml
+
+    def _run(self) -> str:
+        shown = " ".join(self.words)
+        try:
+            done = subprocess.run(
+                self.words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, env=self._environment(), check=False
+            )
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise self.tag.error(f"cannot run {self.words[0]!r}: {reason}", f"command: {shown}") from None
+        if done.returncode:
+            raise self.tag.error(f"the command ended with code {done.returncode}", f"command: {shown}")
+        try:
+            return done.stdout.decode("utf-8")
+        except UnicodeDecodeError:
+            raise self.tag.error("the command's output is no text", f"command: {shown}") from None
+
+    def _environment(self) -> dict[str, str]:
+        return dict(self.tag.scope.launch.environment)
+
+
+def _is_xacro(words: list[str]) -> bool:
+    """xacro itself, by whatever path, or through rosrun."""
+    return os.path.basename(words[0]) in _XACRO or _through_rosrun(words)
+
+
+def _through_rosrun(words: list[str]) -> bool:
+    return os.path.basename(words[0]) == "rosrun" and words[1:2] == ["xacro"] and words[2:3] in ([n] for n in _XACRO)
+
+
+def _after_xacro(words: list[str]) -> list[str]:
+    return words[3:] if _through_rosrun(words) else words[1:]
+
+
+def _xacro_arguments(tag: Tag, words: list[str]) -> tuple[Path, dict[str, str]]:
+    """The model's file, and its arguments."""
+    files, arguments = [], {}
+    for word in words:
+        name, given, value = word.partition(":=")
+        if given and name and not word.startswith("-"):
+            arguments[name] = value
+        elif not word.startswith("-"):
+            files.append(word)
+        elif word not in _FLAGS and not word.startswith(_WITHOUT_EFFECT):
+            raise tag.error(f"xacro's option {word!r} is not understood here", f"these are: {', '.join(_FLAGS)}")
+    if len(files) != 1:
+        raise tag.error(f"xacro takes one file, not {len(files)}: {' '.join(words)}")
+    path = Path(files[0])
+    if not is_file(path):
+        raise tag.error(f"xacro: no such file: {path}")
+    return path, arguments

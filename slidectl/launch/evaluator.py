@@ -1,0 +1,296 @@
+"""What `$(eval ...)` may compute: a small safe evaluator over the syntax tree, never Python's own.
+
+Names are those that it is given and nothing else: no attributes but a few methods of text, no imports, no names with
+two underscores. Work and sizes are kept within bounds, so that every expression comes to an end.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import operator
+import re
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+LONGEST = 4000
+MOST_STEPS = 100_000
+"""Steps of the walk, plus one for each value in every list that it makes."""
+MOST_LENGTH = 100_000
+"""Letters of a text."""
+_MOST_BITS = 4096
+_TOO_COSTLY = {"factorial", "comb", "perm", "lcm", "prod", "isqrt"}
+_TEXT_METHODS = {
+    "capitalize", "count", "endswith", "find", "index", "isalnum", "isalpha", "isdigit", "join", "lower", "lstrip",
+    "partition", "removeprefix", "removesuffix", "replace", "rfind", "rpartition", "rsplit", "rstrip", "split",
+    "splitlines", "startswith", "strip", "swapcase", "title", "upper",
+}  # fmt: skip
+_OTHER_METHODS: dict[type[Any], set[str]] = {
+    dict: {"get", "items", "keys", "values"},
+    list: {"count", "index"},
+    tuple: {"count", "index"},
+}
+
+MATH: dict[str, Any] = {
+    name: value for name, value in vars(math).items() if not name.startswith("_") and name not in _TOO_COSTLY
+}
+BUILTINS: dict[str, Any] = {
+    "true": True, "false": False, "True": True, "False": False,
+    "list": list, "dict": dict, "map": map, "str": str, "float": float, "int": int,
+}  # fmt: skip
+
+
+class ExpressionError(ValueError):
+    """An expression that is not valid, or cannot be computed."""
+
+
+def evaluate(text: str, names: Mapping[str, Any]) -> Any:
+    """The value of an expression. It may use `names`, the math module's names, and list dict map str float int.
+
+    Raises:
+        ExpressionError: with the reason, without the place.
+    """
+    if "__" in text:
+        raise ExpressionError("may not contain double underscores")
+    if len(text) > LONGEST:
+        raise ExpressionError(f"is longer than {LONGEST} characters")
+    try:
+        tree = ast.parse(text.strip(), mode="eval").body
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        raise ExpressionError(f"is not valid: {getattr(error, 'msg', None) or error or 'too deep'}") from None
+    try:
+        return _Evaluation({**MATH, **BUILTINS, **names}).value(tree)
+    except ExpressionError:
+        raise
+    except (ArithmeticError, ValueError, TypeError, LookupError, RecursionError) as error:
+        raise ExpressionError(f"cannot be computed: {_reason(error)}") from None
+
+
+def _reason(error: Exception) -> str:
+    return f"no key {error}" if isinstance(error, KeyError) else str(error) or type(error).__name__
+
+
+class _Evaluation:
+    """One walk over a tree. Each kind of node has a method named after it; a kind without one is refused."""
+
+    def __init__(self, names: dict[str, Any]) -> None:
+        self.names = names
+        self.steps = 0
+
+    def value(self, node: ast.AST) -> Any:
+        kind = type(node).__name__
+        compute = getattr(self, f"_{kind.lower()}", None)
+        if compute is None:
+            raise ExpressionError(f"uses {kind}, which expressions here do not have")
+        return self.charged(compute(node))
+
+    def charged(self, value: Any) -> Any:
+        """The value, counted with all that is in it, as often as it is in it: later steps may look at each."""
+        pending = [value]
+        while pending:
+            self.steps += 1
+            if self.steps > MOST_STEPS:
+                raise ExpressionError(f"takes more than {MOST_STEPS} steps")
+            item = _sized(pending.pop())
+            if isinstance(item, dict):
+                pending += [*item.keys(), *item.values()]
+            elif isinstance(item, list | tuple | set | type({}.items()) | type({}.keys()) | type({}.values())):
+                pending += item
+        return value
+
+    # --- values ---------------------------------------------------------------------------------------------------
+
+    def _constant(self, node: ast.Constant) -> Any:
+        if node.value is None or isinstance(node.value, bool | int | float | str):
+            return node.value
+        raise ExpressionError(f"{node.value!r} is neither a number nor text")
+
+    def _name(self, node: ast.Name) -> Any:
+        if node.id not in self.names:
+            raise ExpressionError(f"there is no name {node.id!r}; {_known(self.names)}")
+        return self.names[node.id]
+
+    def _list(self, node: ast.List) -> list[Any]:
+        return [self.value(element) for element in node.elts]
+
+    def _tuple(self, node: ast.Tuple) -> tuple[Any, ...]:
+        return tuple(self.value(element) for element in node.elts)
+
+    def _set(self, node: ast.Set) -> set[Any]:
+        return {self.value(element) for element in node.elts}
+
+    def _dict(self, node: ast.Dict) -> dict[Any, Any]:
+        if None in node.keys:
+            raise ExpressionError("uses **, which expressions here do not have")
+        return {self.value(key): self.value(value) for key, value in zip(node.keys, node.values, strict=True) if key}
+
+    def _listcomp(self, node: ast.ListComp) -> list[Any]:
+        return list(self._each(node.elt, node.generators))
+
+    def _generatorexp(self, node: ast.GeneratorExp) -> list[Any]:
+        return list(self._each(node.elt, node.generators))
+
+    def _each(self, element: ast.expr, generators: list[ast.comprehension]) -> Iterator[Any]:
+        if not generators:
+            yield self.value(element)
+            return
+        generator, *rest = generators
+        if not isinstance(generator.target, ast.Name) or generator.is_async:
+            raise ExpressionError("a comprehension here has one plain name after `for`")
+        outer = self.names
+        for item in list(self.value(generator.iter)):
+            self.charged(item)
+            self.names = {**outer, generator.target.id: item}
+            if all(self.value(condition) for condition in generator.ifs):
+                yield from self._each(element, rest)
+        self.names = outer
+
+    # --- operators ------------------------------------------------------------------------------------------------
+
+    def _binop(self, node: ast.BinOp) -> Any:
+        apply = _BINARY.get(type(node.op))
+        if apply is None:
+            raise ExpressionError(f"uses {type(node.op).__name__}, which expressions here do not have")
+        return apply(self.value(node.left), self.value(node.right))
+
+    def _unaryop(self, node: ast.UnaryOp) -> Any:
+        return _UNARY[type(node.op)](self.value(node.operand))
+
+    def _boolop(self, node: ast.BoolOp) -> Any:
+        result = None
+        for part in node.values:
+            result = self.value(part)
+            if bool(result) is isinstance(node.op, ast.Or):
+                break
+        return result
+
+    def _compare(self, node: ast.Compare) -> bool:
+        left = self.value(node.left)
+        for test, term in zip(node.ops, node.comparators, strict=True):
+            right = self.value(term)
+            if not _COMPARISONS[type(test)](left, right):
+                return False
+            left = right
+        return True
+
+    def _ifexp(self, node: ast.IfExp) -> Any:
+        return self.value(node.body if self.value(node.test) else node.orelse)
+
+    # --- calls, methods, elements ---------------------------------------------------------------------------------
+
+    def _call(self, node: ast.Call) -> Any:
+        if node.keywords or any(isinstance(argument, ast.Starred) for argument in node.args):
+            raise ExpressionError("functions take plain arguments only")
+        function = self._method(node.func) if isinstance(node.func, ast.Attribute) else self.value(node.func)
+        if not callable(function):
+            raise ExpressionError(f"{ast.unparse(node.func)} is no function")
+        arguments = [self.value(argument) for argument in node.args]
+        if function is map:
+            return [arguments[0](*items) for items in zip(*arguments[1:], strict=False)]
+        return function(*arguments)
+
+    def _method(self, node: ast.Attribute) -> Callable[..., Any]:
+        owner = self.value(node.value)
+        known = _TEXT_METHODS if isinstance(owner, str) else _OTHER_METHODS.get(type(owner), set())
+        if node.attr not in known:
+            raise ExpressionError(f"{ast.unparse(node.value)} has no {node.attr!r} here")
+        method: Callable[..., Any] = getattr(owner, node.attr)
+        if node.attr == "replace":
+            return _replace(owner)
+        return _join(owner) if node.attr == "join" else method
+
+    def _subscript(self, node: ast.Subscript) -> Any:
+        owner = self.value(node.value)
+        if not isinstance(node.slice, ast.Slice):
+            return owner[self.value(node.slice)]
+        bounds = (node.slice.lower, node.slice.upper, node.slice.step)
+        return owner[slice(*[self.value(bound) if bound else None for bound in bounds])]
+
+
+def _known(names: Mapping[str, Any]) -> str:
+    own = sorted(name for name in names if name not in MATH and name not in BUILTINS)
+    return f"there are {', '.join(own)}, and the names of the math module"
+
+
+def _sized(value: Any) -> Any:
+    """The value, if it has a size that one can go on with."""
+    if isinstance(value, str):
+        _check_length(len(value))
+    if isinstance(value, int) and value.bit_length() > _MOST_BITS:
+        raise ExpressionError("has a number that is too large")
+    return value
+
+
+def _check_length(letters: int) -> None:
+    if letters > MOST_LENGTH:
+        raise ExpressionError("has a text or list that is too long")
+
+
+def _replace(text: str) -> Callable[[str, str], str]:
+    def replace(old: str, new: str) -> str:
+        _check_length(text.count(old) * len(new))
+        return text.replace(old, new)
+
+    return replace
+
+
+def _join(text: str) -> Callable[[Any], str]:
+    def join(parts: Any) -> str:
+        _check_length(sum(len(part) + len(text) for part in parts))
+        return text.join(parts)
+
+    return join
+
+
+def _product(left: Any, right: Any) -> Any:
+    for count, text in ((left, right), (right, left)):
+        if isinstance(count, int) and hasattr(text, "__len__"):
+            _check_length(count * len(text))
+    return left * right
+
+
+def _power(base: Any, exponent: Any) -> Any:
+    if isinstance(base, int) and isinstance(exponent, int) and base.bit_length() * exponent > _MOST_BITS:
+        raise ExpressionError("has a number that is too large")
+    return operator.pow(base, exponent)
+
+
+def _remainder(left: Any, right: Any) -> Any:
+    """Also Python's `'%d' % 1`, with widths that fit on a line."""
+    if isinstance(left, str):
+        if re.search(r"[*]|\d{4}", left):
+            raise ExpressionError("formats something with a width that is too large")
+        _check_length(left.count("%") * len(str(right)))
+    return left % right
+
+
+_BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: _product,
+    ast.Div: operator.truediv,
+    ast.FloorDiv: operator.floordiv,
+    ast.Mod: _remainder,
+    ast.Pow: _power,
+    ast.BitAnd: operator.and_,
+    ast.BitOr: operator.or_,
+    ast.BitXor: operator.xor,
+}
+_UNARY: dict[type[ast.unaryop], Callable[[Any], Any]] = {
+    ast.Not: operator.not_,
+    ast.USub: operator.neg,
+    ast.UAdd: operator.pos,
+    ast.Invert: operator.invert,
+}
+_COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+    ast.Is: operator.is_,
+    ast.IsNot: operator.is_not,
+    ast.In: lambda item, values: item in values,
+    ast.NotIn: lambda item, values: item not in values,
+}

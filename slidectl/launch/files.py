@@ -1,0 +1,148 @@
+"""Launch files found and read: `FILE`, `PACKAGE FILE`, the name of one that is shipped, or `-` for standard input.
+
+Nothing is parsed here.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from slidectl import paths
+from slidectl.description.models import read_file
+from slidectl.description.packages import Packages, UnknownPackage, is_file
+from slidectl.description.xml_tree import MOST_BYTES
+from slidectl.errors import BadFile, UnknownName, UsageError
+
+if TYPE_CHECKING:
+    from slidectl.launch.tag import Tag
+
+SUFFIX = ".launch"
+
+
+@dataclass(frozen=True)
+class Source:
+    """The raw text of a launch file; `shown` is its name in messages."""
+
+    path: Path
+    text: bytes
+    shown: str
+
+
+def shown(path: str | Path) -> str:
+    """A file's name in messages: relative when it lies below the working folder."""
+    absolute = os.path.abspath(path)
+    try:
+        here = os.getcwd()
+    except OSError:  # the working folder was deleted
+        return absolute
+    inside = absolute.startswith(here.rstrip("/") + "/")
+    return os.path.relpath(absolute, here) if inside else absolute
+
+
+def read(path: str, tag: Tag) -> Source:
+    """An included file; a relative path is tried from the working folder, and then from that of the includer."""
+    found = Path(os.path.abspath(os.path.expanduser(path)))
+    beside = tag.scope.file.parent / path
+    if not is_file(found) and is_file(beside):
+        found = beside
+    try:
+        return Source(found, read_file(found), shown(found))
+    except BadFile as error:
+        raise tag.error(f"{path}: {error.reason}") from None
+
+
+def from_stdin() -> Source:
+    """What `-` means."""
+    return Source(Path.cwd() / "<stdin>", sys.stdin.buffer.read(MOST_BYTES + 1), "<stdin>")
+
+
+def find(words: Sequence[str], packages: Packages) -> list[Source]:
+    """The launch files that the words of a command line mean.
+
+    Raises:
+        UsageError, UnknownName, UnknownPackage: none of that name. BadFile: one that cannot be read.
+    """
+    if not words:
+        raise UsageError("which launch file?", "slidectl launch FILE, or PACKAGE FILE, or the name of a shipped one")
+    if list(words).count("-") > 1:
+        raise UsageError("standard input ('-') can be read only once")
+    if len(words) == 2 and "-" not in words:
+        path = _in_package(words[0], words[1], packages)
+        if path is not None:
+            return [_source(path)]
+    if len(words) == 2 and not is_file(Path(words[0])) and words[0] != "-":
+        raise _neither(words[0], words[1], packages)
+    return [from_stdin() if word == "-" else _source(_single(word)) for word in words]
+
+
+def _source(path: Path) -> Source:
+    absolute = Path(os.path.abspath(path))
+    return Source(absolute, read_file(absolute), shown(absolute))
+
+
+def _in_package(package: str, file: str, packages: Packages) -> Path | None:
+    """The file in the package, wherever in it; None when there is no such package or file."""
+    for folder in packages.candidates(package) if "/" not in package else ():
+        for direct in (folder / file, folder / "launch" / file):
+            if is_file(direct):
+                return direct
+        found = [path for path in _below(folder) if path.name == file]
+        if len(found) > 1:
+            places = ", ".join(str(path.relative_to(folder)) for path in found)
+            raise UsageError(
+                f"package {package} has several files {file}: {places}", "give the path inside the package"
+            )
+        if found:
+            return found[0]
+    return None
+
+
+def _neither(package: str, file: str, packages: Packages) -> Exception:
+    """Why `PACKAGE FILE` leads nowhere."""
+    try:
+        folder = packages.find(package)
+    except UnknownPackage as error:
+        return error
+    known = sorted(path.name for path in _below(folder) if path.suffix == SUFFIX)
+    return UnknownName("launch file", file, known, f"in the package {package} ({shown(folder)})")
+
+
+def _single(word: str) -> Path:
+    """A file, else a shipped launch file by its name, else the only one of a shipped package."""
+    path = Path(os.path.expanduser(word))
+    if is_file(path):
+        return path
+    known = shipped()
+    if word in known:
+        return known[word]
+    if "/" in word or word.endswith((SUFFIX, ".xml")):
+        raise BadFile("no such launch file", word, hint=f"shipped ones: {', '.join(sorted(known))}")
+    raise UnknownName("shipped launch file", word, sorted(known), "(and no file of that name here)")
+
+
+def shipped() -> dict[str, Path]:
+    """The shipped launch files by name: that of the file, or of a package that has only one."""
+    found: dict[str, Path] = {}
+    top = paths.share("launch")
+    for package in sorted(top.iterdir()) if top.is_dir() else []:
+        files = sorted(package.glob(f"launch/*{SUFFIX}"))
+        if len(files) == 1:
+            found[package.name] = files[0]
+        found.update((file.stem, file) for file in files)
+    return found
+
+
+def _below(folder: Path) -> list[Path]:
+    """All files in a package, without those of folders that begin with a dot."""
+    found = []
+    for here, folders, files in os.walk(folder, followlinks=True):
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        if len(Path(here).relative_to(folder).parts) > 8:
+            folders.clear()
+        found += [Path(here) / name for name in sorted(files)]
+    return found

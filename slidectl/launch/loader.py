@@ -1,0 +1,223 @@
+"""Launch files into a plan: each tag in the order of the file, depth first, as roslaunch reads them.
+
+The tags that make up the file's shape are here; parameters and nodes have modules of their own. Nothing is started
+and nothing but files is read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from slidectl.description import xml_tree
+from slidectl.description.packages import Packages
+from slidectl.errors import BadFile, UnknownName, UsageError
+from slidectl.launch import node_tags, parameter_tags
+from slidectl.launch.files import Source, read
+from slidectl.launch.plan import Argument, Plan, Remap
+from slidectl.launch.scope import Launch, Parse, Scope, missing_argument
+from slidectl.launch.tag import Tag
+
+
+def load(
+    sources: Sequence[Source],
+    arguments: Mapping[str, str],
+    packages: Packages | None = None,
+    *,
+    run_commands: bool = True,
+    arguments_only: bool = False,
+    parse: Parse = xml_tree.read,
+) -> Plan:
+    """The plan of one or several launch files.
+
+    Args:
+        arguments: the `arg:=value` of the command line.
+        run_commands: whether `<param command=...>` may run programs; our own xacro always may.
+        arguments_only: find out which arguments there are, and be content when they have no values.
+        parse: makes elements of the text of a file; `check` gives one whose elements note what is read of them.
+
+    Raises:
+        BadFile: with file and line. UsageError: an argument that no file declares.
+    """
+    launch = Launch((packages or Packages()).starting_at(Path.cwd()), run_commands=run_commands, parse=parse)
+    declared: set[str] = set()
+    for source in sources:
+        scope = Scope(launch, source.path, given=dict(arguments))
+        scope.nesting = ((source.path, ()),)
+        if arguments_only:
+            _read_arguments(source, scope)
+        else:
+            _read(source, scope)
+        declared |= scope.declared
+    for name in arguments:
+        if name not in declared:
+            error = UnknownName("argument", name, sorted(declared), f"in {', '.join(s.shown for s in sources)}")
+            raise UsageError(error.message, error.hint)
+    return launch.plan
+
+
+def _root(source: Source, scope: Scope) -> Tag:
+    element = scope.launch.parse(source.text, source.shown)
+    tag = Tag(element, scope)
+    if element.tag != "launch":
+        raise tag.error("the root of a launch file is <launch>")
+    return tag
+
+
+def _read(source: Source, scope: Scope) -> None:
+    scope.launch.plan.files.append(str(source.path))
+    root = _root(source, scope)
+    root.knows(["deprecated"])
+    if (reason := root.element.get("deprecated")) is not None:
+        root.notice("wrong", f"is deprecated: {reason}")
+    if root.applies:
+        _contents(root)
+
+
+def _contents(parent: Tag) -> None:
+    for tag in parent.children(_TAGS):
+        if tag.applies:
+            _TAGS[tag.name](tag)
+
+
+# --- arguments ------------------------------------------------------------------------------------------------------
+
+
+def _arg(tag: Tag) -> None:
+    tag.knows(["name", "value", "default", "doc"])
+    scope, name = tag.scope, tag.required("name")
+    if name in scope.declared:
+        raise tag.error(f"the argument {name!r} is declared twice")
+    if tag.element.get("value") is not None and tag.element.get("default") is not None:
+        raise tag.error("'value' and 'default' exclude each other", "a value is constant, a default can be overridden")
+    value, default = tag.raw("value"), tag.raw("default")
+    if value is not None and name in scope.given and not scope.lenient:
+        raise tag.error(f"the argument {name!r} is constant and cannot be given", "use default= instead of value=")
+    scope.declared.add(name)
+    if value is None:
+        if not scope.trail:
+            tag.plan.arguments.setdefault(name, Argument(name, tag.get("default"), tag.element.get("doc")))
+        value = scope.given.get(name, default)
+    if value is None:
+        raise missing_argument(scope, name, tag)
+    scope.arguments[name] = value
+
+
+def _read_arguments(source: Source, scope: Scope) -> None:
+    """Only the args of the file, whatever conditions they stand under."""
+    scope.launch.plan.files.append(str(source.path))
+    root = _root(source, scope)
+    for element in root.element.walk():
+        if element.tag != "arg" or element.get("name") is None or element.get("value") is not None:
+            continue
+        tag = Tag(element, scope)
+        name = str(element.get("name"))
+        scope.declared.add(name)
+        default = _lenient_default(tag)
+        scope.arguments[name] = scope.given.get(name, default or "")
+        scope.launch.plan.arguments.setdefault(name, Argument(name, default, element.get("doc")))
+    included = {id(arg) for element in root.element.walk() if element.tag == "include" for arg in element.children}
+    inside = {str(arg.get("name")) for arg in root.element.walk() if arg.tag == "arg" and id(arg) in included}
+    own = {str(arg.get("name")) for arg in root.element.walk() if arg.tag == "arg" and id(arg) not in included}
+    for name in inside - own:
+        scope.launch.plan.arguments.pop(name, None)
+
+
+def _lenient_default(tag: Tag) -> str | None:
+    """The default, as it is written when it cannot be worked out without the values of others."""
+    try:
+        return tag.get("default")
+    except BadFile:
+        return tag.element.get("default")
+
+
+# --- groups and includes ---------------------------------------------------------------------------------------------
+
+
+def _group(tag: Tag) -> None:
+    tag.knows(["ns", "clear_params"])
+    _clear(tag, tag.namespace())
+    _contents(Tag(tag.element, tag.scope.group(tag.namespace())))
+
+
+def _clear(tag: Tag, namespace: str) -> None:
+    if not tag.boolean("clear_params"):
+        return
+    if not (tag.get("ns") or "").strip():
+        raise tag.error("clear_params needs an ns: it deletes all parameters in there")
+    tag.plan.clear.append((namespace, tag.place))
+
+
+def _include(tag: Tag) -> None:
+    tag.knows(["file", "ns", "clear_params", "pass_all_args"])
+    source = read(tag.required("file"), tag)
+    lenient = tag.boolean("pass_all_args")
+    _clear(tag, tag.namespace())
+    inner = tag.scope.group(tag.scope.namespace)
+    given = dict(tag.scope.arguments) if lenient else {}
+    own: dict[str, Tag] = {}
+    for child in Tag(tag.element, inner).children(("arg", "env")):
+        if child.applies and child.name == "env":
+            _env(child)
+        elif child.applies:
+            name = child.required("name")
+            own[name], given[name] = child, _passed(child)
+    scope = inner.including(source.path, tag, given, lenient)
+    _read(source, scope)
+    for name, child in own.items():
+        if name not in scope.declared:
+            error = UnknownName("argument", name, sorted(scope.declared), f"in {source.shown}")
+            raise child.error(error.message, error.hint)
+
+
+def _passed(child: Tag) -> str:
+    child.knows(["name", "value", "default", "doc"])
+    value = child.raw("value")
+    value = child.raw("default") if value is None else value
+    if value is None:
+        raise child.error("the attribute 'value' is missing")
+    return value
+
+
+# --- what applies to later nodes -------------------------------------------------------------------------------------
+
+
+def _env(tag: Tag) -> None:
+    tag.scope.environment = (*tag.scope.environment, node_tags.environment_of(tag))
+
+
+def _remap(tag: Tag) -> None:
+    remap: Remap = node_tags.remap_of(tag)
+    tag.scope.remaps = (*tag.scope.remaps, remap)
+
+
+# --- what has no effect ----------------------------------------------------------------------------------------------
+
+
+def _test(tag: Tag) -> None:
+    tag.notice("ignored", "is for rostest, and is skipped here as roslaunch does")
+
+
+def _master(tag: Tag) -> None:
+    tag.notice("ignored", "is obsolete and has no effect")
+
+
+def _machine(tag: Tag) -> None:
+    raise tag.error(
+        f"there are no other machines here (name={tag.get('name')!r})", "leave it out: all nodes run on this one"
+    )
+
+
+_TAGS: dict[str, Callable[[Tag], None]] = {
+    "arg": _arg,
+    "param": parameter_tags.param,
+    "rosparam": parameter_tags.rosparam,
+    "include": _include,
+    "group": _group,
+    "node": node_tags.node,
+    "remap": _remap,
+    "env": _env,
+    "test": _test,
+    "machine": _machine,
+    "master": _master,
+}

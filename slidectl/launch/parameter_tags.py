@@ -1,0 +1,153 @@
+"""`<param>` and `<rosparam>`: parameters by value, file, command or YAML, computed when the plan is carried out.
+
+Running a command is commands.py's affair.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from slidectl.description.models import read_file
+from slidectl.description.packages import UnknownPackage
+from slidectl.errors import BadFile
+from slidectl.launch import commands
+from slidectl.launch.files import shown
+from slidectl.launch.plan import RosparamCommand, Setting
+from slidectl.launch.protected import plain
+from slidectl.launch.substitution import Substitution, SubstitutionError
+from slidectl.launch.tag import Tag
+from slidectl.launch.typed import TYPES, convert
+
+SOURCES = ("value", "textfile", "binfile", "command")
+VERBS = ("load", "dump", "delete")
+
+
+def param(tag: Tag, private: str | None = None) -> None:
+    """A `<param>`; inside a node `private` is the node's own namespace."""
+    setting = _setting(tag)
+    name = setting.name
+    if private is None and name.startswith("~"):
+        setting.name = name.lstrip("~/")
+        others = (other for other in tag.scope.private if other.name != setting.name)
+        tag.scope.private = (*others, setting)
+        return
+    setting.name = tag.within(private or tag.scope.namespace, name.lstrip("~/") if private else name)
+    tag.plan.settings.append(setting)
+
+
+def _setting(tag: Tag) -> Setting:
+    tag.knows(["name", "type", *SOURCES])
+    name = tag.required("name")
+    kind = (tag.get("type") or "auto").strip().lower()
+    if kind not in TYPES:
+        raise tag.error(f"the type {kind!r} is none of {', '.join(TYPES)}")
+    given = [source for source in SOURCES if tag.element.get(source) is not None]
+    if len(given) != 1:
+        found = f"not {len(given)} of them" if given else "and none is there"
+        raise tag.error(f"{name} needs exactly one of {', '.join(SOURCES)}, {found}")
+    compute, runs = _source(tag, given[0], kind)
+    file = tag.required(given[0]) if given[0] in ("textfile", "binfile") else ""
+    return Setting(name, tag.place, given[0], compute, runs, source=file)
+
+
+def _source(tag: Tag, source: str, kind: str) -> tuple[Callable[[], Any], bool]:
+    """What computes the value, and whether that runs a program."""
+    text = tag.required(source) if source != "value" else tag.get("value") or ""
+    if source == "value":
+        value = _converted(tag, text, kind)
+        return lambda: value, False
+    if source == "command":
+        command = commands.Command(tag)
+        return lambda: _converted(tag, command.output(), "str" if kind == "auto" else kind), not command.is_xacro
+    if source == "binfile":
+        tag.notice("converted", "binary parameters are base64 text here")
+        return lambda: base64.b64encode(_bytes(tag, text)).decode("ascii"), False
+    return lambda: _converted(tag, _text(tag, text), "str" if kind == "auto" else kind), False
+
+
+def _converted(tag: Tag, text: str, kind: str) -> Any:
+    try:
+        value = convert(text, kind, tag.place.file)
+    except BadFile as error:
+        raise tag.error(f"its value is {error.reason}") from None
+    except ValueError as error:
+        raise tag.error(f"its value is no {kind}: {error}") from None
+    if value is None:
+        raise tag.error("its value is nothing, which no parameter can be")
+    return value
+
+
+def _bytes(tag: Tag, path: str) -> bytes:
+    try:
+        return read_file(Path(path))
+    except BadFile as error:
+        raise tag.error(f"{path}: {error.reason}") from None
+
+
+def _text(tag: Tag, path: str) -> str:
+    try:
+        return _bytes(tag, path).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise tag.error(f"{path} is no text: {error.reason} at byte {error.start}") from None
+
+
+# --- rosparam ---------------------------------------------------------------------------------------------------------
+
+
+def rosparam(tag: Tag, private: str | None = None) -> None:
+    """A `<rosparam>`; inside a node `private` is the node's own namespace."""
+    tag.knows(["command", "file", "param", "ns", "subst_value"])
+    verb = (tag.get("command") or "load").strip().lower()
+    if verb not in VERBS:
+        raise tag.error(f"the command {verb!r} is none of {', '.join(VERBS)}")
+    namespace = private or tag.scope.namespace
+    for part in (tag.get("ns"), tag.get("param")):
+        namespace = tag.within(namespace, part.strip()) if part and part.strip() else namespace
+    if verb == "load":
+        _load(tag, namespace)
+    elif verb == "delete":
+        if not (tag.get("param") or tag.get("ns")):
+            raise tag.error("delete needs a param or an ns")
+        tag.plan.commands.append(RosparamCommand("delete", namespace, "", tag.place))
+    else:
+        tag.plan.commands.append(RosparamCommand("dump", namespace, tag.required("file"), tag.place))
+
+
+def _load(tag: Tag, name: str) -> None:
+    file = (tag.get("file") or "").strip()
+    if file and tag.text.strip():
+        raise tag.error("a file and a text exclude each other")
+    substitution = tag.scope.substitution if tag.boolean("subst_value") else None
+    origin = "file" if file else "yaml"
+
+    def compute() -> Any:
+        text = _text(tag, file) if file else tag.text
+        return _yaml(tag, text if substitution is None else _substituted(tag, text, substitution), file)
+
+    tag.plan.settings.append(Setting(name, tag.place, origin, compute, source=file))
+
+
+def _substituted(tag: Tag, text: str, substitution: Substitution) -> str:
+    try:
+        return plain(substitution.resolve(text))
+    except (SubstitutionError, UnknownPackage) as error:
+        raise tag.error(error.message, error.hint) from None
+
+
+def _yaml(tag: Tag, text: str, file: str) -> Any:
+    """The tree; a list or a single value only when `param` names it."""
+    from slidectl.description import yaml_tree  # takes as long to import as all of this room
+
+    where = shown(file) if file else tag.place.file
+    if (tag.get("param") or "").strip():
+        value = yaml_tree.read_value(text, where)
+        if value is None:
+            raise tag.error("its value is nothing, which no parameter can be")
+        return value
+    tree = yaml_tree.read(text, where, tag.plan.notices)
+    if not tree:
+        tag.notice("wrong", "holds no parameters")
+    return tree

@@ -1,0 +1,193 @@
+"""What launch files come to: parameters to set, namespaces to clear, nodes to start; plain data with file and line.
+
+Values that take time (running xacro, reading files) are computed when they are asked for, and once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from slidectl import names
+from slidectl.description.robot import Notice
+from slidectl.errors import BadFile
+
+Leaf = tuple[Any, "Place"]
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where something was written."""
+
+    file: str
+    line: int | None
+
+    def __str__(self) -> str:
+        return self.file if self.line is None else f"{self.file}:{self.line}"
+
+    def error(self, message: str, hint: str | None = None) -> BadFile:
+        """An error at this place, to be raised."""
+        return BadFile(message, self.file, self.line, hint)
+
+
+@dataclass
+class Setting:
+    """A parameter, or a whole tree of them: `compute` gives its value. `origin` says where that comes from."""
+
+    name: str
+    place: Place
+    origin: str
+    compute: Callable[[], Any]
+    runs_command: bool = False
+    """True when computing it runs a program of the user's."""
+    source: str = ""
+    """The file that the value is read from, if it is."""
+    _value: Any = None
+    _known: bool = False
+
+    def value(self) -> Any:
+        """Raises BadFile when it cannot be had."""
+        if not self._known:
+            self._value, self._known = self.compute(), True
+        return self._value
+
+
+@dataclass(frozen=True)
+class Remap:
+    """Names to be taken for others, absolute where they were written so."""
+
+    source: str
+    target: str
+    place: Place
+
+
+@dataclass(frozen=True)
+class RosparamCommand:
+    """`<rosparam command="delete">` or `"dump"`: done before the parameters are set."""
+
+    verb: str
+    name: str
+    file: str
+    place: Place
+
+
+@dataclass
+class Node:
+    """One `<node>`, with all that applies to it. `namespace` has no slash at its end, but for the root."""
+
+    package: str
+    type: str
+    name: str
+    namespace: str
+    place: Place
+    words: list[str] = field(default_factory=list)
+    """The words of `args`."""
+    remaps: tuple[Remap, ...] = ()
+    environment: tuple[tuple[str, str], ...] = ()
+    output: str | None = None
+    """`screen` or `log`; None when it was not said."""
+    respawn: bool = False
+    respawn_delay_s: float = 0.0
+    required: bool = False
+    cwd: str | None = None
+    """`node` or `ROS_HOME`; None when it was not said."""
+    launch_prefix: list[str] = field(default_factory=list)
+    file: str = ""
+    """The launch file that defines it."""
+
+    @property
+    def full_name(self) -> str:
+        """`/ns/name`."""
+        return names.join(self.namespace, self.name)
+
+    @property
+    def kind(self) -> str:
+        """`package/type`."""
+        return f"{self.package}/{self.type}"
+
+    def resolve(self, name: str) -> str:
+        """The absolute name that the node means: relative ones in its namespace, `~` ones below it, then remaps."""
+        full = self.absolute(name)
+        for remap in reversed(self.remaps):
+            if self.absolute(remap.source) == full:
+                return self.absolute(remap.target)
+        return full
+
+    def absolute(self, name: str) -> str:
+        """The same without remaps."""
+        if name.startswith("~"):
+            return names.join(self.full_name, name[1:].lstrip("/"))
+        return names.join(self.namespace, name)
+
+
+@dataclass
+class Argument:
+    """An `<arg>` of a file that was named on the command line. Without a default it is required."""
+
+    name: str
+    default: str | None
+    doc: str | None
+
+
+@dataclass
+class Plan:
+    """Everything, in the order of the files."""
+
+    files: list[str] = field(default_factory=list)
+    """Absolute paths of all files used, includes as well."""
+    arguments: dict[str, Argument] = field(default_factory=dict)
+    clear: list[tuple[str, Place]] = field(default_factory=list)
+    """Namespaces whose parameters are deleted first."""
+    commands: list[RosparamCommand] = field(default_factory=list)
+    settings: list[Setting] = field(default_factory=list)
+    nodes: list[Node] = field(default_factory=list)
+    notices: list[Notice] = field(default_factory=list)
+
+    def notice(self, verdict: str, place: Place, subject: str, text: str) -> None:
+        """Say something about the files that is no error; `verdict` is `ignored`, `converted` or `wrong`."""
+        self.notices.append(Notice(verdict, subject, text, place.file, place.line))  # type: ignore[arg-type]
+
+    def parameters(self) -> dict[str, Leaf]:
+        """Every parameter by its full name, with its value and its place; of those set twice the last counts.
+
+        Raises:
+            BadFile: a value cannot be had, or a name holds both a value and other names.
+        """
+        found: dict[str, Leaf] = {}
+        for setting in self.settings:
+            for name, value in leaves(setting.name, setting.value(), setting.place):
+                found.pop(name, None)
+                found[name] = (value, setting.place)
+        return _without_conflicts(found)
+
+
+def leaves(name: str, value: Any, place: Place) -> Iterator[tuple[str, Any]]:
+    """Full names and values below a name. Lists and empty mappings are values.
+
+    Raises:
+        BadFile: a key that cannot be a name.
+    """
+    if not isinstance(value, dict) or not value:
+        if name != "/":
+            yield name, value
+        return
+    for key, below in value.items():
+        full = names.join(name, str(key).strip("/"))
+        if not names.is_legal(full):
+            raise place.error(f"{key!r} cannot be the name of a parameter", "names are letters, digits, '_' and '/'")
+        yield from leaves(full, below, place)
+
+
+def _without_conflicts(found: dict[str, Leaf]) -> dict[str, Leaf]:
+    """The same without empty mappings that others fill. Raises BadFile when a name is a value and a namespace."""
+    filled = set()
+    for name, (_, place) in found.items():
+        above = names.parent(name)
+        while above != "/":
+            value, other = found.get(above, ({}, place))
+            if value != {}:
+                raise place.error(f"parameter {name} lies below {above}, which is set to a value at {other}")
+            filled.add(above)
+            above = names.parent(above)
+    return {name: leaf for name, leaf in found.items() if name not in filled}

@@ -1,0 +1,153 @@
+"""What surrounds a tag: namespace, arguments, remaps, environment and private parameters, and the launch as a whole.
+
+A scope is copied for a group and an include, so that nothing leaks out of it. No tags here.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from slidectl.description import xml_tree
+from slidectl.description.packages import Packages, is_file
+from slidectl.description.xml_tree import Element
+from slidectl.errors import BadFile
+from slidectl.launch.plan import Place, Plan, Remap, Setting
+from slidectl.launch.substitution import Substitution
+
+if TYPE_CHECKING:
+    from slidectl.launch.tag import Tag
+
+Parse = Callable[[bytes, str], Element]
+"""Elements of the text of a file, given its name in messages. Raises BadFile."""
+
+MOST_TAGS = 20_000
+DEEPEST_INCLUDE = 60
+
+
+@dataclass
+class Launch:
+    """One loading: what all its files share."""
+
+    packages: Packages
+    environment: Mapping[str, str] = field(default_factory=lambda: os.environ)
+    run_commands: bool = True
+    parse: Parse = xml_tree.read
+    plan: Plan = field(default_factory=Plan)
+    _anonymous: dict[str, str] = field(default_factory=dict)
+    _tags: int = 0
+
+    def anonymous(self, identifier: str) -> str:
+        """`identifier` with host, process and a random number behind it; the same again for the same identifier."""
+        if identifier not in self._anonymous:
+            host = "".join(letter if letter.isalnum() and letter.isascii() else "_" for letter in os.uname().nodename)
+            number = int.from_bytes(os.urandom(6), "big")
+            self._anonymous[identifier] = f"{identifier}_{host}_{os.getpid()}_{number}"
+        return self._anonymous[identifier]
+
+    def count(self, tag: Tag) -> None:
+        """One more tag is read. Raises BadFile when there are more than any launch has."""
+        self._tags += 1
+        if self._tags > MOST_TAGS:
+            raise tag.error(f"unfolds to more than {MOST_TAGS} tags", "does a file include itself?")
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What `$(...)` finds outside of its scope; packages are looked for from the file's folder upwards too."""
+
+    launch: Launch
+    packages: Packages
+
+    @property
+    def environment(self) -> Mapping[str, str]:
+        return self.launch.environment
+
+    def find(self, package: str) -> str:
+        """The package's folder. Raises UnknownPackage."""
+        return str(self.packages.find(package))
+
+    def executable(self, package: str, path: str) -> str | None:
+        """Where a build has put an executable of the package: `PREFIX/lib/PACKAGE` beside `PREFIX/share/PACKAGE`."""
+        share = self.packages.find(package)
+        built = share.parent.parent / "lib" / package / path
+        is_there = "/" not in path and share.parent.name == "share" and is_file(built) and os.access(built, os.X_OK)
+        return str(built) if is_there else None
+
+    def anonymous(self, identifier: str) -> str:
+        """See Launch."""
+        return self.launch.anonymous(identifier)
+
+
+@dataclass
+class Scope:
+    """The surroundings of a tag. `file` is that which holds it."""
+
+    launch: Launch
+    file: Path
+    namespace: str = "/"
+    arguments: dict[str, str] = field(default_factory=dict)
+    """The args that can be used here, protected."""
+    given: Mapping[str, str] = field(default_factory=dict)
+    """The args that the file was given, protected."""
+    lenient: bool = False
+    """True when all of the includer's args were passed on: one that is constant here, or unknown, is no error."""
+    declared: set[str] = field(default_factory=set)
+    remaps: tuple[Remap, ...] = ()
+    environment: tuple[tuple[str, str], ...] = ()
+    private: tuple[Setting, ...] = ()
+    """Parameters that every later node gets as its own; names without `~`."""
+    trail: tuple[Place, ...] = ()
+    """The includes that led here, outermost first."""
+    nesting: tuple[tuple[Path, tuple[tuple[str, str], ...]], ...] = ()
+    """The files that are being read, with what each was given."""
+
+    @property
+    def packages(self) -> Packages:
+        """The lookup of packages, from the file upwards too."""
+        return self.launch.packages.starting_at(self.file.parent)
+
+    @property
+    def substitution(self) -> Substitution:
+        """What `$(...)` means here and now: args that are declared later are not in it."""
+        return Substitution(Surroundings(self.launch, self.packages), dict(self.arguments), str(self.file.parent))
+
+    def group(self, namespace: str) -> Scope:
+        """A scope inside this one, of the same file."""
+        return replace(self, namespace=namespace, arguments=dict(self.arguments))
+
+    def including(self, file: Path, tag: Tag, given: Mapping[str, str], lenient: bool) -> Scope:
+        """The scope of an included file. Raises BadFile for an include without an end."""
+        here = (file, tuple(sorted(given.items())))
+        if here in self.nesting:
+            raise tag.error(f"{file} includes itself", "does it need another argument each time, and an `if`?")
+        if len(self.nesting) >= DEEPEST_INCLUDE:
+            raise tag.error(f"includes are nested deeper than {DEEPEST_INCLUDE}", "does a file include itself?")
+        return replace(
+            self,
+            file=file,
+            namespace=tag.namespace(),
+            arguments={},
+            given=given,
+            lenient=lenient,
+            declared=set(),
+            trail=(*self.trail, tag.place),
+            nesting=(*self.nesting, here),
+        )
+
+    def environment_with(self, own: tuple[tuple[str, str], ...]) -> tuple[tuple[str, str], ...]:
+        """The environment of the scope, and then one's own."""
+        return (*self.environment, *own)
+
+
+def missing_argument(scope: Scope, name: str, tag: Tag) -> BadFile:
+    """The error of a required argument that nobody gave."""
+    if scope.trail:
+        hint = f'give it at the include: <arg name="{name}" value="..."/>'
+        error = tag.error(f"the included file requires the argument {name!r}", hint)
+    else:
+        error = tag.error(f"the argument {name!r} is required", f"give {name}:=VALUE")
+    return error

@@ -1,0 +1,164 @@
+"""`$(...)` in a text: `env V`, `optenv V words`, `find PKG`, `anon ID`, `arg A`, `dirname` and `eval EXPRESSION`.
+
+Texts in, texts out: what is found is put in as it is and not looked through again. Paths come out protected
+(see protected.py). Knows no tags and no places; who has a place adds it to the error.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
+
+from slidectl.errors import SlidectlError, closest, listing
+from slidectl.launch.evaluator import BUILTINS, MATH, ExpressionError, evaluate
+from slidectl.launch.protected import plain, protect
+from slidectl.launch.typed import automatic
+
+COMMANDS = ("find", "env", "optenv", "dirname", "anon", "arg")
+_OPEN = "$("
+_EVAL = "$(eval "
+_PATH = re.compile(r"/([^\s'\"]+)")
+_IDENTIFIER = re.compile(r"[A-Za-z_]\w*\Z")
+
+
+class SubstitutionError(SlidectlError):
+    """A `$(...)` that makes no sense or leads nowhere."""
+
+
+class Surroundings(Protocol):
+    """What a whole launch shares: the packages, the environment, and the names that `anon` has given."""
+
+    @property
+    def environment(self) -> Mapping[str, str]:
+        """The environment variables."""
+
+    def find(self, package: str) -> str:
+        """The package's folder."""
+
+    def executable(self, package: str, path: str) -> str | None:
+        """What a build has put elsewhere for `path` in a package, an executable most often; None when it has not."""
+
+    def anonymous(self, identifier: str) -> str:
+        """A name that nobody else has; the same for the same identifier."""
+
+
+class Substitution:
+    """The substitutions of one scope. `arguments` are its args, `folder` is that of the file that holds the text."""
+
+    def __init__(self, surroundings: Surroundings, arguments: Mapping[str, str], folder: str) -> None:
+        self.surroundings = surroundings
+        self.arguments = arguments
+        self.folder = folder
+
+    def resolve(self, text: str) -> str:
+        """The text with everything put in. Raises SubstitutionError, UnknownPackage."""
+        if _OPEN not in text:
+            return text
+        if text.startswith(_EVAL) and text.endswith(")"):
+            return self._eval(text[len(_EVAL) : -1])
+        pieces = []
+        rest = text
+        while (start := rest.find(_OPEN)) >= 0:
+            inside, rest_after = _inside(rest, start)
+            found, rest_after = self._command(inside, rest_after)
+            pieces += [rest[:start], found]
+            rest = rest_after
+        return "".join([*pieces, rest])
+
+    def _command(self, inside: str, after: str) -> tuple[str, str]:
+        """What the text in brackets stands for, and what is left of the text after it."""
+        command, *words = inside.split() or [""]
+        if command == "find":
+            return self._find(_one(command, words), after)
+        if command == "optenv":
+            return self._optional(words), after
+        commands: dict[str, Callable[[], str]] = {
+            "env": lambda: self._environment(_one(command, words)),
+            "anon": lambda: self.surroundings.anonymous(_one(command, words)),
+            "arg": lambda: self._argument(_one(command, words)),
+            "dirname": lambda: protect(self._dirname(words)),
+        }
+        if command not in commands:
+            raise _unknown(command, inside)
+        return commands[command](), after
+
+    def _find(self, package: str, after: str) -> tuple[str, str]:
+        """The package's path. Of one that was built, an executable may be somewhere else than where the text says."""
+        folder = self.surroundings.find(package)
+        path = _PATH.match(after)
+        elsewhere = self.surroundings.executable(package, path[1]) if path else None
+        if path is None or elsewhere is None:
+            return protect(folder), after
+        return protect(elsewhere), after[path.end() :]
+
+    def _environment(self, name: str) -> str:
+        if name not in self.surroundings.environment:
+            raise SubstitutionError(f"environment variable {name!r} is not set", f"use $(optenv {name} DEFAULT)")
+        return self.surroundings.environment[name]
+
+    def _optional(self, words: list[str]) -> str:
+        if not words:
+            raise SubstitutionError("$(optenv) needs the name of a variable", "$(optenv NAME DEFAULT)")
+        return self.surroundings.environment.get(words[0], " ".join(words[1:]))
+
+    def _argument(self, name: str) -> str:
+        if name not in self.arguments:
+            near = closest(name, self.arguments)
+            suggestion = f" Did you mean {near!r}?" if near else ""
+            raise SubstitutionError(
+                f"there is no argument {name!r} here.{suggestion}", f"arguments: {listing(self.arguments)}"
+            )
+        return self.arguments[name]
+
+    def _dirname(self, words: list[str]) -> str:
+        if words:
+            raise SubstitutionError("$(dirname) takes nothing after it")
+        return self.folder
+
+    def _eval(self, expression: str) -> str:
+        functions: dict[str, Any] = {
+            "arg": lambda name: automatic(self._argument(name)),
+            "env": self._environment,
+            "optenv": lambda name, default="": self.surroundings.environment.get(name, default),
+            "find": lambda package: protect(self.surroundings.find(package)),
+            "anon": self.surroundings.anonymous,
+            "dirname": lambda: protect(self.folder),
+        }
+        taken = {**MATH, **BUILTINS, **functions}
+        values = {
+            name: automatic(value)
+            for name, value in self.arguments.items()
+            if name not in taken and _IDENTIFIER.match(name)
+        }
+        try:
+            return str(evaluate(expression, {**values, **functions}))
+        except ExpressionError as error:
+            raise SubstitutionError(f"$(eval {plain(expression)}) {error}") from None
+
+
+def _inside(text: str, start: int) -> tuple[str, str]:
+    """What is between the brackets that open at `start`, and what comes after them."""
+    end = text.find(")", start)
+    if end < 0:
+        raise SubstitutionError(f"'$(' is not closed in {plain(text)!r}")
+    inside = text[start + len(_OPEN) : end]
+    if "$" in inside:
+        hint = "write it with $(eval ...), for example $(eval find(arg('package')) + '/urdf')"
+        raise SubstitutionError(f"one substitution stands inside another in {plain(text)!r}", hint)
+    return inside, text[end + 1 :]
+
+
+def _one(command: str, words: list[str]) -> str:
+    if len(words) != 1:
+        raise SubstitutionError(f"$({command}) takes exactly one name, not {len(words)}", f"$({command} NAME)")
+    return words[0]
+
+
+def _unknown(command: str, inside: str) -> SubstitutionError:
+    known = ", ".join(COMMANDS)
+    if command == "eval":
+        return SubstitutionError("$(eval) must be the whole value", "put what stands beside it into the expression")
+    near = closest(command, [*COMMANDS, "eval"])
+    suggestion = f" Did you mean {near!r}?" if near else ""
+    return SubstitutionError(f"unknown substitution $({plain(inside)}).{suggestion}", f"there are {known} and eval")

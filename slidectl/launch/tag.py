@@ -1,0 +1,151 @@
+"""One tag of a launch file as its readers see it: attributes with everything substituted, and errors with the place.
+
+Knows no tag by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from functools import cached_property
+
+from slidectl import names
+from slidectl.description.packages import UnknownPackage
+from slidectl.description.xml_tree import Comment, Element
+from slidectl.errors import BadFile, closest
+from slidectl.launch import protected
+from slidectl.launch.plan import Place, Plan
+from slidectl.launch.scope import Scope
+from slidectl.launch.substitution import SubstitutionError
+from slidectl.launch.typed import boolean
+
+CONDITIONS = ("if", "unless")
+
+
+class Tag:
+    """An element in a scope."""
+
+    def __init__(self, element: Element, scope: Scope) -> None:
+        self.element = element
+        self.scope = scope
+
+    @property
+    def name(self) -> str:
+        return self.element.tag
+
+    @property
+    def plan(self) -> Plan:
+        return self.scope.launch.plan
+
+    @property
+    def place(self) -> Place:
+        return Place(self.element.file, self.element.line)
+
+    def error(self, message: str, hint: str | None = None) -> BadFile:
+        """A BadFile at the tag, to be raised; it says which includes led here."""
+        trail = "".join(f"\nincluded from {place}" for place in reversed(self.scope.trail))
+        return self.place.error(f"<{self.name}>: {message}", (f"{hint}{trail}" if hint else trail.lstrip("\n")) or None)
+
+    def raw(self, attribute: str) -> str | None:
+        """The attribute with substitutions, its paths still protected. Raises BadFile."""
+        text = self.element.get(attribute)
+        if text is None:
+            return None
+        try:
+            return self.scope.substitution.resolve(text)
+        except UnknownPackage as error:
+            raise self.error(error.message, error.hint) from None
+        except SubstitutionError as error:
+            raise self.error(f"{attribute}: {error.message}", error.hint) from None
+
+    def get(self, attribute: str) -> str | None:
+        """The attribute with substitutions, or None. Raises BadFile."""
+        text = self.raw(attribute)
+        return None if text is None else protected.plain(text)
+
+    def required(self, attribute: str) -> str:
+        """The attribute, which must be there and not empty. Raises BadFile."""
+        value = self.get(attribute)
+        if value is None or not value.strip():
+            there = "is empty" if value is not None else "is missing"
+            raise self.error(f"the attribute {attribute!r} {there}")
+        return value.strip()
+
+    def words(self, attribute: str) -> list[str]:
+        """The attribute taken apart as a shell would do it. Raises BadFile."""
+        try:
+            return protected.words(self.raw(attribute) or "")
+        except ValueError as error:
+            raise self.error(f"{attribute}: {str(error).lower()} in {self.get(attribute)!r}") from None
+
+    def boolean(self, attribute: str, default: bool = False) -> bool:
+        """true or false. Raises BadFile."""
+        text = self.get(attribute)
+        if text is None:
+            return default
+        try:
+            return boolean(text)
+        except ValueError as error:
+            raise self.error(f"{attribute}: {error}") from None
+
+    def number(self, attribute: str, default: float) -> float:
+        """A number of at least 0. Raises BadFile."""
+        text = self.get(attribute)
+        try:
+            value = float(text) if text is not None else default
+        except ValueError:
+            value = -1.0
+        if not 0.0 <= value < 1e9:
+            raise self.error(f"{attribute} is a number of seconds, 0 or more, not {text!r}")
+        return value
+
+    def namespace(self) -> str:
+        """The namespace of the scope, or that which `ns` makes of it. Raises BadFile."""
+        text = (self.get("ns") or "").strip()
+        return self.within(self.scope.namespace, text) if text else self.scope.namespace
+
+    def within(self, namespace: str, name: str) -> str:
+        """`name` in `namespace`, a legal absolute name without a slash at its end. Raises BadFile."""
+        full = names.join(namespace, name).rstrip("/") or "/"
+        if name.startswith("~") or not names.is_legal(full):
+            raise self.error(f"{name!r} is not a legal name here", "names are letters, digits, '_' and '/'")
+        return full
+
+    @cached_property
+    def applies(self) -> bool:
+        """What `if` and `unless` say. Raises BadFile when they contradict, or say neither true nor false."""
+        given = [attribute for attribute in CONDITIONS if self.element.get(attribute) is not None]
+        if len(given) > 1:
+            raise self.error("'if' and 'unless' exclude each other")
+        return all(self.boolean(attribute) is (attribute == "if") for attribute in given)
+
+    @property
+    def text(self) -> str:
+        """The text of the tag, moved down so that its lines have the numbers of the file."""
+        pieces = (part for part in self.element.content if isinstance(part, str) and not isinstance(part, Comment))
+        return "\n" * (self.element.line - 1) + "".join(pieces)
+
+    def knows(self, attributes: Collection[str]) -> None:
+        """Point out attributes that are not among these."""
+        known = [*attributes, *CONDITIONS]
+        for name in self.element.attributes:
+            if name not in known and not name.startswith("xmlns"):
+                near = closest(name, known)
+                suggestion = f"; did you mean {near!r}?" if near else ""
+                self.notice("wrong", f"attribute {name!r} is unknown and has no effect{suggestion}")
+
+    def children(self, known: Collection[str]) -> list[Tag]:
+        """The tags inside that apply, in order; those that are not known are pointed out."""
+        found = []
+        for element in self.element.children:
+            self.scope.launch.count(self)
+            if element.tag in known:
+                found.append(Tag(element, self.scope))
+            else:
+                near = closest(element.tag, known)
+                suggestion = f"; did you mean <{near}>?" if near else ""
+                Tag(element, self.scope).notice("wrong", f"is unknown in <{self.name}> and has no effect{suggestion}")
+        return found
+
+    def notice(self, verdict: str, text: str) -> None:
+        """Say something about the tag that is no error."""
+        self.plan.notice(verdict, self.place, self.element.title, text)

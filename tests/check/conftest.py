@@ -1,0 +1,53 @@
+"""Fixtures of the check room: files are written, checked, and their findings come back as lines."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from check_texts import Check, Lines
+
+from slidectl.check.run import check
+from slidectl.description import Packages
+
+
+@pytest.fixture(autouse=True)
+def _no_package_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The environment of whoever runs the tests finds no package for them."""
+    for variable in ("SLIDECTL_PACKAGE_PATH", "ROS_PACKAGE_PATH"):
+        monkeypatch.delenv(variable, raising=False)
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Callable[[str, str], Path]:
+    """Writes a text to a file below the test's own folder."""
+
+    def write_file(name: str, text: str) -> Path:
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, "utf-8")
+        return path
+
+    return write_file
+
+
+@pytest.fixture
+def model(write: Callable[[str, str], Path]) -> Check:
+    """Checks a text as a model, with controllers if any are given."""
+
+    def check_model(xml: str, controllers: str = "", name: str = "bot.urdf", **arguments: str) -> Lines:
+        files = [write("control.yaml", controllers)] if controllers else []
+        return Lines(check(str(write(name, xml)), arguments, Packages(), files, ask_others=False))
+
+    return check_model
+
+
+@pytest.fixture
+def controllers(write: Callable[[str, str], Path]) -> Check:
+    """Checks a text as a file of controllers."""
+
+    def check_controllers(yaml: str) -> Lines:
+        return Lines(check(str(write("control.yaml", yaml)), {}, Packages()))
+
+    return check_controllers

@@ -1,0 +1,86 @@
+"""What a controller says of its parameters is what it reads: no more, no less."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from fake_node import FakeGraph
+from fake_robot import FakeRobot
+
+from slidectl.control import parameters, registry
+from slidectl.control.joint_limits import LIMITS, limits_from_parameters, soft_limits_from_parameters
+from slidectl.control.parameters import Parameter
+
+URDF = """<robot name="bot">
+  <link name="world"/>
+  <link name="arm"><inertial><mass value="1"/>
+    <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+  <joint name="joint1" type="revolute"><parent link="world"/><child link="arm"/>
+    <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+</robot>"""
+
+VALUES = {
+    parameters.NUMBER: 1.0,
+    parameters.INTEGER: 1,
+    parameters.BOOLEAN: False,
+    parameters.TEXT: "joint1",
+    parameters.TEXTS: ["joint1"],
+    parameters.NUMBERS: [1.0],
+    parameters.LIST: [],
+    parameters.FLOAT: 1.0,
+}
+
+
+class WatchedGraph(FakeGraph):
+    """Notes the name of every parameter that is asked for."""
+
+    def __init__(self, values: dict[str, Any]) -> None:
+        self.asked: set[str] = set()
+        super().__init__(values)
+
+    def get(self, name: str) -> Any:
+        self.asked.add(name)
+        return super().get(name)
+
+    def asked_below(self, namespace: str) -> set[str]:
+        return {name.removeprefix(f"{namespace}/") for name in self.asked if name.startswith(f"{namespace}/")}
+
+
+def own(declared: tuple[Parameter, ...]) -> dict[str, Parameter]:
+    """By the names that the graph is asked for: entries of lists are read with their list."""
+    return {p.name.replace("<joint>", "joint1"): p for p in declared if "[]" not in p.name}
+
+
+@pytest.mark.parametrize("type_name", registry.types())
+def test_a_controller_reads_what_it_says_and_says_what_it_reads(type_name: str) -> None:
+    declared = own(registry.find(type_name).parameters)
+    values = {f"/bot/c/{name}": VALUES[parameter.kind] for name, parameter in declared.items()}
+    graph = WatchedGraph({"/bot/robot_description": URDF, **values})
+    robot = FakeRobot(commands=("effort", "velocity", "position"))
+    registry.create(type_name).init_request(robot, graph.node("/bot"), graph.node("/bot/c"))
+    asked = {name for name in graph.asked_below("/bot/c") if not name.endswith("robot_description")}
+    assert asked == set(declared)
+
+
+@pytest.mark.parametrize("type_name", registry.types())
+def test_every_parameter_has_a_meaning_and_a_default_of_its_own_type(type_name: str) -> None:
+    for parameter in registry.find(type_name).parameters:
+        assert parameter.meaning, parameter.name
+        if parameter.default is not None:
+            assert parameter.kind.convert(parameter.default) == parameter.default
+
+
+def test_joint_limits_are_all_declared() -> None:
+    names = [f"/bot/joint_limits/j/{limit.name}" for limit in LIMITS]
+    graph = WatchedGraph({name: True if "has_" in name else 1.0 for name in names})
+    limits_from_parameters(graph.node("/bot"), "j")
+    soft_limits_from_parameters(graph.node("/bot"), "j")
+    graph.set("/bot/joint_limits/j/has_position_limits", False)
+    limits_from_parameters(graph.node("/bot"), "j")
+    assert graph.asked_below("/bot/joint_limits/j") == {limit.name for limit in LIMITS}
+
+
+def test_an_unknown_type_is_refused_with_the_closest_known_one() -> None:
+    with pytest.raises(registry.UnknownType, match="Did you mean 'effort_controllers/JointPositionController'"):
+        registry.find("effort_controler/JointPositionController")
