@@ -12,8 +12,10 @@ from hypothesis import strategies as st
 
 from slidectl.check import Findings
 from slidectl.check.controllers import check as check_controllers
+from slidectl.check.launch import check as check_launch
 from slidectl.check.model import Model, check_text
 from slidectl.control import registry
+from slidectl.description import Packages
 from slidectl.errors import SlidectlError
 
 SOUND = check_text(driven_cart(), "bot.urdf", Findings(), ask_others=False)
@@ -78,3 +80,42 @@ def test_any_slip_of_the_pen_in_a_model_can_be_checked(start: int, length: int, 
     with contextlib.suppress(SlidectlError):
         check_text(text[:start] + put + text[start + length :], "bot.urdf", findings, ask_others=False)
     assert all(notice.file == "bot.urdf" for notice in findings.sorted())
+
+
+LAUNCH = """<launch>
+<arg name="a" default="b"/>
+<param name="robot_description" textfile="bot.urdf"/>
+<node name="spawn" pkg="gazebo_ros" type="spawn_model" args="-urdf -model bot -param robot_description"/>
+<rosparam>
+bot:
+  c: {type: joint_state_controller/JointStateController, publish_rate: 50}
+</rosparam>
+<group ns="bot" if="true"><remap from="joint_states" to="x"/>
+<node name="ctl" pkg="controller_manager" type="spawner" args="c"/></group>
+<node name="rsp" pkg="robot_state_publisher" type="robot_state_publisher"/>
+</launch>
+"""
+LAUNCH_PIECES = [
+    '"',
+    "$(",
+    ")",
+    "$(arg a)",
+    "<group>",
+    "</group>",
+    "/>",
+    "ns='//'",
+    "~",
+    "-J x",
+    "true",
+    "[",
+    ": ",
+    "é",
+]
+
+
+@settings(max_examples=150, deadline=None, derandomize=True)
+@given(start=st.integers(0, len(LAUNCH)), length=st.integers(0, 12), put=st.sampled_from(LAUNCH_PIECES))
+def test_any_slip_of_the_pen_in_a_launch_file_can_be_checked(start: int, length: int, put: str) -> None:
+    text = (LAUNCH[:start] + put + LAUNCH[start + length :]).encode()
+    with contextlib.suppress(SlidectlError):
+        check_launch(["bot.launch"], {}, Packages(), Findings(), text, ask_others=False)
