@@ -54,9 +54,19 @@ def check(
 
 
 def _kind(words: Sequence[str], text: bytes | None) -> kinds.Kind:
-    """What the words mean; a name that nothing has is an unknown model."""
-    if len(words) > 1:
-        return "launch"
+    """What the words mean; a name that nothing has is an unknown model.
+
+    Raises:
+        UsageError: words that only launch files can have after them. BadFile: XML of neither kind.
+    """
+    is_package = len(words) > 1 and words[0] not in models.shipped() and not is_file(Path(words[0]))
+    kind = "launch" if is_package else _kind_of_one(words, text)
+    if kind != "launch" and len(words) > 1:
+        raise UsageError(f"{words[1]!r} is not KEY:=VALUE", "slidectl check --help shows the order of arguments")
+    return kind
+
+
+def _kind_of_one(words: Sequence[str], text: bytes | None) -> kinds.Kind:
     if text is not None:
         return kinds.of_text(text, words[0])
     path = Path(words[0]).expanduser()

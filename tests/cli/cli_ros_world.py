@@ -64,7 +64,8 @@ SINKS = {
     "/slide/command": "std_msgs/Float64", "/f": "std_msgs/Float64", "/s": "std_msgs/String", "/e": "std_msgs/Empty",
     "/pt": "geometry_msgs/Point", "/tw": "geometry_msgs/Twist", "/b": "std_msgs/Bool", "/i": "std_msgs/Int32",
     "/u8": "std_msgs/UInt8", "/u8a": "std_msgs/UInt8MultiArray", "/j": "sensor_msgs/JointState",
-    "/p": "geometry_msgs/PoseStamped", "/h": "std_msgs/Header", "/tm": "std_msgs/Time", "/a": "std_msgs/Float64MultiArray",
+    "/p": "geometry_msgs/PoseStamped", "/h": "std_msgs/Header", "/tm": "std_msgs/Time",
+    "/a": "std_msgs/Float64MultiArray",
 }  # fmt: skip
 
 
@@ -168,7 +169,6 @@ class Shell:
             env={**self.slidectl.environment, **environment},
             check=False,
         )
-
 
     def start(self, line: str) -> subprocess.Popen[str]:
         """The same, without waiting for its end."""

@@ -75,7 +75,7 @@ def test_text_is_in_columns_a_group_a_file_with_a_summary(slidectl: CommandLine,
     assert done.returncode == 1
     assert all(line.startswith(f"{robot}:") for line in model.splitlines())
     assert all(line.startswith(f"{control}:") for line in parameters.splitlines())
-    assert f"{robot}:6  used       joint 'slide'/<limit>, effort: 10 N; bounds what pushes the joint\n" in model
+    assert f"{robot}:3  used       link 'cart'/<inertial>/<mass>: value=\"1\"\n" in model
     assert f"{control}:4  wrong      /bot/c/joint: the robot has no joint 'slyde'; did you mean 'slide'?" in parameters
     assert summary.endswith(" used, 0 converted, 0 ignored, 1 wrong\n")
 

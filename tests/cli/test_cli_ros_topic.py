@@ -1,13 +1,14 @@
 """`rostopic list`, `info`, `type`, `find` and `echo` in recorded sessions of the real tool: output and exit codes."""
 
+# ruff: noqa: W291 - the tools end lines of YAML with a blank
 from __future__ import annotations
 
 import re
 import signal
 from collections.abc import Iterator
-from typing import NamedTuple
 
 import pytest
+from cli_ros_sessions import Session, usage
 from cli_ros_world import SlideWorld, slide_world
 
 
@@ -15,20 +16,6 @@ from cli_ros_world import SlideWorld, slide_world
 def slide() -> Iterator[SlideWorld]:
     with slide_world() as world:
         yield world
-
-
-class Session(NamedTuple):
-    """A line, what it prints, and its exit code."""
-
-    line: str
-    stdout: str = ""
-    stderr: str = ""
-    code: int = 0
-
-
-def usage(line: str, text: str, complaint: str) -> Session:
-    tool = line.split()[0]
-    return Session(line, "", f"Usage: {text}\n\n{tool}: error: {complaint}\n", 2)
 
 
 SLIDE = ["command", "description", "forces", "joint_states", "pose", "poses", "position", "raw", "status"]
@@ -133,18 +120,21 @@ LOOKING = [
         "rostopic list -v /slide/command",
         "\nPublished topics:\n\nSubscribed topics:\n * /slide/command [std_msgs/Float64] 1 subscriber\n\n",
     ),
-    Session("rostopic list -v -p /slide/raw", "\nPublished topics:\n * /slide/raw [std_msgs/UInt8MultiArray] 1 publisher\n\n"),
+    Session(
+        "rostopic list -v -p /slide/raw",
+        "\nPublished topics:\n * /slide/raw [std_msgs/UInt8MultiArray] 1 publisher\n\n",
+    ),
     usage("rostopic list -p -s", LIST, "you may only specify one of -p, -s"),
     usage("rostopic list a b", LIST, "you may only specify one input topic"),
     usage("rostopic list --bogus", LIST, "no such option: --bogus"),
     Session("rostopic list -b /nofile.bag", "", "ERROR: bag file [/nofile.bag] does not exist\n", 1),
     Session(
         "rostopic info /slide/position",
-        "Type: std_msgs/Float64\n\nPublishers: \n * NODE (URI)\n\nSubscribers: None\n\n\n",
+        "Type: std_msgs/Float64\n\nPublishers: \n * <node> (<uri>)\n\nSubscribers: None\n\n\n",
     ),
     Session(
         "rostopic info slide/command",
-        "Type: std_msgs/Float64\n\nPublishers: None\n\nSubscribers: \n * NODE (URI)\n\n\n",
+        "Type: std_msgs/Float64\n\nPublishers: None\n\nSubscribers: \n * <node> (<uri>)\n\n\n",
     ),
     Session("rostopic info /nope", "", "ERROR: Unknown topic /nope\n", 1),
     Session("rostopic info /slide/position/data", "", "ERROR: Unknown topic /slide/position/data\n", 1),
@@ -223,7 +213,10 @@ ECHOED = [
         "field.data0,field.data1,field.data2\n1,f,3,3,0,1.0,-2.5,1e-09\n",
     ),
     Session("rostopic echo -p -n 1 /slide/status", '%time,field.data\n1,ok: "moving"\n'),
-    Session("rostopic echo -p -n 1 /slide/joint_states/position", f"%time,field0,field1\n{TIME},-0.009203153466526904,0.25\n"),
+    Session(
+        "rostopic echo -p -n 1 /slide/joint_states/position",
+        f"%time,field0,field1\n{TIME},-0.009203153466526904,0.25\n",
+    ),
     Session("rostopic echo -p -n 1 '/slide/joint_states/position[0]'", f"%time,field\n{TIME},-0.009203153466526904\n"),
     Session(
         "rostopic echo -p -n 1 --nostr /slide/joint_states",
@@ -292,7 +285,7 @@ def as_printed(text: str, line: str) -> str:
 @pytest.mark.parametrize("session", [*LOOKING, *ECHOED], ids=lambda session: session.line)
 def test_the_line_prints_what_the_real_tool_prints(slide: SlideWorld, session: Session) -> None:
     done = slide(session.line)
-    expected = session.stdout.replace("NODE", slide.node.name).replace("URI", slide.uri)
+    expected = session.stdout.replace("<node>", slide.node.name).replace("<uri>", slide.uri)
     assert as_printed(done.stdout, session.line) == expected
     assert done.stderr == session.stderr
     assert done.returncode == session.code
