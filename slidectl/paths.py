@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 DEFAULT_INSTANCE = "default"
-_INSTANCE = re.compile(r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")
+_INSTANCE = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
 # A Unix socket's path is limited by the kernel (sun_path, 108 bytes with its end).
 _LONGEST_SOCKET_PATH = 107
 
@@ -90,7 +90,7 @@ def instance(name: str | None = None, socket: str | None = None) -> InstancePath
         path = os.path.abspath(socket)
         return _checked(InstancePaths(os.path.dirname(path), path, os.path.basename(path) + "."))
     name = name or os.environ.get("SLIDECTL_INSTANCE") or DEFAULT_INSTANCE
-    if not _INSTANCE.match(name):
+    if name != DEFAULT_INSTANCE and not re.match(_INSTANCE, name):
         raise UsageError(f"instance name {name!r} is not a plain file name (letters, digits, '.', '_', '-')")
     folder = os.path.join(runtime_folder(), name)
     return _checked(InstancePaths(folder, os.path.join(folder, "socket")))

@@ -9,7 +9,7 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -24,13 +24,19 @@ if TYPE_CHECKING:
 COMPLETION_VARIABLE = "_SLIDECTL_COMPLETE"
 
 
-class Entry(NamedTuple):
-    """One line of the command table. The command object has the command's name in its module."""
+class Entry:
+    """One line of the command table. The command object has the command's name in its module.
 
-    section: str
-    module: str
-    help: str
-    """Equal to the first sentence of the command's own help (a test compares them)."""
+    `help` is equal to the first sentence of the command's own help (a test compares them). No NamedTuple: making
+    such a class takes longer than to import this module.
+    """
+
+    __slots__ = ("help", "module", "section")
+
+    def __init__(self, section: str, module: str, help: str) -> None:
+        self.section = section
+        self.module = module
+        self.help = help
 
 
 COMMANDS = {
@@ -54,6 +60,7 @@ COMMANDS = {
     "srv": Entry("Topics, services, parameters", "msg", "Show service types."),
     "ros": Entry("The ROS commands", "ros.command", "Run a ROS command word for word."),
     "ros-commands": Entry("The ROS commands", "ros.shells", "Print shell functions named as the ROS commands."),
+    "shell": Entry("slidectl", "shell", "Run many commands in one process."),
     "completion": Entry("slidectl", "completion", "Print the completion script of a shell."),
     "version": Entry("slidectl", "version", "Print the version."),
 }

@@ -54,7 +54,8 @@ def _namespace(value: str) -> str:
 
 def environment_namespace() -> str:
     """`SLIDECTL_NAMESPACE` as an absolute name, else the root."""
-    return _namespace(os.environ.get("SLIDECTL_NAMESPACE") or "/")
+    given = os.environ.get("SLIDECTL_NAMESPACE")
+    return _namespace(given) if given else "/"
 
 
 @cache
