@@ -45,8 +45,9 @@ def test_info_shows_topics_services_and_connections(slide: SlideWorld) -> None:
         "\n\nSubscriptions: \n * /slide/command [unknown type]\n\nServices: \n * /sim/set_logger_level\n" in done.stdout
     )
     assert re.search(
-        rf" \* /slide/stop\n\n\ncontacting node {slide.uri} \.\.\.\nPid: \d+\nConnections:\n \* topic: /slide/position\n"
-        r"    \* to: /slidectl_\d+_\d+\n    \* direction: outbound\n    \* transport: UNIX\n",
+        rf" \* /slide/stop\n\n\ncontacting node {slide.uri} \.\.\.\nPid: \d+\nConnections:\n"
+        r" \* topic: /slide/position\n    \* to: /slidectl_\d+_\d+\n"
+        r"    \* direction: outbound\n    \* transport: UNIX\n",
         done.stdout,
     )
 
