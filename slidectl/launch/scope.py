@@ -25,6 +25,7 @@ Parse = Callable[[bytes, str], Element]
 """Elements of the text of a file, given its name in messages. Raises BadFile."""
 
 MOST_TAGS = 20_000
+MOST_FILES = 1000
 DEEPEST_INCLUDE = 60
 
 
@@ -53,6 +54,11 @@ class Launch:
         self._tags += 1
         if self._tags > MOST_TAGS:
             raise tag.error(f"unfolds to more than {MOST_TAGS} tags", "does a file include itself?")
+
+    def count_file(self, tag: Tag) -> None:
+        """One more file is included. Raises BadFile when there are more than any launch has."""
+        if len(self.plan.files) > MOST_FILES:
+            raise tag.error(f"unfolds to more than {MOST_FILES} files", "does a file include itself?")
 
 
 @dataclass(frozen=True)
@@ -121,6 +127,7 @@ class Scope:
 
     def including(self, file: Path, tag: Tag, given: Mapping[str, str], lenient: bool) -> Scope:
         """The scope of an included file. Raises BadFile for an include without an end."""
+        self.launch.count_file(tag)
         here = (file, tuple(sorted(given.items())))
         if here in self.nesting:
             raise tag.error(f"{file} includes itself", "does it need another argument each time, and an `if`?")

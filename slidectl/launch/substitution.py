@@ -16,7 +16,7 @@ from slidectl.launch.protected import plain, protect
 from slidectl.launch.typed import automatic
 
 COMMANDS = ("find", "env", "optenv", "dirname", "anon", "arg")
-_OPEN = "$("
+OPEN = "$("
 _EVAL = "$(eval "
 _PATH = re.compile(r"/([^\s'\"]+)")
 _IDENTIFIER = re.compile(r"[A-Za-z_]\w*\Z")
@@ -53,13 +53,13 @@ class Substitution:
 
     def resolve(self, text: str) -> str:
         """The text with everything put in. Raises SubstitutionError, UnknownPackage."""
-        if _OPEN not in text:
+        if OPEN not in text:
             return text
         if text.startswith(_EVAL) and text.endswith(")"):
             return self._eval(text[len(_EVAL) : -1])
         pieces = []
         rest = text
-        while (start := rest.find(_OPEN)) >= 0:
+        while (start := rest.find(OPEN)) >= 0:
             inside, rest_after = _inside(rest, start)
             found, rest_after = self._command(inside, rest_after)
             pieces += [rest[:start], found]
@@ -142,7 +142,7 @@ def _inside(text: str, start: int) -> tuple[str, str]:
     end = text.find(")", start)
     if end < 0:
         raise SubstitutionError(f"'$(' is not closed in {plain(text)!r}")
-    inside = text[start + len(_OPEN) : end]
+    inside = text[start + len(OPEN) : end]
     if "$" in inside:
         hint = "write it with $(eval ...), for example $(eval find(arg('package')) + '/urdf')"
         raise SubstitutionError(f"one substitution stands inside another in {plain(text)!r}", hint)

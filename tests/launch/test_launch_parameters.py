@@ -204,6 +204,8 @@ def test_a_fault_in_the_model_has_the_models_place_and_an_unused_argument_is_poi
     workspace.write("urdf/bad.xacro", '<robot name="r" xmlns:xacro="x">\n<link name="${nope}"/>\n</robot>')
     with pytest.raises(BadFile, match=r"urdf/bad.xacro:2: .*nope"):
         workspace.values('<param name="x" command="$(find xacro)/xacro $(find demo)/urdf/bad.xacro"/>')
-    plan = workspace.plan('<param name="x" command="$(find xacro)/xacro $(find my_slider)/urdf/slider.xacro colour:=red"/>')
+    plan = workspace.plan(
+        '<param name="x" command="$(find xacro)/xacro $(find my_slider)/urdf/slider.xacro colour:=red"/>'
+    )
     plan.parameters()
     assert "colour:=: the file has no such argument" in notices(plan)[0]

@@ -128,7 +128,9 @@ def test_an_include_passes_what_it_says_and_nothing_else(workspace: Workspace) -
 
 
 def test_pass_all_args_passes_all_and_forgives_what_is_not_wanted(workspace: Workspace) -> None:
-    workspace.launch_file('<arg name="a"/><arg name="c" value="3"/><param name="x" value="$(arg a)$(arg c)"/>', "in.launch")
+    workspace.launch_file(
+        '<arg name="a"/><arg name="c" value="3"/><param name="x" value="$(arg a)$(arg c)"/>', "in.launch"
+    )
     content = '<arg name="a" default="1"/><arg name="b" default="2"/><arg name="c" default="9"/>{}'
     include = '<include file="$(dirname)/in.launch" pass_all_args="true">{}</include>'
     assert workspace.values(content.format(include.format(""))) == {"/x": 13}
@@ -137,7 +139,8 @@ def test_pass_all_args_passes_all_and_forgives_what_is_not_wanted(workspace: Wor
 
 def test_the_surroundings_of_an_include_reach_into_it_and_nothing_comes_back(workspace: Workspace) -> None:
     workspace.launch_file(
-        '<arg name="mine" value="1"/><remap from="x" to="y"/><node pkg="rviz" type="rviz" name="inside"/>', "inner.launch"
+        '<arg name="mine" value="1"/><remap from="x" to="y"/><node pkg="rviz" type="rviz" name="inside"/>',
+        "inner.launch",
     )
     plan = workspace.plan(
         '<remap from="a" to="b"/><include file="$(dirname)/inner.launch"><env name="E" value="1"/></include>'
@@ -193,5 +196,7 @@ def test_an_include_is_found_from_the_working_folder_or_from_its_includer(worksp
 
 
 def test_nothing_is_said_about_files_that_are_right(workspace: Workspace) -> None:
-    plan = workspace.plan('<arg name="a" default="1" doc="one"/><group ns="g"><param name="x" value="$(arg a)"/></group>')
+    plan = workspace.plan(
+        '<arg name="a" default="1" doc="one"/><group ns="g"><param name="x" value="$(arg a)"/></group>'
+    )
     assert notices(plan) == []

@@ -162,7 +162,7 @@ def test_the_command_line_of_a_node_is_the_same(demo: Workspace) -> None:
     [task] = kinds.tasks(made, demo.packages)
     program = demo.package / "scripts" / "talk.py"
     assert listing.command_line(task) == (
-        f"ROS_NAMESPACE=\"/left\" X=\"x_left\" {program} one 'two words' --three pos:=position __name:=talk"
+        f'ROS_NAMESPACE="/left" X="x_left" {program} one \'two words\' --three pos:=position __name:=talk'
     )
     with pytest.raises(SlidectlError, match="no node '/nope'"):
         listing.node(made, "/nope")
@@ -243,7 +243,7 @@ def test_xml_that_is_none_is_refused_with_its_line(workspace: Workspace, text: s
 def test_what_the_real_one_warns_of_is_pointed_out_with_the_place(workspace: Workspace) -> None:
     text = '\n<param name="x" value="1" bogus="2"/>\n<frobnicate/>\n<parm name="y" value="1"/>'
     assert notices(workspace.plan(text)) == [
-        'demo/launch/test.launch:2: <param name="x">: attribute \'bogus\' is unknown and has no effect',
+        "demo/launch/test.launch:2: <param name=\"x\">: attribute 'bogus' is unknown and has no effect",
         "demo/launch/test.launch:3: <frobnicate>: is unknown in <launch> and has no effect",
         'demo/launch/test.launch:4: <parm name="y">: is unknown in <launch> and has no effect; did you mean <param>?',
     ]
