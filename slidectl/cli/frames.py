@@ -137,7 +137,7 @@ def _pose(transform: Mapping[str, Mapping[str, float]]) -> Pose:
 def normalised(q: Quaternion) -> Quaternion:
     """The unit quaternion; all zeros mean no rotation."""
     x, y, z, w = q
-    length = math.sqrt(x * x + y * y + z * z + w * w)
+    length = math.hypot(x, y, z, w)
     return (x / length, y / length, z / length, w / length) if length > 0 else IDENTITY.rotation
 
 
