@@ -157,6 +157,7 @@ def test_wait_in_a_world_that_stands_still_times_out_and_says_why(slider: Comman
     done = slider("wait", "joint_states/position[0]", "--above", "0.7", "--within", "1", "--timeout", "0.3")
     assert (done.returncode, done.stdout) == (4, "")
     assert done.stderr.startswith("the simulation is paused")
+    assert "/slider/joint_states/position[0] was not above 0.7 within 0.3 s of wall time" in done.stderr
     assert "slidectl sim resume" in done.stderr
 
 
