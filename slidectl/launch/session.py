@@ -21,7 +21,9 @@ from slidectl.launch.setup import prepare
 from slidectl.launch.task import Run, StepFailed, Task
 from slidectl.launch.world import WorldSettings
 
+# Nobody tells when a robot comes or a parameter is set, so look now and then.
 _LOOK_AGAIN_S = 0.2
+_LOOK_SELDOM_S = 0.5
 _STATUS_EVERY_S = 1.0
 
 
@@ -164,7 +166,7 @@ class Session:
         if self.run.console.is_live:
             self._show_status()
         while not self._over and self._anything_left():
-            self._turn(None)
+            self._turn(_LOOK_SELDOM_S if self._waiting else None)
             if self._waiting:
                 self._look_again()
         self._judge()
