@@ -5,8 +5,7 @@
 
 from __future__ import annotations
 
-from math import fmod, nan, pi
-
+from slidectl.control.angles import unwrapped
 from slidectl.control.handles import JointHandle
 from slidectl.control.interfaces import (
     EffortJointInterface,
@@ -21,12 +20,10 @@ from slidectl.control.robot_hw import RobotHW
 from slidectl.description.robot import Robot
 from slidectl.physics.body import Body
 from slidectl.physics.drives import Drive, drive_for
-from slidectl.physics.effort import EffortTruncation
+from slidectl.physics.effort import EffortTruncation, truncated
 from slidectl.physics.hw_joint import HardwareJoint, hardware_joints
 from slidectl.physics.views import Views
 from slidectl.physics.world import World
-
-TURN = 2.0 * pi
 
 _COMMANDS: tuple[type[JointCommandInterface], ...] = (
     EffortJointInterface,
@@ -77,12 +74,7 @@ class MujocoRobotHW(RobotHW):
             handle.velocity = qvel[dof]
             handle.effort = forces[dof]
         for handle, place, dof in self._turning:
-            # angles::shortest_angular_distance(position, raw), added to the position
-            try:
-                rest = fmod(qpos[place] - handle.position + pi, TURN)
-                handle.position += rest + pi if rest <= 0.0 else rest - pi
-            except ValueError:  # an infinite angle
-                handle.position = nan
+            handle.position = unwrapped(handle.position, qpos[place])
             handle.velocity = qvel[dof]
             handle.effort = forces[dof]
         if self._outside:
@@ -96,19 +88,7 @@ class MujocoRobotHW(RobotHW):
             enforce(period_s)
         qvel, forces = self._qvel, self._forces
         for handle, dof, max_effort, max_velocity in self._pushed:
-            # Gazebo's Joint::CheckAndTruncateForce
-            effort = handle.command
-            if effort > 0.0:
-                if qvel[dof] > max_velocity:
-                    effort = 0.0
-                elif effort > max_effort:
-                    effort = max_effort
-            elif effort < 0.0:
-                if qvel[dof] < -max_velocity:
-                    effort = 0.0
-                elif effort < -max_effort:
-                    effort = -max_effort
-            forces[dof] = effort
+            forces[dof] = truncated(handle.command, qvel[dof], max_effort, max_velocity)
         if self._is_special:
             self._drive(period_s)
 
