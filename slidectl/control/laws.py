@@ -98,3 +98,7 @@ class Parts:
     pid: Pid | None = None
     shown: tuple[JointStateHandle, ...] = ()
     """Joints of which `publish` tells."""
+
+    def handles(self) -> list[JointStateHandle]:
+        """All that are named here."""
+        return [*self.shown, *([] if self.joint is None else [self.joint])]

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from slidectl.control.angles import unwrapped
 from slidectl.control.handles import JointHandle
 from slidectl.control.interfaces import (
@@ -14,7 +16,7 @@ from slidectl.control.interfaces import (
     PositionJointInterface,
     VelocityJointInterface,
 )
-from slidectl.control.limits import in_order
+from slidectl.control.limits import LimitHandle, in_order
 from slidectl.control.node import NodeHandle
 from slidectl.control.robot_hw import RobotHW
 from slidectl.description.robot import Robot
@@ -37,6 +39,17 @@ _Pushed = tuple[JointHandle, int, float, float]
 """Handle, index into qvel and forces, effort limit, velocity limit."""
 
 
+class DrivenJoint(NamedTuple):
+    """A joint that its command pushes: indices into qpos and into qvel and forces, whether it is an angle, bounds."""
+
+    handle: JointHandle
+    qpos: int
+    dof: int
+    turns: bool
+    max_effort: float
+    max_velocity: float
+
+
 class MujocoRobotHW(RobotHW):
     """Joint states, and effort, position and velocity commands of the joints that have a transmission.
 
@@ -56,8 +69,7 @@ class MujocoRobotHW(RobotHW):
         self._joints = hardware_joints(body)
         node = node if node.namespace == namespace else node.child(namespace)
         self._register(node)
-        limits = [joint.limit for joint in self._joints if joint.limit is not None]
-        self._enforce = tuple(limit.enforce for limit in in_order(limits))
+        self._enforce = tuple(limit.enforce for limit in self.limits())
         self._held: list[float] | None = None
         self._drives = self._make_drives(node)
         self.estop = False
@@ -105,6 +117,29 @@ class MujocoRobotHW(RobotHW):
         self._is_special = stopped or bool(self._drives)
         if not stopped:
             self._held = None
+
+    @property
+    def is_special(self) -> bool:
+        """True while `write` does more than push joints by their commands."""
+        return self._is_special
+
+    @property
+    def has_drives(self) -> bool:
+        """True when there are joints that are not simply pushed."""
+        return bool(self._drives)
+
+    def driven(self) -> list[DrivenJoint]:
+        """The joints that are simply pushed, and where they are in the world until it is rebuilt."""
+        angles = {id(handle) for handle, _, _ in self._turning}
+        places = {id(handle): place for handle, place, _ in (*self._sliding, *self._turning)}
+        return [
+            DrivenJoint(handle, places[id(handle)], dof, id(handle) in angles, max_effort, max_velocity)
+            for handle, dof, max_effort, max_velocity in self._pushed
+        ]
+
+    def limits(self) -> list[LimitHandle]:
+        """The limit handles in the order in which `write` enforces them."""
+        return in_order(joint.limit for joint in self._joints if joint.limit is not None)
 
     def reset(self) -> None:
         """After the world was reset: angles unwrapped anew, commands 0, limits and gains without a past."""
