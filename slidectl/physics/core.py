@@ -128,6 +128,11 @@ class WorldCore:
 
     # -- running ---------------------------------------------------------------------------------------------------
 
+    @property
+    def steps_alone(self) -> bool:
+        """True while `step` is MuJoCo's own and nothing else."""
+        return self.step is self._advance
+
     def step_n(self, cycles: int) -> None:
         """Advance by many steps with nobody in between, at the speed of C where no outside force acts."""
         if self.loads.is_empty:

@@ -104,7 +104,7 @@ class CompiledCycles:
     def _look_outside(self, tables: Tables) -> None:
         """Who makes the steps, and what pushes from outside."""
         progress, loads = self._progress, self._world.loads
-        progress.step = self._step_address if loads.is_empty else 0
+        progress.step = self._step_address if self._world.steps_alone else 0
         if progress.has_outside or loads.efforts:
             for dof in range(len(tables.outside)):
                 tables.outside[dof] = loads.efforts.get(dof, 0.0)
@@ -140,13 +140,14 @@ class CompiledCycles:
         clock, timers, clock_topic = self._graph.clock, self._graph.timers, self._graph.clock_topic
         while True:
             progress.left = self._until_timer(end - progress.cycles)
-            if progress.robot == NEW_CYCLE and clock_topic.publisher.wanted:
-                self._begin_cycle()
+            if clock_topic.publisher.wanted:
+                self._begin_cycle(tables)
             code(*arguments)
             turn = self._result.value
             clock.time_ns = progress.time_ns
             if turn not in (rows.DONE, rows.DIVERGED):
                 self._take_turn(tables, turn)
+                self._look_outside(tables)
                 self._look_for_listeners(tables)
             if progress.robot == NEW_CYCLE and self._is_last(end, turn):
                 break
@@ -167,22 +168,24 @@ class CompiledCycles:
             until += 1
         return max(1, min(count, until))
 
-    def _begin_cycle(self) -> None:
+    def _begin_cycle(self, tables: Tables) -> None:
         """/clock has listeners: each cycle begins with it."""
         progress, clock = self._progress, self._graph.clock
         progress.left = 1
+        if progress.robot != NEW_CYCLE:
+            return
         progress.time_ns += progress.step_ns
         clock.time_ns = progress.time_ns
         progress.robot = 0
         self._graph.clock_topic.tick(progress.time_ns, progress.step_ns)
-        self._look_for_listeners(self._tables)  # type: ignore[arg-type]
+        self._look_for_listeners(tables)
 
     # -- the interpreter's turns -----------------------------------------------------------------------------------
 
     def _take_turn(self, tables: Tables, turn: int) -> None:
         progress = self._progress
         if turn == rows.STEP_IN_PYTHON:
-            self._step(tables)
+            self._step()
         elif turn == rows.FAILED:
             raise EngineError(self._code.error_text().decode(errors="replace"))
         elif turn == rows.ROBOT_IN_PYTHON:
@@ -192,13 +195,11 @@ class CompiledCycles:
         else:
             self._update(tables.seats[progress.robot], progress.controller - 1)
 
-    def _step(self, tables: Tables) -> None:
+    def _step(self) -> None:
         progress = self._progress
         self._world.step()
         progress.robot = NEW_CYCLE
-        progress.left -= 1
         progress.cycles += 1
-        self._look_outside(tables)
 
     def _run_robot(self, seat: Seat) -> None:
         """The whole cycle of a robot that is not seated; afterwards it is, when that is possible."""
@@ -221,7 +222,7 @@ class CompiledCycles:
             seat.take_joints()
 
     def _try(self, seat: Seat, position: int, action: Callable[[int, float], None]) -> None:
-        """Act for one controller. When that fails, or somebody looked at the robot, its cycle ends in the interpreter."""
+        """Act for one controller. If that fails, or somebody looks at the robot, the interpreter ends its cycle."""
         time_ns, period_s = self._progress.time_ns, seat.period_s()
         failure: Exception | None = None
         try:

@@ -152,17 +152,9 @@ def run(
             while progress.controller < robot.controllers:
                 place = controllers[robot.first_controller + progress.controller]
                 progress.controller += 1
+                period_s = robot.period_s
                 turn = update(
-                    place.kind,
-                    place.row,
-                    time_ns,
-                    robot.period_s,
-                    joints,
-                    pids,
-                    forwards,
-                    positions,
-                    velocities,
-                    states,
+                    place.kind, place.row, time_ns, period_s, joints, pids, forwards, positions, velocities, states
                 )
                 if turn != DONE:
                     return turn

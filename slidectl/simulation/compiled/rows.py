@@ -58,11 +58,13 @@ TABLES: dict[str, Columns] = {
     "states": JointStateController.compiled.columns,
 }
 """The tables in the order of the cycle's arguments; MuJoCo's arrays follow."""
+CONSTANT = {"controllers", "saturations", "softs"}
+"""Tables of what never changes while it exists."""
 KIND_TABLES = {FORWARD: "forwards", JOINT_POSITION: "positions", JOINT_VELOCITY: "velocities", JOINT_STATE: "states"}
 ARRAYS = ("qpos", "qvel", "forces", "outside")
 
 DONE, ROBOT_IN_PYTHON, CONTROLLER_IN_PYTHON, PUBLICATION, STEP_IN_PYTHON, DIVERGED, FAILED = range(7)
-"""What the compiled cycle returns for: all cycles are done, the interpreter has its turn, or the physics is in trouble."""
+"""What the compiled cycle returns for: all cycles are done, the interpreter has its turn, or there is trouble."""
 
 CHECK_EVERY = 256
 """Cycles between two looks at whether the physics has diverged; counted from time 0, however stepping is cut."""

@@ -92,7 +92,11 @@ class Seat:
         self.is_possible = False
         self.speakers: dict[int, Speaker] = {}
         """By the controller's position in the order of updates."""
-        self._rows: list[Row] = []
+        self._living: list[Row] = []
+        """Rows of objects that may change while the robot is not seated."""
+        self._changing: list[Row] = []
+        """Those in which laws change something."""
+        self._constant: list[Row] = []
         self._handles: list[tuple[Any, int]] = []
         self._tables: dict[str, bytearray] = {}
 
@@ -108,7 +112,7 @@ class Seat:
 
     def take(self) -> None:
         """From now on the rows are the truth."""
-        for row in self._rows:
+        for row in self._living:
             row.fill()
         for speaker in self.speakers.values():
             speaker.look()
@@ -119,8 +123,14 @@ class Seat:
         if not self.is_taken:
             return
         self.is_taken = False
-        for row in self._rows:
+        for row in self._changing:
             row.give()
+        self._mark_plain()
+
+    def begin(self) -> None:
+        """When the tables have got their memory: what never changes, and that the robot is not seated."""
+        for row in self._constant:
+            row.fill()
         self._mark_plain()
 
     def _mark_plain(self) -> None:
@@ -197,8 +207,11 @@ class Seat:
             self.speakers[position] = Speaker(controller, parts, row, shown)
 
     def _settle_row(self, tables: Tables, table: str, source: object, *places: float) -> Row:
-        row = Row(tables.content[table], rows.TABLES[table], tables.add(table), source, places)
-        self._rows.append(row)
+        columns = rows.TABLES[table]
+        row = Row(tables.content[table], columns, tables.add(table), source, places)
+        (self._constant if table in rows.CONSTANT else self._living).append(row)
+        if columns.changing:
+            self._changing.append(row)
         return row
 
 
@@ -238,7 +251,7 @@ class Tables:
         for name, table in self.content.items():
             table.extend(bytes(max(1, self._counts[name]) * rows.TABLES[name].size))
         for seat in self.seats:
-            seat._mark_plain()
+            seat.begin()
 
     def count(self, table: str) -> int:
         """Rows so far."""
