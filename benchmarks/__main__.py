@@ -2,7 +2,7 @@
 
     python -m benchmarks [NAME ...] [--no-write]
 
-Names are the modules of this folder: commands, cycles, realtime.
+Names are the modules of this folder, see NAMES.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from benchmarks.harness import Row
 
 HERE = Path(__file__).parent
 README = HERE.parent / "README.md"
-NAMES = ("commands", "cycles", "realtime")
+NAMES = ("commands", "cycles", "realtime", "latency", "streams", "spawns")
 BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
 
 

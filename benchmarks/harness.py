@@ -70,8 +70,9 @@ class Daemon:
 
     def spawn(self, model: str, controllers: Sequence[str], name: str | None = None, at: str = "0 0 0") -> None:
         naming = ["-n", name] if name else []
-        config = f"config/{model}_control.yaml"
-        self.run("spawn", model, *naming, "--at", *at.split(), "--controllers", config, "--start", *controllers)
+        config = ["--controllers", f"config/{model}_control.yaml"]
+        start = ["--start", *controllers] if controllers else []
+        self.run("spawn", model, *naming, "--at", *at.split(), *config, *start)
 
 
 @contextmanager
@@ -106,6 +107,6 @@ def percentile(values: Sequence[float], share: float) -> float:
 
 
 def process_cpu_s(pid: int) -> float:
-    """User and system time that a process has used, s."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    """Processor time that a process has used, s, by the scheduler's own count (to the nanosecond, not by sampling)."""
+    tasks = Path(f"/proc/{pid}/task").glob("*/schedstat")
+    return sum(int(task.read_text().split()[0]) for task in tasks) * 1e-9

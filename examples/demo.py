@@ -72,7 +72,13 @@ def slide(client: Client, console: Console, name: str, target: float) -> dict[st
             if (settled is not None and time_s - settled >= HOLD_S) or time_s - began > WITHIN_S:
                 break
     states.close()
-    return {"name": name, "target": target, "position": position, "reached": near, "seconds": (settled or time_s) - began}
+    return {
+        "name": name,
+        "target": target,
+        "position": position,
+        "reached": near,
+        "seconds": (settled or time_s) - began,
+    }
 
 
 class Quiet:
@@ -112,7 +118,12 @@ def table(rows: list[dict[str, Any]], style: box.Box) -> Table:
         error = 1000 * (row["position"] - row["target"])
         verdict = "reached" if row["reached"] else "NOT reached"
         out.add_row(
-            row["name"], f"{row['target']:+.3f}", f"{row['position']:+.3f}", f"{error:+.1f}", f"{row['seconds']:.1f}", verdict
+            row["name"],
+            f"{row['target']:+.3f}",
+            f"{row['position']:+.3f}",
+            f"{error:+.1f}",
+            f"{row['seconds']:.1f}",
+            verdict,
         )
     return out
 

@@ -1,6 +1,6 @@
 """Writes docs/commands.md from the help texts of the commands themselves. `--check` only compares.
 
-    python scripts/command_reference.py [--check]
+python scripts/command_reference.py [--check]
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ HEAD = """# Commands
 
 Every command with its `--help`, written by `python scripts/command_reference.py`.
 
-The options `-i`, `--socket`, `--ns`, `-o`, `--json`, `-q`, `-v` and `--timeout` are understood before the command and after it.
+The options `-i`, `--socket`, `--ns`, `-o`, `--json`, `-q`, `-v` and `--timeout` are understood before the command
+and after it.
 
 | exit code | meaning |
 | ---: | --- |

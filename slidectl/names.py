@@ -11,12 +11,12 @@ from collections.abc import Iterable
 
 from slidectl.errors import AmbiguousName, BadName, UnknownName
 
-_LEGAL = re.compile(r"^[A-Za-z/~][\w/]*$|^/$", re.ASCII)
+_LEGAL = r"(?a)^[A-Za-z/~][\w/]*$|^/$"
 
 
 def is_legal(name: str) -> bool:
     """True for a legal graph name (no double or trailing slash; `/` alone is the root)."""
-    return bool(_LEGAL.match(name)) and "//" not in name and (name == "/" or not name.endswith("/"))
+    return bool(re.match(_LEGAL, name)) and "//" not in name and (name == "/" or not name.endswith("/"))
 
 
 def check(name: str) -> str:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 DEFAULT_INSTANCE = "default"
-_INSTANCE = re.compile(r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")
+_INSTANCE = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
 # A Unix socket's path is limited by the kernel (sun_path, 108 bytes with its end).
 _LONGEST_SOCKET_PATH = 107
 
@@ -90,7 +90,7 @@ def instance(name: str | None = None, socket: str | None = None) -> InstancePath
         path = os.path.abspath(socket)
         return _checked(InstancePaths(os.path.dirname(path), path, os.path.basename(path) + "."))
     name = name or os.environ.get("SLIDECTL_INSTANCE") or DEFAULT_INSTANCE
-    if not _INSTANCE.match(name):
+    if name != DEFAULT_INSTANCE and not re.match(_INSTANCE, name):
         raise UsageError(f"instance name {name!r} is not a plain file name (letters, digits, '.', '_', '-')")
     folder = os.path.join(runtime_folder(), name)
     return _checked(InstancePaths(folder, os.path.join(folder, "socket")))
@@ -109,11 +109,36 @@ def make_private(folder: Path) -> None:
     """Create the folder with mode 0700, or check that it is ours and nobody else can enter.
 
     Raises:
-        Refused: it belongs to somebody else, is a link, or is open to others.
+        Refused: it cannot be made, belongs to somebody else, is a link, or is open to others. Or somebody else may
+            put another one into its place: that is checked for the folder that holds all instances.
     """
-    folder.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-    folder.mkdir(mode=0o700, exist_ok=True)
+    try:
+        folder.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, exist_ok=True)
+    except FileExistsError:
+        raise Refused(f"{folder} is not a folder") from None
+    except OSError as error:
+        hint = "set XDG_RUNTIME_DIR to a folder of your own"
+        raise Refused(f"cannot make the folder {folder}: {error.strerror or error}", hint) from None
+    if _is_ours_to_name(folder):
+        _check_unswappable(folder.parent)
     check_private(folder)
+
+
+def _is_ours_to_name(folder: str | Path) -> bool:
+    """True for the folder of an instance; that of a named socket is the user's affair."""
+    return os.path.dirname(os.fspath(folder)) == runtime_folder()
+
+
+def _check_unswappable(folder: Path) -> None:
+    """Raise Refused when another user may rename what is in the folder."""
+    info = os.stat(folder)
+    if info.st_uid != os.geteuid():
+        raise Refused(
+            f"{folder} belongs to another user (uid {info.st_uid})", "set XDG_RUNTIME_DIR to a folder of your own"
+        )
+    if stat.S_IMODE(info.st_mode) & 0o022:
+        raise Refused(f"{folder} can be written by other users", f"chmod go-w {folder}")
 
 
 def check_private(folder: str | Path) -> None:
@@ -126,9 +151,9 @@ def check_private(folder: str | Path) -> None:
             f"{folder} belongs to another user (uid {info.st_uid})", "choose another --instance or XDG_RUNTIME_DIR"
         )
     if stat.S_IMODE(info.st_mode) & 0o077:
-        shared = info.st_mode & stat.S_ISVTX  # like /tmp, which must stay as it is
-        hint = "put the socket into a folder of your own" if shared else f"chmod 700 {folder}"
-        raise Refused(f"{folder} is open to other users", hint)
+        # Never advise to close a folder that may serve others too: /tmp, a home, the root.
+        own = "put the socket into a folder of your own, made with: mkdir -m 700 FOLDER"
+        raise Refused(f"{folder} is open to other users", f"chmod 700 {folder}" if _is_ours_to_name(folder) else own)
 
 
 def share(kind: str) -> Path:

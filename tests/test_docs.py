@@ -23,13 +23,17 @@ def read(name: str) -> str:
 
 
 def test_the_command_reference_is_what_the_commands_say() -> None:
-    done = subprocess.run([sys.executable, "scripts/command_reference.py", "--check"], cwd=ROOT, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "scripts/command_reference.py", "--check"], cwd=ROOT, capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("name", sorted(COMMANDS))
 def test_the_readme_names_every_command(name: str) -> None:
-    assert re.search(rf"`(slidectl )?{name}\b", read("README.md")) or re.search(rf"slidectl {name}\b", read("README.md"))
+    assert re.search(rf"`(slidectl )?{name}\b", read("README.md")) or re.search(
+        rf"slidectl {name}\b", read("README.md")
+    )
 
 
 @pytest.mark.parametrize("code", EXIT_CODES)

@@ -5,7 +5,7 @@ Knows parameters from the controllers themselves, through the registry. Nothing 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,13 @@ _OTHERS = {
     "use_sim_time": "time is always simulated here",
 }
 
+Reader = Callable[[str], str | None]
+"""Who, other than controllers and hardware, reads the parameter of that full name; None: nobody."""
+
+
+def _nobody(_: str) -> None:
+    return None
+
 
 def check(path: str | Path, model: Model | None, findings: Findings, text: bytes | None = None) -> None:
     """Add what there is to say of a file of controllers, as `slidectl spawn --controllers` would load it for `model`.
@@ -46,12 +53,12 @@ def check(path: str | Path, model: Model | None, findings: Findings, text: bytes
     notices: list[Any] = []
     try:
         tree = yaml_tree.read(text, str(path), notices)
-        lines = yaml_tree.places(text, str(path))
+        places = {name: (str(path), line) for name, line in yaml_tree.places(text, str(path)).items()}
     except BadFile as error:
         findings.fail("parameters", error)
         return
     findings.extend(notices)
-    source = ParameterFile(str(path), lines, findings)
+    source = ParameterFile(str(path), places, findings)
     checker = ControllerCheck(source, [model] if model is not None else [])
     if model is not None:
         _tell_namespace(source, tree, model, checker)
@@ -74,9 +81,10 @@ def _tell_namespace(source: ParameterFile, tree: Tree, model: Model, checker: Co
 class ControllerCheck:
     """One tree of parameters, and the robots that may be meant in it."""
 
-    def __init__(self, source: ParameterFile, models: list[Model]) -> None:
+    def __init__(self, source: ParameterFile, models: Sequence[Model], reader: Reader = _nobody) -> None:
         self.source = source
         self.models = models
+        self.reader = reader
         self.moved = False
         """True: whatever the file says, it is for the first robot."""
         self.found: dict[str, str] = {}
@@ -94,8 +102,8 @@ class ControllerCheck:
                 hardware.check(self.source, key, below, value, self._model(below))
             elif isinstance(value, Mapping) and value:
                 self._namespace(below, value)
-            elif key in _OTHERS:
-                self.source.add("used", below, _OTHERS[key])
+            elif reason := _OTHERS.get(key) or self.reader(self.source.full(below)):
+                self.source.add("used", below, reason)
             else:
                 self.source.unknown(below, "no controller reads it, nor does the simulated hardware", value)
 

@@ -19,8 +19,13 @@ class Findings:
 
     def __init__(self) -> None:
         self._notices: dict[Notice, None] = {}
+        self._files: list[str] = []
         self.broken: list[BadFile] = []
         """Why files cannot be used; each is among the findings too, as wrong."""
+
+    def begin_with(self, files: Iterable[str]) -> None:
+        """Put findings in these files before all others."""
+        self._files += files
 
     def add(self, verdict: Verdict, subject: str, text: str, file: str, line: int | None = None) -> None:
         """One finding about `subject`, at its place."""
@@ -45,7 +50,8 @@ class Findings:
 
     def sorted(self, only: Sequence[str] = ()) -> list[Notice]:
         """All findings, or those of some verdicts: files in the order of their first mention, lines rising."""
-        files = {file: index for index, file in enumerate(dict.fromkeys(notice.file for notice in self._notices))}
+        mentioned = [*self._files, *(notice.file for notice in self._notices)]
+        files = {file: index for index, file in enumerate(dict.fromkeys(mentioned))}
         wanted = [notice for notice in self._notices if not only or notice.verdict in only]
         return sorted(wanted, key=lambda notice: (files[notice.file], notice.line or 0))
 

@@ -1,11 +1,10 @@
-"""A tree of parameters with the places of its values, and the plain judgement of one value.
+"""The places of the values in a tree of parameters, and the plain judgement of one value.
 
 What trees mean is for controllers.py and hardware.py.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -21,26 +20,30 @@ _LONGEST = 60
 
 @dataclass
 class ParameterFile:
-    """Where the parameters of a tree were written; `namespace` is where the file's root is loaded."""
+    """Where the parameters of a tree were written; `namespace` is where the root of the tree is loaded.
+
+    A tree comes from one file most often; `file` is that, or the first of several.
+    """
 
     file: str
-    lines: Mapping[str, int]
-    """By the path in the file."""
+    places: Mapping[str, tuple[str, int | None]]
+    """File and line by the path in the tree, as `/slider/c/pid/p` or `/slider/c/extra_joints[0]/name`."""
     findings: Findings
     namespace: str = "/"
-    first_line: int = 1
 
-    def line(self, path: str) -> int:
-        """Of a path in the file, or of the nearest one above it."""
-        while path:
-            if path in self.lines:
-                return self.lines[path]
-            path = re.sub(r"(/[^/\[]*|\[\d+\])$", "", path) if path[-1] != "/" else path[:-1]
-        return self.first_line
+    def place(self, path: str) -> tuple[str, int | None]:
+        """Of a path in the tree, or of the nearest one above it, or of the first below it."""
+        above = path
+        while above:
+            if above in self.places:
+                return self.places[above]
+            above = above[: max(above.rfind("/"), above.rfind("["), 0)]
+        below = (place for name, place in self.places.items() if name.startswith(f"{path}/"))
+        return next(below, (self.file, 1))
 
-    def add(self, verdict: Verdict, path: str, text: str, about: str | None = None) -> None:
-        """A finding on a path; `about` is a path below it that has no line of its own."""
-        self.findings.add(verdict, self.full(about or path), text, self.file, self.line(path))
+    def add(self, verdict: Verdict, path: str, text: str) -> None:
+        """A finding on a path."""
+        self.findings.add(verdict, self.full(path), text, *self.place(path))
 
     def full(self, path: str) -> str:
         """The parameter's name once it is loaded."""

@@ -8,12 +8,12 @@ from pathlib import Path
 from slidectl.check import controllers, kinds, model
 from slidectl.check.findings import Findings
 from slidectl.description import models
-from slidectl.description.packages import Packages
+from slidectl.description.packages import Packages, is_file, shown
 from slidectl.errors import UsageError
 
 
 def check(
-    source: str,
+    words: Sequence[str],
     arguments: Mapping[str, str],
     packages: Packages,
     parameter_files: Sequence[Path] = (),
@@ -23,7 +23,8 @@ def check(
     """Everything that there is to say of a file.
 
     Args:
-        source: path, or name of a shipped model; what to call `text` when that is given.
+        words: a path, the name of a shipped model or launch file, or package and launch file; one that says what to
+            call `text`, when that is given.
         arguments: of xacro or of the launch file.
         parameter_files: files of controllers for a model.
         text: the file's content, when it came from elsewhere.
@@ -33,26 +34,57 @@ def check(
         BadFile: no such file. UnknownName: no such model. UsageError: arguments that do not go with the file.
     """
     findings = Findings()
-    kind = _kind(source, text)
+    source = words[0]
+    kind = _kind(words, text)
     if kind != "model" and parameter_files:
         raise UsageError(f"--controllers goes with a model; {source} is a file of {kind}")
+    if kind == "launch":
+        from slidectl.check import launch
+
+        launch.check(words, arguments, packages, findings, text, ask_others)
+        return findings
     if kind == "controllers":
         _refuse_arguments(source, arguments)
         controllers.check(source, None, findings, text)
         return findings
-    robot = model.check(text.decode("utf-8", "replace") if text else source, arguments, packages, findings, ask_others)
+    robot = model.check(_model(source, text), arguments, packages, findings, ask_others)
     for path in parameter_files:
         controllers.check(path, robot, findings)
     return findings
 
 
-def _kind(source: str, text: bytes | None) -> kinds.Kind:
+def _kind(words: Sequence[str], text: bytes | None) -> kinds.Kind:
+    """What the words mean; a name that nothing has is an unknown model.
+
+    Raises:
+        UsageError: words that only launch files can have after them. BadFile: XML of neither kind.
+    """
+    is_package = len(words) > 1 and words[0] not in models.shipped() and not is_file(Path(words[0]))
+    kind = "launch" if is_package else _kind_of_one(words, text)
+    if kind != "launch" and len(words) > 1:
+        raise UsageError(f"{words[1]!r} is not KEY:=VALUE", "slidectl check --help shows the order of arguments")
+    return kind
+
+
+def _kind_of_one(words: Sequence[str], text: bytes | None) -> kinds.Kind:
     if text is not None:
-        return kinds.of_text(text, source)
-    if source in models.shipped():
+        return kinds.of_text(text, words[0])
+    path = Path(words[0]).expanduser()
+    if words[0] in models.shipped():
         return "model"
-    path = Path(source).expanduser()
-    return kinds.of_file(path) if path.exists() or path.suffix else "model"
+    if is_file(path) or path.suffix:
+        return kinds.of_file(path)
+    from slidectl.launch import files
+
+    return "launch" if words[0] in files.shipped() else "model"
+
+
+def _model(source: str, text: bytes | None) -> str:
+    """What to read: the text, or a path, which of a shipped model is the shortest that leads there."""
+    if text is not None:
+        return text.decode("utf-8", "replace")
+    path = models.shipped().get(source)
+    return source if path is None else shown(path)
 
 
 def _refuse_arguments(source: str, arguments: Mapping[str, str]) -> None:

@@ -13,8 +13,10 @@ from slidectl.description.report import is_namespace
 from slidectl.description.robot import Notice, Verdict
 from slidectl.description.xml_tree import TITLES, Element
 
-# Without an effect because there is but one of them.
-_HARMLESS = {("robot", "version")}
+# Not read, and yet not without use: there is but one version, and a doc is for people.
+_HARMLESS = {("robot", "version"), ("arg", "doc")}
+_CONDITIONS = {"if", "unless"}
+_ROOTS = ("robot", "launch")
 _LONGEST = 60
 
 Explain = Callable[[Element, str], Iterator[Notice] | None]
@@ -43,11 +45,20 @@ class Tags:
         if id(element) in self.dead:
             return
         if id(element) not in self.trace.read:
-            self._add("ignored", element, subject, "is not read, nor what is in it")
+            if not any(attribute is None for attribute, _ in said):
+                self._add("ignored", element, subject, "is not read, nor what is in it")
+            return
+        if self._is_left_out(element):
+            self._add("used", element, subject, f"left out by its condition, {_content(element, ())}")
             return
         self._used(element, subject, owner)
         for child in plain(element).children:
-            self._element(child, "" if element.tag == "robot" else subject, owner or _owner(child))
+            self._element(child, "" if element.tag in _ROOTS else subject, owner or _owner(child))
+
+    def _is_left_out(self, element: Element) -> bool:
+        """Whether nothing was read of it but its condition, in a launch file."""
+        read = self.trace.read_attributes.get(id(element), set())
+        return bool(read) and read <= _CONDITIONS and not _CONDITIONS.isdisjoint(plain(element).attributes)
 
     def _used(self, element: Element, subject: str, owner: str) -> None:
         said = self.trace.said.get(id(element), [])
@@ -64,7 +75,7 @@ class Tags:
             self._add("used", element, subject, _content(element, spoken))
 
     def _is_read(self, element: Element, name: str) -> bool:
-        return (id(element), name) in self.trace.read_attributes or (element.tag, name) in _HARMLESS
+        return name in self.trace.read_attributes.get(id(element), ()) or (element.tag, name) in _HARMLESS
 
     def _add(self, verdict: Verdict, element: Element, subject: str, text: str) -> None:
         self.findings.add(verdict, subject, text, element.file, element.line)

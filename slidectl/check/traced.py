@@ -19,7 +19,7 @@ class Trace:
 
     def __init__(self) -> None:
         self.read: set[int] = set()
-        self.read_attributes: set[tuple[int, str]] = set()
+        self.read_attributes: dict[int, set[str]] = {}
         self.said: dict[int, list[tuple[str | None, Notice]]] = {}
         """Of each element, what was said of an attribute of it (its name), or of itself (None)."""
         self.culprit: Element | None = None
@@ -36,7 +36,7 @@ class TracedAttributes(dict[str, str]):
 
     def _note(self, name: object) -> None:
         self._trace.read.add(self._element)
-        self._trace.read_attributes.add((self._element, str(name)))
+        self._trace.read_attributes.setdefault(self._element, set()).add(str(name))
 
     def __getitem__(self, name: str) -> str:
         self._note(name)

@@ -21,6 +21,8 @@ def entry() -> NoReturn:
     """Run the command line of this process and leave with its exit code."""
     code = _INTERRUPTED
     gc.set_threshold(_GARBAGE_THRESHOLD)
+    if None in (sys.stdin, sys.stdout, sys.stderr):
+        _stand_in()
     try:
         from slidectl.cli.main import run
 
@@ -28,6 +30,13 @@ def entry() -> NoReturn:
     except KeyboardInterrupt:
         pass
     leave(code)
+
+
+def _stand_in() -> None:
+    """Put /dev/null in the place of standard streams that were closed, before a socket gets their number."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
 
 
 def leave(code: int) -> NoReturn:

@@ -32,10 +32,11 @@ _COLOURS = {"used": "green", "converted": "cyan", "ignored": "yellow", "wrong": 
     examples=[
         "slidectl check slider --controllers config/slider_control.yaml",
         "slidectl check robot.urdf.xacro width:=0.2 --strict",
+        "slidectl check my_slider slider.launch",
         "slidectl check config/slider_control.yaml --only ignored --only wrong",
     ]
 )
-@click.argument("source", metavar="MODEL|CONTROLLERS", shell_complete=live.models)
+@click.argument("source", metavar="MODEL|LAUNCH|CONTROLLERS", shell_complete=live.models)
 @click.argument("arguments", nargs=-1, metavar="[KEY:=VALUE]...")
 @click.option(
     "--controllers",
@@ -57,11 +58,12 @@ def check(
     only: tuple[str, ...],
     packages: tuple[str, ...],
 ) -> None:
-    """Check a model or controllers, without a daemon.
+    """Check a model, a launch file or controllers, without a daemon.
 
-    Every tag, attribute, limit and parameter is listed as used, converted (taken otherwise than written), ignored (no
-    effect here) or wrong, with file and line. Exits 0 when nothing is wrong, 1 when something is, and 2 when a file
-    cannot be used at all. JSON keys: file, line, verdict, subject, text.
+    MODEL and LAUNCH are as for spawn and launch: a file, the name of a shipped one, PACKAGE FILE, or - for standard
+    input. KEY:=VALUE are their arguments. Every tag, attribute, limit and parameter is listed with file and line as
+    used, converted (taken otherwise than written), ignored (no effect here) or wrong. Exits 0 when nothing is wrong, 1
+    when something is, and 2 when a file cannot be used at all. JSON keys: file, line, verdict, subject, text.
     """
     ctx = click_context.find_object(Context)
     assert ctx is not None
@@ -71,8 +73,10 @@ def check(
     places = Packages({name: Path(path) for name, path in pairs(packages, "=", "check").items()})
     files = [configuration.find(file) for file in controllers]
     text = sys.stdin.buffer.read() if source == "-" else None
-    name = "<stdin>" if source == "-" else _shipped_or_own(source)
-    findings = run(name, pairs(arguments, ":=", "check"), places, files, text)
+    words = ["<stdin>" if source == "-" else _shipped_or_own(source)]
+    words += [word for word in arguments if ":=" not in word]
+    given = pairs([word for word in arguments if ":=" in word], ":=", "check")
+    findings = run(words, given, places, files, text)
     _print(ctx, findings, only)
     for error in findings.broken[:1]:
         raise error

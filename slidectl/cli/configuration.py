@@ -84,11 +84,22 @@ def leaves(tree: Tree, namespace: str = "/") -> Iterator[tuple[str, Any]]:
 
 
 def store(ctx: Context, parameters: Tree) -> None:
-    """Set them all; others that are there stay. Raises UsageError before the first when JSON cannot carry a value."""
+    """Set them all; others that are there stay. A controller that cannot take one of its own says so: a warning.
+
+    Raises UsageError before the first when JSON cannot carry a value.
+    """
     texts = {name: _as_json(name, value) for name, value in parameters.items()}
-    calls = [ctx.client.call_async("/rosapi/set_param", {"name": n, "value": text}) for n, text in texts.items()]
-    for call in calls:
-        ctx.client.answer(call)
+    with ctx.client.rosout() as lines:
+        calls = [ctx.client.call_async("/rosapi/set_param", {"name": n, "value": text}) for n, text in texts.items()]
+        for call in calls:
+            ctx.client.answer(call)
+    for line in lines:
+        if any(_is_about(name, line["msg"]) for name in parameters):
+            ctx.warn(line["msg"])
+
+
+def _is_about(parameter: str, text: str) -> bool:
+    return parameter in text or f"{names.parent(parameter)}: {parameter.rpartition('/')[2]} " in text
 
 
 def _as_json(name: str, value: Any) -> str:

@@ -70,6 +70,12 @@ class Context:
         """Where every node and service answers: the daemon's socket."""
         return f"unix://{self.client.paths.socket_text}"
 
+    def close(self) -> None:
+        """Close the connection if there is one; where a process runs many commands."""
+        if self._client is not None:
+            self._client.close()
+            self._client = None
+
     def wait_limit(self, default_s: float) -> float:
         """How long this command may wait: `--timeout` if given, else `default_s` (wall seconds)."""
         return default_s if self.timeout is None else self.timeout

@@ -12,7 +12,6 @@ import click
 from slidectl.cli import live, output
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
-from slidectl.cli.csvform import CsvForm
 from slidectl.cli.fieldpath import Selection, select
 from slidectl.cli.options import positive_seconds
 from slidectl.cli.schema import Schema
@@ -160,6 +159,8 @@ def pruned(schema: Schema, type_name: str, depth: int, value: Any, look: Look) -
 
 
 def _csv_writer(ctx: Context, schema: Schema, selection: Selection, look: Look) -> Write:
+    from slidectl.cli.csvform import CsvForm
+
     form = CsvForm(schema, look.arrays, look.strings)
     stamped = schema.has_header and not look.arrival
     header = ""

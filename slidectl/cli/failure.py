@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 
 import click
 
@@ -35,8 +36,8 @@ def _report(error: Exception, context: Context) -> int:
 
         traceback.print_exception(error)
     text, code = describe(error)
-    first, *rest = text.rstrip().splitlines() or [""]
-    print(paint("error:", "red"), "\n".join([first, *rest]), file=sys.stderr, flush=True)
+    with suppress(OSError):  # stderr may be a full disk, and the exit code is all that is left then
+        print(paint("error:", "red"), "\n".join(text.rstrip().splitlines()), file=sys.stderr, flush=True)
     return code
 
 

@@ -15,8 +15,8 @@ from slidectl.cli.yamlform import byte_values
 from slidectl.errors import Refused, UnknownName, UsageError
 
 Index = int | slice
-_STEP = re.compile(r"(?P<name>\w+)(?P<indices>(\[[^\]]*\])*)\Z")
-_INTEGER = re.compile(r"\s*-?\d+\s*\Z")
+_STEP = r"(?P<name>\w+)(?P<indices>(\[[^\]]*\])*)\Z"
+_INTEGER = r"\s*-?\d+\s*\Z"
 _TIME_FIELDS = {"time": ("uint32", "uint32"), "duration": ("int32", "int32")}
 
 
@@ -52,7 +52,7 @@ def _components(text: str) -> list[str]:
 
 
 def _step(part: str) -> Step:
-    match = _STEP.match(part)
+    match = re.match(_STEP, part)
     if not match:
         missing = "[" in part and "]" not in part
         raise UsageError(
@@ -63,7 +63,7 @@ def _step(part: str) -> Step:
 
 def _index(text: str, part: str) -> Index:
     numbers = text.split(":")
-    if len(numbers) > 3 or not all(_INTEGER.match(n) or (not n.strip() and len(numbers) > 1) for n in numbers):
+    if len(numbers) > 3 or not all(re.match(_INTEGER, n) or (not n.strip() and len(numbers) > 1) for n in numbers):
         raise UsageError(f"{part!r} is not a field: an index is a number or a slice, [0], [-1], [1:3] or [::2]")
     values = [int(n) if n.strip() else None for n in numbers]
     if len(values) == 3 and values[2] == 0:

@@ -9,7 +9,7 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -24,13 +24,19 @@ if TYPE_CHECKING:
 COMPLETION_VARIABLE = "_SLIDECTL_COMPLETE"
 
 
-class Entry(NamedTuple):
-    """One line of the command table. The command object has the command's name in its module."""
+class Entry:
+    """One line of the command table. The command object has the command's name in its module.
 
-    section: str
-    module: str
-    help: str
-    """Equal to the first sentence of the command's own help (a test compares them)."""
+    `help` is equal to the first sentence of the command's own help (a test compares them). No NamedTuple: making
+    such a class takes longer than to import this module.
+    """
+
+    __slots__ = ("help", "module", "section")
+
+    def __init__(self, section: str, module: str, help: str) -> None:
+        self.section = section
+        self.module = module
+        self.help = help
 
 
 COMMANDS = {
@@ -39,17 +45,22 @@ COMMANDS = {
     "spawn": Entry("Robots", "spawn", "Put a robot into the world."),
     "delete": Entry("Robots", "robots", "Take robots out of the world."),
     "robots": Entry("Robots", "robots", "List the robots, or show one with its joints."),
-    "check": Entry("Robots", "check", "Check a model or controllers, without a daemon."),
+    "check": Entry("Robots", "check", "Check a model, a launch file or controllers, without a daemon."),
     "controller": Entry("Robots", "controller", "Load, start, stop and list controllers."),
+    "launch": Entry("Robots", "launch", "Run a launch file as roslaunch does."),
     "pub": Entry("Topics, services, parameters", "pub", "Publish a message."),
     "echo": Entry("Topics, services, parameters", "echo", "Print the messages of a topic."),
     "wait": Entry("Topics, services, parameters", "wait", "Wait until a field of a topic has a value."),
     "topic": Entry("Topics, services, parameters", "topic", "List, inspect and measure topics."),
+    "hz": Entry("Topics, services, parameters", "topic_measure", "Measure how often messages come."),
     "service": Entry("Topics, services, parameters", "service", "List, inspect and call services."),
     "param": Entry("Topics, services, parameters", "param", "Get, set, load and dump parameters."),
     "tf": Entry("Topics, services, parameters", "tf", "Show the frames and the transforms between them."),
     "msg": Entry("Topics, services, parameters", "msg", "Show message types."),
     "srv": Entry("Topics, services, parameters", "msg", "Show service types."),
+    "ros": Entry("The ROS commands", "ros.command", "Run a ROS command word for word."),
+    "ros-commands": Entry("The ROS commands", "ros.shells", "Print shell functions named as the ROS commands."),
+    "shell": Entry("slidectl", "shell", "Run many commands in one process."),
     "completion": Entry("slidectl", "completion", "Print the completion script of a shell."),
     "version": Entry("slidectl", "version", "Print the version."),
 }
@@ -108,7 +119,7 @@ class Root(Group):
 
 def load(name: str, entry: Entry) -> click.Command:
     """Import the module of a command and take the command out of it."""
-    command = getattr(import_module(f"slidectl.cli.{entry.module}"), name)
+    command = getattr(import_module(f"slidectl.cli.{entry.module}"), name.replace("-", "_"))
     assert isinstance(command, click.Command)
     return command
 

@@ -23,19 +23,19 @@ class Kind(NamedTuple):
     md5: Callable[[str], str]
 
 
-def _messages() -> Kind:
+def messages() -> Kind:
     from slidectl import msgs
 
     return Kind("message type", msgs.type_names, msgs.show, msgs.definition, msgs.md5)
 
 
-def _services() -> Kind:
+def services() -> Kind:
     from slidectl import msgs
 
     return Kind("service type", msgs.service_names, msgs.show_service, msgs.service_definition, msgs.service_md5)
 
 
-def _found(kind: Kind, name: str) -> list[str]:
+def found_types(kind: Kind, name: str) -> list[str]:
     """The types that are meant: one for `pkg/Name`, those of every package for a bare `Name`."""
     if "::" in name or "." in name:
         raise UsageError(f"{name!r} is no type: write it as package/Type, or Type alone")
@@ -51,7 +51,7 @@ def _show(ctx: Context, kind: Kind, name: str | None, raw: bool) -> None:
     if not wanted:
         raise UsageError("no TYPE given, and none on stdin")
     text = kind.source if raw else kind.show
-    for found in _found(kind, wanted):
+    for found in found_types(kind, wanted):
         heading = f"[{found}]:\n" if "/" not in wanted else ""
         record = {"type": found, "md5": kind.md5(found), "definition": kind.source(found)}
         body = text(found).rstrip("\n")
@@ -67,7 +67,7 @@ def _list(ctx: Context, kind: Kind, package: str | None) -> None:
 
 
 def _md5(ctx: Context, kind: Kind, name: str) -> None:
-    for found in _found(kind, name):
+    for found in found_types(kind, name):
         text = kind.md5(found)
         ctx.emit({"type": found, "md5": text}, text if "/" in name else f"[{found}]: {text}")
 
@@ -123,5 +123,5 @@ def srv() -> None:
     """Show service types."""
 
 
-_verbs(msg, _messages, "sensor_msgs/JointState")
-_verbs(srv, _services, "std_srvs/SetBool")
+_verbs(msg, messages, "sensor_msgs/JointState")
+_verbs(srv, services, "std_srvs/SetBool")

@@ -12,8 +12,8 @@ from typing import Any
 
 import click
 
+from slidectl.cli import output
 from slidectl.cli.context import Context
-from slidectl.cli.output import FORMATS
 
 Callback = Callable[[click.Context, click.Parameter, Any], None]
 
@@ -54,7 +54,8 @@ def _namespace(value: str) -> str:
 
 def environment_namespace() -> str:
     """`SLIDECTL_NAMESPACE` as an absolute name, else the root."""
-    return _namespace(os.environ.get("SLIDECTL_NAMESPACE") or "/")
+    given = os.environ.get("SLIDECTL_NAMESPACE")
+    return _namespace(given) if given else "/"
 
 
 @cache
@@ -66,7 +67,7 @@ def common_options() -> tuple[click.Option, ...]:
         _option(
             ["--ns"], "Where relative names are tried first.", _store("namespace", _namespace), metavar="NAMESPACE"
         ),
-        _option(["-o", "--output"], "Format of the results.", _store("format"), type=click.Choice(FORMATS)),
+        _option(["-o", "--output"], "Format of the results.", _store("format"), type=click.Choice(output.FORMATS)),
         _option(
             ["--json"], "The same as -o json: one object a line.", _store("format", lambda _: "json"), is_flag=True
         ),
@@ -78,7 +79,7 @@ def common_options() -> tuple[click.Option, ...]:
 
 def _show_help(click_context: click.Context, _param: click.Parameter, value: bool) -> None:
     if value and not click_context.resilient_parsing:
-        click.echo(click_context.get_help())
+        output.write(click_context.get_help())
         click_context.exit()
 
 

@@ -65,6 +65,13 @@ def watch_reader() -> None:
     signal.setitimer(signal.ITIMER_REAL, _LOOK_EVERY_S, _LOOK_EVERY_S)
 
 
+def leave_reader_alone() -> None:
+    """End what `watch_reader` began, where other commands follow in this process."""
+    signal = sys.modules.get("signal")
+    if signal is not None:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+
+
 def is_terminal(stream: TextIO) -> bool:
     """True for a terminal that can do more than lines of text."""
     return stream.isatty() and os.environ.get("TERM", "") != "dumb"

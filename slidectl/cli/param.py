@@ -89,10 +89,6 @@ def _element(full: str, value: Any, index: int) -> Any:
 
 def as_rosparam(value: Any) -> str:
     """The value as `rosparam get` prints it: YAML, and an empty line after a mapping or a list."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, int):
-        return str(value)
     text = parameters.dumped(value)
     return text + "\n" if isinstance(value, dict | list) else text.removesuffix("...\n")
 

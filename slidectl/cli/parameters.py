@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from slidectl.cli.context import Context
 
 _ANGLE = re.compile(r"(?P<unit>deg|rad)\((?P<expression>.*)\)\Z", re.DOTALL)
+_PLAIN_NUMBER = re.compile(r"-?\d+(\.\d+)?\Z")
 _BEGINS_AS_LIST = re.compile(r"(\s*(#.*)?\n)*\s*(-\s|\[)")
 
 
@@ -58,10 +59,26 @@ def tree(ctx: Context, text: str, file: str, may_be_list: bool) -> Any:
 
 
 def dumped(value: Any) -> str:
-    """The value as PyYAML writes it in block style, keys sorted."""
+    """The value as PyYAML writes it in block style, keys sorted. Common scalars are written without loading it."""
+    text = _scalar(value)
+    if text is not None:
+        return f"{text}\n...\n"
     import yaml
 
     return str(yaml.safe_dump(value, default_flow_style=False))
+
+
+def _scalar(value: Any) -> str | None:
+    """The text of a scalar that needs neither quotes nor another notation than Python's."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        from slidectl.cli.yamlform import is_plain
+
+        return value if is_plain(value) else None
+    if isinstance(value, int | float) and _PLAIN_NUMBER.match(repr(value)):
+        return repr(value)
+    return None
 
 
 def settings(content: Any, full: str) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from time import monotonic
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
+from slidectl import names
 from slidectl.errors import TimedOut
 
 if TYPE_CHECKING:
@@ -23,6 +24,8 @@ Values = Sequence[Any]
 
 _FELL_BEHIND_S = 1.0
 _KEPT_UP = 0.95
+_WARN = 4
+"""The level of a warning in rosgraph_msgs/Log."""
 
 
 class Publication:
@@ -38,6 +41,7 @@ class Publication:
         self._type = target.type if advertise else None
         self._fields_of = fields_from(target.typedefs)
         self._began = 0.0
+        self._remarks: list[dict[str, Any]] = []
         self.published = 0
 
     def __enter__(self) -> Publication:
@@ -75,12 +79,13 @@ class Publication:
         """
         previous: Values | None = None
         template: Template | None = None
-        self._began = monotonic()
-        for index, values in enumerate(sources):
-            if values is not previous:
-                template, previous = self._template(values), values
-            self._wait_for(index)
-            self._send(values if template is None else template.at(index, index / (self._rate or 1.0)), template)
+        with self._ctx.client.rosout() as self._remarks:
+            self._began = monotonic()
+            for index, values in enumerate(sources):
+                if values is not previous:
+                    template, previous = self._template(values), values
+                self._wait_for(index)
+                self._send(values if template is None else template.at(index, index / (self._rate or 1.0)), template)
 
     def hold(self) -> None:
         """Stay connected, so that a latched message stays. Raises TimedOut after `--timeout`, NoDaemon."""
@@ -122,6 +127,15 @@ class Publication:
         client.publish(target.topic, message, self._type, self._latch)
         client.flush()
         self.published += 1
+        self._pass_on_remarks()
+
+    def _pass_on_remarks(self) -> None:
+        """What a subscriber warned of on /rosout: a controller that is not running says that the command is lost."""
+        owner = names.parent(self._target.topic) + " "
+        for line in self._remarks:
+            if line["level"] == _WARN and line["msg"].startswith(owner):
+                self._ctx.warn(line["msg"])
+        self._remarks.clear()
 
 
 def _leaves(value: Any) -> Iterable[Any]:

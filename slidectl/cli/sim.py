@@ -12,8 +12,8 @@ from slidectl.cli.context import Context
 from slidectl.cli.options import wait_for_world_s
 from slidectl.errors import Refused, TimedOut, UsageError
 
-_STEPS = re.compile(r"\d+")
-_SECONDS = re.compile(r"(?P<number>\d+\.?\d*|\.\d+)(e[-+]?\d+)?\s*(?P<unit>s|ms)", re.IGNORECASE)
+_STEPS = r"\d+"
+_SECONDS = r"(?i)(?P<number>\d+\.?\d*|\.\d+)(e[-+]?\d+)?\s*(?P<unit>s|ms)"
 
 
 @group(examples=["slidectl sim status", "slidectl sim step 0.5s", "slidectl sim reset --time"])
@@ -133,11 +133,11 @@ def step(ctx: Context, amount: str) -> None:
 
 def parse_amount(text: str) -> dict[str, Any]:
     """`100` or `0.5s` or `20ms` as a request of /slidectl/step. Raises UsageError."""
-    match = _SECONDS.fullmatch(text)
+    match = re.fullmatch(_SECONDS, text)
     if match:
         scale = 1e-3 if match["unit"].lower() == "ms" else 1.0
         return {"cycles": 0, "seconds": scale * float(text[: match.start("unit")])}
-    if not _STEPS.fullmatch(text) or int(text) == 0:
+    if not re.fullmatch(_STEPS, text) or int(text) == 0:
         raise UsageError(f"{text!r} is no amount of steps: write a number of cycles, or a time such as 0.5s")
     return {"cycles": int(text), "seconds": 0.0}
 

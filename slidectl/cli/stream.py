@@ -14,7 +14,6 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from slidectl.cli.output import watch_reader
-from slidectl.errors import Refused
 
 if TYPE_CHECKING:
     from slidectl.cli.context import Context
@@ -57,16 +56,18 @@ class Stream:
             self.time_ns = nanoseconds(self._client.call("/rosapi/get_time")["time"])
         if self._with_clock and CLOCK not in self._topics:
             self._follow(CLOCK, self._tick)
+        if self._sim_seconds is not None:  # first, so that who sees us listen can rely on it
+            self._sleep = self._client.call_async("/slidectl/sleep", {"duration": self._sim_seconds})
         for topic in self._topics:
             self._follow(topic, self._keeper(topic))
-        if self._sim_seconds is not None:
-            self._sleep = self._client.call_async("/slidectl/sleep", {"duration": self._sim_seconds})
         self._doubt = monotonic() + _SILENCE_S
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        for subscription in self._subscriptions:
+            subscription.close()
         dropped = sum(subscription.dropped for subscription in self._subscriptions)
         if dropped:
             self._ctx.warn(f"{dropped} messages were dropped: they came faster than they were read")
@@ -96,6 +97,10 @@ class Stream:
             NoDaemon: the daemon went away. Refused: the wait for the simulated time failed.
         """
         while not self._queue and not self.ended:
+            if self._sleep is not None and self._client.is_answered(self._sleep):
+                self._client.answer(self._sleep)
+                self.ended = True
+                break
             wire = next(self._client.events(max(0.0, min(deadline, self._doubt) - monotonic())), None)
             if wire is None and monotonic() >= deadline:
                 return None
@@ -113,20 +118,13 @@ class Stream:
         self._status = self._client.call_async("/slidectl/status")
 
     def _take_answer(self, response: dict[str, Any]) -> None:
-        if response.get("id") == self._sleep:
-            self._finish(response)
-        elif response.get("id") == self._status and self._client.answer(str(self._status))["paused"]:
+        if response.get("id") == self._status and self._client.answer(str(self._status))["paused"]:
             self._ctx.say("the simulation is paused; nothing comes until it goes on: slidectl sim resume")
 
     @property
     def is_drained(self) -> bool:
         """True when all that has been taken in was read; latched messages are taken in on entry."""
         return not self._queue
-
-    def _finish(self, response: dict[str, Any]) -> None:
-        self.ended = True
-        if not response.get("result", True):
-            raise Refused(str(response.get("values")))
 
 
 def nanoseconds(time: dict[str, int]) -> int:

@@ -11,7 +11,7 @@ from typing import Any
 
 from slidectl.cli.schema import FLOATS, INTEGERS, Schema
 
-_NOT_FINITE = re.compile(r"[-+]?(nan|inf)\Z", re.IGNORECASE)
+_NOT_FINITE = r"(?i)[-+]?(nan|inf)\Z"
 _CLOCK_WORDS = ("now", "auto")
 
 Node = Callable[[int, float], Any]
@@ -60,11 +60,11 @@ class Template:
         return self._message(type_name, value)
 
     def _number(self, type_name: str, value: Any) -> Node | None:
-        if not isinstance(value, str) or not (self._expressions or _NOT_FINITE.match(value.strip())):
+        if not isinstance(value, str) or not (self._expressions or re.match(_NOT_FINITE, value.strip())):
             return None
         from slidectl.cli.expressions import Expression
 
-        expression = Expression(value.lower() if _NOT_FINITE.match(value.strip()) else value, ("i", "t"))
+        expression = Expression(value.lower() if re.match(_NOT_FINITE, value.strip()) else value, ("i", "t"))
         convert = _whole_number if type_name in INTEGERS else _itself
         return lambda index, seconds: convert(expression(i=index, t=seconds))
 

@@ -124,7 +124,7 @@ def time_ns(target: Target, wall_time: bool) -> Callable[[Event], int]:
 
 @command(
     examples=[
-        "slidectl topic hz joint_states --for 2",
+        "slidectl hz joint_states --for 2",
         "slidectl topic hz joint_states --for 2 --min 49 --max 51 --json",
         "slidectl topic hz joint_states /clock -n 3",
     ]

@@ -51,11 +51,14 @@ def _dumped(value: Any, style: str | None = None) -> str:
     return text.rstrip("\n")
 
 
+def is_plain(text: str) -> bool:
+    """True for text that PyYAML surely writes as it is, without quotes and in one line."""
+    return bool(_PLAIN_WORD.match(text)) and text.lower() not in _YAML_WORDS and len(text) < _LONGEST_UNFOLDED
+
+
 def _block(texts: list[str]) -> list[str]:
     """The lines of a list of strings in block style."""
-    if all(
-        _PLAIN_WORD.match(text) and text.lower() not in _YAML_WORDS and len(text) < _LONGEST_UNFOLDED for text in texts
-    ):
+    if all(map(is_plain, texts)):
         return [f"- {text}" for text in texts]
     return _dumped(texts).splitlines()
 

@@ -68,7 +68,8 @@ class Client:
     def answer(self, call_id: str, *, timeout: float | None = None) -> Message:
         """The response to an earlier `call_async`. Raises as `call` does."""
         try:
-            self.wait_until(lambda: call_id in self._answers, timeout, "the service did not answer")
+            if call_id not in self._answers:
+                self.wait_until(lambda: call_id in self._answers, timeout, "the service did not answer")
         finally:
             self._waiting.discard(call_id)
         answer = self._answers.pop(call_id)
@@ -76,6 +77,10 @@ class Client:
         if not answer.get("result", True):
             raise _refusal(Refused, str(values), answer)
         return values if isinstance(values, dict) else {}
+
+    def is_answered(self, call_id: str) -> bool:
+        """True when the response to an earlier `call_async` is here: `answer` will not wait."""
+        return call_id in self._answers
 
     # --- topics -------------------------------------------------------------------------------------------------
 

@@ -7,9 +7,12 @@ from __future__ import annotations
 
 import os
 import select
-import socket
 import struct
 import time
+
+# What `socket` is made of. That module turns hundreds of constants into enumerations when it is imported, which
+# takes longer than all else that a command does with its connection.
+from _socket import AF_UNIX, SO_PEERCRED, SOL_SOCKET, socket
 from typing import Any
 
 from slidectl.client.lines import LineBuffer, decode, encode
@@ -30,9 +33,9 @@ def command(paths: InstancePaths, words: str) -> str:
     return f"slidectl {words}" if name == DEFAULT_INSTANCE else f"slidectl -i {name} {words}"
 
 
-def peer(connection: socket.socket) -> tuple[int, int]:
+def peer(connection: socket) -> tuple[int, int]:
     """Process id and user id at the other end, as the kernel vouches for them (SO_PEERCRED)."""
-    raw = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+    raw = connection.getsockopt(SOL_SOCKET, SO_PEERCRED, _CREDENTIALS.size)
     pid, uid, _ = _CREDENTIALS.unpack(raw)
     return pid, uid
 
@@ -54,9 +57,11 @@ class Link:
     def fileno(self) -> int:
         return self._socket.fileno()
 
-    def _connect(self, deadline: float) -> socket.socket:
-        connection = socket.socket(socket.AF_UNIX)
+    def _connect(self, deadline: float) -> socket:
+        connection = socket(AF_UNIX)
         try:
+            if self._paths.prefix:
+                os.lstat(self._paths.socket_text)  # where nothing is, nobody answers, whatever the folder is like
             check_private(self._paths.folder_text)
             # The kernel makes a connect wait while the daemon's backlog is full, but only that of a blocking socket.
             connection.settimeout(max(0.001, min(deadline - time.monotonic(), 1e6)))
@@ -139,7 +144,7 @@ class Link:
         self._socket.close()
 
 
-def _connect_patiently(connection: socket.socket, path: str, deadline: float) -> None:
+def _connect_patiently(connection: socket, path: str, deadline: float) -> None:
     # A socket with a timeout is non-blocking underneath, and then a full backlog is EAGAIN instead of a wait.
     while True:
         try:

@@ -13,6 +13,8 @@ from slidectl.control.node import Message, NodeHandle
 from slidectl.control.states import State
 from slidectl.errors import MessageRefused
 
+_TOLD_EVERY_NS = 1_000_000_000
+
 
 class ScalarController(Controller[JointCommandInterface]):
     """One joint, one command on `~command` (std_msgs/Float64)."""
@@ -26,6 +28,7 @@ class ScalarController(Controller[JointCommandInterface]):
     def _listen(self, node: NodeHandle) -> None:
         self._node = node
         self._told_in: State | None = None
+        self._told_ns = 0
         node.subscribe("command", "std_msgs/Float64", self._receive)
 
     def _receive(self, message: Message) -> None:
@@ -42,6 +45,9 @@ class ScalarController(Controller[JointCommandInterface]):
         """A command before the start is lost, since starting sets its own; say so, but not a hundred times a second."""
         if self.state is State.RUNNING:
             self._told_in = None
-        elif self._told_in is not self.state:
+            return
+        now_ns = self._node.now_ns()
+        if self._told_in is not self.state or not 0 <= now_ns - self._told_ns < _TOLD_EVERY_NS:
             self._told_in = self.state
+            self._told_ns = now_ns
             self._node.log("warn", f"{self._node.namespace} is not running: the command has no effect")

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol
 
 from slidectl.client.lines import BadLine, LineBuffer
-from slidectl.daemon.loop import HANG_UP, ONCE, READ, WRITE, EventLoop
+from slidectl.daemon.loop import HANG_UP, ONCE, PEER_CLOSED, READ, WRITE, EventLoop
 from slidectl.daemon.outbox import Outbox, Share
 
 if TYPE_CHECKING:
@@ -67,6 +67,7 @@ class Connection:
         self._chunk: bytes | memoryview = b""
         self._failure: BadLine | None = None
         self._blocked = False  # the kernel takes no more for now
+        self._ends = False  # the client sends no more than what is here already
         self._ended = False  # no more will be read
         self._deaf = False  # the client takes no more, ever
         self._readable = True  # the kernel may have something for us
@@ -89,6 +90,7 @@ class Connection:
 
     def _take_events(self, events: int) -> None:
         self._readable = True
+        self._ends = bool(events & (HANG_UP | PEER_CLOSED))
         if events & HANG_UP:
             self._stop_sending()
         self._serve_some()  # also what it said before it hung up
@@ -123,6 +125,8 @@ class Connection:
             return False
         except OSError:
             data = b""
+        # A short piece is all that there is, except for the end; what comes later is told anew: see epoll(7).
+        self._readable = len(data) == _CHUNK or self._ends
         try:
             self._incoming.feed(data)
             if not data:
@@ -130,7 +134,7 @@ class Connection:
         except BadLine as error:
             self._failure = error
             self._ended = True
-        return not self._ended
+        return bool(self._incoming.lines) or self._listening()
 
     def _listening(self) -> bool:
         # A client that does not take its answers is not listened to until it does: that bounds what we keep for it.

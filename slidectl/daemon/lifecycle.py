@@ -27,6 +27,7 @@ from slidectl.paths import InstancePaths, make_private
 
 _LAST_LINES = 8
 _PAUSE_S = 0.01
+_GRACE_S = 2.0
 
 
 class StartFailed(Refused):
@@ -47,21 +48,47 @@ def start(paths: InstancePaths, options: DaemonOptions | None = None, timeout: f
     Raises:
         StartFailed: with the reason, or the last lines of the log. TimedOut. Refused: the folder is not private.
     """
-    make_private(paths.folder)
-    deadline = time.monotonic() + timeout
-    while True:
-        if running(paths) is not None:
-            pid = _wait_for_the_other(paths, deadline)
-            if pid is not None:
-                return pid, True
-            continue  # it died while starting; now it is our turn
-        answer = _launch(paths, options or DaemonOptions(), deadline)
-        if answer["state"] == "ready":
-            return int(answer["pid"]), False
-        if answer["state"] == "failed":
-            error = StartFailed(str(answer["error"]))
-            error.exit_code = int(answer["exit_code"])
-            raise error
+    return Beginning(paths, options).wait(timeout)
+
+
+class Beginning:
+    """A daemon on its way: its process is started at once, so that the starter can do other things until `wait`.
+
+    Raises:
+        Refused: the folder is not private.
+    """
+
+    def __init__(self, paths: InstancePaths, options: DaemonOptions | None = None) -> None:
+        make_private(paths.folder)
+        self.paths = paths
+        self.options = options or DaemonOptions()
+        self._process = None if running(paths) is not None else _Process(paths, self.options)
+
+    def wait(self, timeout: float = 30.0) -> tuple[int, bool]:
+        """Wait until it answers. Returns and raises as `start` does."""
+        deadline = time.monotonic() + timeout
+        while True:
+            if self._process is None and running(self.paths) is not None:
+                pid = _wait_for_the_other(self.paths, deadline)
+                if pid is not None:
+                    return pid, True
+                continue  # it died while starting; now it is our turn
+            self._process = self._process or _Process(self.paths, self.options)
+            line = self._process.line(deadline)
+            process, self._process = self._process, None
+            answer = process.answer(line)
+            if answer["state"] == "ready":
+                return int(answer["pid"]), False
+            if answer["state"] == "failed":
+                error = StartFailed(str(answer["error"]))
+                error.exit_code = int(answer["exit_code"])
+                raise error
+
+    def abandon(self) -> None:
+        """End the process, if one was started whose answer has not come yet."""
+        if self._process is not None:
+            self._process.end()
+            self._process = None
 
 
 def stop(paths: InstancePaths, timeout: float = 10.0) -> int | None:
@@ -143,30 +170,49 @@ def _wait_for_the_other(paths: InstancePaths, deadline: float) -> int | None:
     return None
 
 
-def _launch(paths: InstancePaths, options: DaemonOptions, deadline: float) -> dict[str, Any]:
-    """Start the process and wait for the line in which it tells how it went."""
-    read_end, write_end = os.pipe()
-    log = _open_log(paths.log)
-    log_before = os.fstat(log).st_size
-    os.set_inheritable(write_end, True)
-    arguments = [*_interpreter(), *_arguments(paths, options), f"--ready-fd={write_end}"]
-    redirect = [(os.POSIX_SPAWN_OPEN, 0, os.devnull, os.O_RDONLY, 0)]
-    redirect += [(os.POSIX_SPAWN_DUP2, log, 1), (os.POSIX_SPAWN_DUP2, log, 2)]  # type: ignore[list-item]
-    try:
-        pid = os.posix_spawn(arguments[0], arguments, _environment(), file_actions=redirect, setsid=True)
-    finally:
-        os.close(write_end)
-        os.close(log)
-    try:
-        line = _first_line(read_end, deadline, pid, paths)
-    finally:
-        os.close(read_end)
-    if line:
-        answer: dict[str, Any] = json.loads(line)
-        if answer["state"] != "ready":
-            _reap(pid)
-        return answer
-    raise StartFailed(f"the daemon did not start ({_reap(pid)})", _last_lines(paths.log, log_before))
+class _Process:
+    """A daemon's process, from its start to the line in which it tells how that went."""
+
+    def __init__(self, paths: InstancePaths, options: DaemonOptions) -> None:
+        self._paths = paths
+        self._read_end, write_end = os.pipe()
+        log = _open_log(paths.log)
+        self._log_before = os.fstat(log).st_size
+        os.set_inheritable(write_end, True)
+        arguments = [*_interpreter(), *_arguments(paths, options), f"--ready-fd={write_end}"]
+        redirect = [(os.POSIX_SPAWN_OPEN, 0, os.devnull, os.O_RDONLY, 0)]
+        redirect += [(os.POSIX_SPAWN_DUP2, log, 1), (os.POSIX_SPAWN_DUP2, log, 2)]  # type: ignore[list-item]
+        try:
+            self._pid = os.posix_spawn(arguments[0], arguments, _environment(), file_actions=redirect, setsid=True)
+        finally:
+            os.close(write_end)
+            os.close(log)
+
+    def line(self, deadline: float) -> bytes:
+        """Wait for its line; empty when it ended without one. Raises TimedOut, and then it goes on starting."""
+        return _first_line(self._read_end, deadline, self._pid, self._paths)
+
+    def answer(self, line: bytes) -> dict[str, Any]:
+        """What the line says. Raises StartFailed when there is none."""
+        os.close(self._read_end)
+        if line:
+            answer: dict[str, Any] = json.loads(line)
+            if answer["state"] != "ready":
+                _reap(self._pid)
+            return answer
+        why = _last_lines(self._paths.log, self._log_before)
+        raise StartFailed(f"the daemon did not start ({_reap(self._pid)})", why)
+
+    def end(self) -> None:
+        """Politely, then by force."""
+        os.close(self._read_end)
+        process = os.pidfd_open(self._pid)  # our child, which nobody has reaped
+        for number in (signal.SIGTERM, signal.SIGKILL):
+            signal.pidfd_send_signal(process, number)
+            if select.select([process], [], [], _GRACE_S)[0]:
+                break
+        os.close(process)
+        _reap(self._pid)
 
 
 def _first_line(fd: int, deadline: float, pid: int, paths: InstancePaths) -> bytes:

@@ -23,6 +23,7 @@ class LogFile:
         self._foreground = foreground
         self._most_bytes = most_bytes
         self._lost = 0
+        self._cut = False
         self._fd = -1
         self._size = 0
         self._open()
@@ -54,12 +55,16 @@ class LogFile:
         if self._size + len(data) > self._most_bytes:
             self._rotate()
         if self._lost:
-            data = f"({self._lost} entries before this one are lost: the file could not be written)\n".encode() + data
+            note = f"({self._lost} entries before this one are lost: the file could not be written)\n"
+            data = b"\n" * self._cut + note.encode() + data
         try:
-            self._size += os.write(self._fd, data)
-            self._lost = 0
+            written = os.write(self._fd, data)
         except OSError:
             self._lost += 1
+            return
+        self._size += written
+        self._lost = int(written < len(data))  # the disk is full: what is there of this entry must not run on
+        self._cut = written < len(data)
 
     def _rotate(self) -> None:
         names = [self._path, *(self._path.with_name(f"{self._path.name}.{n}") for n in range(1, COPIES + 1))]

@@ -6,6 +6,7 @@ Standard library only; shared by both sides of a start.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,7 @@ class DaemonOptions:
     """What a daemon is started with.
 
     `rtf` is the real-time factor asked for (`inf`: as fast as possible), `timestep` in s, `gravity` in m/s² (x y z).
+    With `child` it ends when the process that started it ends, however that ends.
     """
 
     rtf: float = 1.0
@@ -30,6 +32,7 @@ class DaemonOptions:
     timestep: float = 0.001
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.8)
     ground: bool = True
+    child: bool = False
 
     def __post_init__(self) -> None:
         if not self.rtf > 0:
@@ -44,7 +47,8 @@ class DaemonOptions:
         arguments = [f"--rtf={self.rtf!r}", f"--timestep={self.timestep!r}", "--gravity"]
         arguments += [repr(component) for component in self.gravity]
         arguments += ["--paused"] if self.paused else []
-        return arguments + ([] if self.ground else ["--no-ground"])
+        arguments += [] if self.ground else ["--no-ground"]
+        return arguments + ([f"--parent={os.getpid()}"] if self.child else [])
 
 
 @dataclass(frozen=True)
@@ -55,6 +59,8 @@ class Start:
     options: DaemonOptions
     ready_fd: int | None
     foreground: bool
+    parent: int | None
+    """The process whose end ends the daemon."""
 
 
 def rtf(text: str) -> float:
@@ -70,7 +76,7 @@ def parse(arguments: Sequence[str]) -> Start:
     given = _parser().parse_args(arguments)
     options = DaemonOptions(given.rtf, given.paused, given.timestep, tuple(given.gravity), not given.no_ground)
     where = paths.instance(given.instance, str(given.socket) if given.socket else None)
-    return Start(where, options, given.ready_fd, given.foreground)
+    return Start(where, options, given.ready_fd, given.foreground, given.parent)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -87,5 +93,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--gravity", type=float, nargs=3, default=usual.gravity, help="m/s²")
     parser.add_argument("--no-ground", action="store_true", help="a world without a floor")
     parser.add_argument("--ready-fd", type=int, help="where to tell that it answers (used by the starter)")
+    parser.add_argument("--parent", type=int, help="end with the process of this id, which started it")
     parser.add_argument("--foreground", action="store_true", help="stay on the terminal: log to stderr too")
     return parser

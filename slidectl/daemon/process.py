@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     import socket
 
 _OOM_SCORE = "300"
+_PR_SET_PDEATHSIG = 1
 
 
 class Stopped(BaseException):
@@ -50,9 +51,9 @@ class Starter:
 def main(arguments: Sequence[str]) -> int:
     """Run a daemon until it is stopped. Returns the exit code."""
     start = parse(arguments)
-    _settle_in(start)
     starter = Starter(start.ready_fd)
     try:
+        _settle_in(start)
         return _run(start, starter)
     except Stopped:
         return EXIT_DONE
@@ -67,6 +68,8 @@ def _settle_in(start: Start) -> None:
     os.umask(0o077)
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, _stop_early)
+    if start.parent is not None:
+        _end_with(start.parent)
     if start.foreground:
         return
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
@@ -79,6 +82,15 @@ def _settle_in(start: Start) -> None:
                 os.close(fd)
     with suppress(OSError), open("/proc/self/oom_score_adj", "w", encoding="ascii") as score:
         score.write(_OOM_SCORE)  # when memory runs out, the simulation goes rather than the user's session
+
+
+def _end_with(parent: int) -> None:
+    """Have the kernel send us a SIGTERM when our parent ends."""
+    import ctypes
+
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    if os.getppid() != parent:
+        raise Stopped
 
 
 def _stop_early(*_: object) -> None:

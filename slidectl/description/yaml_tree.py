@@ -139,7 +139,10 @@ class _Reader:
             seen[key] = _line(key_node)
             if _is_empty(value_node):
                 raise self.error(key_node, f"{key!r} has no value", "write one, or leave the name out")
-            merge(tree, nest(key, self.value(value_node, depth + 1)))
+            value = self.value(value_node, depth + 1)
+            if not key.strip("/") and not isinstance(value, dict):
+                raise self.error(key_node, f"{key!r} is no name for a value")
+            merge(tree, nest(key, value))
         return tree
 
     def pairs(self, node: yaml.MappingNode) -> list[Pair]:

@@ -10,6 +10,7 @@ import ast
 import math
 import operator
 import re
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
@@ -25,7 +26,11 @@ _TEXT_METHODS = {
     "partition", "removeprefix", "removesuffix", "replace", "rfind", "rpartition", "rsplit", "rstrip", "split",
     "splitlines", "startswith", "strip", "swapcase", "title", "upper",
 }  # fmt: skip
-_OTHER_METHODS = {dict: {"get", "items", "keys", "values"}, list: {"count", "index"}, tuple: {"count", "index"}}
+_OTHER_METHODS: dict[type[Any], set[str]] = {
+    dict: {"get", "items", "keys", "values"},
+    list: {"count", "index"},
+    tuple: {"count", "index"},
+}
 
 MATH: dict[str, Any] = {
     name: value for name, value in vars(math).items() if not name.startswith("_") and name not in _TOO_COSTLY
@@ -51,7 +56,9 @@ def evaluate(text: str, names: Mapping[str, Any]) -> Any:
     if len(text) > LONGEST:
         raise ExpressionError(f"is longer than {LONGEST} characters")
     try:
-        tree = ast.parse(text.strip(), mode="eval").body
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Python's advice about what is written here is for nobody
+            tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         raise ExpressionError(f"is not valid: {getattr(error, 'msg', None) or error or 'too deep'}") from None
     try:
@@ -191,8 +198,9 @@ class _Evaluation:
         if node.attr not in known:
             raise ExpressionError(f"{ast.unparse(node.value)} has no {node.attr!r} here")
         method: Callable[..., Any] = getattr(owner, node.attr)
-        bounded = {"replace": _replace, "join": _join}.get(node.attr)
-        return bounded(owner) if bounded else method
+        if node.attr == "replace":
+            return _replace(owner)
+        return _join(owner) if node.attr == "join" else method
 
     def _subscript(self, node: ast.Subscript) -> Any:
         owner = self.value(node.value)

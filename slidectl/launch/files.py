@@ -94,7 +94,7 @@ def _in_package(package: str, file: str, packages: Packages) -> Path | None:
         found = [path for path in _below(folder) if path.name == file]
         if len(found) > 1:
             places = ", ".join(str(path.relative_to(folder)) for path in found)
-            raise UsageError(f"package {package} has several files {file}: {places}", "give the path inside the package")
+            raise UsageError(f"package {package} has several {file}: {places}", "give the path inside the package")
         if found:
             return found[0]
     return None

@@ -15,7 +15,7 @@ from slidectl.errors import BadFile, UnknownName, UsageError
 from slidectl.launch import node_tags, parameter_tags
 from slidectl.launch.files import Source, read
 from slidectl.launch.plan import Argument, Plan, Remap
-from slidectl.launch.scope import Launch, Scope, missing_argument
+from slidectl.launch.scope import Launch, Parse, Scope, missing_argument
 from slidectl.launch.tag import Tag
 
 
@@ -26,6 +26,7 @@ def load(
     *,
     run_commands: bool = True,
     arguments_only: bool = False,
+    parse: Parse = xml_tree.read,
 ) -> Plan:
     """The plan of one or several launch files.
 
@@ -33,19 +34,20 @@ def load(
         arguments: the `arg:=value` of the command line.
         run_commands: whether `<param command=...>` may run programs; our own xacro always may.
         arguments_only: find out which arguments there are, and be content when they have no values.
+        parse: makes elements of the text of a file; `check` gives one whose elements note what is read of them.
 
     Raises:
         BadFile: with file and line. UsageError: an argument that no file declares.
     """
-    launch = Launch((packages or Packages()).starting_at(Path.cwd()), run_commands=run_commands)
+    launch = Launch((packages or Packages()).starting_at(Path.cwd()), run_commands=run_commands, parse=parse)
     declared: set[str] = set()
     for source in sources:
         scope = Scope(launch, source.path, given=dict(arguments))
         scope.nesting = ((source.path, ()),)
-        if arguments_only:
-            _read_arguments(source, scope)
-        else:
-            _read(source, scope)
+        try:
+            (_read_arguments if arguments_only else _read)(source, scope)
+        except RecursionError:
+            raise BadFile("groups and includes are nested too deeply", source.shown) from None
         declared |= scope.declared
     for name in arguments:
         if name not in declared:
@@ -55,7 +57,7 @@ def load(
 
 
 def _root(source: Source, scope: Scope) -> Tag:
-    element = xml_tree.read(source.text, source.shown)
+    element = scope.launch.parse(source.text, source.shown)
     tag = Tag(element, scope)
     if element.tag != "launch":
         raise tag.error("the root of a launch file is <launch>")

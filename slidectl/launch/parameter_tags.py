@@ -49,7 +49,8 @@ def _setting(tag: Tag) -> Setting:
         found = f"not {len(given)} of them" if given else "and none is there"
         raise tag.error(f"{name} needs exactly one of {', '.join(SOURCES)}, {found}")
     compute, runs = _source(tag, given[0], kind)
-    return Setting(name, tag.place, given[0], compute, runs)
+    file = tag.required(given[0]) if given[0] in ("textfile", "binfile") else ""
+    return Setting(name, tag.place, given[0], compute, runs, source=file)
 
 
 def _source(tag: Tag, source: str, kind: str) -> tuple[Callable[[], Any], bool]:
@@ -73,7 +74,7 @@ def _converted(tag: Tag, text: str, kind: str) -> Any:
     except BadFile as error:
         raise tag.error(f"its value is {error.reason}") from None
     except ValueError as error:
-        raise tag.error(f"its value is no {kind}: {error}") from None
+        raise tag.error(f"its value is no {'parameter' if kind == 'auto' else kind}: {error}") from None
     if value is None:
         raise tag.error("its value is nothing, which no parameter can be")
     return value
@@ -126,7 +127,7 @@ def _load(tag: Tag, name: str) -> None:
         text = _text(tag, file) if file else tag.text
         return _yaml(tag, text if substitution is None else _substituted(tag, text, substitution), file)
 
-    tag.plan.settings.append(Setting(name, tag.place, origin, compute))
+    tag.plan.settings.append(Setting(name, tag.place, origin, compute, source=file))
 
 
 def _substituted(tag: Tag, text: str, substitution: Substitution) -> str:

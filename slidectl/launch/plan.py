@@ -41,6 +41,8 @@ class Setting:
     compute: Callable[[], Any]
     runs_command: bool = False
     """True when computing it runs a program of the user's."""
+    source: str = ""
+    """The file that the value is read from, if it is."""
     _value: Any = None
     _known: bool = False
 

@@ -6,13 +6,14 @@ A scope is copied for a group and an include, so that nothing leaks out of it. N
 from __future__ import annotations
 
 import os
-import socket
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from slidectl.description import xml_tree
 from slidectl.description.packages import Packages, is_file
+from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile
 from slidectl.launch.plan import Place, Plan, Remap, Setting
 from slidectl.launch.substitution import Substitution
@@ -20,7 +21,11 @@ from slidectl.launch.substitution import Substitution
 if TYPE_CHECKING:
     from slidectl.launch.tag import Tag
 
+Parse = Callable[[bytes, str], Element]
+"""Elements of the text of a file, given its name in messages. Raises BadFile."""
+
 MOST_TAGS = 20_000
+MOST_FILES = 1000
 DEEPEST_INCLUDE = 60
 
 
@@ -31,6 +36,7 @@ class Launch:
     packages: Packages
     environment: Mapping[str, str] = field(default_factory=lambda: os.environ)
     run_commands: bool = True
+    parse: Parse = xml_tree.read
     plan: Plan = field(default_factory=Plan)
     _anonymous: dict[str, str] = field(default_factory=dict)
     _tags: int = 0
@@ -38,7 +44,7 @@ class Launch:
     def anonymous(self, identifier: str) -> str:
         """`identifier` with host, process and a random number behind it; the same again for the same identifier."""
         if identifier not in self._anonymous:
-            host = "".join(letter if letter.isalnum() and letter.isascii() else "_" for letter in socket.gethostname())
+            host = "".join(letter if letter.isalnum() and letter.isascii() else "_" for letter in os.uname().nodename)
             number = int.from_bytes(os.urandom(6), "big")
             self._anonymous[identifier] = f"{identifier}_{host}_{os.getpid()}_{number}"
         return self._anonymous[identifier]
@@ -48,6 +54,11 @@ class Launch:
         self._tags += 1
         if self._tags > MOST_TAGS:
             raise tag.error(f"unfolds to more than {MOST_TAGS} tags", "does a file include itself?")
+
+    def count_file(self, tag: Tag) -> None:
+        """One more file is included. Raises BadFile when there are more than any launch has."""
+        if len(self.plan.files) > MOST_FILES:
+            raise tag.error(f"unfolds to more than {MOST_FILES} files", "does a file include itself?")
 
 
 @dataclass(frozen=True)
@@ -116,6 +127,7 @@ class Scope:
 
     def including(self, file: Path, tag: Tag, given: Mapping[str, str], lenient: bool) -> Scope:
         """The scope of an included file. Raises BadFile for an include without an end."""
+        self.launch.count_file(tag)
         here = (file, tuple(sorted(given.items())))
         if here in self.nesting:
             raise tag.error(f"{file} includes itself", "does it need another argument each time, and an `if`?")

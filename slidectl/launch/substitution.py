@@ -1,4 +1,4 @@
-"""`$(env V)`, `$(optenv V words)`, `$(find PKG)`, `$(anon ID)`, `$(arg A)`, `$(dirname)` and `$(eval EXPRESSION)` in a text.
+"""`$(...)` in a text: `env V`, `optenv V words`, `find PKG`, `anon ID`, `arg A`, `dirname` and `eval EXPRESSION`.
 
 Texts in, texts out: what is found is put in as it is and not looked through again. Paths come out protected
 (see protected.py). Knows no tags and no places; who has a place adds it to the error.
@@ -16,7 +16,7 @@ from slidectl.launch.protected import plain, protect
 from slidectl.launch.typed import automatic
 
 COMMANDS = ("find", "env", "optenv", "dirname", "anon", "arg")
-_OPEN = "$("
+OPEN = "$("
 _EVAL = "$(eval "
 _PATH = re.compile(r"/([^\s'\"]+)")
 _IDENTIFIER = re.compile(r"[A-Za-z_]\w*\Z")
@@ -29,7 +29,9 @@ class SubstitutionError(SlidectlError):
 class Surroundings(Protocol):
     """What a whole launch shares: the packages, the environment, and the names that `anon` has given."""
 
-    environment: Mapping[str, str]
+    @property
+    def environment(self) -> Mapping[str, str]:
+        """The environment variables."""
 
     def find(self, package: str) -> str:
         """The package's folder."""
@@ -51,13 +53,13 @@ class Substitution:
 
     def resolve(self, text: str) -> str:
         """The text with everything put in. Raises SubstitutionError, UnknownPackage."""
-        if _OPEN not in text:
+        if OPEN not in text:
             return text
         if text.startswith(_EVAL) and text.endswith(")"):
             return self._eval(text[len(_EVAL) : -1])
         pieces = []
         rest = text
-        while (start := rest.find(_OPEN)) >= 0:
+        while (start := rest.find(OPEN)) >= 0:
             inside, rest_after = _inside(rest, start)
             found, rest_after = self._command(inside, rest_after)
             pieces += [rest[:start], found]
@@ -140,7 +142,7 @@ def _inside(text: str, start: int) -> tuple[str, str]:
     end = text.find(")", start)
     if end < 0:
         raise SubstitutionError(f"'$(' is not closed in {plain(text)!r}")
-    inside = text[start + len(_OPEN) : end]
+    inside = text[start + len(OPEN) : end]
     if "$" in inside:
         hint = "write it with $(eval ...), for example $(eval find(arg('package')) + '/urdf')"
         raise SubstitutionError(f"one substitution stands inside another in {plain(text)!r}", hint)
@@ -160,4 +162,3 @@ def _unknown(command: str, inside: str) -> SubstitutionError:
     near = closest(command, [*COMMANDS, "eval"])
     suggestion = f" Did you mean {near!r}?" if near else ""
     return SubstitutionError(f"unknown substitution $({plain(inside)}).{suggestion}", f"there are {known} and eval")
-

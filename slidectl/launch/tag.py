@@ -5,7 +5,7 @@ Knows no tag by name.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from functools import cached_property
 
 from slidectl import names
@@ -15,10 +15,11 @@ from slidectl.errors import BadFile, closest
 from slidectl.launch import protected
 from slidectl.launch.plan import Place, Plan
 from slidectl.launch.scope import Scope
-from slidectl.launch.substitution import SubstitutionError
+from slidectl.launch.substitution import OPEN, SubstitutionError
 from slidectl.launch.typed import boolean
 
 CONDITIONS = ("if", "unless")
+_MOST_INCLUDERS = 3
 
 
 class Tag:
@@ -42,14 +43,15 @@ class Tag:
 
     def error(self, message: str, hint: str | None = None) -> BadFile:
         """A BadFile at the tag, to be raised; it says which includes led here."""
-        trail = "".join(f"\nincluded from {place}" for place in reversed(self.scope.trail))
-        return self.place.error(f"<{self.name}>: {message}", (f"{hint}{trail}" if hint else trail.lstrip("\n")) or None)
+        lines = [hint] if hint else []
+        lines += [f"included from {place}" for place in self.scope.trail[: -_MOST_INCLUDERS - 1 : -1]]
+        return self.place.error(f"<{self.name}>: {message}", "\n".join(lines) or None)
 
     def raw(self, attribute: str) -> str | None:
         """The attribute with substitutions, its paths still protected. Raises BadFile."""
         text = self.element.get(attribute)
-        if text is None:
-            return None
+        if text is None or OPEN not in text:
+            return text
         try:
             return self.scope.substitution.resolve(text)
         except UnknownPackage as error:
@@ -133,18 +135,16 @@ class Tag:
                 suggestion = f"; did you mean {near!r}?" if near else ""
                 self.notice("wrong", f"attribute {name!r} is unknown and has no effect{suggestion}")
 
-    def children(self, known: Collection[str]) -> list[Tag]:
-        """The tags inside that apply, in order; those that are not known are pointed out."""
-        found = []
+    def children(self, known: Collection[str]) -> Iterator[Tag]:
+        """The tags inside, in order; those that are not known are pointed out."""
         for element in self.element.children:
             self.scope.launch.count(self)
             if element.tag in known:
-                found.append(Tag(element, self.scope))
+                yield Tag(element, self.scope)
             else:
                 near = closest(element.tag, known)
                 suggestion = f"; did you mean <{near}>?" if near else ""
                 Tag(element, self.scope).notice("wrong", f"is unknown in <{self.name}> and has no effect{suggestion}")
-        return found
 
     def notice(self, verdict: str, text: str) -> None:
         """Say something about the tag that is no error."""

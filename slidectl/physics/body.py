@@ -128,8 +128,17 @@ class Body:
         self._slices = _slices(model, self.root_id, len(self.links))
         if self.weights is None:
             self.weights = Weights(model.body_invweight0[self._slices["body"]].copy(), self._dof_weights().copy())
-        model.body_invweight0[self._slices["body"]] = self.weights.bodies
-        self._dof_weights()[:] = self.weights.dofs
+        self._put_weights(self.weights)
+
+    def follow(self, model: Any, data: Any) -> None:
+        """Go on in a model in which others only came behind this robot: its places are the same."""
+        self._model, self._data = model, data
+        if self.weights is not None:
+            self._put_weights(self.weights)
+
+    def _put_weights(self, weights: Weights) -> None:
+        self._model.body_invweight0[self._slices["body"]] = weights.bodies
+        self._dof_weights()[:] = weights.dofs
 
     def _dof_weights(self) -> Array:
         weights: Array = self._model.dof_invweight0[self.dofs]

@@ -1,6 +1,6 @@
 """From robots to a MuJoCo model: the options that every world has, the ground, and errors that name the robot.
 
-The whole specification is built anew each time, so a robot that left cannot leave anything behind.
+Robots are added to a specification; one that leaves is left out of a new one, so it cannot leave anything behind.
 """
 
 from __future__ import annotations
@@ -40,30 +40,38 @@ class Settings:
     ground: bool
 
 
-def compile_world(settings: Settings, bodies: Iterable[Body], newest: str = "") -> Any:
-    """The MjModel of these robots in their world.
+class WorldSpec:
+    """The specification of a world with these robots, to which more can be added. After an error it is of no use."""
 
-    Raises:
-        BadInertia, BadJoint, BadShape, BadModel: about a robot; `newest` is named when MuJoCo does not say which.
-    """
-    spec = _empty(settings)
-    for body in bodies:
-        RobotBuilder(spec, body.robot, body.name).build(body.spawn_pose)
-    try:
-        with engine.warnings_kept():
-            model = spec.compile()
-    except (ValueError, mujoco.FatalError) as error:
-        raise _explained(str(error), newest) from error
-    # Older versions scale the solver's tolerance with the mean inertia of the whole world.
-    model.stat.meaninertia = 1.0
-    return model
+    def __init__(self, settings: Settings, bodies: Iterable[Body] = ()) -> None:
+        """Raises as `add` does."""
+        self._settings = settings
+        self._spec = _empty(settings.ground)
+        for body in bodies:
+            self.add(body)
+
+    def add(self, body: Body) -> None:
+        """One more robot, behind the others. Raises BadInertia, BadJoint, BadShape."""
+        RobotBuilder(self._spec, body.robot, body.name).build(body.spawn_pose)
+
+    def compile(self, newest: str = "") -> Any:
+        """The MjModel. Raises BadModel about a robot; `newest` is named when MuJoCo does not say which."""
+        option = self._spec.option
+        option.timestep, option.gravity = self._settings.timestep, self._settings.gravity
+        try:
+            with engine.warnings_kept():
+                model = self._spec.compile()
+        except (ValueError, mujoco.FatalError) as error:
+            raise _explained(str(error), newest) from error
+        # Older versions scale the solver's tolerance with the mean inertia of the whole world.
+        model.stat.meaninertia = 1.0
+        return model
 
 
-def _empty(settings: Settings) -> Any:
+def _empty(ground: bool) -> Any:
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
-    spec.option.timestep, spec.option.gravity = settings.timestep, settings.gravity
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     # A robot must not notice its neighbours: sums over a sparse row are the same wherever the row lies, and the
     # choice between dense and sparse would otherwise depend on the number of degrees of freedom in the world.
@@ -73,7 +81,7 @@ def _empty(settings: Settings) -> Any:
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_WARMSTART
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     spec.worldbody.add_light(name="sun", pos=[0, 0, 10], dir=[-0.5, 0.1, -0.9])
-    if settings.ground:
+    if ground:
         _put_ground(spec)
     return spec
 

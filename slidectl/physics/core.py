@@ -17,7 +17,7 @@ from slidectl.description.robot import Robot
 from slidectl.errors import Refused, UnknownName
 from slidectl.physics import engine
 from slidectl.physics.body import Body
-from slidectl.physics.compiler import Settings, compile_world
+from slidectl.physics.compiler import Settings, WorldSpec
 from slidectl.physics.divergence import check_divergence
 from slidectl.physics.loads import Loads
 from slidectl.physics.observer import Observer
@@ -53,7 +53,8 @@ class WorldCore:
         self.loads = Loads()
         self.clock: Callable[[], int] = self._own_clock
         """Time in ns of the cycle that is stepped, for forces with a start and an end; the simulation puts its own."""
-        self._install(compile_world(self._settings, ()), 0.0)
+        self._spec: WorldSpec | None = WorldSpec(self._settings)
+        self._install(self._spec.compile(), 0.0)
 
     # -- robots ----------------------------------------------------------------------------------------------------
 
@@ -67,16 +68,31 @@ class WorldCore:
         if name in self._bodies:
             raise Refused(f"a robot named {name!r} is in the world already", "give another name, or delete it first")
         body = Body(name, robot, (finite(pose[0]), normalized(finite4(pose[1]))))
-        alone = compile_world(self._settings, (body,), name)
-        body.bind(alone, None)
-        self._rebuild({**self._bodies, name: body}, None if self._bodies else alone)
+        spec = WorldSpec(self._settings, (body,))
+        model = spec.compile(name)
+        body.bind(model, None)
+        if self._bodies:
+            model = self._compile_with(body)
+        else:
+            self._spec = spec
+        self._rebuild({**self._bodies, name: body}, model, body)
         return body
+
+    def _compile_with(self, newcomer: Body) -> Any:
+        """The model of all robots and this one: only the newcomer is built, the others are in the specification."""
+        spec, self._spec = self._spec or WorldSpec(self._settings, self._bodies.values()), None
+        spec.add(newcomer)
+        model = spec.compile(newcomer.name)
+        self._spec = spec  # nothing of a newcomer that failed stays in it
+        return model
 
     def detach(self, name: str) -> None:
         """Take a robot out, with the forces on it. Raises UnknownName."""
         gone = self.body(name)
         self.loads.forget(gone)
-        self._rebuild({key: body for key, body in self._bodies.items() if body is not gone})
+        bodies = {key: body for key, body in self._bodies.items() if body is not gone}
+        self._spec = WorldSpec(self._settings, bodies.values())
+        self._rebuild(bodies, self._spec.compile())
 
     def names(self) -> list[str]:
         """The robots in the order of their coming."""
@@ -93,15 +109,16 @@ class WorldCore:
         """Call back whenever `model`, `data` or `step` were replaced."""
         self._listeners.append(callback)
 
-    def _rebuild(self, bodies: dict[str, Body], model: Any = None) -> None:
-        """Go on with these robots; `model` is theirs when it is compiled already."""
-        if model is None:
-            model = compile_world(self._settings, bodies.values(), next(reversed(bodies), ""))
+    def _rebuild(self, bodies: dict[str, Body], model: Any, newcomer: Body | None = None) -> None:
+        """Go on with these robots, whose model it is; `newcomer` is the last of them when the others were there."""
         states = {name: body.capture() for name, body in self._bodies.items() if name in bodies}
         self._bodies = bodies
         self._install(model, self.data.time)
         for name, body in bodies.items():
-            body.bind(model, self.data)
+            if newcomer in (None, body):
+                body.bind(model, self.data)
+            else:
+                body.follow(model, self.data)
             if name in states:
                 body.put(states[name])
             else:
@@ -113,7 +130,7 @@ class WorldCore:
     def _mend(self) -> None:
         """After an EngineError MjData has lost its bearings; then go on with a new one."""
         if self.data.pstack:
-            self._rebuild(self._bodies)
+            self._rebuild(self._bodies, self.model)
 
     def _install(self, model: Any, time: float) -> None:
         self.model, self.data = model, mujoco.MjData(model)

@@ -42,7 +42,8 @@ class Parameters:
 
     def __init__(self) -> None:
         self._root: dict[str, Any] = {}
-        self._watches: list[Watch] = []
+        # By the first part of their names, so that robots that are many do not slow each other down.
+        self._watches: dict[str, dict[Watch, None]] = {}
 
     def get(self, name: str, default: Any = MISSING) -> Any:
         """The value, a dict for a namespace. Raises UnknownParameter (a KeyError too) when unset without default."""
@@ -105,7 +106,7 @@ class Parameters:
     def watch(self, name: str, callback: Callable[[], None]) -> Watch:
         """Call back whenever the parameter, one below or a namespace above it is set or deleted; once for each call."""
         watch = Watch(_path(name), callback, self._forget)
-        self._watches.append(watch)
+        self._watches.setdefault(_first(watch.path), {})[watch] = None
         return watch
 
     def _find(self, path: Path) -> Any:
@@ -135,17 +136,31 @@ class Parameters:
             path = path[:-1]
 
     def _tell(self, changed: list[Path]) -> None:
-        for watch in tuple(self._watches):
-            if watch in self._watches and any(_related(watch.path, path) for path in changed):
+        for watch in self._near(changed):
+            if self._is_watching(watch) and any(_related(watch.path, path) for path in changed):
                 watch.callback()
 
+    def _near(self, changed: list[Path]) -> list[Watch]:
+        """Those that may be concerned: of the same first parts, and of the root."""
+        firsts = {"", *map(_first, changed)} if all(changed) else self._watches.keys()
+        return [watch for first in firsts if first in self._watches for watch in self._watches[first]]
+
+    def _is_watching(self, watch: Watch) -> bool:
+        return watch in self._watches.get(_first(watch.path), ())
+
     def _forget(self, watch: Watch) -> None:
-        if watch in self._watches:
-            self._watches.remove(watch)
+        group = self._watches.get(_first(watch.path), {})
+        group.pop(watch, None)
+        if not group:
+            self._watches.pop(_first(watch.path), None)
 
 
 def _path(name: str) -> Path:
     return tuple(part for part in name.split("/") if part)
+
+
+def _first(path: Path) -> str:
+    return path[0] if path else ""
 
 
 def _related(one: Path, other: Path) -> bool:

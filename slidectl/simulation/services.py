@@ -66,12 +66,13 @@ class Services:
             service = self._known(name)
             checked = msgs.check(msgs.request_type(service.type), {} if request is None else request)
             answer = service.handler(checked)
+            if not isinstance(answer, Pending):
+                answer = msgs.check(msgs.response_type(service.type), answer)
         except SlidectlError as error:
             pending = Pending()
             pending.reject(error)
             return pending
-        inner = answer if isinstance(answer, Pending) else Pending.of(answer)
-        return _follow(service, inner)
+        return _follow(service, answer) if isinstance(answer, Pending) else Pending.of(answer)
 
     def names(self) -> list[str]:
         """All services, sorted."""

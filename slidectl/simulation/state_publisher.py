@@ -1,6 +1,7 @@
 """robot_state_publisher of every robot: moving joints on `/tf` at 50 Hz, fixed ones latched on `/tf_static`.
 
-It reads the joints of the world themselves, so it needs no joint_states and shows passive joints too.
+It reads the joints of the world themselves, so it needs no joint_states and shows passive joints too. Its parameters
+below `/<ns>/robot_state_publisher`, publish_frequency and tf_prefix, take effect whenever they are set.
 """
 
 from __future__ import annotations
@@ -28,25 +29,53 @@ NODE = "robot_state_publisher"
 
 
 class StatePublisher:
-    """One robot's transforms. Frames carry `tf_prefix` if that parameter is found above the robot's namespace."""
+    """One robot's transforms. Frames carry `tf_prefix` if that parameter is found in or above the node's namespace."""
 
     def __init__(self, simulation: Simulation, robot: SpawnedRobot) -> None:
         self._simulation = simulation
         self._robot = robot
-        self._prefix = _prefix(simulation, robot)
         self._moving = [joint for joint in robot.paper.joints.values() if joint.type != "fixed"]
-        node = names.join(robot.namespace, NODE)
-        graph = simulation.graph
-        self._tf = PeriodicTopic(graph, "/tf", "tf2_msgs/TFMessage", node, SECOND // FREQUENCY_HZ, self._dynamic)
-        self._static = graph.topics.advertise("/tf_static", "tf2_msgs/TFMessage", node, latch=True, kind=NodePublisher)
-        fixed = [joint for joint in robot.paper.joints.values() if joint.type == "fixed"]
-        if fixed:
-            self._static.publish({"transforms": [self._transform(joint, _origin(joint)) for joint in fixed]})
+        self._node = names.join(robot.namespace, NODE)
+        topics = simulation.graph.topics
+        self._prefix = _prefix(simulation, robot)
+        self._period_ns = self._asked_period_ns()
+        self._tf = self._periodic()
+        self._static = topics.advertise("/tf_static", "tf2_msgs/TFMessage", self._node, latch=True, kind=NodePublisher)
+        self._publish_fixed()
+        self._watch = simulation.parameters.watch(self._node, self._configure)
 
     def close(self) -> None:
         """Take the topics back."""
+        self._watch.close()
         self._tf.close()
         self._static.close()
+
+    def _periodic(self) -> PeriodicTopic:
+        graph = self._simulation.graph
+        return PeriodicTopic(graph, "/tf", "tf2_msgs/TFMessage", self._node, self._period_ns, self._dynamic)
+
+    def _publish_fixed(self) -> None:
+        fixed = [joint for joint in self._robot.paper.joints.values() if joint.type == "fixed"]
+        if fixed:
+            self._static.publish({"transforms": [self._transform(joint, _origin(joint)) for joint in fixed]})
+
+    def _configure(self) -> None:
+        """Somebody has set or deleted a parameter of the node."""
+        period_ns, prefix = self._asked_period_ns(), _prefix(self._simulation, self._robot)
+        if period_ns != self._period_ns:
+            self._period_ns = period_ns
+            self._tf.close()
+            self._tf = self._periodic()
+        if prefix != self._prefix:
+            self._prefix = prefix
+            self._publish_fixed()
+
+    def _asked_period_ns(self) -> int:
+        asked = self._simulation.parameters.get(names.join(self._node, "publish_frequency"), FREQUENCY_HZ)
+        if isinstance(asked, int | float) and not isinstance(asked, bool) and 0 < asked <= SECOND:
+            return max(1, round(SECOND / asked))
+        self._robot.node.log("warn", f"{self._node}: publish_frequency is above 0 Hz, not {asked!r}; it stays at 50")
+        return SECOND // FREQUENCY_HZ
 
     def frame(self, link: str) -> str:
         """Name of a link's frame. All robots share the frame `world`."""
@@ -113,7 +142,7 @@ def companion(simulation: Simulation) -> Callable[[SpawnedRobot], Callable[[], N
 
 
 def _prefix(simulation: Simulation, robot: SpawnedRobot) -> str:
-    found = simulation.parameters.search(robot.namespace, "tf_prefix")
+    found = simulation.parameters.search(names.join(robot.namespace, NODE), "tf_prefix")
     value = simulation.parameters.get(found) if found else None
     return value.strip("/") if isinstance(value, str) else ""
 

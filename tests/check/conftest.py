@@ -38,7 +38,7 @@ def model(write: Callable[[str, str], Path]) -> Check:
 
     def check_model(xml: str, controllers: str = "", name: str = "bot.urdf", **arguments: str) -> Lines:
         files = [write("control.yaml", controllers)] if controllers else []
-        return Lines(check(str(write(name, xml)), arguments, Packages(), files, ask_others=False))
+        return Lines(check([str(write(name, xml))], arguments, Packages(), files, ask_others=False))
 
     return check_model
 
@@ -48,6 +48,6 @@ def controllers(write: Callable[[str, str], Path]) -> Check:
     """Checks a text as a file of controllers."""
 
     def check_controllers(yaml: str) -> Lines:
-        return Lines(check(str(write("control.yaml", yaml)), {}, Packages()))
+        return Lines(check([str(write("control.yaml", yaml))], {}, Packages()))
 
     return check_controllers

@@ -13,7 +13,7 @@ from slidectl.errors import BadFile, UnknownName
 
 
 def shipped(name: str, ask_others: bool = False) -> Lines:
-    return Lines(check(name, {}, Packages(), ask_others=ask_others))
+    return Lines(check([name], {}, Packages(), ask_others=ask_others))
 
 
 def test_everything_in_a_sound_robot_is_used(model: Check) -> None:
@@ -238,13 +238,13 @@ def test_a_reader_that_fails_is_a_remark_only(write: Check, monkeypatch: pytest.
         raise RuntimeError("no idea")
 
     monkeypatch.setattr(yourdfpy.URDF, "load", fail)
-    lines = Lines(check(str(write("bot.urdf", driven_cart())), {}, Packages()))
+    lines = Lines(check([str(write("bot.urdf", driven_cart()))], {}, Packages()))
     assert lines.of("wrong") == []
     assert lines.about("yourdfpy cannot read it: no idea")
 
 
 def test_a_file_that_is_not_there_is_an_error_and_no_finding(tmp_path: Path) -> None:
     with pytest.raises(BadFile, match="no such file"):
-        check(str(tmp_path / "none.urdf"), {}, Packages())
+        check([str(tmp_path / "none.urdf")], {}, Packages())
     with pytest.raises(UnknownName, match="Did you mean 'slider'"):
-        check("slidr", {}, Packages())
+        check(["slidr"], {}, Packages())

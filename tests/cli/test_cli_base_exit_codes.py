@@ -20,6 +20,32 @@ def test_an_unknown_command_is_wrong_usage_and_suggests_the_closest(slidectl: Co
     assert len(done.stderr.splitlines()) <= 3
 
 
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_closed_standard_streams_are_as_good_as_the_null_device(slidectl: CommandLine, closed: str) -> None:
+    shell = ["bash", "-c", f'"$@" {closed}', "bash"]
+    for words, code in ((("version",), 0), (("robots",), 3), (("spwan",), 2), (("spawn", "-"), 2)):
+        done = subprocess.run(
+            [*shell, *slidectl.argv(*words)], capture_output=True, text=True, env=slidectl.environment, timeout=60
+        )
+        assert done.returncode == code, (words, done.stderr)
+        assert "Traceback" not in done.stderr
+
+
+def test_the_exit_code_survives_an_error_that_cannot_be_printed(slidectl: CommandLine) -> None:
+    shell = ["bash", "-c", '"$@" 2>/dev/full', "bash"]
+    assert subprocess.run([*shell, *slidectl.argv("spwan")], env=slidectl.environment, timeout=60).returncode == 2
+
+
+@pytest.mark.parametrize("words", [("--help",), ("version",), ("pub", "--help")], ids=" ".join)
+def test_output_that_cannot_be_written_is_an_error(slidectl: CommandLine, words: tuple[str, ...]) -> None:
+    shell = ["bash", "-c", '"$@" >/dev/full', "bash"]
+    done = subprocess.run(
+        [*shell, *slidectl.argv(*words)], stderr=subprocess.PIPE, text=True, env=slidectl.environment, timeout=60
+    )
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: cannot write the output: No space left on device")
+
+
 def test_an_unknown_verb_of_a_group_is_wrong_usage_and_suggests_the_closest(slidectl: CommandLine) -> None:
     done = slidectl("sim", "statsu")
     assert done.returncode == 2

@@ -188,3 +188,11 @@ def test_a_broken_file_is_named_with_its_line_and_sets_nothing(world: World, tex
 
 def test_no_daemon_is_exit_code_3(world: World) -> None:
     assert world.slidectl("-i", "nowhere", "param", "get", "/x").returncode == 3
+
+
+def test_a_gain_that_the_running_controller_cannot_take_is_a_warning(world: World) -> None:
+    done = world.slidectl("param", "set", f"{PID}/d", "much")
+    assert done.returncode == 0
+    assert done.stderr.startswith(f"warning: parameter {PID}/d has no effect: it must be a number")
+    assert world.slidectl("param", "set", f"{PID}/d", "10.0").stderr == ""
+    assert "i = 0.02 has no effect without i_clamp" in world.slidectl("param", "set", f"{PID}/i", "0.02").stderr

@@ -357,3 +357,14 @@ def test_everyday_publishing_loads_no_yaml_and_no_evaluator(world: World) -> Non
         check=False,
     )
     assert done.returncode == 0, done.stderr
+
+
+def test_a_command_to_a_controller_that_is_not_running_is_a_warning(world: World) -> None:
+    world.slidectl("controller", "stop", "joint1_position_controller")
+    try:
+        done = world.slidectl("pub", COMMAND, "0.5")
+    finally:
+        world.slidectl("controller", "start", "joint1_position_controller")
+    assert (done.returncode, done.stdout) == (0, "")
+    assert done.stderr == "warning: /slider/joint1_position_controller is not running: the command has no effect\n"
+    assert world.slidectl("pub", COMMAND, "0.5").stderr == ""

@@ -152,6 +152,9 @@ class TestSetPoint:
         for _ in range(5):
             send(bench, 0.5)
         assert bench.graph.lines("warn") == "/bot/arm is not running: the command has no effect"
+        bench.run(1100)
+        send(bench, 0.5)
+        assert bench.graph.lines("warn").count("is not running") == 2  # whoever tries again later is told again
         bench.request(["arm"])
         bench.run(2)
         assert bench.robot.joints["joint1"].command == 0.0

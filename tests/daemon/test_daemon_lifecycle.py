@@ -209,6 +209,51 @@ def test_a_socket_in_a_folder_that_all_share_is_refused_without_advice_that_woul
         lifecycle.start(paths.instance(socket=str(runtime.folder / "robot.sock")))
 
 
+def test_a_socket_in_a_folder_that_others_can_read_is_refused_without_advice_that_would_close_it(
+    runtime: Runtime,
+) -> None:
+    runtime.folder.chmod(0o755)  # as a home is, or the root
+    with runtime.environment(), pytest.raises(Refused, match="a folder of your own") as caught:
+        lifecycle.start(paths.instance(socket=str(runtime.folder / "robot.sock")))
+    assert f"chmod 700 {runtime.folder}" not in str(caught.value)
+
+
+def test_where_no_named_socket_is_nobody_answers_whatever_the_folder(runtime: Runtime) -> None:
+    runtime.folder.chmod(0o755)
+    with runtime.environment(), pytest.raises(NoDaemon):
+        Client(socket=str(runtime.folder / "robot.sock"))
+
+
+@pytest.mark.parametrize("base", ["/proc", "/dev/null"])
+def test_a_runtime_folder_that_cannot_be_made_is_named_with_the_reason(runtime: Runtime, base: str) -> None:
+    runtime.env["XDG_RUNTIME_DIR"] = base
+    with runtime.environment(), pytest.raises(Refused, match=f"cannot make the folder {base}/slidectl/default") as it:
+        lifecycle.start(paths.instance())
+    assert "XDG_RUNTIME_DIR" in str(it.value)
+
+
+def test_a_file_in_the_place_of_the_folder_is_refused(runtime: Runtime) -> None:
+    runtime.paths.folder.parent.mkdir()
+    runtime.paths.folder.touch()
+    with pytest.raises(Refused, match="is not a folder"):
+        runtime.start()
+
+
+def test_a_folder_of_instances_that_others_may_write_is_refused(runtime: Runtime) -> None:
+    runtime.paths.folder.parent.mkdir()
+    runtime.paths.folder.parent.chmod(0o777)
+    with pytest.raises(Refused, match="can be written by other users"):
+        runtime.start()
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a folder away")
+def test_a_folder_of_instances_of_another_user_is_refused(runtime: Runtime) -> None:
+    runtime.paths.folder.parent.mkdir()
+    os.chown(runtime.paths.folder.parent, 65534, 65534)
+    with pytest.raises(Refused, match="belongs to another user"):
+        runtime.start()
+
+
 def test_the_daemon_keeps_nothing_of_its_starter(runtime: Runtime) -> None:
     with socket.socket() as inherited:
         inherited.set_inheritable(True)

@@ -165,3 +165,15 @@ def test_a_world_that_breaks_down_stops_the_slice(simulation: FakeSimulation, pa
     simulation.run.speed = speed
     simulation.breaks_at = 0
     assert pacer.turn() == 0.0
+
+
+def test_cycles_that_run_as_fast_as_possible_make_way_for_who_knocks(simulation: FakeSimulation) -> None:
+    knocks = iter([False, False, True, False])
+    pacer = Pacer(simulation, simulation.clock, knocked=lambda: next(knocks, False))
+    simulation.run.speed = math.inf
+    begun = simulation.now_s
+    assert pacer.turn() == 0.0
+    assert 0 < simulation.now_s - begun < FREE_SLICE_S
+    begun = simulation.now_s
+    pacer.turn()
+    assert simulation.now_s - begun >= FREE_SLICE_S

@@ -111,6 +111,24 @@ def test_lines_that_were_lost_on_a_full_disk_are_counted_when_there_is_room_agai
     assert entry.endswith("xxx")
 
 
+def test_an_entry_that_was_cut_off_by_a_full_disk_does_not_run_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = LogFile(tmp_path / "log", foreground=True)
+    write = os.write
+    monkeypatch.setattr(os, "write", lambda fd, data: write(fd, bytes(data)[:20]))
+    log.write("info", "the disk is full")
+    monkeypatch.undo()
+    log.write("info", "there is room again")
+    log.write("info", "and still")
+    log.close()
+    cut, lost, entry, last = (tmp_path / "log").read_text().splitlines()
+    assert len(cut) == 20
+    assert lost.startswith("(1 entries")
+    assert entry.endswith("there is room again")
+    assert last.endswith("and still")
+
+
 def test_a_log_in_a_folder_that_has_gone_harms_nobody(tmp_path: Path) -> None:
     log = LogFile(tmp_path / "gone" / "log", foreground=True)
     log.write("error", "nobody reads this")

@@ -191,3 +191,16 @@ def test_the_shipped_files_are_for_their_robots(name: str) -> None:
     position = tree[name]["joint1_position_controller"]
     assert position["pid"] == {"p": 100.0, "i": 0.01, "d": 10.0}
     assert tree[name]["joint_state_controller"]["publish_rate"] == 50
+
+
+def test_every_value_has_a_line_however_it_came_into_the_tree() -> None:
+    text = "_ns: bot\na: &a {p: 1, q: [1, {name: z}]}\nb/c:\n  <<: *a\n  d: 2\n"
+    lines = yaml_tree.places(text, "f.yaml")
+    assert (lines["/bot/a/p"], lines["/bot/a/q[1]/name"]) == (2, 2)
+    assert (lines["/bot/b"], lines["/bot/b/c"], lines["/bot/b/c/d"], lines["/bot/b/c/p"]) == (3, 3, 5, 2)
+
+
+@pytest.mark.parametrize("text", ["/: 3", '"": [1]', "a: {/: x}"])
+def test_a_value_needs_a_name(text: str) -> None:
+    with pytest.raises(BadFile, match="is no name for a value"):
+        yaml_tree.read(text, "f.yaml")

@@ -232,7 +232,14 @@ def test_gravity_and_the_time_step_can_be_changed(simulation: Simulation) -> Non
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"time_step": 0.0}, {"time_step": 0.001, "max_update_rate": -1.0}, {"time_step": math.nan}]
+    "wrong",
+    [
+        {"time_step": 0.0},
+        {"time_step": 0.001, "max_update_rate": -1.0},
+        {"time_step": math.nan},
+        {"time_step": 1e9},
+        {"time_step": 1e-9},
+    ],
 )
 def test_impossible_physics_is_refused(simulation: Simulation, wrong: dict[str, float]) -> None:
     before = ask(simulation, "get_physics_properties")

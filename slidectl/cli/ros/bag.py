@@ -40,10 +40,13 @@ class Bag:
         self._reader = reader
         self._store = get_typestore(Stores.EMPTY)
         self.schemas: dict[str, Schema] = {}
+        self.texts: dict[str, str] = {}
         for connection in reader.connections:
             text = connection.msgdef.data
             self._store.register(get_types_from_msg(text, connection.msgtype))
-            self.schemas[connection.topic] = _schema(ros1_name(connection), text)
+            texts = _definitions(ros1_name(connection), text)
+            self.texts |= texts
+            self.schemas[connection.topic] = _schema(ros1_name(connection), texts)
 
     @property
     def topics(self) -> list[str]:
@@ -84,13 +87,16 @@ def ros1_name(connection: Connection) -> str:
     return connection.msgtype.replace("/msg/", "/")
 
 
-def _schema(root: str, text: str) -> Schema:
-    """The schema of a definition in which those of nested types follow, each behind a line of its own."""
+def _definitions(root: str, text: str) -> dict[str, str]:
+    """Type -> definition, out of one in which those of nested types follow, each behind a line of its own."""
+    first, *rest = _SECTION.split(text)
+    return {root: first, **dict(zip(rest[::2], rest[1::2], strict=True))}
+
+
+def _schema(root: str, texts: Mapping[str, str]) -> Schema:
     from slidectl.msgs.parsing import parse_message
 
-    first, *rest = _SECTION.split(text)
-    sections = {root: first, **dict(zip(rest[::2], rest[1::2], strict=True))}
-    definitions = {name: parse_message(body, name) for name, body in sections.items()}
+    definitions = {name: parse_message(text, name) for name, text in texts.items()}
     return Schema(root, {name: tuple(Field(*field) for field in d.fields) for name, d in definitions.items()})
 
 
@@ -148,3 +154,19 @@ def _chosen(bag: Bag, target: str, path: str) -> dict[str, str]:
         if topic in bag.schemas:
             return {topic: field}
     raise Failure(f"ERROR: no topic [{target}] in {path}; topics: {', '.join(bag.topics)}")
+
+
+def definition(path: str, type_name: str, raw: bool) -> str:
+    """What a type in the bag is made of, as `rosmsg show` prints it. Raises Failure when it holds no such type."""
+    with opened(path) as bag:
+        for schema in bag.schemas.values():
+            if type_name in schema.types:
+                return bag.texts[type_name] if raw else "\n".join(_shown(schema, type_name, ""))
+        known = sorted({name for schema in bag.schemas.values() for name in schema.types})
+    raise Failure(f"Unable to load msg [{type_name}]: it is not in {path}\ntypes: {' '.join(known)}")
+
+
+def _shown(schema: Schema, type_name: str, indent: str) -> Iterator[str]:
+    for field in schema.fields(type_name):
+        yield f"{indent}{field.spelled} {field.name}"
+        yield from _shown(schema, field.type, indent + "  ")

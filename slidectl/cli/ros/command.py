@@ -17,7 +17,7 @@ from slidectl.cli.context import Context
 from slidectl.cli.ros.failure import told
 from slidectl.errors import SlidectlError, UsageError, closest
 
-# name -> module in this package, whose `main` takes the Context and the words
+# name -> module in this package, whose `main` takes the Context and the words. Its `PREFIX` begins errors.
 TOOLS = {
     "roslaunch": "roslaunch",
     "rostopic": "rostopic",
@@ -71,11 +71,11 @@ def ros(ctx: Context, words: tuple[str, ...]) -> None:
 
 def run(ctx: Context, name: str, argv: Sequence[str]) -> None:
     """Run one tool; how it failed goes to stderr in its own words. Raises click's Exit with the code then."""
+    tool: Any = import_module(f"slidectl.cli.ros.{TOOLS[name]}")
     try:
-        tool: Any = import_module(f"slidectl.cli.ros.{TOOLS[name]}")
         tool.main(ctx, list(argv))
     except SlidectlError as error:
         if ctx.verbose >= 2:
             raise
-        print(told(error), file=sys.stderr, flush=True)
+        print(told(error, getattr(tool, "PREFIX", "ERROR: ")), file=sys.stderr, flush=True)
         raise click.exceptions.Exit(error.exit_code) from None

@@ -18,10 +18,10 @@ class Failure(SlidectlError):
         self.exit_code = exit_code
 
 
-def told(error: SlidectlError) -> str:
-    """What a tool prints about an error."""
+def told(error: SlidectlError, prefix: str = "ERROR: ") -> str:
+    """What a tool prints about an error; `prefix` stands before what is not in its own words."""
     if isinstance(error, Failure):
         return error.message
     if isinstance(error, NoDaemon):
         return f"{UNABLE}\n{error}"
-    return f"ERROR: {error}"
+    return f"{prefix}{error}"

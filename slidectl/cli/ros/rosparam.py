@@ -158,10 +158,6 @@ def _value(ctx: Context, full: str) -> Any:
 
 def printed(value: Any) -> str:
     """YAML with one more line end, as rosparam writes it; no `...` behind a scalar."""
-    if isinstance(value, bool):
-        return "true\n" if value else "false\n"
-    if isinstance(value, int):
-        return f"{value}\n"
     text = parameters.dumped(value)
     return text.removesuffix("...\n") if text.endswith("\n...\n") else text + "\n"
 

@@ -57,10 +57,8 @@ def pub(ctx: Context, argv: Sequence[str]) -> None:
         _PARSER.error("args conflict with -f setting")
     values = [_value(word) for word in given.words[2:]]
     target, nobody = _target(ctx, resolve(ctx, topic, "rostopic"), type_name)
-    if values:
-        values, marked = _without_once(target, given.words[2:], values)
-        given.once = given.once or marked
-    run = _Run(ctx, given, target, nobody)
+    values, marked = _without_once(target, given.words[2:], values)
+    run = _Run(ctx, given, target, nobody, given.once or marked)
     if values or not target.typedefs[0]["fieldnames"]:
         return run.values(values, rate)
     if given.file is None and sys.stdin.isatty():
@@ -144,41 +142,44 @@ def _typedefs(ctx: Context, type_name: str) -> list[dict[str, Any]]:
 class _Run:
     """One `rostopic pub` with what it was given."""
 
-    def __init__(self, ctx: Context, given: Arguments, target: Target, nobody: SlidectlError | None) -> None:
+    def __init__(
+        self, ctx: Context, given: Arguments, target: Target, nobody: SlidectlError | None, once: bool
+    ) -> None:
         self._ctx = ctx
         self._given = given
         self._target = target
         self._nobody = nobody
+        self._once = once
 
     def values(self, values: Sequence[Any], rate: float | None) -> None:
         """Those of the command line: once, or again and again at a rate."""
         message = self._message(values)
         if rate is not None:
             return self._publish(self._again(values, message, rate), rate)
-        stays = self._given.latch and not self._given.once
-        self._announce(message, for_a_while=self._given.once)
+        stays = self._given.latch and not self._once
+        self._announce(message, for_a_while=self._once)
         if self._nobody is not None and not stays:
             raise self._nobody
         self._publish(iter([message]), None, stays)
-        if not self._given.once:
+        if not self._once:
             self._ctx.say(f"taken in by {', '.join(self._target.users)}; -l would keep it latched until Ctrl-C")
         return None
 
     def documents(self, rate: float | None) -> None:
         """Those of a file or of stdin: one for each period, the only one of a file again and again."""
         given = self._given
-        if rate is None and not given.latch and not given.once:
+        if rate is None and not given.latch and not self._once:
             rate = _DOCUMENTS_HZ
         source = self._documents()
         first = next(source, None)
         if first is None:
             return None
-        second = None if given.once or given.latch else next(source, None)
+        second = None if self._once or given.latch else next(source, None)
         if given.file is not None and second is None and rate is not None:
             output.write("Got one message and a rate, publishing repeatedly")
             return self.values(first, rate)
-        stays = given.latch and not given.once and rate is None
-        every = chain([first], [] if second is None else [second], [] if given.once or stays else source)
+        stays = given.latch and not self._once and rate is None
+        every = chain([first], [] if second is None else [second], [] if self._once or stays else source)
         self._publish(self._announced(every, not stays), rate, stays)
         return self._check_heard()
 
@@ -215,7 +216,7 @@ class _Run:
                 message = self._message(values)
 
     def _publish(self, messages: Iterator[_Message], rate: float | None, stays: bool = False) -> None:
-        latch = self._given.latch and not self._given.once
+        latch = self._given.latch and not self._once
         advertise = latch or self._nobody is not None
         with Publication(self._ctx, self._target, rate, latch=latch, advertise=advertise) as run:
             run.publish([message] for message in messages)

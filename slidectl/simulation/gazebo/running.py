@@ -15,6 +15,10 @@ from slidectl.simulation.graph import WORLD_NODE
 if TYPE_CHECKING:
     from slidectl.simulation.simulation import Simulation
 
+SHORTEST_S = 1e-6
+LONGEST_S = 1.0
+"""Bounds of a time step, as at the daemon's start. With longer ones the clock soon leaves what a message can hold."""
+
 
 def advertise(simulation: Simulation) -> None:
     """Provide them."""
@@ -53,8 +57,8 @@ def _get(simulation: Simulation) -> Answer:
 def _set(simulation: Simulation, request: Message) -> Answer:
     """Time step (s), rate of cycles (1/s; 0 is as fast as possible) and gravity; settings of ODE have no meaning."""
     timestep, rate = request["time_step"], request["max_update_rate"]
-    if not (math.isfinite(timestep) and timestep > 0):
-        raise Refused(f"time_step must be above 0 s, not {timestep:g}")
+    if not SHORTEST_S <= timestep <= LONGEST_S:
+        raise Refused(f"time_step is between {SHORTEST_S:g} s and {LONGEST_S:g} s, not {timestep:g}")
     if not (math.isfinite(rate) and rate >= 0):
         raise Refused(f"max_update_rate must be 0 or more, not {rate:g}")
     simulation.world.set_gravity(vector(request["gravity"]))

@@ -1,0 +1,100 @@
+"""Many commands from one process: calls a second, lines of a shell, and how soon a published command pushes a joint.
+
+Effort is seen as motion: RRBot hangs at rest, so the first cycle with another effort changes the velocity of its
+joint, for which a second connection asks in a loop. The figure holds one round trip of that question.
+"""
+
+from __future__ import annotations
+
+import statistics
+import subprocess
+import time
+
+from benchmarks.harness import SLIDECTL, Daemon, Row, daemon, percentile, timed
+from slidectl import Client
+
+CALLS = 10_000
+IN_FLIGHT = 100
+EFFECTS = 300
+ROUNDS = 5
+LINES = 500
+_PUSH = 0.01
+_MOVED = 1e-7
+_SERVICE = "/rosapi/get_time"
+
+
+def measure() -> list[Row]:
+    """At real time, then free-running, with RRBot and one effort controller."""
+    rows = []
+    with daemon("--rtf", "1.0") as instance:
+        instance.spawn("rrbot", ())
+        instance.run("param", "set", "/rrbot/push/type", "effort_controllers/JointEffortController")
+        instance.run("param", "set", "/rrbot/push/joint", "joint1")
+        instance.run("controller", "spawn", "push")
+        with instance.client() as client:
+            rows += _calls(client) + _lines(instance)
+            for speed, title, goals in ((1.0, "real time", (0.6, 1.5)), (0.0, "free-running", (0.2, None))):
+                client.call("/slidectl/set_speed", {"speed": speed})
+                rows += _effects(client, title, *goals)
+    return rows
+
+
+def _calls(client: Client) -> list[Row]:
+    """Best of several rounds: whatever else runs on the machine only takes away."""
+    one_by_one = max(CALLS / timed(lambda: _call_each(client)) for _ in range(ROUNDS))
+    in_flight = max(CALLS / timed(lambda: _call_many(client)) for _ in range(ROUNDS))
+    return [
+        Row("calls of one client, one after the other", one_by_one, "/s", note=f"best of {ROUNDS} rounds"),
+        Row(f"calls of one client, {IN_FLIGHT} under way", in_flight, "/s", 15_000, "higher", "call_async and answer"),
+    ]
+
+
+def _call_each(client: Client) -> None:
+    for _ in range(CALLS):
+        client.call(_SERVICE)
+
+
+def _call_many(client: Client) -> None:
+    for _ in range(CALLS // IN_FLIGHT):
+        for call in [client.call_async(_SERVICE) for _ in range(IN_FLIGHT)]:
+            client.answer(call)
+
+
+def _lines(instance: Daemon) -> list[Row]:
+    """What a line of a script costs, without the start of the shell."""
+
+    def run(count: int) -> float:
+        script = "pub push/command 0.0\n" * count
+        words = [SLIDECTL, "shell"]
+        return timed(lambda: subprocess.run(words, input=script, text=True, env=instance.environment, check=True))
+
+    line_s = statistics.median((run(LINES) - run(1)) / (LINES - 1) for _ in range(ROUNDS))
+    return [
+        Row("slidectl shell: pub, a line", 1e3 * line_s, "ms", note="three round trips; the rest is click's parser")
+    ]
+
+
+def _effects(client: Client, title: str, p50_goal: float | None, p99_goal: float | None) -> list[Row]:
+    taken = [_effect(client, number) for number in range(EFFECTS)]
+    trips = [timed(lambda: _velocity(client)) for _ in range(EFFECTS)]
+    note = f"one question takes {1e3 * statistics.median(trips):.2f} ms"
+    return [
+        Row(f"publish to effort, {title}: p50", 1e3 * statistics.median(taken), "ms", p50_goal, note=note),
+        Row(f"publish to effort, {title}: p99", 1e3 * percentile(taken, 0.99), "ms", p99_goal),
+    ]
+
+
+def _effect(client: Client, number: int) -> float:
+    time.sleep(0.01 + 0.003 * (number * 0.618 % 1))  # at any moment of a cycle
+    before = _velocity(client)
+    began = time.perf_counter()
+    client.publish("/rrbot/push/command", {"data": _PUSH if number % 2 else -_PUSH})
+    while abs(_velocity(client) - before) < _MOVED:
+        if time.perf_counter() - began > 5:
+            raise RuntimeError("the joint does not move")
+    return time.perf_counter() - began
+
+
+def _velocity(client: Client) -> float:
+    answer = client.call("/gazebo/get_joint_properties", {"joint_name": "rrbot::joint1"})
+    return float(answer["rate"][0])

@@ -1,0 +1,180 @@
+"""A launch on the command line: what it says on a terminal or in a pipe, its daemon, and the way into the background.
+
+The work is done by slidectl.launch; this is its mouth and its hands.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import sys
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from slidectl.cli import output
+from slidectl.cli.context import DEFAULT_TIMEOUT_S, Context, paint
+from slidectl.client import Client
+from slidectl.client.link import command
+from slidectl.errors import TimedOut
+
+if TYPE_CHECKING:
+    from slidectl.daemon.lifecycle import Beginning
+    from slidectl.launch.world import WorldSettings
+
+START_LIMIT_S = 30.0
+STOP_LIMIT_S = 10.0
+WAIT_LIMIT_S = 60.0
+_LOOK_EVERY_S = 0.05
+_CLEAR = "\r\x1b[K"
+
+
+class Terminal:
+    """What a run says: a line for each step; on a terminal also one at the bottom that changes."""
+
+    def __init__(self, context: Context) -> None:
+        self.context = context
+        self.verbose = context.verbose
+        both = output.is_terminal(sys.stdout) and output.is_terminal(sys.stderr)
+        self.is_live = both and context.format == "text" and not context.quiet
+        self._status = ""
+
+    def step(self, event: str, text: str, **details: Any) -> None:
+        self._under_status(lambda: self.context.done({"event": event, "text": text, **details}, text))
+
+    def warn(self, text: str) -> None:
+        self._under_status(lambda: self.context.warn(text))
+
+    def output(self, node: str, stream: str, line: str) -> None:
+        if self.context.format != "text":
+            record = {"event": "output", "node": node, "stream": stream, "line": line}
+            self.context.emit(record)
+        elif stream == "stdout":
+            self._under_status(lambda: output.write(f"[{node}] {line}"))
+        else:
+            self._under_status(lambda: print(f"[{node}] {line}", file=sys.stderr, flush=True))
+
+    def status(self, text: str) -> None:
+        if self.is_live and (text or self._status):
+            self._status = text[: max(10, output._terminal_width() - 1)]
+            self._draw(self._status)
+
+    def _under_status(self, action: Callable[[], None]) -> None:
+        if self._status:
+            self._draw("")
+        action()
+        if self._status:
+            self._draw(self._status)
+
+    def _draw(self, text: str) -> None:
+        sys.stderr.write(_CLEAR + (paint(text, "cyan") if text else ""))
+        sys.stderr.flush()
+
+
+class Daemon:
+    """The door of a launch to the daemon of this command line. With `child`, one that is begun here dies with us."""
+
+    def __init__(self, context: Context, child: bool, wait: bool) -> None:
+        self.context = context
+        self.child = child
+        self.must_run = wait
+        self._beginning: Beginning | None = None
+
+    def begin(self, settings: WorldSettings) -> bool:
+        from slidectl.daemon import lifecycle
+
+        paths = self.context.paths
+        if self.must_run or lifecycle.running(paths) is not None:
+            return False
+        from slidectl.daemon.options import DaemonOptions
+
+        usual = DaemonOptions()
+        options = DaemonOptions(
+            rtf=usual.rtf if settings.speed is None else settings.speed,
+            paused=settings.paused,
+            timestep=usual.timestep if settings.timestep is None else settings.timestep,
+            gravity=usual.gravity if settings.gravity is None else settings.gravity,
+            ground=usual.ground if settings.ground is None else settings.ground,
+            child=self.child,
+        )
+        self._beginning = lifecycle.Beginning(paths, options)
+        return True
+
+    def connect(self) -> tuple[Client, bool]:
+        if self.must_run:
+            self._wait_for_one()
+        is_ours = False
+        if self._beginning is not None:
+            pid, already = self._beginning.wait(self.context.wait_limit(START_LIMIT_S))
+            is_ours = not already
+            if is_ours:
+                self.context.detail(f"daemon {self.context.paths.name}: started, process {pid}")
+            else:
+                self._beginning = None
+        limit = self.context.wait_limit(DEFAULT_TIMEOUT_S)
+        return Client(socket=self.context.paths.socket_text, timeout=limit), is_ours
+
+    def _wait_for_one(self) -> None:
+        """`--wait`: nobody tells of a daemon that begins, so look now and then."""
+        from slidectl.daemon import lifecycle
+
+        limit = self.context.wait_limit(WAIT_LIMIT_S)
+        deadline = time.monotonic() + limit
+        if lifecycle.running(self.context.paths) is None:
+            self.context.say("no daemon runs yet: waiting for one")
+        while lifecycle.running(self.context.paths) is None:
+            if time.monotonic() >= deadline:
+                hint = "start it with: " + command(self.context.paths, "daemon start")
+                raise TimedOut(f"no daemon within {limit:g} s", hint)
+            select.select([], [], [], _LOOK_EVERY_S)
+        # It holds the lock before it answers; a start waits for the answer.
+        lifecycle.start(self.context.paths, timeout=max(1.0, deadline - time.monotonic()))
+
+    def stop(self) -> None:
+        from slidectl.daemon import lifecycle
+
+        if self._beginning is not None:
+            self._beginning.abandon()
+            lifecycle.stop(self.context.paths, STOP_LIMIT_S)
+            self.context.detail(f"daemon {self.context.paths.name}: stopped")
+
+
+class Background:
+    """The launch goes on in a child process; this one waits until everything runs, and leaves."""
+
+    def __init__(self, log: str) -> None:
+        self.log = log
+        self._read, self._write = os.pipe()
+
+    def fork(self) -> bool:
+        """True in the child. The parent ends as the child says: with 0 when everything runs, else with its code."""
+        sys.stdout.flush()
+        sys.stderr.flush()
+        child = os.fork()
+        if child == 0:
+            os.close(self._read)
+            return True
+        os.close(self._write)
+        self._follow(child)
+        return False
+
+    def _follow(self, child: int) -> None:
+        from slidectl.cli import leave
+
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, lambda number, _frame: os.kill(child, number))
+        runs = os.read(self._read, 1)
+        leave(0 if runs else os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+
+    def everything_runs(self) -> None:
+        """Let the parent go; from now on the launch is nobody's child, and writes into its log."""
+        os.setsid()
+        log = os.open(self.log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+        null = os.open(os.devnull, os.O_RDONLY)
+        for stream in (sys.stdout, sys.stderr):
+            stream.flush()
+        for source, target in ((null, 0), (log, 1), (log, 2)):
+            os.dup2(source, target)
+        os.write(self._write, b"1")
+        os.close(self._write)

@@ -1,0 +1,19 @@
+"""`rosmsg`: what message types are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from slidectl.cli.context import Context
+from slidectl.cli.msg import messages
+from slidectl.cli.ros.type_tool import Types, tool
+
+TOOL = tool("rosmsg", "message type")
+_TYPES = Types("rosmsg", "message", "msg", messages)
+show, list_types, md5 = _TYPES.show, _TYPES.list_types, _TYPES.md5
+package, packages = _TYPES.package, _TYPES.packages
+
+
+def main(ctx: Context, argv: Sequence[str]) -> None:
+    """Run a verb."""
+    TOOL.run(ctx, argv)

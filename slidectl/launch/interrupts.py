@@ -1,0 +1,79 @@
+"""Signals that end a launch: the first is raised at once, or when what must not be torn apart is done.
+
+Later ones are only noted. Main thread only, as signals are. What is done about a signal is the session's affair.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from types import FrameType
+from typing import Any
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+class Interrupted(BaseException):
+    """A signal asked for the end."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(signal.Signals(number).name)
+        self.number = number
+
+
+class Interrupts:
+    """The handlers, from entering to leaving. `fileno` is readable when a signal came."""
+
+    def __init__(self) -> None:
+        self.received: list[int] = []
+        self._held = 0
+        self._raised = False
+        self._previous: dict[int, Any] = {}
+        self._read, self._write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        self._previous_wakeup = -1
+
+    def __enter__(self) -> Interrupts:
+        self._previous_wakeup = signal.set_wakeup_fd(self._write, warn_on_full_buffer=False)
+        self._previous = {number: signal.signal(number, self._take) for number in SIGNALS}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
+        signal.set_wakeup_fd(self._previous_wakeup)
+        os.close(self._read)
+        os.close(self._write)
+
+    def fileno(self) -> int:
+        return self._read
+
+    def clear(self) -> None:
+        """Make `fileno` unreadable again."""
+        with suppress(BlockingIOError):
+            os.read(self._read, 4096)
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Inside, signals are only noted; at the end of the outermost block one that came is raised."""
+        self._held += 1
+        try:
+            yield
+        finally:
+            self._held -= 1
+        self.check()
+
+    def check(self) -> None:
+        """Raise Interrupted if a signal came and has not been raised yet."""
+        if self.received and not self._held and not self._raised:
+            self._raised = True
+            raise Interrupted(self.received[0])
+
+    def hold_for_good(self) -> None:
+        """From now on signals are only noted."""
+        self._held += 1_000_000
+
+    def _take(self, number: int, _frame: FrameType | None) -> None:
+        self.received.append(number)
+        self.check()

@@ -1,0 +1,101 @@
+"""Which node is what here: counterparts by `pkg/type`, and programs of the user's for all others.
+
+Modules of families are imported when a plan has a node of theirs.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from slidectl.description.packages import Packages
+from slidectl.errors import BadFile
+from slidectl.launch.plan import Node, Plan
+from slidectl.launch.task import Task
+
+_GAZEBO = ("gazebo", "gzserver", "debug", "perf")
+
+_COUNTERPARTS = {
+    **{("gazebo_ros", kind): "gazebo:Gazebo" for kind in _GAZEBO},
+    ("gazebo_ros", "gzclient"): "gazebo:Window",
+    ("gazebo_ros", "spawn_model"): "spawn_model:SpawnModel",
+    ("controller_manager", "spawner"): "spawner:Spawner",
+    ("controller_manager", "unspawner"): "spawner:Unspawner",
+    ("controller_manager", "controller_manager"): "manager_scripts:ManagerScript",
+    ("controller_manager", "controller_group"): "manager_scripts:GroupScript",
+    ("robot_state_publisher", "robot_state_publisher"): "state_publishers:RobotStatePublisher",
+    ("robot_state_publisher", "state_publisher"): "state_publishers:RobotStatePublisher",
+    ("joint_state_publisher", "joint_state_publisher"): "state_publishers:JointStatePublisher",
+    ("joint_state_publisher_gui", "joint_state_publisher_gui"): "state_publishers:JointStatePublisher",
+    ("tf", "static_transform_publisher"): "static_transform:StaticTransform",
+    ("tf2_ros", "static_transform_publisher"): "static_transform:StaticTransform",
+}
+_TOOLS = ("rostopic", "rosservice", "rosparam")
+_VIEWERS = ("rviz", "rqt")
+# Scripts that were once installed with their suffix.
+_SUFFIXES = (".py",)
+
+
+def tasks(plan: Plan, packages: Packages, skip_unknown: bool = False) -> list[Task]:
+    """What to do for each node of the plan, in order. Nothing is started.
+
+    Args:
+        skip_unknown: leave out, with a notice, the nodes that can neither be done nor run.
+
+    Raises:
+        BadFile: such a node, or one whose arguments make no sense.
+    """
+    found = []
+    for node in plan.nodes:
+        counterpart = _counterpart(node, plan)
+        if counterpart is not None:
+            found.append(counterpart)
+            continue
+        try:
+            found.append(_program(node, plan, packages))
+        except BadFile as error:
+            if not skip_unknown:
+                raise
+            plan.notice("wrong", node.place, node.full_name, f"left out: {error.reason}")
+    return found
+
+
+def _counterpart(node: Node, plan: Plan) -> Task | None:
+    if node.package.startswith(_VIEWERS):
+        return _made("viewers:Viewer", node, plan)
+    for suffix in ("", *_SUFFIXES):
+        entry = _COUNTERPARTS.get((node.package, node.type.removesuffix(suffix)))
+        if entry is not None:
+            _point_out(node, plan)
+            return _made(entry, node, plan)
+    return None
+
+
+def _made(entry: str, node: Node, plan: Plan) -> Task:
+    module, name = entry.split(":")
+    kind: type[Task] = getattr(import_module(f"slidectl.launch.nodes.{module}"), name)
+    return kind(node, plan)
+
+
+def _point_out(node: Node, plan: Plan) -> None:
+    """Attributes that mean something for a process only."""
+    given = {
+        "respawn": node.respawn,
+        "launch-prefix": bool(node.launch_prefix),
+        "cwd": node.cwd is not None,
+    }
+    for attribute, is_given in given.items():
+        if is_given:
+            text = f"{attribute} has no effect: the node is part of the simulation here"
+            plan.notice("ignored", node.place, node.full_name, text)
+
+
+def _program(node: Node, plan: Plan, packages: Packages) -> Task:
+    from slidectl.launch.nodes.process import Process
+    from slidectl.launch.nodes.tools import Tool
+
+    kind = Tool if (node.package, node.type) in ((tool, tool) for tool in _TOOLS) else Process
+    return kind(node, plan, packages.starting_at(_folder(node)))
+
+
+def _folder(node: Node) -> str:
+    return node.file.rpartition("/")[0] or "/"

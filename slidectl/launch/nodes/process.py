@@ -1,0 +1,173 @@
+"""A program of the user's own as a node: started as roslaunch starts it, its output shown, watched, started again.
+
+Its end is orderly: SIGINT, after a while SIGTERM, then SIGKILL, for it and all that it started.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import signal
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import ClassVar
+
+from slidectl.description.packages import Packages
+from slidectl.errors import Refused
+from slidectl.launch.children import Child
+from slidectl.launch.executables import find
+from slidectl.launch.plan import Node, Plan
+from slidectl.launch.task import Run, Task
+
+_RESPAWN_PAUSE_S = 0.1
+"""The least time between an end and the next start."""
+_POLITE_S = 0.5
+"""How long the next one waits for this one to end before it is asked to end itself."""
+
+
+class Process(Task):
+    """A child process."""
+
+    family = "process"
+    needs_presence = True
+    _serial: ClassVar[int] = 0
+
+    def __init__(self, node: Node, plan: Plan, packages: Packages) -> None:
+        super().__init__(node, plan)
+        self.executable = [*node.launch_prefix, *self._program(packages)]
+        self.child: Child | None = None
+        self.on_end: Callable[[Process, int], None] | None = None
+        """Called when it has ended for good; the session sets it."""
+        self.ending = False
+        """True when its end is wanted, so that it is neither reported nor undone."""
+        self._label = node.full_name.lstrip("/")
+        self._started_at = 0.0
+
+    def _program(self, packages: Packages) -> list[str]:
+        return [str(find(self.node, packages))]
+
+    @property
+    def command(self) -> list[str]:
+        """The whole command line, with remaps and names as ROS programs take them."""
+        remaps = [f"{remap.source}:={remap.target}" for remap in self.node.remaps]
+        return [*self.executable, *self.node.words, *remaps, f"__name:={self.node.name}"]
+
+    @property
+    def text(self) -> str:
+        return f"run {shlex.join(self.command)}"
+
+    def start(self, run: Run) -> str | None:
+        self._begin(run)
+        return None
+
+    def _begin(self, run: Run) -> None:
+        Process._serial += 1
+        log = self._log(run, Process._serial) if self._output(run) == "log" else None
+        try:
+            with run.interrupts.held():
+                self.child = Child(
+                    self.command,
+                    run.watch,
+                    lambda stream, line: run.console.output(self._label, stream, line),
+                    lambda code: self._ended(run, code),
+                    self._folder(),
+                    self._environment(run),
+                    subprocess.PIPE if log is None else log,
+                )
+        except OSError as error:
+            missing = error.filename or self.command[0]
+            hint = f"command: {shlex.join(self.command)}"
+            raise Refused(f"cannot run {missing}: {error.strerror}", hint) from None
+        finally:
+            if log is not None:
+                os.close(log)
+        self._started_at = time.monotonic()
+        self.settled(run, f"started, process {self.child.pid}", pid=self.child.pid)
+
+    def _output(self, run: Run) -> str:
+        return run.options.output or self.node.output or "screen"
+
+    def _log(self, run: Run, number: int) -> int:
+        folder = os.environ.get("ROS_LOG_DIR") or run.folder
+        os.makedirs(folder, mode=0o700, exist_ok=True)
+        path = os.path.join(folder, f"{self._label.replace('/', '-')}-{number}-stdout.log")
+        self.settled(run, f"its standard output goes to {path}", log=path)
+        return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
+
+    def _folder(self) -> str | None:
+        """`cwd="node"`: the folder of the command's first word; else ROS_HOME when there is one."""
+        if self.node.cwd == "node":
+            return str(Path(self.executable[0]).absolute().parent)
+        home = os.environ.get("ROS_HOME") or os.path.expanduser("~/.ros")
+        return home if os.path.isdir(home) else None
+
+    def _environment(self, run: Run) -> dict[str, str]:
+        """Ours; its namespace; the way to the daemon; and what the launch file says. Python's output comes at once."""
+        ours = {"PYTHONUNBUFFERED": "1", **os.environ, "ROS_NAMESPACE": self.node.namespace}
+        return {**ours, **run.environment, **dict(self.node.environment)}
+
+    # --- its end ------------------------------------------------------------------------------------------------
+
+    def _ended(self, run: Run, code: int) -> None:
+        if self.ending:
+            return
+        if code:
+            self.warn(run, f"died: {reason(code)}")
+        else:
+            self.settled(run, "finished")
+        if self.node.respawn:
+            pause = max(self.node.respawn_delay_s, _RESPAWN_PAUSE_S - (time.monotonic() - self._started_at))
+            run.watch.later(max(0.0, pause), lambda: self._again(run))
+        elif self.on_end is not None:
+            self.on_end(self, code)
+
+    def _again(self, run: Run) -> None:
+        if self.ending or self.child is None:
+            return
+        with run.interrupts.held():
+            self.child.release()
+            self.child = None
+        try:
+            self._begin(run)
+        except Refused as error:
+            self.warn(run, f"{error.message}; it is not started again")
+            if self.on_end is not None:
+                self.on_end(self, 1)
+
+    @property
+    def is_alive(self) -> bool:
+        return self.child is not None and self.child.code is None
+
+    def stop(self, run: Run) -> None:
+        """Ask it to end, and give it a moment; `finish` does the rest."""
+        self.ending = True
+        if self.is_alive and self.child is not None:
+            self.child.signal(signal.SIGINT)
+            _until(run, lambda: not self.is_alive, _POLITE_S)
+
+    def finish(self, run: Run, deadline_s: float, number: int) -> None:
+        """Wait until the deadline on the monotonic clock; when it is still there, say so and send the signal."""
+        _until(run, lambda: not self.is_alive, deadline_s - time.monotonic())
+        if self.is_alive and self.child is not None:
+            self.warn(run, f"does not end; it gets {signal.Signals(number).name}")
+            self.child.signal(number)
+
+    def release(self) -> None:
+        """Whatever is left of it goes now."""
+        if self.child is not None:
+            self.child.release()
+            self.child = None
+
+
+def reason(code: int) -> str:
+    """How a process ended, in words."""
+    return f"by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+
+
+def _until(run: Run, condition: Callable[[], bool], seconds: float) -> None:
+    """Let things happen until the condition holds, at most so long, and not when somebody is in a hurry."""
+    deadline = time.monotonic() + seconds
+    while not condition() and (left := deadline - time.monotonic()) > 0 and len(run.interrupts.received) < 2:
+        run.watch.turn(left)

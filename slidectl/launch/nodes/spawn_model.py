@@ -1,0 +1,171 @@
+"""gazebo_ros/spawn_model: a URDF from a parameter or a file becomes a robot in the world."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+from slidectl import description, names
+from slidectl.description.packages import is_file
+from slidectl.errors import Refused, SlidectlError
+from slidectl.launch.options import Words, number, parse
+from slidectl.launch.plan import Node, Plan
+from slidectl.launch.task import HOOK_LIMIT_S, SPAWN_LIMIT_S, Run, Task
+
+_OPTIONS = {
+    "-urdf": 0, "-sdf": 0, "-trimesh": 0, "-file": 1, "-param": 1, "-database": 1, "-stdin": 0, "-model": 1,
+    "-robot_namespace": 1, "-gazebo_namespace": 1, "-reference_frame": 1, "-x": 1, "-y": 1, "-z": 1, "-R": 1,
+    "-P": 1, "-Y": 1, "-J": 2, "-unpause": 0, "-wait": 1, "-package_to_model": 0, "-b": 0, "-v": 0, "--verbose": 0,
+}  # fmt: skip
+_REFUSED = {
+    "-sdf": "only URDF can be spawned, and this is SDF",
+    "-trimesh": "only URDF can be spawned, and this is a bare mesh",
+    "-database": "there is no model database here",
+    "-stdin": "nodes of a launch file have no standard input",
+}
+
+
+class SpawnModel(Task):
+    """The spawn script. Only with `-b` something of it stays: then the robot leaves with it."""
+
+    family = "robot"
+
+    def __init__(self, node: Node, plan: Plan) -> None:
+        super().__init__(node, plan)
+        self.words = words = parse(node, _OPTIONS)
+        for option, reason in _REFUSED.items():
+            if words.has(option):
+                raise self._error(f"{option}: {reason}", "describe the robot in URDF or xacro")
+        if words.has("-file") == words.has("-param"):
+            raise self._error("takes one of -param NAME and -file FILE")
+        if words.rest:
+            raise self._error(f"does not understand {' '.join(words.rest)!r}")
+        if not words.one("-model"):
+            raise self._error("needs a name for the robot: -model NAME")
+        if words.one("-gazebo_namespace", "/gazebo").strip("/") != "gazebo":
+            raise self._error("there is one world, and it is in /gazebo", "leave -gazebo_namespace out")
+        self.model = words.one("-model")
+        self.pose = _pose(words)
+        self.joints = {joint: number(node, f"-J {joint}", value) for joint, value in words.given.get("-J", [])}
+        self.bound = self.keeps_running = self.needs_presence = words.has("-b")
+
+    def _error(self, message: str, hint: str | None = None) -> SlidectlError:
+        return self.node.place.error(f"{self.node.full_name}: {message}", hint)
+
+    @property
+    def text(self) -> str:
+        source = f"file {self.words.one('-file')}" if self.words.has("-file") else f"parameter {self._parameter}"
+        return f"spawn {self.model} from {source}"
+
+    @property
+    def _parameter(self) -> str:
+        return self.node.resolve(self.words.one("-param"))
+
+    def start(self, run: Run) -> str | None:
+        awaited = self.words.one("-wait")
+        if awaited and awaited not in run.call("/slidectl/status")["robots"]:
+            return f"the model {awaited}"
+        run.heard()
+        self._spawn(run, self._document(run))
+        if self.words.has("-unpause"):
+            run.call("/gazebo/unpause_physics")
+        self._tell(run)
+        run.spawned.append(self.model)
+        return None
+
+    def _document(self, run: Run) -> description.Document:
+        """Expanded, with meshes found. Raises Refused, BadFile."""
+        if self.words.has("-file"):
+            path = Path(self.words.one("-file"))
+            if not is_file(path):
+                raise Refused(f"there is no file {path}")
+            return description.load(path, {}, run.packages)
+        xml = run.parameter(self._parameter)
+        if not isinstance(xml, str):
+            known = [name for name in run.call("/rosapi/get_param_names")["names"] if name.endswith("description")]
+            hint = f"descriptions there are: {', '.join(known) or 'none'}"
+            raise Refused(f"the parameter {self._parameter} is not set to a robot's description", hint)
+        if not xml.lstrip("\ufeff \t\r\n").startswith("<"):
+            raise Refused(f"the parameter {self._parameter} holds no XML")
+        return description.load(xml, {}, run.packages)
+
+    def _spawn(self, run: Run, document: description.Document) -> None:
+        namespace = self.words.one("-robot_namespace")
+        request: dict[str, Any] = {
+            "model_name": self.model,
+            "model_xml": document.xml,
+            "robot_namespace": names.join(self.node.namespace, namespace) if namespace else "",
+            "initial_pose": self.pose,
+            "reference_frame": self.words.one("-reference_frame"),
+        }
+        halt = bool(self.joints) and not run.call("/slidectl/status")["paused"]
+        if halt:  # no moment passes between the two
+            run.call("/gazebo/pause_physics")
+        try:
+            _act(run, "/gazebo/spawn_urdf_model", request, SPAWN_LIMIT_S)
+            if self.joints:
+                self._set_joints(run)
+        finally:
+            if halt:
+                run.call("/gazebo/unpause_physics")
+
+    def _set_joints(self, run: Run) -> None:
+        request = {
+            "model_name": self.model,
+            "urdf_param_name": "robot_description",
+            "joint_names": list(self.joints),
+            "joint_positions": list(self.joints.values()),
+        }
+        try:
+            _act(run, "/gazebo/set_model_configuration", request)
+        except Refused:
+            run.call("/gazebo/delete_model", {"model_name": self.model})
+            raise
+
+    def _tell(self, run: Run) -> None:
+        """Where it is, and what became of its tags: wrong ones in full, the others counted unless `-v`."""
+        run.heard()  # the same is said here
+        robot = run.call("/slidectl/list_robots", {"name": self.model})["robots"][0]
+        ignored = 0
+        for notice in robot["report"]:
+            where = f"{notice['file']}:{notice['line']}" if notice["line"] else notice["file"]
+            if notice["verdict"] == "wrong" or run.console.verbose:
+                run.console.warn(f"{where}: {notice['subject']}: {notice['text']}")
+            elif notice["verdict"] == "ignored":
+                ignored += 1
+        joints = " ".join(joint["name"] for joint in robot["joints"] if joint["type"] != "fixed") or "none"
+        more = f"; {ignored} tags without effect, -v shows them" if ignored else ""
+        self.settled(run, f"{self.model} spawned in {robot['namespace']}, joints: {joints}{more}", robot=self.model)
+
+    def stop(self, run: Run) -> None:
+        if self.bound and self.model in run.spawned:
+            run.call("/gazebo/delete_model", {"model_name": self.model}, HOOK_LIMIT_S)
+            run.spawned.remove(self.model)
+            self.settled(run, f"{self.model}: deleted")
+
+
+def _act(run: Run, service: str, request: dict[str, Any], timeout: float | None = None) -> None:
+    answer = run.call(service, request, timeout)
+    if not answer["success"]:
+        first, _, rest = answer["status_message"].partition("\n")
+        raise Refused(first, rest or None)
+
+
+def _pose(words: Words) -> dict[str, Any]:
+    """geometry_msgs/Pose: metres, and fixed-axis angles in radians, about x, then y, then z of the world."""
+    x, y, z, roll, pitch, yaw = (words.number(option, 0.0) for option in ("-x", "-y", "-z", "-R", "-P", "-Y"))
+    return {"position": {"x": x, "y": y, "z": z}, "orientation": quaternion(roll, pitch, yaw)}
+
+
+def quaternion(roll: float, pitch: float, yaw: float) -> dict[str, float]:
+    """geometry_msgs/Quaternion of fixed-axis angles in rad."""
+    sr, cr = math.sin(roll / 2), math.cos(roll / 2)
+    sp, cp = math.sin(pitch / 2), math.cos(pitch / 2)
+    sy, cy = math.sin(yaw / 2), math.cos(yaw / 2)
+    return {
+        "x": sr * cp * cy - cr * sp * sy,
+        "y": cr * sp * cy + sr * cp * sy,
+        "z": cr * cp * sy - sr * sp * cy,
+        "w": cr * cp * cy + sr * sp * sy,
+    }

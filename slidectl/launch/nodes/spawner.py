@@ -1,0 +1,174 @@
+"""controller_manager's spawner and unspawner: controllers come and go with the node.
+
+The spawner waits for the controller manager, loads, starts in one switch, and at the end stops and unloads in reverse.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+from slidectl import names
+from slidectl.description.packages import is_file
+from slidectl.errors import Refused, SlidectlError, UnknownName
+from slidectl.launch.manager import BEST_EFFORT, Manager
+from slidectl.launch.options import parse
+from slidectl.launch.plan import Node, Plan, leaves
+from slidectl.launch.task import HOOK_LIMIT_S, Run, Task
+
+_OPTIONS = {
+    "--stopped": 0, "--wait-for": 1, "--namespace": 1, "--timeout": 1, "--no-timeout": 0, "--shutdown-timeout": 1,
+}  # fmt: skip
+_AGAIN_S = 3.0
+
+
+class Spawner(Task):
+    """`spawner [--stopped] [--wait-for TOPIC] [--namespace NS] [--timeout S | --no-timeout] NAME|FILE.yaml...`"""
+
+    family = "controllers"
+
+    def __init__(self, node: Node, plan: Plan) -> None:
+        super().__init__(node, plan)
+        self.words = words = parse(node, _OPTIONS)
+        if not words.rest:
+            raise node.place.error(f"{node.full_name}: the spawner needs the names of controllers in its args")
+        if words.has("--shutdown-timeout"):
+            plan.notice("ignored", node.place, node.full_name, "--shutdown-timeout has no effect, as in ros_control")
+        limit = words.number("--timeout", 30.0)
+        self.patience_s = math.inf if words.has("--no-timeout") or limit <= 0 else limit
+        self.namespace = names.join(node.namespace, words.one("--namespace"))
+        self.loaded: list[str] = []
+        self._gate: Any = None
+
+    @property
+    def text(self) -> str:
+        verb = "load" if self.words.has("--stopped") else "load and start"
+        return f"{verb} {', '.join(self.words.rest)} in {self.namespace}"
+
+    def start(self, run: Run) -> str | None:
+        manager = Manager(run, self.namespace)
+        if not manager.is_there():
+            return f"{manager.name} (no robot is in {self.namespace} yet)"
+        if self.words.has("--wait-for") and not self._is_open(run):
+            return f"true on {self.node.resolve(self.words.one('--wait-for'))}"
+        controllers = self._controllers(run)
+        self._check_known(manager, controllers)
+        for name in controllers:
+            manager.load(name)
+            self.loaded.append(name)
+        if not self.words.has("--stopped"):
+            manager.switch(self.loaded, ())
+        self._report(run, manager)
+        return None
+
+    def _is_open(self, run: Run) -> bool:
+        """Whether the last that came on the topic of --wait-for was true."""
+        if self._gate is None:
+            self._gate = run.client.subscribe(self.node.resolve(self.words.one("--wait-for")), "std_msgs/Bool")
+        last = False
+        while len(self._gate):
+            last = bool(self._gate.get(0.0)["data"])
+        return last
+
+    def _controllers(self, run: Run) -> list[str]:
+        """The names, with those of files in the place of the files; what is in the files becomes parameters."""
+        found: list[str] = []
+        for word in self.words.rest:
+            if not is_file(Path(word)):
+                found.append(word)
+                continue
+            from slidectl.description import controllers_file
+
+            tree = controllers_file.read(word)
+            for name, value in leaves(self.node.namespace, tree, self.node.place):
+                run.set_parameter(name, value)
+            found += list(tree)
+        return list(dict.fromkeys(found))
+
+    def _check_known(self, manager: Manager, controllers: list[str]) -> None:
+        """A name without parameters is a slip more often than not: say which there are."""
+        known = manager.configured()
+        for name in controllers:
+            if name not in known:
+                raise UnknownName("controller", name, known, f"in the parameters of {self.namespace}")
+
+    def _report(self, run: Run, manager: Manager) -> None:
+        states = manager.states()
+        wanted = ("initialized",) if self.words.has("--stopped") else ("running", "waiting")
+        failed = [f"{name} is {states.get(name, 'gone')}" for name in self.loaded if states.get(name) not in wanted]
+        if failed:
+            raise Refused(f"did not start: {', '.join(failed)}", "slidectl daemon logs says why")
+        state = "loaded" if self.words.has("--stopped") else "running"
+        self.settled(run, f"{', '.join(self.loaded)} {state} in {self.namespace}", controllers=self.loaded)
+
+    def stop(self, run: Run) -> None:
+        """Stop all at once, as strictly as the real one; then unload what can be, the last first."""
+        manager = Manager(run, self.namespace, HOOK_LIMIT_S)
+        if not self.loaded or not manager.is_there():
+            return
+        run.heard()
+        gone = []
+        _try(run, lambda: manager.switch((), self.loaded))
+        for name in reversed(self.loaded):
+            if _try(run, lambda name=name: manager.unload(name)):
+                gone.append(name)
+        self.loaded.clear()
+        self.settled(run, f"{', '.join(gone) or 'nothing'} stopped and unloaded", controllers=gone)
+
+
+class Unspawner(Task):
+    """`unspawner NAME...`: they are stopped now and whenever they run again; at the end they are started."""
+
+    family = "controllers"
+    needs_presence = True
+
+    def __init__(self, node: Node, plan: Plan) -> None:
+        super().__init__(node, plan)
+        self.controllers = parse(node, {}).rest
+        if not self.controllers:
+            raise node.place.error(f"{node.full_name}: the unspawner needs the names of controllers in its args")
+        self.inhibited: list[str] = []
+
+    @property
+    def text(self) -> str:
+        return f"keep {', '.join(self.controllers)} stopped in {self.node.namespace}"
+
+    def start(self, run: Run) -> str | None:
+        manager = Manager(run, self.node.namespace)
+        if not manager.is_there():
+            return f"{manager.name} (no robot is in {self.node.namespace} yet)"
+        stopped = self._look(run)
+        self.settled(run, f"stopped {', '.join(stopped) or 'nothing: none of them runs'}", controllers=stopped)
+        return None
+
+    def _look(self, run: Run) -> list[str]:
+        manager = Manager(run, self.node.namespace, HOOK_LIMIT_S)
+        states = manager.states()
+        running = [name for name in self.controllers if states.get(name) == "running"]
+        if running:
+            manager.switch((), running, BEST_EFFORT)
+            self.inhibited += [name for name in running if name not in self.inhibited]
+        run.watch.later(_AGAIN_S, lambda: self._look_again(run))
+        return running
+
+    def _look_again(self, run: Run) -> None:
+        if Manager(run, self.node.namespace, HOOK_LIMIT_S).is_there() and (stopped := self._look(run)):
+            self.settled(run, f"stopped {', '.join(stopped)} again", controllers=stopped)
+
+    def stop(self, run: Run) -> None:
+        manager = Manager(run, self.node.namespace, HOOK_LIMIT_S)
+        if self.inhibited and manager.is_there():
+            run.heard()
+            _try(run, lambda: manager.switch(self.inhibited, (), BEST_EFFORT))
+            self.settled(run, f"started {', '.join(self.inhibited)} again", controllers=self.inhibited)
+
+
+def _try(run: Run, action: Any) -> bool:
+    """A step of a shutdown hook: what goes wrong is said, and the next one is tried."""
+    try:
+        action()
+    except SlidectlError as error:
+        run.console.warn(error.message)
+        return False
+    return True

@@ -1,0 +1,37 @@
+"""`rostopic`, `rosservice` and `rosparam` as nodes: the commands of this program in their place, as child processes."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import slidectl
+from slidectl.description.packages import Packages
+from slidectl.launch.nodes.process import Process
+from slidectl.launch.task import Run
+
+
+class Tool(Process):
+    """A tool starts when all other nodes have, so that whom it talks to is there."""
+
+    family = "tool"
+    comes_last = True
+
+    def _program(self, packages: Packages) -> list[str]:  # noqa: ARG002
+        # -P: a file of the user's that is called like a library must not be taken for it.
+        return [sys.executable, "-P", "-m", "slidectl", "ros", self.node.type]
+
+    @property
+    def command(self) -> list[str]:
+        return [*self.executable, *self.node.words]
+
+    @property
+    def text(self) -> str:
+        return f"run {' '.join([self.node.type, *self.node.words])}"
+
+    def _environment(self, run: Run) -> dict[str, str]:
+        environment = super()._environment(run)
+        root = str(Path(slidectl.__file__).parent.parent)
+        environment["PYTHONPATH"] = os.pathsep.join(filter(None, [root, environment.get("PYTHONPATH")]))
+        return environment

@@ -1,0 +1,275 @@
+"""A plan carried out: a daemon, parameters, nodes in order; then watched; then ended in reverse order.
+
+What each node does is its task's affair, where a daemon comes from is the door's. After `shut_down` nothing that was
+started here is left.
+"""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from slidectl.client import Client
+from slidectl.errors import NoDaemon, Refused, SlidectlError
+from slidectl.launch.interrupts import Interrupted
+from slidectl.launch.nodes.gazebo import Gazebo
+from slidectl.launch.nodes.process import Process, reason
+from slidectl.launch.setup import prepare
+from slidectl.launch.task import Run, StepFailed, Task
+from slidectl.launch.world import WorldSettings
+
+_LOOK_AGAIN_S = 0.2
+_STATUS_EVERY_S = 1.0
+
+
+class Door(Protocol):
+    """How to get at a daemon, and to get rid of it."""
+
+    def begin(self, settings: WorldSettings) -> bool:
+        """Begin to start a daemon with such a world. False when one runs already."""
+
+    def connect(self) -> tuple[Client, bool]:
+        """Wait until it answers; the connection, and whether the daemon is the one that was begun here."""
+
+    def stop(self) -> None:
+        """Stop the one that was begun here, however far it has come."""
+
+
+@dataclass
+class _Waiting:
+    """A task that could not start yet."""
+
+    task: Task
+    reason: str
+    until: float
+    told: bool = False
+
+
+class Session:
+    """One launch, from `bring_up` over `watch` to `shut_down`, which must come, whatever happened before."""
+
+    def __init__(self, run: Run, tasks: Sequence[Task], door: Door) -> None:
+        self.run = run
+        self.tasks = list(tasks)
+        self.door = door
+        self.begun: list[Task] = []
+        self.is_up = False
+        self._began_daemon = False
+        self._lost_daemon = False
+        self._waiting: list[_Waiting] = []
+        self._ended: dict[Task, int] = {}
+        self._over = False
+        run.watch.add(run.interrupts.fileno(), run.interrupts.clear)
+
+    # --- up -------------------------------------------------------------------------------------------------------
+
+    def bring_up(self) -> None:
+        """Returns when everything runs.
+
+        Raises:
+            BadFile: a value of the files cannot be had. StepFailed. NoDaemon. Interrupted.
+        """
+        run = self.run
+        run.settings = self._settings()
+        with run.interrupts.held():
+            self._began_daemon = self.door.begin(run.settings)
+        parameters = run.plan.parameters()  # running xacro takes as long as a daemon's start
+        client, run.owns_daemon = self.door.connect()
+        run.connect(client)
+        run.watch.add(client.fileno(), lambda: None)
+        prepare(run, parameters)
+        self._start_nodes()
+        self.is_up = True
+
+    def _settings(self) -> WorldSettings:
+        settings = WorldSettings()
+        for task in self.tasks:
+            if isinstance(task, Gazebo):
+                settings = task.settings(settings)
+        return settings
+
+    def _start_nodes(self) -> None:
+        for task in (task for task in self.tasks if not task.comes_last):
+            self._start(task)
+        self._wait_for_all()
+        for task in (task for task in self.tasks if task.comes_last):
+            self._start(task)
+        for task in self._running():
+            task.afterwards(self.run)
+        self._pass_on()
+
+    def _start(self, task: Task) -> None:
+        if isinstance(task, Process):
+            task.on_end = self._process_ended
+        self.begun.append(task)
+        why = self._attempt(task)
+        if why is not None:
+            self._waiting.append(_Waiting(task, why, time.monotonic() + task.patience_s))
+        elif self._waiting:
+            self._look_again()
+
+    def _attempt(self, task: Task) -> str | None:
+        """Raises StepFailed, naming the step; a daemon that went away is no fault of the step."""
+        try:
+            why = task.start(self.run)
+        except (NoDaemon, StepFailed):
+            raise
+        except SlidectlError as error:
+            raise StepFailed(task, error) from None
+        if why is None and not task.keeps_running:
+            self._over = self._over or self._is_required(task)
+        return why
+
+    def _look_again(self) -> None:
+        """Start what can be started now; what has come to wait for something else says so."""
+        progress = True
+        while progress:
+            progress = False
+            for entry in list(self._waiting):
+                why = self._attempt(entry.task)
+                if why is None:
+                    self._waiting.remove(entry)
+                    progress = True
+                    if self.is_up:
+                        entry.task.afterwards(self.run)
+                else:
+                    entry.told = entry.told and why == entry.reason
+                    entry.reason = why
+
+    def _wait_for_all(self) -> None:
+        while essential := [entry for entry in self._waiting if not entry.task.waits_lightly]:
+            for entry in essential:
+                if not entry.told:
+                    entry.told = True
+                    entry.task.settled(self.run, f"waits for {entry.reason}")
+                if time.monotonic() >= entry.until:
+                    limit = f"within {entry.task.patience_s:g} s"
+                    raise StepFailed(entry.task, Refused(f"there was no {entry.reason} {limit}"))
+            self._turn(_LOOK_AGAIN_S)
+            if self._over:
+                return
+            self._look_again()
+
+    # --- running --------------------------------------------------------------------------------------------------
+
+    def watch(self) -> None:
+        """Returns when there is nothing left to watch, or a required node has finished.
+
+        Raises:
+            Refused: a required node died; or all have ended, and some of them badly. NoDaemon. Interrupted.
+        """
+        if self.run.console.is_live:
+            self._show_status()
+        while not self._over and self._anything_left():
+            self._turn(None)
+            if self._waiting:
+                self._look_again()
+        self._judge()
+
+    def _turn(self, most_s: float | None) -> None:
+        """Take in what has come, and wait for something more. Raises NoDaemon, Interrupted."""
+        if self.run.interrupts.received:  # raised where nobody could hear it: in a finalizer, say
+            raise Interrupted(self.run.interrupts.received[0])
+        self._pass_on()
+        self.run.watch.turn(most_s)
+        self._pass_on()
+
+    def _pass_on(self) -> None:
+        """The warnings of the world are those of the launch."""
+        for _ in self.run.client.events(0.0):
+            pass
+        for text in self.run.heard():
+            self.run.console.warn(text)
+
+    def _anything_left(self) -> bool:
+        """A daemon of one's own is something to stay for."""
+        return self.run.owns_daemon or bool(self._running()) or bool(self._waiting)
+
+    def _running(self) -> list[Task]:
+        waiting = [entry.task for entry in self._waiting]
+        return [task for task in self.begun if task.keeps_running and task not in (*self._ended, *waiting)]
+
+    def _is_required(self, task: Task) -> bool:
+        return task.node.required or (self.run.options.all_required and isinstance(task, Process))
+
+    def _process_ended(self, task: Process, code: int) -> None:
+        self._ended[task] = code
+        if self._is_required(task):
+            self._over = True
+            self.run.console.step(
+                "required", f"{task.node.full_name} is required: the launch ends", node=task.node.full_name
+            )
+
+    def _judge(self) -> None:
+        """Raise Refused when something ended badly."""
+        died = {task: code for task, code in self._ended.items() if code}
+        for task, code in died.items():
+            if self._is_required(task):
+                raise StepFailed(task, Refused(f"it is required, and it died: {reason(code)}"))
+        if died:
+            names = ", ".join(f"{task.node.full_name} ({reason(code)})" for task, code in died.items())
+            raise Refused(f"these nodes died: {names}")
+
+    def check(self) -> None:
+        """Raise Refused when a node has died so far."""
+        self._judge()
+
+    def _show_status(self) -> None:
+        status = self.run.call("/slidectl/status")
+        pace = "paused" if status["paused"] else f"speed {status['speed_reached']:.2f}"
+        nodes = len(self._running())
+        self.run.console.status(
+            f"time {status['time']:.1f} s, {pace}, robots: {' '.join(status['robots']) or 'none'},"
+            f" {status['controllers_running']} of {status['controllers']} controllers run, {nodes} nodes"
+        )
+        self.run.watch.later(_STATUS_EVERY_S, self._show_status)
+
+    # --- down -----------------------------------------------------------------------------------------------------
+
+    def shut_down(self) -> None:
+        """End what was begun, the last first, and the daemon if it was begun here. Signals only hurry it."""
+        run = self.run
+        run.interrupts.hold_for_good()
+        run.console.status("")
+        processes = [task for task in self.begun if isinstance(task, Process)]
+        for process in processes:
+            process.ending = True
+        for task in reversed(self.begun):
+            self._stop(task)
+        self._escalate(processes)
+        if run.is_connected:
+            run.client.close()
+        if self._began_daemon:
+            self._stop_daemon()
+
+    def _stop(self, task: Task) -> None:
+        if not isinstance(task, Process) and (self._lost_daemon or not self.run.is_connected):
+            return
+        try:
+            task.stop(self.run)
+        except NoDaemon:
+            self._lost_daemon = True
+        except SlidectlError as error:
+            task.warn(self.run, f"at its end: {error.message}")
+
+    def _escalate(self, processes: Sequence[Process]) -> None:
+        options = self.run.options
+        deadline = time.monotonic()
+        for seconds, number in (
+            (options.sigint_timeout_s, signal.SIGTERM),
+            (options.sigterm_timeout_s, signal.SIGKILL),
+        ):
+            deadline += seconds
+            for process in reversed(processes):
+                process.finish(self.run, deadline, number)
+        for process in reversed(processes):
+            process.release()
+
+    def _stop_daemon(self) -> None:
+        try:
+            self.door.stop()
+        except SlidectlError as error:
+            self.run.console.warn(str(error))

@@ -1,0 +1,85 @@
+"""What comes before the first node: namespaces cleared, rosparam's commands, and all parameters in one batch."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+
+from slidectl.errors import Refused, SlidectlError
+from slidectl.launch.plan import Leaf, Place, RosparamCommand
+from slidectl.launch.task import Run
+
+
+def prepare(run: Run, parameters: Mapping[str, Leaf]) -> None:
+    """Raises Refused with the place of what cannot be done."""
+    _tell_notices(run)
+    for namespace, place in run.plan.clear:
+        _clear(run, namespace, place)
+    for command in run.plan.commands:
+        _carry_out(run, command)
+    _set(run, parameters)
+    if parameters:
+        run.console.step("parameters", f"{len(parameters)} parameters set", count=len(parameters))
+
+
+def _tell_notices(run: Run) -> None:
+    """What the files say that is wrong in full, the rest counted unless `-v`."""
+    quiet = 0
+    for notice in run.plan.notices:
+        if notice.verdict == "wrong" or run.console.verbose:
+            run.console.warn(str(notice))
+        else:
+            quiet += 1
+    if quiet:
+        run.console.step("notices", f"{quiet} things in the files have no effect, -v shows them", count=quiet)
+
+
+def _clear(run: Run, namespace: str, place: Place) -> None:
+    if run.call("/rosapi/has_param", {"name": namespace})["exists"]:
+        _ask(run, place, "delete_param", name=namespace)
+
+
+def _carry_out(run: Run, command: RosparamCommand) -> None:
+    if not run.call("/rosapi/has_param", {"name": command.name})["exists"]:
+        run.console.warn(
+            f"{command.place}: <rosparam>: {command.name} is not set, so there is nothing to {command.verb}"
+        )
+        if command.verb == "delete":
+            return
+    if command.verb == "delete":
+        _ask(run, command.place, "delete_param", name=command.name)
+        return
+    import yaml
+
+    text = yaml.safe_dump(run.parameter(command.name) or {}, allow_unicode=True, default_flow_style=False)
+    try:
+        with open(command.file, "w", encoding="utf-8") as file:
+            file.write(text)
+    except OSError as error:
+        raise Refused(f"{command.place}: <rosparam>: cannot write {command.file}: {error.strerror}") from None
+
+
+def _set(run: Run, parameters: Mapping[str, Leaf]) -> None:
+    calls = [
+        (name, place, run.client.call_async("/rosapi/set_param", {"name": name, "value": _as_json(name, value, place)}))
+        for name, (value, place) in parameters.items()
+    ]
+    for name, place, call in calls:
+        try:
+            run.client.answer(call)
+        except Refused as error:
+            raise Refused(f"{place}: parameter {name}: {error.message}", error.hint) from None
+
+
+def _as_json(name: str, value: object, place: Place) -> str:
+    try:
+        return json.dumps(value, allow_nan=False)
+    except ValueError:
+        raise place.error(f"parameter {name}: {value} is no finite number, and parameters hold no others") from None
+
+
+def _ask(run: Run, place: Place, verb: str, **request: object) -> None:
+    try:
+        run.call(f"/rosapi/{verb}", request)
+    except SlidectlError as error:
+        raise Refused(f"{place}: {error.message}", error.hint) from None

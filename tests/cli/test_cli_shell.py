@@ -1,0 +1,179 @@
+"""Many commands in one process: scripts, their comments and failures, and the prompt of a terminal."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from command_line import ROOT, CommandLine
+
+CONTROLLERS = ("joint_state_controller", "joint1_position_controller")
+
+
+@pytest.fixture(scope="module")
+def slider(world: CommandLine) -> CommandLine:
+    """A paused world with a slider under control."""
+    world.ok("spawn", "slider", "--controllers", "config/slider_control.yaml", "--start", *CONTROLLERS)
+    return world
+
+
+def test_a_script_runs_its_lines_in_order(slider: CommandLine) -> None:
+    script = """
+        # where it goes
+        param set /wanted 0.5
+        slidectl param get /wanted   # as it would be typed
+        pub command 0.5
+        sim step 10
+        controller list --json
+    """
+    done = slider("shell", stdin=script)
+    assert done.returncode == 0, done.stderr
+    first, *rest = done.stdout.splitlines()
+    assert first == "0.5"
+    assert {json.loads(line)["name"] for line in rest if line.startswith("{")} == set(CONTROLLERS)
+
+
+def test_all_lines_share_one_connection(slider: CommandLine) -> None:
+    done = slider("--json", "shell", stdin="sim status\n" * 3)
+    assert [json.loads(line)["connections"] for line in done.stdout.splitlines()] == [1, 1, 1]
+
+
+def test_a_script_stops_at_the_first_failure_with_its_exit_code(slider: CommandLine) -> None:
+    done = slider("shell", stdin="param set /a 1\nparam get\nparam set /a 2\n")
+    assert done.returncode == 2
+    assert "stdin, line 2: param get" in done.stderr
+    assert slider.ok("param", "get", "/a") == "1\n"
+
+
+def test_keep_going_goes_on_and_tells_the_first_failure(slider: CommandLine) -> None:
+    done = slider("shell", "--keep-going", stdin="param get /no/such\nno_command\nparam set /b 2\n")
+    assert done.returncode == 1
+    assert done.stderr.count("error:") == 2
+    assert slider.ok("param", "get", "/b") == "2\n"
+
+
+def test_a_script_may_be_a_file_and_its_commands_may_read_stdin(slider: CommandLine, tmp_path: Path) -> None:
+    script = tmp_path / "script"
+    script.write_text("param load - /loaded\nparam get /loaded/x\n")
+    done = slider("shell", str(script), stdin="x: 1.5\n")
+    assert (done.returncode, done.stdout) == (0, "1.5\n"), done.stderr
+
+
+def test_a_script_on_stdin_is_not_eaten_by_its_commands(slider: CommandLine) -> None:
+    done = slider("shell", stdin="pub command --stdin\nparam get /slider/joint1_position_controller/pid/p\n")
+    assert (done.returncode, done.stdout) == (0, "100.0\n"), done.stderr
+
+
+def test_a_missing_script_is_a_bad_file(slidectl: CommandLine) -> None:
+    done = slidectl("shell", "no_such_script")
+    assert done.returncode == 2
+    assert "no_such_script" in done.stderr
+
+
+def test_exit_ends_a_script(slidectl: CommandLine) -> None:
+    done = slidectl("shell", stdin="version\nexit\nversion\n")
+    assert (done.returncode, done.stdout.count("\n")) == (0, 1)
+
+
+def test_options_before_the_shell_hold_for_each_line_and_a_line_may_say_otherwise(slider: CommandLine) -> None:
+    done = slider(
+        "--json", "--ns", "/slider", "shell", stdin="param get joint1_position_controller/type\n-o text version\n"
+    )
+    record, version = done.stdout.splitlines()
+    assert json.loads(record)["parameter"] == "/slider/joint1_position_controller/type"
+    assert version.startswith("slidectl ")
+
+
+def test_a_line_may_pick_another_daemon(slider: CommandLine) -> None:
+    done = slider("shell", "--keep-going", stdin="-i no_such_daemon sim status\nparam set /c 3\nparam get /c\n")
+    assert (done.returncode, done.stdout) == (3, "3\n")
+
+
+def test_echo_leaves_no_subscription_behind(slider: CommandLine) -> None:
+    script = "echo /tf_static -n 1 --noarr\ntopic info /tf_static\n"
+    done = slider("shell", stdin=script)
+    assert done.returncode == 0, done.stderr
+    assert "Subscribers: None" in done.stdout
+
+
+def test_a_shell_does_not_run_in_a_shell(slidectl: CommandLine) -> None:
+    assert slidectl("shell", stdin="shell\n").returncode == 2
+
+
+def test_an_open_quote_is_told(slidectl: CommandLine) -> None:
+    done = slidectl("shell", stdin="pub 'command\n")
+    assert done.returncode == 2
+    assert "No closing quotation" in done.stderr
+
+
+def test_a_script_may_start_restart_and_stop_the_daemon(slidectl: CommandLine) -> None:
+    lines = ["daemon start --paused", "sim step 5", "sim status --json", "daemon restart --paused", "sim status --json"]
+    done = slidectl("-q", "shell", stdin="\n".join([*lines, "daemon stop", "sim status"]))
+    assert done.returncode == 3, done.stderr
+    assert [json.loads(line)["cycles"] for line in done.stdout.splitlines() if line.startswith("{")] == [5, 0]
+
+
+# --- at a terminal --------------------------------------------------------------------------------------------------
+
+
+class Conversation:
+    """A shell on a terminal of its own: `say` a line, `hear` until a text has come."""
+
+    def __init__(self, slidectl: CommandLine, home: Path) -> None:
+        self.master, slave = os.openpty()
+        environment = {**slidectl.environment, "TERM": "dumb", "XDG_STATE_HOME": str(home)}
+        argv = slidectl.argv("shell")
+        self.process = subprocess.Popen(argv, stdin=slave, stdout=slave, stderr=slave, env=environment, cwd=ROOT)
+        os.close(slave)
+        self.heard = ""
+
+    def say(self, text: str) -> None:
+        os.write(self.master, text.encode())
+
+    def hear(self, text: str) -> None:
+        """Wait for the text behind what was heard before."""
+        deadline = time.monotonic() + 30
+        while text not in self.heard:
+            assert select.select([self.master], [], [], max(0.0, deadline - time.monotonic()))[0], self.heard
+            self.heard += os.read(self.master, 4096).decode()
+        self.heard = self.heard.partition(text)[2]
+
+
+@pytest.fixture
+def conversation(slider: CommandLine, tmp_path: Path) -> Iterator[Conversation]:
+    talk = Conversation(slider, tmp_path)
+    talk.hear("slidectl> ")
+    yield talk
+    talk.process.kill()
+    talk.process.wait()
+    os.close(talk.master)
+
+
+def test_a_failure_does_not_end_a_conversation(conversation: Conversation) -> None:
+    conversation.say("param get /no/such\n")
+    conversation.hear("error:")
+    conversation.hear("slidectl> ")
+    conversation.say("param get /slider/joint1_position_controller/pid/p\n")
+    conversation.hear("100.0")
+    conversation.hear("slidectl> ")
+    conversation.say("exit\n")
+    assert conversation.process.wait(30) == 0
+
+
+def test_what_was_typed_is_remembered_and_names_are_completed(conversation: Conversation, tmp_path: Path) -> None:
+    pytest.importorskip("readline")
+    conversation.say("param get joint1_position_controller/pid/p\t\n")
+    conversation.hear("100.0")
+    conversation.hear("slidectl> ")
+    conversation.say("vers\t\n")
+    conversation.hear("slidectl 0")
+    conversation.hear("slidectl> ")
+    conversation.say("\x04")
+    assert conversation.process.wait(30) == 0
+    assert "joint1_position_controller/pid/p" in (tmp_path / "slidectl" / "history").read_text()

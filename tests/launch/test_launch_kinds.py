@@ -1,0 +1,125 @@
+"""Nodes that have a counterpart: which they are, what their arguments mean, and which of these are refused at once."""
+
+from __future__ import annotations
+
+import pytest
+from launch_files import Workspace, notices
+
+from slidectl.errors import BadFile
+from slidectl.launch import kinds
+from slidectl.launch.task import Task
+
+
+def tasks(workspace: Workspace, content: str, skip_unknown: bool = False) -> list[Task]:
+    return kinds.tasks(workspace.plan(content), workspace.packages, skip_unknown)
+
+
+def task(workspace: Workspace, kind: str, args: str = "", attributes: str = "") -> Task:
+    package, _, name = kind.partition("/")
+    args = args.replace('"', "&quot;")
+    [made] = tasks(workspace, f'<node pkg="{package}" type="{name}" name="n" args="{args}" {attributes}/>')
+    return made
+
+
+@pytest.mark.parametrize(
+    ("kind", "args", "family", "text"),
+    [
+        ("gazebo_ros/gazebo", "-u", "world", "the world, paused"),
+        ("gazebo_ros/gzserver", "", "world", "the world"),
+        ("gazebo_ros/gzclient", "", "notice", "nothing: there is no window here"),
+        ("gazebo_ros/spawn_model", "-urdf -model m -param robot_description", "robot",
+         "spawn m from parameter /robot_description"),
+        ("controller_manager/spawner", "a b", "controllers", "load and start a, b in /"),
+        ("controller_manager/spawner", "--stopped --namespace=rrbot a", "controllers", "load a in /rrbot"),
+        ("controller_manager/unspawner", "a", "controllers", "keep a stopped in /"),
+        ("controller_manager/controller_manager", "sp a", "controllers", "controller_manager spawn a"),
+        ("controller_manager/controller_group", "switch g", "controllers", "controller_group switch g"),
+        ("robot_state_publisher/robot_state_publisher", "", "frames", "frames on /tf, of the robot with /joint_states"),
+        ("robot_state_publisher/state_publisher", "", "frames", "frames on /tf, of the robot with /joint_states"),
+        ("joint_state_publisher/joint_state_publisher", "", "refused", "refused: the joints of a simulated robot are"),
+        ("tf/static_transform_publisher", "0 0 1 0 0 0 a b 100", "frames", "the frame b in a"),
+        ("tf2_ros/static_transform_publisher", "0 0 1 0 0 0 1 a /b", "frames", "the frame b in a"),
+        ("rostopic/rostopic", "pub /x std_msgs/Float64 1.0", "tool", "run rostopic pub /x std_msgs/Float64 1.0"),
+        ("rosservice/rosservice", "call /x", "tool", "run rosservice call /x"),
+        ("rviz/rviz", "-d x.rviz", "notice", "slidectl tf tree"),
+        ("rqt_gui/rqt_gui", "", "notice", "slidectl pub -r"),
+        ("rqt_plot/rqt_plot", "", "notice", "slidectl echo -p"),
+    ],
+)  # fmt: skip
+def test_each_is_what_it_is_here(workspace: Workspace, kind: str, args: str, family: str, text: str) -> None:
+    made = task(workspace, kind, args)
+    assert made.family == family
+    assert text in made.text
+
+
+@pytest.mark.parametrize(
+    ("kind", "args", "reason"),
+    [
+        ("gazebo_ros/spawn_model", "-urdf -param d", "needs a name for the robot: -model NAME"),
+        ("gazebo_ros/spawn_model", "-urdf -model m", "takes one of -param NAME and -file FILE"),
+        ("gazebo_ros/spawn_model", "-sdf -model m -file x", "-sdf: only URDF can be spawned, and this is SDF"),
+        ("gazebo_ros/spawn_model", "-model m -database d", "-database: there is no model database here"),
+        ("gazebo_ros/spawn_model", "-model m -param d -x one", "-x is a number, not 'one'"),
+        ("gazebo_ros/spawn_model", "-model m -param d -J joint1", "-J takes 2 values, not 1"),
+        ("gazebo_ros/spawn_model", "-model m -param d -J joint1 inf", "-J joint1 is a number, not 'inf'"),
+        ("gazebo_ros/spawn_model", "-model m -parm d", "no option '-parm' here; did you mean -param?"),
+        ("gazebo_ros/spawn_model", "-model m -param d extra", "does not understand 'extra'"),
+        ("gazebo_ros/spawn_model", "-model m -param d -gazebo_namespace /other", "there is one world"),
+        ("controller_manager/spawner", "", "needs the names of controllers"),
+        ("controller_manager/spawner", "--timeot 3 a", "no option '--timeot' here; did you mean --timeout?"),
+        ("controller_manager/spawner", "--timeout soon a", "--timeout is a number, not 'soon'"),
+        ("controller_manager/unspawner", "", "needs the names of controllers"),
+        ("controller_manager/controller_manager", "", "no command ''"),
+        ("controller_manager/controller_manager", "strat a", "Did you mean 'start'?"),
+        ("controller_manager/controller_manager", "load", "load needs the names of controllers"),
+        ("controller_manager/controller_group", "spawn", "does not understand 'spawn'"),
+        ("tf/static_transform_publisher", "0 0 0 a b", "5 arguments are too few"),
+        ("tf/static_transform_publisher", "0 0 0 0 0 0 0 0 a b 100 7", "are too many"),
+        ("tf2_ros/static_transform_publisher", "0 0 x 0 0 0 a b", "is a number, not 'x'"),
+    ],
+)
+def test_arguments_that_make_no_sense_are_refused_before_anything_starts(
+    workspace: Workspace, kind: str, args: str, reason: str
+) -> None:
+    with pytest.raises(BadFile, match=r"test.launch:1: /n: ") as caught:
+        task(workspace, kind, args)
+    assert reason in str(caught.value)
+
+
+def test_attributes_that_only_mean_something_for_a_process_are_pointed_out(workspace: Workspace) -> None:
+    plan = workspace.plan(
+        '<node pkg="robot_state_publisher" type="robot_state_publisher" name="n" respawn="true" launch-prefix="gdb"'
+        ' cwd="node"/>'
+    )
+    kinds.tasks(plan, workspace.packages)
+    assert [text.rpartition("/n: ")[2].split()[0] for text in notices(plan)] == ["respawn", "launch-prefix", "cwd"]
+
+
+def test_a_node_that_is_nothing_here_is_refused_or_left_out(workspace: Workspace) -> None:
+    content = '<node pkg="fancy" type="thing" name="n"/><node pkg="rviz" type="rviz" name="r"/>'
+    with pytest.raises(BadFile, match=r"test.launch:1: node /n \(fancy/thing\): no package 'fancy'"):
+        tasks(workspace, content)
+    plan = workspace.plan(content)
+    [left] = kinds.tasks(plan, workspace.packages, skip_unknown=True)
+    assert left.node.name == "r"
+    assert "/n: left out: node /n (fancy/thing): no package 'fancy'" in notices(plan)[0]
+
+
+def test_names_of_a_node_are_resolved_through_its_namespace_and_remaps(workspace: Workspace) -> None:
+    node = workspace.node(
+        '<group ns="g"><remap from="joint_states" to="/rrbot/joint_states"/><remap from="/abs" to="rel"/>'
+        '<node pkg="rviz" type="rviz" name="n"><remap from="~own" to="other"/></node></group>'
+    )
+    assert node.resolve("joint_states") == "/rrbot/joint_states"
+    assert node.resolve("/g/joint_states") == "/rrbot/joint_states"
+    assert node.resolve("/joint_states") == "/joint_states"
+    assert node.resolve("/abs") == "/g/rel"
+    assert node.resolve("~own") == "/g/other"
+    assert node.resolve("~x") == "/g/n/x"
+
+
+def test_the_later_of_two_remaps_wins(workspace: Workspace) -> None:
+    node = workspace.node(
+        '<remap from="a" to="b"/><node pkg="rviz" type="rviz" name="n"><remap from="a" to="c"/></node>'
+    )
+    assert node.resolve("a") == "/c"

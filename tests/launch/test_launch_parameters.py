@@ -1,0 +1,211 @@
+"""Parameters: their types, their sources, and those that get in each other's way."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from launch_files import Workspace, notices
+
+from slidectl.errors import BadFile
+
+
+@pytest.mark.parametrize(
+    ("attributes", "expected"),
+    [
+        ('value="10"', 10),
+        ('value="-3"', -3),
+        ('value="1.0"', 1.0),
+        ('value="1.5e3"', 1500.0),
+        ('value="1e3"', "1e3"),
+        ('value="1_000"', "1_000"),
+        ('value="true"', True),
+        ('value="False"', False),
+        ('value="yes"', "yes"),
+        ('value=""', ""),
+        ('value="a b"', "a b"),
+        ('value="1.2.3"', "1.2.3"),
+        ('value="10" type="str"', "10"),
+        ('value="10" type="string"', "10"),
+        ('value="10" type="double"', 10.0),
+        ('value="10" type="INT"', 10),
+        ('value="1" type="bool"', True),
+        ('value="0" type="boolean"', False),
+        ('value="[1, {a: b}]" type="yaml"', [1, {"a": "b"}]),
+        ('value="deg(90)" type="yaml"', pytest.approx(1.5707963)),
+        ('value="{a: {b: 1}}" type="yaml"', None),
+    ],
+)
+def test_a_value_is_typed_as_roslaunch_types_it(workspace: Workspace, attributes: str, expected: Any) -> None:
+    found = workspace.values(f'<param name="x" {attributes}/>')
+    if expected is None:
+        assert found == {"/x/a/b": 1}
+        return
+    assert found["/x"] == expected
+    assert isinstance(found["/x"], type(expected)) or not isinstance(expected, bool | int | float | str)
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        ('<param name="x"/>', "x needs exactly one of value, textfile, binfile, command, and none is there"),
+        ('<param name="x" value="1" command="true"/>', "x needs exactly one of .*, not 2 of them"),
+        ('<param name="x" value="a" type="int"/>', "its value is no int"),
+        ('<param name="x" value="a" type="double"/>', "its value is no double"),
+        ('<param name="x" value="nan" type="double"/>', "its value is no double: nan is no finite number"),
+        ('<param name="x" value="1.0e999"/>', "its value is no parameter: inf is no finite number"),
+        ('<param name="x" value="maybe" type="bool"/>', "its value is no bool: 'maybe' is neither true nor false"),
+        ('<param name="x" value="[1" type="yaml"/>', "its value is not YAML"),
+        ('<param name="x" value="" type="yaml"/>', "its value is nothing"),
+        ('<param name="x" value="1" type="complex"/>', "the type 'complex' is none of auto, str"),
+        ('<param name="a b" value="1"/>', "'a b' is not a legal name here"),
+        ('<param name="x" command=""/>', "the attribute 'command' is empty"),
+        ('<param name="x" command="echo \'a"/>', "command: no closing quotation"),
+        ('<rosparam command="delete"/>', "delete needs a param or an ns"),
+        ('<rosparam command="dump" param="a"/>', "the attribute 'file' is missing"),
+        ('<rosparam command="lod" file="x"/>', "the command 'lod' is none of load, dump, delete"),
+        ('<rosparam file="x">a: 1</rosparam>', "a file and a text exclude each other"),
+        ('<rosparam file="/no/such.yaml"/>', "/no/such.yaml: no such file or directory"),
+        ('<rosparam param="x"> </rosparam>', "its value is nothing"),
+    ],
+)
+def test_what_no_parameter_can_be_is_refused_with_the_place(workspace: Workspace, content: str, reason: str) -> None:
+    with pytest.raises(BadFile, match=rf"test.launch:1: <\w+>: {reason}"):
+        workspace.plan(content).parameters()
+
+
+def test_yaml_in_the_file_has_the_lines_of_the_file(workspace: Workspace) -> None:
+    with pytest.raises(BadFile, match=r"test.launch:4: 'b' has no value"):
+        workspace.values("\n<rosparam>\n  a: 1\n  b:\n</rosparam>")
+    plan = workspace.plan("\n<rosparam>\n  a: 1\n  a: 2\n</rosparam>")
+    assert plan.parameters()["/a"][0] == 2
+    assert notices(plan)[0].startswith("demo/launch/test.launch:4: a: is there twice")
+
+
+def test_files_give_text_bytes_and_trees(workspace: Workspace) -> None:
+    workspace.write("a.txt", "größe\n")
+    workspace.write("p.yaml", "pid: {p: 1.0}\n---\npid: {i: 0.5}\nlist: [a]\n")
+    found = workspace.values(
+        '<param name="t" textfile="$(find demo)/a.txt"/><param name="b" binfile="$(find demo)/a.txt"/>'
+        '<rosparam file="$(find demo)/p.yaml" ns="left"/>'
+    )
+    assert found == {"/t": "größe\n", "/b": "Z3LDtsOfZQo=", "/left/pid/p": 1.0, "/left/pid/i": 0.5, "/left/list": ["a"]}
+
+
+def test_a_list_or_a_single_value_needs_a_name(workspace: Workspace) -> None:
+    assert workspace.values('<rosparam param="l">[1, two]</rosparam>') == {"/l": [1, "two"]}
+    assert workspace.values('<rosparam param="x" ns="a">3</rosparam>') == {"/a/x": 3}
+    assert workspace.values('<rosparam param="x">{a: 1}</rosparam>') == {"/x/a": 1}
+    with pytest.raises(BadFile, match="expected names with values"):
+        workspace.values("<rosparam>[1, 2]</rosparam>")
+
+
+def test_later_parameters_replace_earlier_ones_and_trees_are_merged(workspace: Workspace) -> None:
+    content = '<rosparam>a: {x: 1, y: 1}</rosparam><rosparam>a: {y: 2, z: 2}</rosparam><param name="a/z" value="3"/>'
+    assert workspace.values(content) == {"/a/x": 1, "/a/y": 2, "/a/z": 3}
+
+
+def test_a_name_cannot_hold_a_value_and_other_names(workspace: Workspace) -> None:
+    for content in ('<param name="a" value="1"/>\n<param name="a/b" value="2"/>',
+                    '<param name="a/b" value="2"/>\n<param name="a" value="1"/>'):  # fmt: skip
+        with pytest.raises(BadFile, match=r"parameter /a/b lies below /a, which is set to a value at .*test.launch:\d"):
+            workspace.values(content)
+    assert workspace.values('<rosparam>a: {}</rosparam><param name="a/b" value="2"/>') == {"/a/b": 2}
+    assert workspace.values("<rosparam>a: {}</rosparam>") == {"/a": {}}
+
+
+def test_an_empty_rosparam_is_pointed_out(workspace: Workspace) -> None:
+    plan = workspace.plan("<rosparam/>")
+    assert plan.parameters() == {}
+    assert "holds no parameters" in notices(plan)[0]
+
+
+def test_a_nodes_own_parameters_are_below_it(workspace: Workspace) -> None:
+    content = """<group ns="g"><node pkg="rviz" type="rviz" name="n">
+      <param name="a" value="1"/><param name="~b" value="2"/><param name="/c" value="3"/>
+      <rosparam param="d" ns="e">4</rosparam><rosparam>f: 5</rosparam></node></group>"""
+    values = {f"/g/n/{key}": value for key, value in {"a": 1, "b": 2, "c": 3, "e/d": 4, "f": 5}.items()}
+    assert workspace.values(content) == values
+
+
+def test_rosparam_commands_are_kept_for_before_the_parameters(workspace: Workspace) -> None:
+    plan = workspace.plan(
+        '<group ns="g"><rosparam command="delete" param="old"/><rosparam command="dump" file="/tmp/x.yaml"/></group>'
+        '<rosparam command="delete" ns="all"/>'
+    )
+    assert [(command.verb, command.name, command.file) for command in plan.commands] == [
+        ("delete", "/g/old", ""),
+        ("dump", "/g", "/tmp/x.yaml"),
+        ("delete", "/all", ""),
+    ]
+
+
+def test_nothing_is_read_or_run_before_the_values_are_asked_for(workspace: Workspace) -> None:
+    mark = workspace.folder / "ran"
+    plan = workspace.plan(f'<param name="x" command="touch {mark}"/><rosparam file="/no/such.yaml"/>')
+    assert not mark.exists()
+    with pytest.raises(BadFile):
+        plan.parameters()
+    assert mark.exists()
+
+
+def test_a_command_gives_its_output_as_it_is(workspace: Workspace) -> None:
+    found = workspace.values(
+        """<param name="x" command="printf '%s|' one 'two words' $HOME"/><param name="n" command="echo 5" type="int"/>
+        <param name="y" command="echo '{a: [1, 2]}'" type="yaml"/>"""
+    )
+    assert found == {"/x": "one|two words|$HOME|", "/n": 5, "/y/a": [1, 2]}
+
+
+def test_commands_can_be_refused_but_not_our_own_xacro(workspace: Workspace) -> None:
+    path = workspace.launch_file('<param name="x" command="echo 1"/>')
+    with pytest.raises(BadFile, match=r"runs the program 'echo'\nthat is refused by --no-commands"):
+        workspace.load(path, run_commands=False)
+    model = '<param name="x" command="$(find xacro)/xacro $(find my_slider)/urdf/slider.xacro"/>'
+    plan = workspace.load(workspace.launch_file(model), run_commands=False)
+    assert "<robot" in plan.parameters()["/x"][0]
+    assert not plan.settings[0].runs_command
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "$(find xacro)/xacro --inorder '$(arg file)' namespace:=/left",
+        "$(find xacro)/xacro.py $(arg file) namespace:=/left",
+        "xacro -i $(arg file) namespace:=/left",
+        "rosrun xacro xacro $(arg file) namespace:=/left",
+        "/opt/ros/noetic/bin/xacro --inorder $(arg file) namespace:=/left",
+    ],
+)
+def test_xacro_runs_by_our_own_however_it_is_called(workspace: Workspace, command: str) -> None:
+    content = f'<arg name="file" value="$(find my_slider)/urdf/slider.xacro"/><param name="x" command="{command}"/>'
+    xml = workspace.values(content)["/x"]
+    assert "<robotNamespace>/left</robotNamespace>" in xml
+    assert "xacro:" not in xml
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        ("/no/such.xacro", "xacro: no such file: /no/such.xacro"),
+        ("--frobnicate $(find my_slider)/urdf/slider.xacro", "xacro's option '--frobnicate' is not understood here"),
+        ("a b", "xacro takes one file, not 2"),
+        ("", "xacro takes one file, not 0"),
+    ],
+)
+def test_a_call_of_xacro_that_makes_no_sense_is_refused_when_it_is_read(
+    workspace: Workspace, words: str, reason: str
+) -> None:
+    with pytest.raises(BadFile, match=rf"test.launch:1: <param>: {reason}"):
+        workspace.plan(f'<param name="x" command="$(find xacro)/xacro {words}"/>')
+
+
+def test_a_fault_in_the_model_has_the_models_place_and_an_unused_argument_is_pointed_out(workspace: Workspace) -> None:
+    workspace.write("urdf/bad.xacro", '<robot name="r" xmlns:xacro="x">\n<link name="${nope}"/>\n</robot>')
+    with pytest.raises(BadFile, match=r"urdf/bad.xacro:2: .*nope"):
+        workspace.values('<param name="x" command="$(find xacro)/xacro $(find demo)/urdf/bad.xacro"/>')
+    plan = workspace.plan(
+        '<param name="x" command="$(find xacro)/xacro $(find my_slider)/urdf/slider.xacro colour:=red"/>'
+    )
+    plan.parameters()
+    assert "colour:=: the file has no such argument" in notices(plan)[0]

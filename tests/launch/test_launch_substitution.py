@@ -1,0 +1,196 @@
+"""`$(...)` in attributes: what each gives, how it combines with others, and what is refused."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import pytest
+from launch_files import Workspace, notices
+
+from slidectl.errors import BadFile
+from slidectl.launch.evaluator import ExpressionError, evaluate
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("plain", "plain"),
+        ("$(arg a)", "one"),
+        ("$(arg a)-$(arg a)/$(arg b)", "one-one/2"),
+        ("$(arg b)", 2),
+        ("$(arg b).0", 2.0),
+        ("  $(arg   a)  ", "  one  "),
+        ("$ (arg a) $a $$", "$ (arg a) $a $$"),
+        ("$(optenv NOT_SET)", ""),
+        ("$(optenv NOT_SET a  b)", "a b"),
+        ("$(optenv HERE other)", "home"),
+        ("$(env HERE)!", "home!"),
+        ("$(arg c)", "$(arg a)"),
+    ],
+)
+def test_each_is_put_in_where_it_stands(
+    workspace: Workspace, monkeypatch: pytest.MonkeyPatch, text: str, expected: Any
+) -> None:
+    monkeypatch.setenv("HERE", "home")
+    found = workspace.value(text, a="one", b="2", c="$(arg a)")
+    assert found == expected
+    assert type(found) is type(expected)
+
+
+def test_packages_and_the_files_own_folder_are_found(workspace: Workspace) -> None:
+    assert workspace.value("$(find demo)/urdf/x.xacro") == f"{workspace.package}/urdf/x.xacro"
+    assert workspace.value("$(dirname)") == str(workspace.package / "launch")
+
+
+def test_an_included_file_has_its_own_folder_and_its_own_neighbours(workspace: Workspace) -> None:
+    neighbour = workspace.folder / "elsewhere" / "neighbour"
+    neighbour.mkdir(parents=True)
+    (neighbour / "package.xml").write_text("<package><name>neighbour</name></package>")
+    other = workspace.folder / "elsewhere" / "other"
+    other.mkdir()
+    (other / "a.launch").write_text(
+        '<launch><param name="d" value="$(dirname)"/><param name="n" value="$(find neighbour)"/>'
+        '<param name="own" value="$(find demo)"/></launch>'
+    )
+    found = workspace.values(f'<include file="{other}/a.launch"/>')
+    assert found == {"/d": str(other), "/n": str(neighbour), "/own": str(workspace.package)}
+
+
+def test_anon_gives_one_name_for_one_identifier_and_different_ones_for_others(workspace: Workspace) -> None:
+    plan = workspace.plan(
+        '<node pkg="rviz" type="rviz" name="$(anon view)"/><node pkg="rviz" type="rviz" name="$(anon other)"/>'
+        '<param name="x" value="$(anon view)"/>'
+    )
+    first, second = (node.name for node in plan.nodes)
+    assert first.startswith("view_")
+    assert second.startswith("other_")
+    assert plan.parameters()["/x"][0] == first
+    again = workspace.node('<node pkg="rviz" type="rviz" name="$(anon view)"/>')
+    assert again.name != first
+
+
+@pytest.mark.parametrize(
+    ("expression", "expected"),
+    [
+        ("1 + 1", 2),
+        ("a + '_' + str(b)", "one_2"),
+        ("arg('b') * 2.5", 5.0),
+        ("b > 1 and a == 'one'", True),
+        ("not true", False),
+        ("'yes' if on else 'no'", "yes"),
+        ("sin(pi / 2)", 1.0),
+        ("env('HERE') + optenv('NOT_SET', '!')", "home!"),
+        ("len", None),
+        ("'/'.join(['a', 'b'])", "a/b"),
+        ("[x * 2 for x in [1, 2, 3] if x > 1][0]", 4),
+        ("dict([['k', 'v']])['k']", "v"),
+        ("'%s-%02d' % (a, b)", "one-02"),
+        ("a.startswith('o')", True),
+        ("list(map(int, '1 2'.split()))[1]", 2),
+        ("1e3", 1000.0),
+        ("'010'", 10),
+        ("a[0:2]", "on"),
+    ],
+)
+def test_eval_computes_and_the_result_is_typed_again(
+    workspace: Workspace, monkeypatch: pytest.MonkeyPatch, expression: str, expected: Any
+) -> None:
+    monkeypatch.setenv("HERE", "home")
+    if expected is None:
+        with pytest.raises(BadFile, match="there is no name 'len'"):
+            workspace.value(f"$(eval {expression})", a="one", b="2", on="true")
+        return
+    found = workspace.value(f"$(eval {expression})", a="one", b="2", on="true")
+    assert found == expected
+    assert type(found) is type(expected)
+
+
+def test_eval_finds_packages_and_folders_too(workspace: Workspace) -> None:
+    assert workspace.value("$(eval find('demo') + '/x')") == f"{workspace.package}/x"
+    assert workspace.value("$(eval dirname())") == str(workspace.package / "launch")
+    with pytest.raises(BadFile, match="no package 'nope'"):
+        workspace.value("$(eval find('nope'))")
+    with pytest.raises(BadFile, match="there is no argument 'nope' here"):
+        workspace.value("$(eval arg('nope'))")
+
+
+@pytest.mark.parametrize(
+    ("expression", "reason"),
+    [
+        ("().__class__", "double underscores"),
+        ("open('/etc/passwd')", "there is no name 'open'"),
+        ("eval('1')", "there is no name 'eval'"),
+        ("(1).real", "uses Attribute"),
+        ("'a'.format(1)", "has no 'format' here"),
+        ("lambda: 1", "uses Lambda"),
+        ("x := 1", "not valid"),
+        ("9 ** 9 ** 9", "too large"),
+        ("'a' * 10 ** 8", "too long"),
+        ("'%999999999d' % 1", "too large"),
+        ("''.join(['a' * 99999] * 9999)", "too long"),
+        ("[0] * 99999 + [0] * 99999", "steps"),
+        ("1 / 0", "cannot be computed: division by zero"),
+        ("unknown", "there is no name 'unknown'"),
+        ("1()", "1 is no function"),
+        ("str(*[1])", "plain arguments only"),
+        ("(" * 1500 + ")" * 1500, "valid"),
+        ("1 + " * 2000 + "1", "longer than"),
+    ],
+)
+def test_eval_refuses_what_could_do_harm_or_never_ends(expression: str, reason: str) -> None:
+    with pytest.raises(ExpressionError, match=reason):
+        evaluate(expression, {"a": "one"})
+
+
+def test_lists_that_double_in_each_turn_come_to_an_end() -> None:
+    doubling = "[[1, 1]] " + " ".join(f"for v{k} in [[v{k - 1}, v{k - 1}]]" for k in range(1, 60))
+    with pytest.raises(ExpressionError, match="steps"):
+        evaluate(f"[v59 for v0 in {doubling}]", {})
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("$(find $(arg a))", "one substitution stands inside another"),
+        ("$(arg a", r"'\$\(' is not closed"),
+        ("$()", "unknown substitution"),
+        ("$(arg)", r"\$\(arg\) takes exactly one name, not 0"),
+        ("$(arg a b)", r"\$\(arg\) takes exactly one name, not 2"),
+        ("$(env)", r"\$\(env\) takes exactly one name"),
+        ("$(optenv)", "needs the name of a variable"),
+        ("$(dirname x)", "takes nothing after it"),
+        ("$(fnd demo)", "Did you mean 'find'?"),
+        ("$(arg aa)", "Did you mean 'a'?"),
+        ("x $(eval 1)", "must be the whole value"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_with_the_attribute(workspace: Workspace, text: str, reason: str) -> None:
+    with pytest.raises(BadFile, match=rf"test.launch:1: <param>: value: .*{reason}"):
+        workspace.value(text, a="x")
+
+
+def test_arguments_win_over_nothing_that_roslaunch_has_names_for(workspace: Workspace) -> None:
+    assert workspace.value("$(eval e)", e="7") == pytest.approx(2.718281828459045)
+    assert workspace.value("$(eval arg('e'))", e="7") == 7
+
+
+def test_inline_yaml_is_substituted_only_when_it_asks_for_it(workspace: Workspace) -> None:
+    content = '<arg name="a" value="5"/><rosparam subst_value="{}">x: $(arg a)</rosparam>'
+    assert workspace.values(content.format("true")) == {"/x": 5}
+    assert workspace.values(content.format("false")) == {"/x": "$(arg a)"}
+    workspace.write("p.yaml", "y: [$(arg a), $(eval 1+1)]")
+    with pytest.raises(BadFile, match=re.escape("$(eval) must be the whole value")):
+        workspace.values('<arg name="a" value="5"/><rosparam subst_value="true" file="$(find demo)/p.yaml"/>')
+    workspace.write("p.yaml", "y: [$(arg a), $(dirname)]")
+    found = workspace.values('<arg name="a" value="5"/><rosparam subst_value="true" file="$(find demo)/p.yaml"/>')
+    assert found == {"/y": [5, str(workspace.package / "launch")]}
+
+
+def test_an_argument_that_is_declared_later_is_not_known_earlier(workspace: Workspace) -> None:
+    with pytest.raises(BadFile, match="there is no argument 'late' here"):
+        workspace.plan('<param name="x" value="$(arg late)"/><arg name="late" value="1"/>')
+    plan = workspace.plan('<rosparam subst_value="true">x: $(arg a)</rosparam><arg name="a" value="1"/>')
+    with pytest.raises(BadFile, match="there is no argument 'a' here"):
+        plan.parameters()
+    assert notices(plan) == []

@@ -1,0 +1,92 @@
+"""The state publisher of a robot does what its node's parameters say, as soon as they say it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from sim_robots import cart
+
+from slidectl.simulation import Simulation
+
+FREQUENCY = "/cart/robot_state_publisher/publish_frequency"
+PREFIX = "/cart/robot_state_publisher/tf_prefix"
+
+
+@pytest.fixture
+def simulation() -> Simulation:
+    simulation = Simulation()
+    simulation.spawn(cart(), "cart")
+    return simulation
+
+
+def frames(simulation: Simulation, topic: str, cycles: int) -> list[list[str]]:
+    """The child frames of each message that comes on the topic meanwhile."""
+    found: list[list[str]] = []
+
+    def take(message: dict[str, Any]) -> None:
+        found.append([transform["child_frame_id"] for transform in message["transforms"]])
+
+    subscription = simulation.subscribe(topic, take)
+    simulation.step(cycles)
+    subscription.close()
+    return found
+
+
+def test_frames_come_fifty_times_a_second_unless_somebody_says_otherwise(simulation: Simulation) -> None:
+    assert len(frames(simulation, "/tf", 1000)) == 50
+    simulation.parameters.set(FREQUENCY, 10.0)
+    assert len(frames(simulation, "/tf", 1000)) == 10
+    simulation.parameters.delete(FREQUENCY)
+    assert len(frames(simulation, "/tf", 1000)) == 50
+
+
+def test_a_change_takes_effect_for_those_who_listen_already(simulation: Simulation) -> None:
+    count = 0
+
+    def take(_message: dict[str, Any]) -> None:
+        nonlocal count
+        count += 1
+
+    simulation.subscribe("/tf", take)
+    simulation.parameters.set(FREQUENCY, 100)
+    simulation.step(1000)
+    assert count == 100
+
+
+def test_frames_come_at_most_once_a_cycle(simulation: Simulation) -> None:
+    simulation.parameters.set(FREQUENCY, 1e8)
+    assert len(frames(simulation, "/tf", 100)) == 100
+
+
+@pytest.mark.parametrize("value", [0, -5.0, "often", True, 1e30, [1]])
+def test_a_frequency_that_is_none_is_pointed_out_and_changes_nothing(simulation: Simulation, value: Any) -> None:
+    warnings: list[str] = []
+    simulation.subscribe("/rosout", lambda line: warnings.append(line["msg"]))
+    simulation.parameters.set(FREQUENCY, value)
+    assert "publish_frequency" in warnings[0]
+    assert len(frames(simulation, "/tf", 1000)) == 50
+
+
+def test_a_prefix_of_the_node_renames_moving_and_fixed_frames(simulation: Simulation) -> None:
+    plain = frames(simulation, "/tf", 20)[0]
+    simulation.parameters.set(PREFIX, "mine")
+    assert frames(simulation, "/tf", 20)[0] == [f"mine/{frame}" for frame in plain]
+    fixed = frames(simulation, "/tf_static", 0)
+    assert all(frame.startswith("mine/") for frame in fixed[0]) if fixed else True
+
+
+def test_parameters_that_are_there_before_the_robot_count_too() -> None:
+    simulation = Simulation()
+    simulation.parameters.set(FREQUENCY, 20)
+    simulation.parameters.set(PREFIX, "early")
+    simulation.spawn(cart(), "cart")
+    found = frames(simulation, "/tf", 1000)
+    assert len(found) == 20
+    assert found[0][0].startswith("early/")
+
+
+def test_a_deleted_robot_listens_to_its_parameters_no_more(simulation: Simulation) -> None:
+    simulation.delete("cart")
+    simulation.parameters.set(FREQUENCY, 10)
+    assert not simulation.graph.topics.exists("/tf")
