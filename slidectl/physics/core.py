@@ -161,8 +161,8 @@ class WorldCore:
     def memory(self) -> Memory:
         """Where the model and its state lie, until the next rebuild."""
         model, data = self.model, self.data
-        arrays = (data.qpos, data.qvel, data.qfrc_applied)
-        return Memory(model._address, data._address, *(array.ctypes.data for array in arrays), model.nq, model.nv)
+        qpos, qvel, forces = (array.ctypes.data for array in (data.qpos, data.qvel, data.qfrc_applied))
+        return Memory(model._address, data._address, qpos, qvel, forces, model.nq, model.nv)
 
     def check(self) -> None:
         """Raises Diverged when a robot's state is not finite or huge. A few microseconds: meant for once per slice."""

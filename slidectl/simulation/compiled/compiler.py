@@ -20,13 +20,15 @@ from typing import Any
 import llvmlite.binding as llvm
 import numba
 import numpy as np
-from numba import carray, types
 from numba.extending import overload, register_jitable
 
 from slidectl.control.laws import LAWS, Columns
 from slidectl.simulation.compiled import guard, kernel, object_file
 from slidectl.simulation.compiled.object_file import ENTRY, machine
 from slidectl.simulation.compiled.rows import ARRAYS, TABLES, Progress
+
+types: Any = numba.types
+carray: Any = numba.carray  # type: ignore[attr-defined]
 
 _MODESTY = 10
 """How much the simulations that run meanwhile go first (nice)."""
@@ -68,7 +70,7 @@ def compile_cycle() -> bytes:
 
 
 def _arguments() -> list[Any]:
-    progress = np.dtype([(name, "i8") for name, _ in Progress._fields_])
+    progress = np.dtype([(field[0], "i8") for field in Progress._fields_])
     records = [progress, *(column_type(columns) for columns in TABLES.values())]
     pointers = [types.CPointer(numba.from_dtype(record)) for record in records]
     return pointers + len(ARRAYS) * [types.CPointer(types.float64)]

@@ -226,7 +226,7 @@ def _form(update: Update) -> Form | None:
     controller = getattr(update, "__self__", None)
     if not isinstance(controller, ControllerBase) or "update" in vars(controller):
         return None
-    owner = next(cls for cls in type(controller).__mro__ if "update" in vars(cls))
+    owner: Any = next(cls for cls in type(controller).__mro__ if "update" in vars(cls))
     kind = rows.CONTROLLER_KINDS.get(owner) if "compiled" in vars(owner) else None
     parts = controller.parts() if kind is not None else None
     return (controller, kind, parts) if kind is not None and parts is not None else None
