@@ -18,6 +18,7 @@ from slidectl.simulation.run_state import RunState
 
 if TYPE_CHECKING:
     from slidectl.simulation.assembly import SpawnedRobot
+    from slidectl.simulation.compiled.cycles import CompiledCycles
 
 FEW = 16
 """Fewer cycles than these are not worth the way into the tables and back, which is made when nobody drives."""
@@ -83,27 +84,27 @@ class Loop:
         self.between_cycles("step")
         if not self.engine.is_settled:
             self.engine.advance(cycles)
+        compiled = self.engine.cycles if self.driven or cycles >= FEW else None
         left = cycles
         try:
             while left > 0:
-                done, trouble = self._burst(self.run.until_answer(left))
+                done, trouble = self._burst(self.run.until_answer(left), compiled)
                 left -= done
                 self.run.took(done)
                 if trouble is not None:
                     self._give_up(trouble)
                     break
         finally:
-            if self.engine.cycles is not None and not self.driven:
-                self.engine.cycles.release_all()
+            if compiled is not None and not self.driven:
+                compiled.release_all()
         return cycles - left
 
-    def _burst(self, count: int) -> tuple[int, SlidectlError | None]:
+    def _burst(self, count: int, compiled: CompiledCycles | None) -> tuple[int, SlidectlError | None]:
         """At most `count` cycles: how many, and what is wrong with the physics when that was looked at."""
         clock = self.graph.clock
         before = clock.cycles
         try:
-            compiled = self.engine.cycles
-            if compiled is not None and (self.driven or count >= FEW):
+            if compiled is not None:
                 done = compiled.run(count)
             else:
                 done = self._run_cycles(min(count, CHECK_EVERY - before % CHECK_EVERY))

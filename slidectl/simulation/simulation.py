@@ -94,12 +94,18 @@ class Simulation:
 
     @property
     def driven(self) -> bool:
-        """True when a driver calls `step` as `run` says; else time moves only when this object is asked."""
+        """True when a driver calls `step` as `run` says; else time moves only when this object is asked.
+
+        A driver looks at controllers and joints through robots, topics and services only: handles that it keeps from an
+        earlier look may be old while the compiled engine runs.
+        """
         return self.loop.driven
 
     @driven.setter
     def driven(self, value: bool) -> None:
         self.loop.driven = value
+        if self.engine.cycles is not None:
+            self.engine.cycles.release_all()
 
     def step(self, cycles: int = 1) -> int:
         """Run so many cycles. Returns how many: fewer only when the physics diverges and `driven`.
