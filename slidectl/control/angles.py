@@ -37,7 +37,7 @@ def unwrapped(position: float, angle: float) -> float:
 def two_pi_complement(angle: float) -> float:
     """The turn the other way round that leads to the same place."""
     if angle > TWO_PI or angle < -TWO_PI:
-        angle = fmod(angle, TWO_PI)
+        angle = fmod(angle, TWO_PI) if isfinite(angle) else nan
     if angle < 0.0:
         return TWO_PI + angle
     if angle > 0.0:

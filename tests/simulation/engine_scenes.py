@@ -1,4 +1,4 @@
-"""Worlds for both engines: a scene is set up and played on each, and everything that can be seen is compared. Helpers."""
+"""Worlds for both engines: a scene is played on each, and everything that can be seen is compared. Helpers."""
 
 from __future__ import annotations
 
@@ -21,10 +21,14 @@ VELOCITY = "effort_controllers/JointVelocityController"
 EFFORT = "effort_controllers/JointEffortController"
 GAINS = {"p": 40.0, "i": 3.0, "d": 4.0, "i_clamp_min": -2.0, "i_clamp_max": 5.0}
 
+KINDS = ("prismatic", "revolute", "continuous")
+
 Scene = Callable[[Simulation], None]
 
 
-def arm(kinds: tuple[str, ...] = ("prismatic", "revolute", "continuous"), safety: bool = False, plugin: str = "") -> str:
+def arm(
+    kinds: tuple[str, ...] = ("prismatic", "revolute", "continuous"), safety: bool = False, plugin: str = ""
+) -> str:
     """Joints of several kinds, each between the world and a link of its own; nothing touches anything."""
     parts = "".join(_joint(number + 1, kind, safety) for number, kind in enumerate(kinds))
     block = f'<gazebo><plugin name="c" filename="libgazebo_ros_control.so">{plugin}</plugin></gazebo>'
@@ -108,7 +112,10 @@ def play(scene: Scene, engine: str, driven: bool = False) -> tuple[list[Any], Si
 
 def vars_of(thing: Any) -> Any:
     """All numbers of an object, to the bit."""
-    names = [*getattr(thing, "__dict__", {}), *(name for cls in type(thing).__mro__ for name in getattr(cls, "__slots__", ()))]
+    names = [
+        *getattr(thing, "__dict__", {}),
+        *(name for cls in type(thing).__mro__ for name in getattr(cls, "__slots__", ())),
+    ]
     values = {name: getattr(thing, name) for name in names}
     pid = values.get("_pid")
     own = {name: _bits(value) for name, value in values.items() if isinstance(value, int | float)}
@@ -194,8 +201,23 @@ def happen(simulation: Simulation, dice: Random) -> None:
         simulation.heard.messages.append(("refused", str(error)))  # type: ignore[attr-defined]
 
 
-_COMMANDS = ("/a/one/command", "/a/two/command", "/a/three/command", "/b/one/command", "/b/three/command", "/c/effort/command")
-_TOPICS = ("/a/joint_states", "/b/joint_states", "/a/one/state", "/a/three/state", "/b/one/state", "/b/swing/told", "/clock")
+_COMMANDS = (
+    "/a/one/command",
+    "/a/two/command",
+    "/a/three/command",
+    "/b/one/command",
+    "/b/three/command",
+    "/c/effort/command",
+)
+_TOPICS = (
+    "/a/joint_states",
+    "/b/joint_states",
+    "/a/one/state",
+    "/a/three/state",
+    "/b/one/state",
+    "/b/swing/told",
+    "/clock",
+)
 _NAMES = ("states", "one", "two", "three", "swing", "effort")
 
 

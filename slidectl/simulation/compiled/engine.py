@@ -57,12 +57,18 @@ class Engine:
             self._give_up(f"compiling failed, see {object_file.report()}")
 
     def complete(self) -> None:
-        """Compile, if need be, and load, now."""
+        """Compile, if need be, and load, now. Raises Refused when that fails."""
+        if self.cycles is not None:
+            return
+        if not object_file.is_possible():
+            raise Refused("the compiled engine needs numba", "install it: pip install 'slidectl[fast]'")
         if not object_file.place().exists():
             _begin_to_compile().wait()
         if not object_file.place().exists():
             raise Refused(f"compiling failed, see {object_file.report()}")
         self._load()
+        if self._trouble:
+            raise Refused(self._trouble)
 
     def _load(self) -> None:
         from slidectl.simulation.compiled.cycles import CompiledCycles
