@@ -36,6 +36,12 @@ def _world(function: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--timestep", type=float, default=0.001, metavar="S", help="Length of a cycle (0.001 s)."),
         click.option("--gravity", type=float, nargs=3, default=(0.0, 0.0, -9.8), metavar="X Y Z", help="In m/s^2."),
         click.option("--ground/--no-ground", default=True, help="With a floor at height 0, or without."),
+        click.option(
+            "--engine",
+            type=click.Choice(["plain", "compiled", "auto"]),
+            default="auto",
+            help="Who runs the cycles: Python, machine code (needs numba), or the latter if it can be (auto).",
+        ),
     ]
     for option in reversed(options):
         function = option(function)
@@ -43,11 +49,11 @@ def _world(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _options(
-    rtf: str, paused: bool, timestep: float, gravity: tuple[float, float, float], ground: bool
+    rtf: str, paused: bool, timestep: float, gravity: tuple[float, float, float], ground: bool, engine: str
 ) -> DaemonOptions:
     from slidectl.daemon import options
 
-    return options.DaemonOptions(options.rtf(rtf), paused, timestep, gravity, ground)
+    return options.DaemonOptions(options.rtf(rtf), paused, timestep, gravity, ground, engine=engine)
 
 
 @daemon.command("start", examples=["slidectl daemon start", "slidectl -i other daemon start --rtf max"])

@@ -43,6 +43,7 @@ def status_text(answer: dict[str, Any]) -> str:
         "time": f"{answer['time']:.3f} s, cycle {answer['cycles']} of {1000 * answer['timestep']:g} ms",
         "state": "paused" if answer["paused"] else "running",
         "speed": f"{speed_text(answer['speed'])} asked, {answer['speed_reached'] or 0:.3g} reached",
+        "engine": answer["engine"],
         "cycle time": cycles,
         "lateness": f"{late}, {answer['overruns']} overruns",
         "robots": " ".join(answer["robots"]) or "none",

@@ -7,9 +7,12 @@ from __future__ import annotations
 
 from math import fmod, isfinite, nan, pi
 
+from slidectl.control.laws import law
+
 TWO_PI = 2.0 * pi
 
 
+@law
 def normalize_angle(angle: float) -> float:
     """The same angle in (-π, π]; both -π and π become π. What is not finite has no angle: nan."""
     if not isfinite(angle):
@@ -18,15 +21,23 @@ def normalize_angle(angle: float) -> float:
     return turned + pi if turned <= 0.0 else turned - pi
 
 
+@law
 def shortest_angular_distance(start: float, end: float) -> float:
     """The turn in (-π, π] that leads from `start` to `end`."""
     return normalize_angle(end - start)
 
 
+@law
+def unwrapped(position: float, angle: float) -> float:
+    """The position nearest to `position` that is `angle` on the circle: whole turns stay. nan when one is infinite."""
+    return position + shortest_angular_distance(position, angle)
+
+
+@law
 def two_pi_complement(angle: float) -> float:
     """The turn the other way round that leads to the same place."""
     if angle > TWO_PI or angle < -TWO_PI:
-        angle = fmod(angle, TWO_PI)
+        angle = fmod(angle, TWO_PI) if isfinite(angle) else nan
     if angle < 0.0:
         return TWO_PI + angle
     if angle > 0.0:
@@ -34,6 +45,7 @@ def two_pi_complement(angle: float) -> float:
     return TWO_PI
 
 
+@law
 def distance_with_large_limits(start: float, end: float, lower: float, upper: float) -> float:
     """The shortest turn from `start` to `end` that stays within the limits; limits may span many turns.
 
@@ -48,6 +60,7 @@ def distance_with_large_limits(start: float, end: float, lower: float, upper: fl
     return other if lower <= start + other <= upper else delta
 
 
+@law
 def min_max_turn(angle: float, lower: float, upper: float) -> tuple[bool, float, float]:
     """(is `angle` within the limits, the largest turn down, the largest turn up), all on the circle.
 
@@ -68,6 +81,7 @@ def min_max_turn(angle: float, lower: float, upper: float) -> tuple[bool, float,
     return True, down, up
 
 
+@law
 def distance_with_limits(start: float, end: float, lower: float, upper: float) -> float:
     """The turn from `start` to `end` that does not cross the limits; these lie on the circle (modulo 2π).
 

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any, ClassVar, Generic
 
 from slidectl.control.interfaces import ClaimedResources
+from slidectl.control.laws import Compiled, Parts
 from slidectl.control.node import NodeHandle
 from slidectl.control.parameters import Parameter
 from slidectl.control.robot_hw import AnyInterface, I, RobotHW
@@ -28,6 +29,9 @@ class MissingInterface(Refused):
 
 class ControllerBase:
     """States, requests and hooks. Times are nanoseconds of simulated time, periods seconds."""
+
+    compiled: ClassVar[Compiled | None] = None
+    """How `update` runs compiled, declared by the class that defines it; None: in the interpreter only."""
 
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     """All that it reads below its own name; `slidectl check` knows files by this."""
@@ -53,6 +57,15 @@ class ControllerBase:
 
     def aborting(self, time_ns: int) -> None:
         """Called when the start, or the controller itself, failed."""
+
+    # What a controller adds that declares `compiled`.
+
+    def parts(self) -> Parts | None:
+        """What it consists of while it runs compiled; None: not now."""
+        return None
+
+    def publish(self, time_ns: int, period_s: float) -> None:
+        """Publish what the last update made due; called only while the publisher of its parts is wanted."""
 
     # Requests: what the manager calls.
 

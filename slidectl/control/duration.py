@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from math import ceil, floor, isfinite
 
+from slidectl.control.laws import law
 from slidectl.errors import UsageError
 
 NANOSECONDS = 1_000_000_000
@@ -20,6 +21,7 @@ class BadDuration(UsageError):
         super().__init__(f"{seconds!r} s is no duration: it must lie within ±{_MOST_SECONDS} s")
 
 
+@law
 def to_seconds(ns: int) -> float:
     """Seconds of `ns` nanoseconds, rounded as ros::Duration::toSec rounds."""
     seconds, nanoseconds = divmod(ns, NANOSECONDS)

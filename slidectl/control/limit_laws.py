@@ -6,10 +6,13 @@ The order of comparisons is part of the law: it decides what becomes of nan and 
 
 from __future__ import annotations
 
+from slidectl.control.laws import law
+
 LARGEST = 1.7976931348623157e308
 """The bound where there is none (DBL_MAX)."""
 
 
+@law
 def bounded(value: float, lower: float, upper: float) -> float:
     """min(max(value, lower), upper): with bounds the wrong way round it is `upper`; nan stays nan."""
     if value < lower:
@@ -19,6 +22,7 @@ def bounded(value: float, lower: float, upper: float) -> float:
     return value
 
 
+@law
 def effort_saturation(
     command: float,
     position: float,
@@ -49,6 +53,7 @@ def effort_saturation(
     return command
 
 
+@law
 def effort_soft_limits(
     command: float,
     velocity: float,
@@ -63,11 +68,13 @@ def effort_soft_limits(
     return bounded(command, lower, upper)
 
 
+@law
 def soft_velocity(position: float, soft_limit: float, k_position: float, max_velocity: float) -> float:
     """The velocity at which a joint may still move towards (or must move back to) its soft limit."""
     return bounded(-k_position * (position - soft_limit), -max_velocity, max_velocity)
 
 
+@law
 def position_saturation(
     command: float, previous: float, step: float, min_position: float, max_position: float
 ) -> float:
@@ -81,6 +88,7 @@ def position_saturation(
     return bounded(command, lower, upper)
 
 
+@law
 def position_soft_limits(
     command: float,
     previous: float,
@@ -100,6 +108,7 @@ def position_soft_limits(
     return bounded(command, lower, upper)
 
 
+@law
 def velocity_saturation(command: float, previous: float, step: float, max_velocity: float) -> float:
     """Within the velocity limit, and within one `step` (acceleration limit times dt) of the previous command."""
     lower = previous - step
@@ -111,6 +120,7 @@ def velocity_saturation(command: float, previous: float, step: float, max_veloci
     return bounded(command, lower, upper)
 
 
+@law
 def velocity_soft_limits(
     command: float, velocity: float, step: float, min_velocity: float, max_velocity: float
 ) -> float:

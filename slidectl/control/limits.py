@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from math import inf, nan
+from typing import ClassVar
 
 from slidectl.control.handles import JointHandle
 from slidectl.control.joint_limits import JointLimits, SoftJointLimits
+from slidectl.control.laws import Columns, Compiled, law
 from slidectl.control.limit_laws import (
     LARGEST,
     bounded,
@@ -32,10 +34,36 @@ class BadLimits(Refused):
         super().__init__(f"joint {joint!r} has no {missing} limit, which {handle} needs")
 
 
+@law
+def saturate_effort(limit: EffortJointSaturation, joint: JointHandle) -> None:
+    """Rewrite the command of the joint by `effort_saturation`."""
+    joint.command = effort_saturation(
+        joint.command,
+        joint.position,
+        joint.velocity,
+        limit.min_position,
+        limit.max_position,
+        limit.max_velocity,
+        limit.max_effort,
+    )
+
+
+@law
+def slow_effort(limit: EffortJointSoftLimits, joint: JointHandle) -> None:
+    """Rewrite the command of the joint by `effort_soft_limits`; soft limits count only beside hard ones."""
+    fastest = limit.max_velocity
+    low, high = -fastest, fastest
+    if limit.has_position_limits:
+        low = soft_velocity(joint.position, limit.min_position, limit.k_position, fastest)
+        high = soft_velocity(joint.position, limit.max_position, limit.k_position, fastest)
+    joint.command = effort_soft_limits(joint.command, joint.velocity, low, high, limit.k_velocity, limit.max_effort)
+
+
 class LimitHandle:
     """Base of the limit handles. `enforce` rewrites `handle.command`; `reset` forgets earlier commands."""
 
     __slots__ = ("handle",)
+    compiled: ClassVar[Compiled | None] = None
 
     def __init__(self, handle: JointHandle) -> None:
         self.handle = handle
@@ -55,48 +83,58 @@ class LimitHandle:
 class EffortJointSaturation(LimitHandle):
     """Clips effort, and allows none that pushes further beyond a position or velocity limit."""
 
-    __slots__ = ("_max_effort", "_max_position", "_max_velocity", "_min_position")
+    __slots__ = ("max_effort", "max_position", "max_velocity", "min_position")
+    compiled = Compiled(
+        "effort_saturation",
+        Columns(fixed="min_position max_position max_velocity max_effort", places="joint", whole="joint"),
+    )
 
     def __init__(self, handle: JointHandle, limits: JointLimits) -> None:
         super().__init__(handle)
         self._needs("velocity", limits.has_velocity_limits)
         self._needs("effort", limits.has_effort_limits)
-        self._min_position = limits.min_position if limits.has_position_limits else -inf
-        self._max_position = limits.max_position if limits.has_position_limits else inf
-        self._max_velocity = limits.max_velocity
-        self._max_effort = limits.max_effort
+        self.min_position = limits.min_position if limits.has_position_limits else -inf
+        self.max_position = limits.max_position if limits.has_position_limits else inf
+        self.max_velocity = limits.max_velocity
+        self.max_effort = limits.max_effort
 
     def enforce(self, period_s: float) -> None:  # noqa: ARG002 - this law has no memory
-        handle = self.handle
-        handle.command = effort_saturation(
-            handle.command,
-            handle.position,
-            handle.velocity,
-            self._min_position,
-            self._max_position,
-            self._max_velocity,
-            self._max_effort,
-        )
+        saturate_effort(self, self.handle)
 
 
 class EffortJointSoftLimits(LimitHandle):
     """Effort that keeps the measured velocity within what the distance to the soft limits allows."""
 
-    __slots__ = ("_limits", "_soft")
+    __slots__ = (
+        "has_position_limits",
+        "k_position",
+        "k_velocity",
+        "max_effort",
+        "max_position",
+        "max_velocity",
+        "min_position",
+    )
+    compiled = Compiled(
+        "effort_soft_limits",
+        Columns(
+            fixed="has_position_limits min_position max_position k_position k_velocity max_velocity max_effort",
+            places="joint",
+            whole="joint has_position_limits",
+        ),
+    )
 
     def __init__(self, handle: JointHandle, limits: JointLimits, soft: SoftJointLimits) -> None:
         super().__init__(handle)
         self._needs("velocity", limits.has_velocity_limits)
         self._needs("effort", limits.has_effort_limits)
-        self._limits = limits
-        self._soft = soft
+        self.has_position_limits = limits.has_position_limits
+        self.min_position, self.max_position = soft.min_position, soft.max_position
+        self.k_position, self.k_velocity = soft.k_position, soft.k_velocity
+        self.max_velocity = limits.max_velocity
+        self.max_effort = limits.max_effort
 
     def enforce(self, period_s: float) -> None:  # noqa: ARG002 - this law has no memory
-        handle, limits, soft = self.handle, self._limits, self._soft
-        low, high = _soft_velocities(handle.position, limits, soft, limits.max_velocity)
-        handle.command = effort_soft_limits(
-            handle.command, handle.velocity, low, high, soft.k_velocity, limits.max_effort
-        )
+        slow_effort(self, self.handle)
 
 
 class PositionJointSaturation(LimitHandle):

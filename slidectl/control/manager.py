@@ -56,6 +56,16 @@ class ControllerManager:
         if self._switch is not None:
             self.manage_switch(time_ns)
 
+    def finish_update(self, done: int, time_ns: int, period_s: float, failure: Exception | None = None) -> None:
+        """The rest of an `update` in which `done` controllers had their turn; the last of them failed so, if at all."""
+        if failure is not None:
+            self._carry_on(done - 1, failure, time_ns, period_s)
+        else:
+            for entry in self._running[done:]:
+                entry.update(time_ns, period_s)
+        if self._switch is not None:
+            self.manage_switch(time_ns)
+
     def manage_switch(self, time_ns: int) -> None:
         """Carry a pending switch one cycle further. For a world that stands still; `update` does it by itself."""
         switch = self._switch
@@ -98,6 +108,11 @@ class ControllerManager:
     def running_count(self) -> int:
         """The number of running controllers."""
         return len(self._running)
+
+    @property
+    def updates(self) -> tuple[Callable[[int, float], None], ...]:
+        """`update` of each running controller, in order: another tuple whenever these are others."""
+        return self._updates
 
     def names(self) -> list[str]:
         """The names of all loaded controllers, in load order."""

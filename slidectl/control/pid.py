@@ -1,6 +1,7 @@
 """The PID law of control_toolbox 1.19 (ROS 1), to the bit: what it computes and what it remembers.
 
-`pid_law` is the equation; `Pid` keeps gains and state around it. Neither knows parameters, topics or time.
+`pid_law` is the equation, `next_command` one step with its memory; `Pid` keeps gains and state. None of them knows
+parameters, topics or time.
 """
 
 from __future__ import annotations
@@ -8,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from math import isfinite
 from typing import NamedTuple, Self
+
+from slidectl.control.laws import Columns, law
 
 
 class Gains(NamedTuple):
@@ -29,6 +32,7 @@ class Terms(NamedTuple):
     d: float
 
 
+@law
 def pid_law(
     error: float,
     error_dot: float,
@@ -64,6 +68,46 @@ def pid_law(
     return p * error + i_term + d * error_dot, i_error
 
 
+@law
+def next_command_from(pid: Pid, error: float, error_dot: float, period_s: float) -> float:
+    """The command of `pid` for this error and its derivative. 0.0 when one is not finite or the period is 0."""
+    pid.p_error = error
+    pid.d_error = error_dot
+    if period_s == 0.0 or not isfinite(error) or not isfinite(error_dot):
+        return 0.0
+    pid.command, pid.i_error = pid_law(
+        error,
+        error_dot,
+        pid.i_error,
+        period_s,
+        pid.p,
+        pid.i,
+        pid.d,
+        pid.i_min,
+        pid.i_max,
+        pid.antiwindup,
+    )
+    return pid.command
+
+
+@law
+def next_command(pid: Pid, error: float, period_s: float) -> float:
+    """The command of `pid` for this error, its derivative taken from the last one.
+
+    0.0 with no change of the state when the period is 0 or the error is not finite.
+    """
+    if period_s == 0.0 or not isfinite(error):
+        return 0.0
+    error_dot = pid.d_error
+    if period_s > 0.0:
+        if pid.p_error_last_is_valid:
+            error_dot = (error - pid.p_error_last) / period_s
+        else:
+            pid.p_error_last_is_valid = True
+        pid.p_error_last = error
+    return next_command_from(pid, error, error_dot, period_s)
+
+
 class Pid:
     """Gains and state of one loop. A copy has the gains and a state that is reset.
 
@@ -71,8 +115,6 @@ class Pid:
     """
 
     __slots__ = (
-        "_p_error_last",
-        "_p_error_last_is_valid",
         "antiwindup",
         "command",
         "d",
@@ -84,6 +126,13 @@ class Pid:
         "observer",
         "p",
         "p_error",
+        "p_error_last",
+        "p_error_last_is_valid",
+    )
+    columns = Columns(
+        changing="p_error p_error_last p_error_last_is_valid i_error d_error command",
+        fixed="p i d i_min i_max antiwindup",
+        whole="p_error_last_is_valid antiwindup",
     )
 
     def __init__(
@@ -111,53 +160,34 @@ class Pid:
 
     def reset(self) -> None:
         """Forget the past. The last error counts as a valid 0, so the next command has d * error / dt in it."""
-        self.p_error = self._p_error_last = self.i_error = self.d_error = self.command = 0.0
-        self._p_error_last_is_valid = True
+        self.p_error = self.p_error_last = self.i_error = self.d_error = self.command = 0.0
+        self.p_error_last_is_valid = True
 
     def reset_to(self, d_error: float, i_error: float) -> None:
         """Start from this derivative, used as it is by the next command, and this integral of the error."""
         self.reset()
         self.d_error = d_error
         self.i_error = i_error
-        self._p_error_last_is_valid = False
+        self.p_error_last_is_valid = False
 
     def compute_command(self, error: float, period_s: float) -> float:
-        """The command for this error, its derivative taken from the last one.
-
-        0.0 with no change of the state when the period is 0 or the error is not finite.
-        """
-        if period_s == 0.0 or not isfinite(error):
-            return 0.0
-        error_dot = self.d_error
-        if period_s > 0.0:
-            if self._p_error_last_is_valid:
-                error_dot = (error - self._p_error_last) / period_s
-            else:
-                self._p_error_last_is_valid = True
-            self._p_error_last = error
-        return self.compute_command_from(error, error_dot, period_s)
+        """`next_command`, told to the observer."""
+        command = next_command(self, error, period_s)
+        if self.observer is not None:
+            self.tell(error, period_s)
+        return command
 
     def compute_command_from(self, error: float, error_dot: float, period_s: float) -> float:
-        """The command for this error and its derivative. 0.0 when one is not finite or the period is 0."""
-        self.p_error = error
-        self.d_error = error_dot
-        if period_s == 0.0 or not isfinite(error) or not isfinite(error_dot):
-            return 0.0
-        self.command, self.i_error = pid_law(
-            error,
-            error_dot,
-            self.i_error,
-            period_s,
-            self.p,
-            self.i,
-            self.d,
-            self.i_min,
-            self.i_max,
-            self.antiwindup,
-        )
+        """`next_command_from`, told to the observer."""
+        command = next_command_from(self, error, error_dot, period_s)
         if self.observer is not None:
+            self.tell(error, period_s)
+        return command
+
+    def tell(self, error: float, period_s: float) -> None:
+        """Tell the observer of the command for this error, if one was computed."""
+        if self.observer is not None and period_s != 0.0 and isfinite(error) and isfinite(self.d_error):
             self.observer(period_s)
-        return self.command
 
     def terms(self) -> Terms:
         """The parts that the last command was made of."""

@@ -9,6 +9,7 @@ from typing import ClassVar
 
 from slidectl.control.duration import to_stamp
 from slidectl.control.handles import JointHandle
+from slidectl.control.laws import Parts, law
 from slidectl.control.live_pid import GAINS, LivePid
 from slidectl.control.node import Message, NodeHandle, Publisher
 from slidectl.control.parameters import JOINT, Parameter, within
@@ -16,6 +17,16 @@ from slidectl.control.pid import Gains, Pid
 from slidectl.control.scalar import ScalarController
 
 UPDATES_PER_STATE = 10
+
+
+@law
+def state_is_due(goal: PidController) -> bool:
+    """Count an update. True on every tenth, when the state is to be published."""
+    goal.updates_to_state -= 1
+    if goal.updates_to_state:
+        return False
+    goal.updates_to_state = UPDATES_PER_STATE
+    return True
 
 
 class PidController(ScalarController):
@@ -30,7 +41,10 @@ class PidController(ScalarController):
     def __init__(self) -> None:
         super().__init__()
         # Counted over the life of the controller: stopping and starting leave it alone.
-        self._updates_to_state = 1
+        self.updates_to_state = 1
+        self.set_point = 0.0
+        self.error = 0.0
+        """Of the last update."""
 
     @property
     def gains(self) -> Gains:
@@ -41,6 +55,12 @@ class PidController(ScalarController):
         """Use these gains from the next update on; parameters and subscribers are told."""
         self._live_pid.set_gains(gains)
 
+    def parts(self) -> Parts | None:
+        """What runs compiled besides this controller; None while its PID publishes each step."""
+        if self._pid.observer is not None:
+            return None
+        return Parts(self._state, self._joint, self._pid, (self._joint,))
+
     def _offer_pid(self, node: NodeHandle) -> None:
         self._live_pid = LivePid(node.child("pid"))
         self._pid = self._live_pid.pid
@@ -48,17 +68,15 @@ class PidController(ScalarController):
     def _offer_state(self, node: NodeHandle) -> None:
         self._state = node.advertise("state", "control_msgs/JointControllerState")
 
-    def _state_message(
-        self, time_ns: int, period_s: float, *, set_point: float, value: float, value_dot: float, error: float
-    ) -> Message:
+    def _state_message(self, time_ns: int, period_s: float, *, value: float, value_dot: float) -> Message:
         """As control_msgs/JointControllerState."""
         pid = self._pid
         return {
             "header": {"seq": 0, "stamp": to_stamp(time_ns), "frame_id": ""},
-            "set_point": set_point,
+            "set_point": self.set_point,
             "process_value": value,
             "process_value_dot": value_dot,
-            "error": error,
+            "error": self.error,
             "time_step": period_s,
             "command": self._joint.command,
             "p": pid.p,

@@ -43,7 +43,7 @@ class Daemon:
         self._given_up_s = 0.0
         self._kept_robots: frozenset[SpawnedRobot] = frozenset()
         options = start.options
-        self.simulation = Simulation(options.timestep, options.gravity, options.ground)
+        self.simulation = Simulation(options.timestep, options.gravity, options.ground, options.engine)
         self.simulation.driven = True
         self.simulation.run.paused = options.paused
         self.simulation.run.speed = options.rtf

@@ -18,13 +18,16 @@ from slidectl.errors import UsageError
 if TYPE_CHECKING:
     import argparse
 
+ENGINES = ("plain", "compiled", "auto")
+"""Who runs the cycles: the interpreter, machine code (as soon as it is there), or machine code if it can be."""
+
 
 @dataclass(frozen=True)
 class DaemonOptions:
     """What a daemon is started with.
 
     `rtf` is the real-time factor asked for (`inf`: as fast as possible), `timestep` in s, `gravity` in m/s² (x y z).
-    With `child` it ends when the process that started it ends, however that ends.
+    With `child` it ends when the process that started it ends, however that ends. `engine` is one of ENGINES.
     """
 
     rtf: float = 1.0
@@ -33,6 +36,7 @@ class DaemonOptions:
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.8)
     ground: bool = True
     child: bool = False
+    engine: str = "auto"
 
     def __post_init__(self) -> None:
         if not self.rtf > 0:
@@ -41,10 +45,12 @@ class DaemonOptions:
             raise UsageError(f"the time step is between 1e-6 s and 1 s, not {self.timestep:g}")
         if not all(math.isfinite(component) for component in self.gravity):
             raise UsageError("gravity is three finite numbers in m/s²")
+        if self.engine not in ENGINES:
+            raise UsageError(f"there is no engine {self.engine!r}", f"choose one of: {', '.join(ENGINES)}")
 
     def arguments(self) -> list[str]:
         """The command line that gives these options again."""
-        arguments = [f"--rtf={self.rtf!r}", f"--timestep={self.timestep!r}", "--gravity"]
+        arguments = [f"--rtf={self.rtf!r}", f"--timestep={self.timestep!r}", f"--engine={self.engine}", "--gravity"]
         arguments += [repr(component) for component in self.gravity]
         arguments += ["--paused"] if self.paused else []
         arguments += [] if self.ground else ["--no-ground"]
@@ -74,7 +80,14 @@ def rtf(text: str) -> float:
 def parse(arguments: Sequence[str]) -> Start:
     """What a daemon's process was asked for. Leaves with a usage text when it makes no sense."""
     given = _parser().parse_args(arguments)
-    options = DaemonOptions(given.rtf, given.paused, given.timestep, tuple(given.gravity), not given.no_ground)
+    options = DaemonOptions(
+        rtf=given.rtf,
+        paused=given.paused,
+        timestep=given.timestep,
+        gravity=tuple(given.gravity),
+        ground=not given.no_ground,
+        engine=given.engine,
+    )
     where = paths.instance(given.instance, str(given.socket) if given.socket else None)
     return Start(where, options, given.ready_fd, given.foreground, given.parent)
 
@@ -92,6 +105,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--timestep", type=float, default=usual.timestep, help="length of a cycle, s")
     parser.add_argument("--gravity", type=float, nargs=3, default=usual.gravity, help="m/s²")
     parser.add_argument("--no-ground", action="store_true", help="a world without a floor")
+    parser.add_argument("--engine", choices=ENGINES, default=usual.engine, help="who runs the cycles")
     parser.add_argument("--ready-fd", type=int, help="where to tell that it answers (used by the starter)")
     parser.add_argument("--parent", type=int, help="end with the process of this id, which started it")
     parser.add_argument("--foreground", action="store_true", help="stay on the terminal: log to stderr too")

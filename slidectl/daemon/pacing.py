@@ -18,8 +18,8 @@ CATCH_UP_SLICE_S = 0.002
 MOST_BEHIND_S = 0.1
 """What is later than this is not caught up: the schedule is moved instead, and the speed that is reached says so."""
 _SHORTEST_WAIT_S = 0.001
-_CHUNK_S = 0.0001
-_LONGEST_CHUNK = 64
+_CHUNK_S = 0.00015
+_LONGEST_CHUNK = 1024
 
 
 class Wishes(Protocol):

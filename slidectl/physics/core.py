@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 
@@ -25,6 +25,18 @@ from slidectl.physics.rotation import ORIGIN, Pose, Vector, normalized
 
 GRAVITY: Vector = (0.0, 0.0, -9.8)
 """m/s², the default of SDF and so of Gazebo."""
+
+
+class Memory(NamedTuple):
+    """Addresses of MjModel and MjData, and of three arrays of its state; and the lengths of these."""
+
+    model: int
+    data: int
+    qpos: int
+    qvel: int
+    forces: int
+    positions: int
+    dofs: int
 
 
 class WorldCore:
@@ -133,6 +145,11 @@ class WorldCore:
 
     # -- running ---------------------------------------------------------------------------------------------------
 
+    @property
+    def steps_alone(self) -> bool:
+        """True while `step` is MuJoCo's own and nothing else."""
+        return self.step is self._advance
+
     def step_n(self, cycles: int) -> None:
         """Advance by many steps with nobody in between, at the speed of C where no outside force acts."""
         if self.loads.is_empty:
@@ -140,6 +157,12 @@ class WorldCore:
             return
         for _ in range(cycles):
             self.step()
+
+    def memory(self) -> Memory:
+        """Where the model and its state lie, until the next rebuild."""
+        model, data = self.model, self.data
+        qpos, qvel, forces = (array.ctypes.data for array in (data.qpos, data.qvel, data.qfrc_applied))
+        return Memory(model._address, data._address, qpos, qvel, forces, model.nq, model.nv)
 
     def check(self) -> None:
         """Raises Diverged when a robot's state is not finite or huge. A few microseconds: meant for once per slice."""

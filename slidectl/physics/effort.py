@@ -8,7 +8,22 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from slidectl.control.laws import law
 from slidectl.description.robot import Joint
+
+
+@law
+def truncated(effort: float, velocity: float, max_effort: float, max_velocity: float) -> float:
+    """The effort that acts at this velocity: none that pushes further beyond the velocity limit, then the clamp."""
+    if effort > 0.0:
+        if velocity > max_velocity:
+            return 0.0
+        return max_effort if effort > max_effort else effort
+    if effort < 0.0:
+        if velocity < -max_velocity:
+            return 0.0
+        return -max_effort if effort < -max_effort else effort
+    return effort
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,9 +42,7 @@ class EffortTruncation:
 
     def cut(self, effort: float, velocity: float) -> float:
         """The effort that acts at this velocity: none that pushes further beyond the velocity limit, then the clamp."""
-        if (velocity > self.velocity and effort > 0.0) or (velocity < -self.velocity and effort < 0.0):
-            return 0.0
-        return min(max(effort, -self.effort), self.effort)
+        return truncated(effort, velocity, self.effort, self.velocity)
 
 
 def _bound(value: float) -> float:

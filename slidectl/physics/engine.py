@@ -11,6 +11,7 @@ import warnings
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 
 import mujoco
@@ -44,6 +45,7 @@ def _keep_warning(text: str) -> None:
     _warnings.append(" ".join(text.split()))
 
 
+@cache
 def _library() -> ctypes.CDLL | None:
     files = sorted(Path(mujoco.__file__).parent.glob("libmujoco*"))
     return ctypes.CDLL(str(files[0])) if files else None
@@ -60,3 +62,15 @@ def prepare() -> None:
     """Make the library quiet and quick. Doing it twice does no harm."""
     mujoco.set_mju_user_warning(_keep_warning)
     _remove_clock()
+
+
+def step_address() -> int:
+    """Where `mj_step` is, for code that calls it without Python; 0 when the library is not found."""
+    library = _library()
+    return ctypes.cast(library.mj_step, ctypes.c_void_p).value or 0 if library is not None else 0
+
+
+def error_hook_address() -> int:
+    """Where MuJoCo's variable `mju_user_error` is: what it points to is called with the text of a fatal error."""
+    library = _library()
+    return ctypes.addressof(ctypes.c_void_p.in_dll(library, "mju_user_error")) if library is not None else 0

@@ -5,8 +5,9 @@
 
 from __future__ import annotations
 
-from math import fmod, nan, pi
+from typing import NamedTuple
 
+from slidectl.control.angles import unwrapped
 from slidectl.control.handles import JointHandle
 from slidectl.control.interfaces import (
     EffortJointInterface,
@@ -15,18 +16,16 @@ from slidectl.control.interfaces import (
     PositionJointInterface,
     VelocityJointInterface,
 )
-from slidectl.control.limits import in_order
+from slidectl.control.limits import LimitHandle, in_order
 from slidectl.control.node import NodeHandle
 from slidectl.control.robot_hw import RobotHW
 from slidectl.description.robot import Robot
 from slidectl.physics.body import Body
 from slidectl.physics.drives import Drive, drive_for
-from slidectl.physics.effort import EffortTruncation
+from slidectl.physics.effort import EffortTruncation, truncated
 from slidectl.physics.hw_joint import HardwareJoint, hardware_joints
 from slidectl.physics.views import Views
 from slidectl.physics.world import World
-
-TURN = 2.0 * pi
 
 _COMMANDS: tuple[type[JointCommandInterface], ...] = (
     EffortJointInterface,
@@ -38,6 +37,17 @@ _Measured = tuple[JointHandle, int, int]
 """Handle, index into qpos, index into qvel and forces."""
 _Pushed = tuple[JointHandle, int, float, float]
 """Handle, index into qvel and forces, effort limit, velocity limit."""
+
+
+class DrivenJoint(NamedTuple):
+    """A joint that its command pushes: indices into qpos and into qvel and forces, whether it is an angle, bounds."""
+
+    handle: JointHandle
+    qpos: int
+    dof: int
+    turns: bool
+    max_effort: float
+    max_velocity: float
 
 
 class MujocoRobotHW(RobotHW):
@@ -59,8 +69,7 @@ class MujocoRobotHW(RobotHW):
         self._joints = hardware_joints(body)
         node = node if node.namespace == namespace else node.child(namespace)
         self._register(node)
-        limits = [joint.limit for joint in self._joints if joint.limit is not None]
-        self._enforce = tuple(limit.enforce for limit in in_order(limits))
+        self._enforce = tuple(limit.enforce for limit in self.limits())
         self._held: list[float] | None = None
         self._drives = self._make_drives(node)
         self.estop = False
@@ -77,12 +86,7 @@ class MujocoRobotHW(RobotHW):
             handle.velocity = qvel[dof]
             handle.effort = forces[dof]
         for handle, place, dof in self._turning:
-            # angles::shortest_angular_distance(position, raw), added to the position
-            try:
-                rest = fmod(qpos[place] - handle.position + pi, TURN)
-                handle.position += rest + pi if rest <= 0.0 else rest - pi
-            except ValueError:  # an infinite angle
-                handle.position = nan
+            handle.position = unwrapped(handle.position, qpos[place])
             handle.velocity = qvel[dof]
             handle.effort = forces[dof]
         if self._outside:
@@ -96,19 +100,7 @@ class MujocoRobotHW(RobotHW):
             enforce(period_s)
         qvel, forces = self._qvel, self._forces
         for handle, dof, max_effort, max_velocity in self._pushed:
-            # Gazebo's Joint::CheckAndTruncateForce
-            effort = handle.command
-            if effort > 0.0:
-                if qvel[dof] > max_velocity:
-                    effort = 0.0
-                elif effort > max_effort:
-                    effort = max_effort
-            elif effort < 0.0:
-                if qvel[dof] < -max_velocity:
-                    effort = 0.0
-                elif effort < -max_effort:
-                    effort = -max_effort
-            forces[dof] = effort
+            forces[dof] = truncated(handle.command, qvel[dof], max_effort, max_velocity)
         if self._is_special:
             self._drive(period_s)
 
@@ -125,6 +117,29 @@ class MujocoRobotHW(RobotHW):
         self._is_special = stopped or bool(self._drives)
         if not stopped:
             self._held = None
+
+    @property
+    def is_special(self) -> bool:
+        """True while `write` does more than push joints by their commands."""
+        return self._is_special
+
+    @property
+    def has_drives(self) -> bool:
+        """True when there are joints that are not simply pushed."""
+        return bool(self._drives)
+
+    def driven(self) -> list[DrivenJoint]:
+        """The joints that are simply pushed, and where they are in the world until it is rebuilt."""
+        angles = {id(handle) for handle, _, _ in self._turning}
+        places = {id(handle): place for handle, place, _ in (*self._sliding, *self._turning)}
+        return [
+            DrivenJoint(handle, places[id(handle)], dof, id(handle) in angles, max_effort, max_velocity)
+            for handle, dof, max_effort, max_velocity in self._pushed
+        ]
+
+    def limits(self) -> list[LimitHandle]:
+        """The limit handles in the order in which `write` enforces them."""
+        return in_order(joint.limit for joint in self._joints if joint.limit is not None)
 
     def reset(self) -> None:
         """After the world was reset: angles unwrapped anew, commands 0, limits and gains without a past."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import ExitStack
+from typing import TYPE_CHECKING
 
 from slidectl import names
 from slidectl.control.duration import from_seconds
@@ -22,6 +23,9 @@ from slidectl.simulation.loop import Loop
 from slidectl.simulation.manager_services import ManagerServices
 from slidectl.simulation.node import GraphNode
 
+if TYPE_CHECKING:
+    from slidectl.simulation.compiled.tables import Seat
+
 Pose = tuple[tuple[float, float, float], tuple[float, float, float, float]]
 """Position in m, and quaternion x y z w."""
 ORIGIN: Pose = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
@@ -30,8 +34,20 @@ _HARDWARE = ("gazebo_ros_control/DefaultRobotHWSim", "DefaultRobotHWSim")
 _SEVERITIES = {"wrong": "warn", "ignored": "warn", "converted": "info"}
 
 
+class ControlParts:
+    """What runs in a robot's cycle."""
+
+    hardware: MujocoRobotHW
+    manager: ControllerManager
+    cycle: ControlCycle
+
+
 class SpawnedRobot:
-    """One robot in the world with all that belongs to it. `taken` gives everything back, the last first."""
+    """One robot in the world with all that belongs to it. `taken` gives everything back, the last first.
+
+    `parts` are for whoever runs the cycles. Everybody else comes in by `hardware`, `manager`, `cycle` or a callback of
+    the node, so that those who run the cycles hear of it before.
+    """
 
     def __init__(self, name: str, namespace: str, paper: Robot, xml: str, node: GraphNode) -> None:
         self.name = name
@@ -41,10 +57,32 @@ class SpawnedRobot:
         self.node = node
         self.taken = ExitStack()
         self.body: Body
-        self.hardware: MujocoRobotHW
-        self.manager: ControllerManager
+        self.parts = ControlParts()
         self.services: ManagerServices
-        self.cycle: ControlCycle
+        self.seat: Seat | None = None
+        """Where it is in the tables of the compiled cycle."""
+
+    def watch_entries(self, callback: Callable[[], None]) -> None:
+        """Call back before anybody outside of the cycle looks at the robot's control, or changes it."""
+        self.node.before_entry = callback
+
+    @property
+    def hardware(self) -> MujocoRobotHW:
+        """The joints as controllers see them."""
+        self.node.before_entry()
+        return self.parts.hardware
+
+    @property
+    def manager(self) -> ControllerManager:
+        """The controllers."""
+        self.node.before_entry()
+        return self.parts.manager
+
+    @property
+    def cycle(self) -> ControlCycle:
+        """Its part of each cycle of the world."""
+        self.node.before_entry()
+        return self.parts.cycle
 
     def look(self) -> None:
         """Read the joints outside of a cycle: after the world was changed, and before the first cycle."""
@@ -71,11 +109,12 @@ def assemble(robot: SpawnedRobot, world: World, loop: Loop, pose: Pose, companio
         _put_description(robot, loop, stack)
         robot.body = world.attach(robot.paper, robot.name, pose)
         stack.callback(world.detach, robot.name)
-        robot.hardware = MujocoRobotHW(world, robot.body, robot.paper, robot.node, robot.namespace)
+        parts = robot.parts
+        parts.hardware = MujocoRobotHW(world, robot.body, robot.paper, robot.node, robot.namespace)
         robot.look()
-        robot.manager = ControllerManager(robot.hardware, robot.node)
-        robot.cycle = ControlCycle(robot.hardware, robot.manager, _control_period(plugin, loop.step_ns, robot))
-        robot.services = ManagerServices(robot.manager, robot.node, robot.look, loop)
+        parts.manager = ControllerManager(parts.hardware, robot.node)
+        parts.cycle = ControlCycle(parts.hardware, parts.manager, _control_period(plugin, loop.step_ns, robot))
+        robot.services = ManagerServices(parts.manager, robot.node, robot.look, loop)
         _subscribe_emergency_stop(robot, plugin)
         for companion in companions:
             stack.callback(companion(robot))

@@ -6,20 +6,28 @@ One cycle after the other, on demand. It knows simulated time only: how fast it 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING
 
 from slidectl.errors import Refused, SlidectlError
 from slidectl.physics import Diverged, EngineError, World
+from slidectl.simulation.compiled.engine import Engine
+from slidectl.simulation.compiled.rows import CHECK_EVERY
 from slidectl.simulation.graph import WORLD_NODE, Graph
 from slidectl.simulation.run_state import RunState
 
-CHECK_EVERY = 256
-"""Cycles between two looks at whether the physics has diverged; counted from time 0, however stepping is cut."""
+if TYPE_CHECKING:
+    from slidectl.simulation.assembly import SpawnedRobot
+    from slidectl.simulation.compiled.cycles import CompiledCycles
+
+FEW = 16
+"""Fewer cycles than these are not worth the way into the tables and back, which is made when nobody drives."""
 
 
 class Loop:
-    """Runs cycles. `cycles` are the robots' parts, in their order."""
+    """Runs cycles, by the interpreter or by machine code: see `engine`."""
 
-    def __init__(self, graph: Graph, world: World, step_ns: int) -> None:
+    def __init__(self, graph: Graph, world: World, step_ns: int, engine: str) -> None:
         self.graph = graph
         self.world = world
         self.step_ns = step_ns
@@ -27,7 +35,26 @@ class Loop:
         self.driven = False
         """True when somebody else (the daemon) calls `step` as `run` says; else time moves only when asked."""
         self.in_cycle = False
-        self.cycles: tuple[Callable[[int], None], ...] = ()
+        self.robots: tuple[SpawnedRobot, ...] = ()
+        self._cycles: tuple[Callable[[int], None], ...] = ()
+        self._data = world.data
+        self.engine = Engine(self, engine)
+        world.on_rebuild(self._world_changed)
+
+    def take_robots(self, robots: tuple[SpawnedRobot, ...]) -> None:
+        """These are the robots from now on, in this order."""
+        self.robots = robots
+        self._cycles = tuple(robot.parts.cycle.run for robot in robots)
+        if self.engine.cycles is not None:
+            self.engine.cycles.forget(robots)
+            for robot in robots:
+                robot.watch_entries(partial(self.engine.cycles.release, robot))
+
+    def _world_changed(self) -> None:
+        if self.world.data is not self._data:
+            self._data = self.world.data
+            if self.engine.cycles is not None:
+                self.engine.cycles.forget(self.robots)
 
     @property
     def stands_still(self) -> bool:
@@ -55,23 +82,32 @@ class Loop:
             Diverged: the state of a robot is no longer a number, and nobody drives.
         """
         self.between_cycles("step")
+        if not self.engine.is_settled:
+            self.engine.advance(cycles)
+        compiled = self.engine.cycles if self.driven or cycles >= FEW else None
         left = cycles
-        while left > 0:
-            until_check = CHECK_EVERY - self.graph.clock.cycles % CHECK_EVERY
-            done, trouble = self._burst(self.run.until_answer(min(left, until_check)))
-            left -= done
-            self.run.took(done)
-            if trouble is not None:
-                self._give_up(trouble)
-                break
+        try:
+            while left > 0:
+                done, trouble = self._burst(self.run.until_answer(left), compiled)
+                left -= done
+                self.run.took(done)
+                if trouble is not None:
+                    self._give_up(trouble)
+                    break
+        finally:
+            if compiled is not None and not self.driven:
+                compiled.release_all()
         return cycles - left
 
-    def _burst(self, count: int) -> tuple[int, SlidectlError | None]:
+    def _burst(self, count: int, compiled: CompiledCycles | None) -> tuple[int, SlidectlError | None]:
         """At most `count` cycles: how many, and what is wrong with the physics when that was looked at."""
         clock = self.graph.clock
         before = clock.cycles
         try:
-            done = self._run_cycles(count)
+            if compiled is not None:
+                done = compiled.run(count)
+            else:
+                done = self._run_cycles(min(count, CHECK_EVERY - before % CHECK_EVERY))
             if clock.cycles % CHECK_EVERY == 0:
                 self.world.check()
         except Diverged as trouble:
@@ -90,7 +126,7 @@ class Loop:
 
     def _run_cycles(self, count: int) -> int:
         """At most `count` cycles, up to and with the first after which a timer is due. The innermost loop."""
-        graph, world, step_ns, robots = self.graph, self.world, self.step_ns, self.cycles
+        graph, world, step_ns, robots = self.graph, self.world, self.step_ns, self._cycles
         clock, timers, clock_topic = graph.clock, graph.timers, graph.clock_topic
         clock_publisher = clock_topic.publisher
         time_ns = clock.time_ns

@@ -6,7 +6,7 @@ Implements control.node.NodeHandle on the graph. Holds no state of its own but w
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from slidectl import names
 from slidectl.control.node import MISSING, MessageCallback, Publisher
@@ -15,6 +15,10 @@ from slidectl.simulation.topics import NodePublisher
 
 if TYPE_CHECKING:
     from slidectl.simulation.graph import Graph
+
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 
 class GraphNode:
@@ -27,6 +31,8 @@ class GraphNode:
         self._parent: GraphNode | None = None
         self._children: list[GraphNode] = []
         self._taken: list[Callable[[], None]] = []
+        self.before_entry: Callable[[], None] = _nothing
+        """Called before every callback that was given to this handle or a child of it."""
 
     def child(self, name: str) -> GraphNode:
         """The node handle of `namespace/name`. What it advertises ends with this one's `shutdown`."""
@@ -53,7 +59,7 @@ class GraphNode:
 
     def watch_param(self, name: str, callback: Callable[[], None]) -> None:
         """Call back whenever the parameter, or one below it, is set or deleted by anybody."""
-        self._taken.append(self._graph.parameters.watch(self._absolute(name), callback).close)
+        self._taken.append(self._graph.parameters.watch(self._absolute(name), self._entering(callback)).close)
 
     def advertise(self, topic: str, type_name: str, latch: bool = False) -> Publisher:
         """Publish `topic`. Raises BadName, TypeConflict, UnknownName (no such type)."""
@@ -63,12 +69,16 @@ class GraphNode:
 
     def subscribe(self, topic: str, type_name: str, callback: MessageCallback) -> None:
         """Call back for each message on `topic`. Raises BadName, TypeConflict, UnknownName (no such type)."""
-        subscription = self._graph.topics.subscribe(self._absolute(topic), type_name, self.name, callback)
+        subscription = self._graph.topics.subscribe(
+            self._absolute(topic), type_name, self.name, self._entering(callback)
+        )
         self._taken.append(subscription.close)
 
     def advertise_service(self, service: str, type_name: str, handler: Handler) -> None:
         """Answer calls of `service`, at once or with a Pending. Raises BadName, Refused (taken), UnknownName."""
-        provided = self._graph.services.advertise(self._absolute(service), type_name, self.name, handler)
+        provided = self._graph.services.advertise(
+            self._absolute(service), type_name, self.name, self._entering(handler)
+        )
         self._taken.append(provided.close)
 
     def log(self, severity: str, text: str) -> None:
@@ -88,5 +98,23 @@ class GraphNode:
         while self._taken:
             self._taken.pop()()
 
+    def enter(self) -> None:
+        """Somebody is about to call into what stands behind this handle."""
+        node: GraphNode | None = self
+        while node is not None:
+            node.before_entry()
+            node = node._parent
+
+    def _entering(self, callback: Callable[P, T]) -> Callable[P, T]:
+        def entered(*arguments: P.args, **keywords: P.kwargs) -> T:
+            self.enter()
+            return callback(*arguments, **keywords)
+
+        return entered
+
     def _absolute(self, name: str) -> str:
         return names.join(self.namespace, name)
+
+
+def _nothing() -> None:
+    """For a handle of which nobody minds the entries."""

@@ -33,7 +33,7 @@ def advertise(simulation: Simulation) -> None:
 
 
 def _status(simulation: Simulation) -> Message:
-    managers = [robot.manager for robot in simulation.robots]
+    managers = [robot.parts.manager for robot in simulation.robots]
     return {
         "version": slidectl.__version__,
         "time": simulation.graph.clock.seconds,
@@ -41,6 +41,7 @@ def _status(simulation: Simulation) -> Message:
         "paused": simulation.run.paused,
         "speed": 0.0 if math.isinf(simulation.run.speed) else simulation.run.speed,
         "timestep": simulation.timestep_ns * 1e-9,
+        "engine": str(simulation.engine),
         "robots": simulation.robots.names(),
         "controllers": sum(len(manager.names()) for manager in managers),
         "controllers_running": sum(manager.running_count for manager in managers),

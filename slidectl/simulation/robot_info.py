@@ -27,7 +27,7 @@ def robot_info(robot: SpawnedRobot, world: World) -> Message:
         "fixed": paper.is_fixed_to_world,
         "links": list(paper.links),
         "joints": [_joint_info(robot, world, joint, interfaces) for joint in paper.joints.values()],
-        "controllers": list(robot.manager.names()),
+        "controllers": list(robot.parts.manager.names()),
         "pose": [*map(float, position), *map(float, attitude)],
         "report": [_notice(notice) for notice in paper.report],
     }

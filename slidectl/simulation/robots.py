@@ -77,7 +77,7 @@ class Robots:
             robot.services.settle()
 
     def _tell_loop(self) -> None:
-        self._loop.cycles = tuple(robot.cycle.run for robot in self._robots.values())
+        self._loop.take_robots(tuple(self._robots.values()))
 
     def _check_name(self, name: str) -> None:
         names.check_robot(name)

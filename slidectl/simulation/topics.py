@@ -126,6 +126,8 @@ class Topics:
 
     def __init__(self) -> None:
         self._topics: dict[str, Topic] = {}
+        self.changes = 0
+        """How often a publisher or a subscriber came or went: while it stays, so does `wanted` of every publisher."""
 
     def advertise(
         self,
@@ -143,7 +145,7 @@ class Topics:
         entry = self._entry(topic, type_name)
         publisher = kind(entry, node, latch, self._forget_publisher)
         entry.publishers.append(publisher)
-        entry.update()
+        self._update(entry)
         return publisher
 
     def subscribe(self, topic: str, type_name: str | None, node: str, callback: MessageCallback) -> Subscription:
@@ -155,7 +157,7 @@ class Topics:
         entry = self._entry(topic, type_name or self.type_of(topic))
         subscription = Subscription(entry, node, callback, self._forget_subscription)
         entry.subscriptions.append(subscription)
-        entry.update()
+        self._update(entry)
         for publisher in tuple(entry.publishers):
             if publisher.last is not None:
                 with suppress(SlidectlError):  # who published it is not there to hear a refusal
@@ -244,8 +246,12 @@ class Topics:
             topic.subscriptions.remove(subscription)
             self._tidy(topic)
 
-    def _tidy(self, topic: Topic) -> None:
+    def _update(self, topic: Topic) -> None:
+        self.changes += 1
         topic.update()
+
+    def _tidy(self, topic: Topic) -> None:
+        self._update(topic)
         if not topic.publishers and not topic.subscriptions:
             self._topics.pop(topic.name, None)
 

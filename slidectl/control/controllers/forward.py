@@ -15,26 +15,34 @@ from slidectl.control.interfaces import (
     PositionJointInterface,
     VelocityJointInterface,
 )
+from slidectl.control.laws import Columns, Compiled, Parts, law
 from slidectl.control.node import NodeHandle
 from slidectl.control.parameters import JOINT, Parameter
 from slidectl.control.registry import controller
 from slidectl.control.scalar import ScalarController
 
 
+@law
+def hand_on(goal: ForwardController, joint: JointHandle) -> None:
+    """command = set point."""
+    joint.command = goal.set_point
+
+
 class ForwardController(ScalarController):
     """joint command = the last command, 0 until there is one."""
 
     parameters: ClassVar[tuple[Parameter, ...]] = (JOINT,)
+    compiled = Compiled("forward", Columns(fixed="set_point", places="joint", whole="joint"))
     _joint: JointHandle
 
     def init(self, interface: JointCommandInterface, node: NodeHandle) -> None:
         """Raises SlidectlError: the parameter or the joint is missing."""
         self._joint = interface.get_handle(params.needed_text(node, JOINT.name))
-        self._command = 0.0
+        self.set_point = 0.0
         self._listen(node)
 
     def starting(self, time_ns: int) -> None:  # noqa: ARG002
-        self._command = self.first_command()
+        self.set_point = self.first_command()
 
     def first_command(self) -> float:
         """What to command until somebody says otherwise."""
@@ -42,10 +50,14 @@ class ForwardController(ScalarController):
 
     def set_command(self, value: float) -> None:
         """Hand this on from the next update on."""
-        self._command = value
+        self.set_point = value
 
     def update(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
-        self._joint.command = self._command
+        hand_on(self, self._joint)
+
+    def parts(self) -> Parts:
+        """What runs compiled besides this controller."""
+        return Parts(joint=self._joint)
 
 
 @controller("effort_controllers/JointEffortController")

@@ -10,17 +10,48 @@ from math import inf
 
 from slidectl.control import params
 from slidectl.control.angles import distance_with_large_limits, shortest_angular_distance
+from slidectl.control.handles import JointHandle
 from slidectl.control.interfaces import EffortJointInterface, JointCommandInterface, VelocityJointInterface
+from slidectl.control.laws import Columns, Compiled, law
 from slidectl.control.node import NodeHandle
 from slidectl.control.parameters import JOINT
-from slidectl.control.pid_controller import UPDATES_PER_STATE, PidController
+from slidectl.control.pid import Pid, next_command, next_command_from
+from slidectl.control.pid_controller import PidController, state_is_due
 from slidectl.control.registry import controller
 from slidectl.control.robot_description import joint_on_paper
 from slidectl.description.robot import Joint
 
+SLIDES, REVOLVES, TURNS = 0, 1, 2
+"""How the difference of two positions is taken: of lengths, of angles with limits, on the circle."""
+
+
+@law
+def track_position(goal: JointPositionController, pid: Pid, joint: JointHandle, period_s: float) -> None:
+    """command = pid(set point - position), with the derivative of a set velocity when there is one."""
+    if goal.turns == REVOLVES:
+        goal.error = distance_with_large_limits(joint.position, goal.set_point, goal.lower, goal.upper)
+    elif goal.turns == TURNS:
+        goal.error = shortest_angular_distance(joint.position, goal.set_point)
+    else:
+        goal.error = goal.set_point - joint.position
+    if goal.has_set_velocity:
+        joint.command = next_command_from(pid, goal.error, goal.set_velocity - joint.velocity, period_s)
+    else:
+        joint.command = next_command(pid, goal.error, period_s)
+
 
 class JointPositionController(PidController):
     """command = pid(set point - position), the difference taken on the circle for a joint that turns."""
+
+    compiled = Compiled(
+        "joint_position",
+        Columns(
+            changing="error updates_to_state",
+            fixed="set_point set_velocity has_set_velocity lower upper turns",
+            places="pid joint wanted",
+            whole="updates_to_state has_set_velocity turns pid joint wanted",
+        ),
+    )
 
     def init(self, interface: JointCommandInterface, node: NodeHandle) -> None:
         """Raises SlidectlError: a parameter, the joint, or the robot description is missing."""
@@ -30,15 +61,14 @@ class JointPositionController(PidController):
         self._listen(node)
         self._joint = interface.get_handle(name)
         self._take_limits(joint_on_paper(node, name))
-        self._set_point = 0.0
-        self._set_velocity: float | None = None
+        self.set_velocity = 0.0
+        self.has_set_velocity = False
 
     def _take_limits(self, joint: Joint) -> None:
         limit = joint.limit if joint.type in ("revolute", "prismatic") else None
-        self._lower = -inf if limit is None else limit.lower
-        self._upper = inf if limit is None else limit.upper
-        self._is_revolute = joint.type == "revolute"
-        self._is_continuous = joint.type == "continuous"
+        self.lower = -inf if limit is None else limit.lower
+        self.upper = inf if limit is None else limit.upper
+        self.turns = {"revolute": REVOLVES, "continuous": TURNS}.get(joint.type, SLIDES)
 
     def starting(self, time_ns: int) -> None:  # noqa: ARG002
         """Stay where the joint is."""
@@ -47,42 +77,21 @@ class JointPositionController(PidController):
 
     def set_command(self, value: float, velocity: float | None = None) -> None:
         """Go to this position (m or rad), brought within the limits; with this velocity when one is given."""
-        self._set_point = self._upper if value > self._upper else self._lower if value < self._lower else value
-        self._set_velocity = velocity
+        self.set_point = self.upper if value > self.upper else self.lower if value < self.lower else value
+        self.has_set_velocity = velocity is not None
+        self.set_velocity = 0.0 if velocity is None else velocity
 
     def update(self, time_ns: int, period_s: float) -> None:
-        joint = self._joint
-        position = joint.position
-        set_point = self._set_point
-        if self._is_revolute:
-            error = distance_with_large_limits(position, set_point, self._lower, self._upper)
-        elif self._is_continuous:
-            error = shortest_angular_distance(position, set_point)
-        else:
-            error = set_point - position
-        if self._set_velocity is None:
-            joint.command = self._pid.compute_command(error, period_s)
-        else:
-            error_dot = self._set_velocity - joint.velocity
-            joint.command = self._pid.compute_command_from(error, error_dot, period_s)
-        self._updates_to_state -= 1
-        if not self._updates_to_state:
-            self._publish(time_ns, period_s, error)
+        track_position(self, self._pid, self._joint, period_s)
+        if self._pid.observer is not None:
+            self._pid.tell(self.error, period_s)
+        if state_is_due(self) and self._state.wanted:
+            self.publish(time_ns, period_s)
 
-    def _publish(self, time_ns: int, period_s: float, error: float) -> None:
-        self._updates_to_state = UPDATES_PER_STATE
-        if self._state.wanted:
-            joint = self._joint
-            self._state.publish(
-                self._state_message(
-                    time_ns,
-                    period_s,
-                    set_point=self._set_point,
-                    value=joint.position,
-                    value_dot=joint.velocity,
-                    error=error,
-                )
-            )
+    def publish(self, time_ns: int, period_s: float) -> None:
+        """The state after an update."""
+        joint = self._joint
+        self._state.publish(self._state_message(time_ns, period_s, value=joint.position, value_dot=joint.velocity))
 
 
 @controller("effort_controllers/JointPositionController")

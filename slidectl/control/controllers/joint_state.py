@@ -5,7 +5,7 @@ Parameters `publish_rate`, `joints`, `extra_joints`. It commands nothing and cla
 
 from __future__ import annotations
 
-from math import inf, isnan
+from math import isnan
 from typing import Any, ClassVar, NamedTuple
 
 from slidectl import names
@@ -13,6 +13,7 @@ from slidectl.control import params
 from slidectl.control.controller import Controller
 from slidectl.control.duration import from_seconds, to_stamp
 from slidectl.control.interfaces import JointStateInterface
+from slidectl.control.laws import Columns, Compiled, Parts, law
 from slidectl.control.node import Message, NodeHandle
 from slidectl.control.parameters import FLOAT, LIST, NUMBER, TEXT, TEXTS, Parameter
 from slidectl.control.registry import controller
@@ -21,6 +22,18 @@ from slidectl.errors import Refused
 # The first publication after a start comes a little early rather than a cycle late.
 _HEAD_START = 1.001
 _EARLIEST_NS = 1
+
+
+NEVER = 1 << 62
+
+
+@law
+def states_are_due(rhythm: JointStateController, time_ns: int) -> bool:
+    """Is a message due? Then the next one is due a period later, not from now: a late one does not shift the rhythm."""
+    if time_ns <= rhythm.due_ns:
+        return False
+    rhythm.due_ns += rhythm.period_ns
+    return True
 
 
 class ExtraJoint(NamedTuple):
@@ -37,6 +50,10 @@ class JointStateController(Controller[JointStateInterface]):
     """sensor_msgs/JointState on `joint_states` of the robot's namespace, at `publish_rate` per simulated second."""
 
     interface_type = JointStateInterface
+    compiled = Compiled(
+        "joint_state",
+        Columns(changing="due_ns", fixed="period_ns", places="wanted", whole="due_ns period_ns wanted"),
+    )
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("publish_rate", NUMBER, "messages per simulated second; none unless above 0", "1/s", required=True),
         Parameter("joints", TEXTS, "which joints, in this order; all by default", names_joints=True),
@@ -57,7 +74,7 @@ class JointStateController(Controller[JointStateInterface]):
         self._joints = tuple(interface.get_handle(name) for name in (interface.names() if chosen is None else chosen))
         self._take_extra(_extra_joints(node, [joint.name for joint in self._joints]))
         # The time after which the next message is due: the last one's plus one period.
-        self._due_ns: float = inf
+        self.due_ns = NEVER
         self._started = False
 
     def _take_rate(self, rate: float) -> None:
@@ -65,7 +82,7 @@ class JointStateController(Controller[JointStateInterface]):
         if isnan(rate):
             raise Refused("publish_rate must be a number, not nan")
         self._publishes = rate > 0.0
-        self._period_ns = from_seconds(1.0 / rate) if self._publishes else 0
+        self.period_ns = from_seconds(1.0 / rate) if self._publishes else 0
         self._head_start_ns = from_seconds(_HEAD_START / rate) if self._publishes else 0
 
     def _take_extra(self, extra: list[ExtraJoint]) -> None:
@@ -76,17 +93,22 @@ class JointStateController(Controller[JointStateInterface]):
 
     def starting(self, time_ns: int) -> None:
         """Begin the rhythm once; it goes on through stops, and begins anew when time was put back."""
-        if self._publishes and (not self._started or time_ns < self._due_ns - self._period_ns):
+        if self._publishes and (not self._started or time_ns < self.due_ns - self.period_ns):
             last_ns = time_ns - self._head_start_ns
-            self._due_ns = (last_ns if last_ns >= 0 else _EARLIEST_NS) + self._period_ns
+            self.due_ns = (last_ns if last_ns >= 0 else _EARLIEST_NS) + self.period_ns
             self._started = True
 
-    def update(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
-        if time_ns > self._due_ns:
-            # One period on, not from now: a late message does not shift the rhythm.
-            self._due_ns += self._period_ns
-            if self._publisher.wanted:
-                self._publisher.publish(self._message(time_ns))
+    def update(self, time_ns: int, period_s: float) -> None:
+        if states_are_due(self, time_ns) and self._publisher.wanted:
+            self.publish(time_ns, period_s)
+
+    def publish(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
+        """The states of this cycle."""
+        self._publisher.publish(self._message(time_ns))
+
+    def parts(self) -> Parts:
+        """What runs compiled besides this controller."""
+        return Parts(self._publisher, shown=self._joints)
 
     def _message(self, time_ns: int) -> Message:
         joints = self._joints

@@ -6,11 +6,21 @@ Parameters `joint`, `pid/*`. It needs no robot description.
 from __future__ import annotations
 
 from slidectl.control import params
+from slidectl.control.handles import JointHandle
 from slidectl.control.interfaces import EffortJointInterface, JointCommandInterface
+from slidectl.control.laws import Columns, Compiled, law
 from slidectl.control.node import NodeHandle
 from slidectl.control.parameters import JOINT
-from slidectl.control.pid_controller import UPDATES_PER_STATE, PidController
+from slidectl.control.pid import Pid, next_command
+from slidectl.control.pid_controller import PidController, state_is_due
 from slidectl.control.registry import controller
+
+
+@law
+def track_velocity(goal: JointVelocityController, pid: Pid, joint: JointHandle, period_s: float) -> None:
+    """command = pid(set point - velocity)."""
+    goal.error = goal.set_point - joint.velocity
+    joint.command = next_command(pid, goal.error, period_s)
 
 
 @controller("effort_controllers/JointVelocityController")
@@ -18,6 +28,15 @@ class JointVelocityController(PidController):
     """effort = pid(commanded velocity - velocity)."""
 
     interface_type = EffortJointInterface
+    compiled = Compiled(
+        "joint_velocity",
+        Columns(
+            changing="error updates_to_state",
+            fixed="set_point",
+            places="pid joint wanted",
+            whole="updates_to_state pid joint wanted",
+        ),
+    )
 
     def init(self, interface: JointCommandInterface, node: NodeHandle) -> None:
         """Raises SlidectlError: a parameter or the joint is missing."""
@@ -25,35 +44,23 @@ class JointVelocityController(PidController):
         self._offer_pid(node)
         self._offer_state(node)
         self._listen(node)
-        self._set_point = 0.0
 
     def starting(self, time_ns: int) -> None:  # noqa: ARG002
         """Stand still."""
-        self._set_point = 0.0
+        self.set_point = 0.0
         self._pid.reset()
 
     def set_command(self, value: float) -> None:
         """Move at this velocity (m/s or rad/s)."""
-        self._set_point = value
+        self.set_point = value
 
     def update(self, time_ns: int, period_s: float) -> None:
-        joint = self._joint
-        error = self._set_point - joint.velocity
-        joint.command = self._pid.compute_command(error, period_s)
-        self._updates_to_state -= 1
-        if not self._updates_to_state:
-            self._publish(time_ns, period_s, error)
+        track_velocity(self, self._pid, self._joint, period_s)
+        if self._pid.observer is not None:
+            self._pid.tell(self.error, period_s)
+        if state_is_due(self) and self._state.wanted:
+            self.publish(time_ns, period_s)
 
-    def _publish(self, time_ns: int, period_s: float, error: float) -> None:
-        self._updates_to_state = UPDATES_PER_STATE
-        if self._state.wanted:
-            message = self._state_message(
-                time_ns,
-                period_s,
-                set_point=self._set_point,
-                value=self._joint.velocity,
-                # The model never fills this in.
-                value_dot=0.0,
-                error=error,
-            )
-            self._state.publish(message)
+    def publish(self, time_ns: int, period_s: float) -> None:
+        """The state after an update. The derivative of the velocity is 0: the model never fills it in."""
+        self._state.publish(self._state_message(time_ns, period_s, value=self._joint.velocity, value_dot=0.0))

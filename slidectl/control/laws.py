@@ -1,0 +1,104 @@
+"""What the compiled cycle needs to know of control: which functions are laws, and which attributes are their state.
+
+A law is a plain function of numbers and of objects with plain attributes. The interpreter calls it with controllers,
+PIDs and handles; the compiler with rows of tables that have columns of the same names. Nothing is compiled here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from operator import attrgetter
+from struct import Struct
+from typing import TYPE_CHECKING, Any, TypeVar
+
+if TYPE_CHECKING:
+    from slidectl.control.handles import JointHandle, JointStateHandle
+    from slidectl.control.node import Publisher
+    from slidectl.control.pid import Pid
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+LAWS: list[Callable[..., Any]] = []
+"""All functions that run in the interpreter and compiled, those that others call first."""
+
+
+def law(function: F) -> F:
+    """Decorator: the function is a law. It is returned as it is.
+
+    It may use numbers, attributes of its arguments, tuples, functions of `math`, and other laws; no divisions by zero.
+    """
+    LAWS.append(function)
+    return function
+
+
+class Columns:
+    """Attributes of an object that make a row: floats and whole numbers, those that laws change first.
+
+    `places` are columns that only a row has: indices into other tables, flags, bounds.
+    """
+
+    def __init__(
+        self,
+        changing: str = "",
+        fixed: str = "",
+        places: str = "",
+        whole: str = "",
+    ) -> None:
+        """Names parted by blanks; `whole` are those of the others that are whole numbers or truth values."""
+        self.changing = tuple(changing.split())
+        self.attributes = (*self.changing, *fixed.split())
+        self.names = (*self.attributes, *places.split())
+        self.kinds = "".join("q" if name in whole.split() else "d" for name in self.names)
+        self.size = 8 * len(self.names)
+        self._all = Struct("=" + self.kinds)
+        self._changing = Struct("=" + self.kinds[: len(self.changing)])
+        self._values = _getter(self.attributes)
+        self._changing_values = _getter(self.changing)
+
+    def fill(self, rows: bytearray, row: int, source: object, *places: float) -> None:
+        """Write the whole row: the attributes of `source`, then the places."""
+        self._all.pack_into(rows, row * self.size, *self._values(source), *places)
+
+    def take(self, rows: bytearray, row: int, source: object) -> None:
+        """Write the columns that laws change from the attributes of `source`."""
+        self._changing.pack_into(rows, row * self.size, *self._changing_values(source))
+
+    def give(self, rows: bytearray, row: int, target: object) -> None:
+        """Set the attributes of `target` that laws change to what the row holds."""
+        values = self._changing.unpack_from(rows, row * self.size)
+        for name, value in zip(self.changing, values, strict=True):
+            setattr(target, name, value)
+
+
+def _getter(names: Sequence[str]) -> Callable[[object], tuple[Any, ...]]:
+    if len(names) == 1:
+        return lambda source: (getattr(source, names[0]),)
+    return attrgetter(*names) if names else lambda _: ()
+
+
+@dataclass(frozen=True, slots=True)
+class Compiled:
+    """How a controller runs compiled: the kind of its rows (by which the cycle knows its law), and their columns.
+
+    `Columns.places` of a kind begin with `pid` when it has one, and `joint` when it drives one.
+    """
+
+    kind: str
+    columns: Columns
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """What a controller consists of besides itself, while it runs compiled."""
+
+    publisher: Publisher | None = None
+    """Where its `publish` goes; it is called only while that is wanted."""
+    joint: JointHandle | None = None
+    pid: Pid | None = None
+    shown: tuple[JointStateHandle, ...] = ()
+    """Joints of which `publish` tells."""
+
+    def handles(self) -> list[JointStateHandle]:
+        """All that are named here."""
+        return [*self.shown, *([] if self.joint is None else [self.joint])]

@@ -1,0 +1,141 @@
+"""Makes machine code of the cycle: numba compiles it, LLVM writes an object file. Runs in a process of its own.
+
+`python -m slidectl.simulation.compiled.compiler [FILE]` writes FILE, else the one that is looked for, at once or not at
+all. Only here is numba imported.
+No fast-math and no fused operations, so that the code computes the same bits as the interpreter.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import fcntl
+import math
+import os
+import sys
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import llvmlite.binding as llvm
+import numba
+import numpy as np
+from numba.extending import overload, register_jitable
+
+from slidectl.control.laws import LAWS, Columns
+from slidectl.simulation.compiled import guard, kernel, object_file
+from slidectl.simulation.compiled.object_file import ENTRY, machine
+from slidectl.simulation.compiled.rows import ARRAYS, TABLES, Progress
+
+types: Any = numba.types
+carray: Any = numba.carray  # type: ignore[attr-defined]
+
+_MODESTY = 10
+"""How much the simulations that run meanwhile go first (nice)."""
+_ROOM = 1 << 30
+"""Rows that a table may have; no memory is taken for them."""
+
+
+def column_type(columns: Columns) -> Any:
+    """The rows as a numpy type."""
+    formats = [("i8" if kind == "q" else "f8") for kind in columns.kinds]
+    return np.dtype(list(zip(columns.names, formats, strict=True)))
+
+
+def teach_laws() -> None:
+    """Let compiled functions call the laws, and what of `math` numba does not know."""
+    fmod_of_c = types.ExternalFunction("fmod", types.float64(types.float64, types.float64))
+
+    @overload(math.fmod, strict=False)
+    def _fmod(x: Any, y: Any) -> Any:  # noqa: ARG001
+        return lambda x, y: fmod_of_c(x, y)
+
+    for law in LAWS:
+        register_jitable(law)
+
+
+def compile_cycle() -> bytes:
+    """The object file."""
+    teach_laws()
+    step = types.ExternalFunction(guard.SYMBOL, types.int64(*4 * [types.int64]))
+
+    @overload(kernel.physics_step, strict=False)
+    def _physics_step(step_: Any, model: Any, data: Any, error_hook: Any) -> Any:  # noqa: ARG001
+        return lambda step_, model, data, error_hook: step(step_, model, data, error_hook)
+
+    # numba links what it compiled at once, though it is never called here.
+    llvm.add_symbol(guard.SYMBOL, ctypes.cast(ctypes.CDLL(None).abort, ctypes.c_void_p).value)
+    function = numba.cfunc(types.int64(*_arguments()))(_on_pointers())
+    return _object_file(function.inspect_llvm(), function.native_name.removeprefix("cfunc."))
+
+
+def _arguments() -> list[Any]:
+    progress = np.dtype([(field[0], "i8") for field in Progress._fields_])
+    records = [progress, *(column_type(columns) for columns in TABLES.values())]
+    pointers = [types.CPointer(numba.from_dtype(record)) for record in records]
+    return pointers + len(ARRAYS) * [types.CPointer(types.float64)]
+
+
+def _on_pointers() -> Callable[..., int]:
+    """`kernel.run` on addresses of tables. One argument after the other: numba wants them written out."""
+    run: Any = register_jitable(kernel.run)
+    names = ("progress", *TABLES, *ARRAYS)
+    tables = ", ".join(f"carray({name}, room)" for name in names[1:])
+    source = f"def cycle({', '.join(names)}):\n    return run(carray(progress, 1)[0], {tables})\n"
+    space: dict[str, Any] = {"run": run, "carray": carray, "room": _ROOM}
+    exec(source, space)
+    made: Callable[..., int] = space["cycle"]
+    return made
+
+
+def _object_file(code: str, entry: str) -> bytes:
+    """Code and guard as one module in which only the entry can be called from outside."""
+    target = machine()
+    module = llvm.parse_assembly(code)
+    module.link_in(llvm.parse_assembly(guard.CODE))
+    for function in module.functions:
+        if function.is_declaration:
+            continue
+        if function.name == entry:
+            function.name = ENTRY
+        elif function.name != guard.ERROR_TEXT:
+            function.linkage = "internal"
+    for variable in module.global_variables:
+        if not variable.is_declaration:
+            variable.linkage = "internal"
+    tuning = llvm.create_pipeline_tuning_options(speed_level=3)
+    passes = llvm.create_pass_builder(target, tuning)
+    passes.getModulePassManager().run(module, passes)
+    made: bytes = target.emit_object(module)
+    return made
+
+
+def write(path: Path) -> None:
+    """Compile into this file."""
+    content = compile_cycle()
+    draft = path.with_name(f"{path.name}.{os.getpid()}")
+    draft.write_bytes(content)
+    draft.replace(path)
+
+
+def main(arguments: list[str]) -> int:
+    """Several of these at once wait for the first one and find its work done. What goes wrong is in the report."""
+    os.nice(_MODESTY)
+    path = Path(arguments[0]) if arguments else object_file.place()
+    report = object_file.report()
+    report.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    with report.open("a", encoding="utf-8") as turn:
+        fcntl.flock(turn, fcntl.LOCK_EX)
+        if path.exists():
+            return 0
+        turn.truncate(0)
+        try:
+            write(path)
+        except Exception:
+            turn.write(traceback.format_exc())
+            return 1
+        return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

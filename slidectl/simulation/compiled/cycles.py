@@ -1,0 +1,239 @@
+"""Runs compiled cycles: gives the machine code its turns, and the interpreter those that are its own.
+
+Stands in for `Loop`'s own cycles, with the same results to the bit. Robots are seated in the tables as long as nobody
+looks at them; whoever does makes `release` be called before.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from typing import TYPE_CHECKING
+
+from slidectl.physics import EngineError
+from slidectl.physics.engine import error_hook_address, step_address
+from slidectl.simulation.compiled import rows
+from slidectl.simulation.compiled.object_file import Cycle
+from slidectl.simulation.compiled.rows import NEW_CYCLE, Progress
+from slidectl.simulation.compiled.tables import Seat, Tables
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from slidectl.simulation.assembly import SpawnedRobot
+    from slidectl.simulation.loop import Loop
+
+
+class CompiledCycles:
+    """The cycles of a loop's robots, by `code`."""
+
+    def __init__(self, loop: Loop, code: Cycle) -> None:
+        self._loop = loop
+        self._graph = loop.graph
+        self._world = loop.world
+        self._code = code
+        self._progress = Progress(robot=NEW_CYCLE, error_hook=error_hook_address())
+        self._result = ctypes.c_int64()
+        self._step_address = step_address()
+        self._robots: Sequence[SpawnedRobot] = ()
+        self._tables: Tables | None = None
+        self._released: list[Seat] = []
+        self._acting: Seat | None = None
+        """The robot of which a controller without a row has its turn."""
+        self._topic_changes = -1
+        self._arguments: list[ctypes.c_void_p] = []
+
+    # -- who has the state -----------------------------------------------------------------------------------------
+
+    def forget(self, robots: Sequence[SpawnedRobot]) -> None:
+        """These are the robots now, or their places in the world are new: make other tables before the next cycle."""
+        self.release_all()
+        self._robots = robots
+        self._tables = None
+
+    def release(self, robot: SpawnedRobot) -> None:
+        """Somebody is about to look at the robot, or to change it."""
+        if robot.seat is not None:
+            self._release(robot.seat)
+
+    def release_all(self) -> None:
+        """All robots are as if the interpreter had run their cycles."""
+        if self._tables is not None:
+            for seat in self._tables.seats:
+                self._release(seat)
+
+    def _release(self, seat: Seat) -> None:
+        if seat.is_taken:
+            if seat is self._acting:  # its handles are newer than the rows
+                seat.take_joints()
+            seat.release()
+            self._released.append(seat)
+
+    def _prepare(self) -> Tables:
+        tables = self._tables
+        if tables is None or any(seat.is_outdated() for seat in self._released):
+            tables = self._build()
+        for seat in self._released:
+            if seat.fits():
+                seat.take()
+        self._released = [seat for seat in self._released if not seat.is_taken]
+        self._look_for_listeners(tables)
+        return tables
+
+    def _build(self) -> Tables:
+        self.release_all()
+        memory, progress = self._world.memory(), self._progress
+        tables = self._tables = Tables(self._robots, memory.dofs)
+        for robot, seat in zip(self._robots, tables.seats, strict=True):
+            robot.seat = seat
+        self._released = list(tables.seats)
+        progress.robots = len(tables.seats)
+        progress.model, progress.data = memory.model, memory.data
+        progress.positions, progress.dofs = memory.positions, memory.dofs
+        addresses = [ctypes.addressof(self._result), 0, ctypes.addressof(progress), *tables.addresses()]
+        addresses += [memory.qpos, memory.qvel, memory.forces, tables.outside.buffer_info()[0]]
+        self._arguments = [ctypes.c_void_p(address) for address in addresses]
+        return tables
+
+    def _look_for_listeners(self, tables: Tables) -> None:
+        if self._topic_changes != self._graph.topics.changes:
+            self._topic_changes = self._graph.topics.changes
+            for seat in tables.seats:
+                for speaker in seat.speakers.values():
+                    speaker.look()
+
+    def _look_outside(self, tables: Tables) -> None:
+        """Who makes the steps, and what pushes from outside."""
+        progress, loads = self._progress, self._world.loads
+        progress.step = self._step_address if self._world.steps_alone else 0
+        if progress.has_outside or loads.efforts:
+            for dof in range(len(tables.outside)):
+                tables.outside[dof] = loads.efforts.get(dof, 0.0)
+        progress.has_outside = bool(loads.efforts)
+
+    # -- the cycles ------------------------------------------------------------------------------------------------
+
+    def run(self, count: int) -> int:
+        """At most `count` cycles, up to and with the first after which a timer is due, or the physics diverged."""
+        loop, clock, progress = self._loop, self._graph.clock, self._progress
+        progress.robot, progress.controller = NEW_CYCLE, 0
+        progress.time_ns, progress.step_ns, progress.cycles = clock.time_ns, loop.step_ns, clock.cycles
+        before = clock.cycles
+        tables = self._prepare()
+        self._look_outside(tables)
+        loop.in_cycle = True
+        try:
+            self._turns(tables, before + count)
+        finally:
+            loop.in_cycle = False
+            clock.time_ns = progress.time_ns
+            clock.cycles = progress.cycles + (progress.robot != NEW_CYCLE)
+            if progress.robot != NEW_CYCLE:  # an error ended a cycle half-way
+                self.release_all()
+        done = clock.cycles - before
+        if clock.time_ns >= self._graph.timers.next_ns:
+            self._graph.timers.fire()
+        return done
+
+    def _turns(self, tables: Tables, end: int) -> None:
+        """Turn by turn, until all cycles are done or one of them is the last for now."""
+        progress, code, arguments = self._progress, self._code.run, self._arguments
+        clock, timers, clock_topic = self._graph.clock, self._graph.timers, self._graph.clock_topic
+        while True:
+            progress.left = self._until_timer(end - progress.cycles)
+            if clock_topic.publisher.wanted:
+                self._begin_cycle(tables)
+            code(*arguments)
+            turn = self._result.value
+            clock.time_ns = progress.time_ns
+            if turn not in (rows.DONE, rows.DIVERGED):
+                self._take_turn(tables, turn)
+                self._look_outside(tables)
+                self._look_for_listeners(tables)
+            if progress.robot == NEW_CYCLE and self._is_last(end, turn):
+                break
+            if progress.robot == NEW_CYCLE and progress.time_ns >= timers.next_ns:
+                break
+
+    def _is_last(self, end: int, turn: int) -> bool:
+        """All done; or the physics is to be looked at, which the machine code does by itself as long as it steps."""
+        progress = self._progress
+        to_check = progress.step == 0 and progress.cycles % rows.CHECK_EVERY == 0
+        return progress.cycles >= end or turn == rows.DIVERGED or to_check
+
+    def _until_timer(self, count: int) -> int:
+        """Cycles up to and with the one after which a timer is due: at most `count`, and at least one."""
+        progress = self._progress
+        until = -(-(self._graph.timers.next_ns - progress.time_ns) // progress.step_ns)
+        if progress.robot != NEW_CYCLE:
+            until += 1
+        return max(1, min(count, until))
+
+    def _begin_cycle(self, tables: Tables) -> None:
+        """/clock has listeners: each cycle begins with it."""
+        progress, clock = self._progress, self._graph.clock
+        progress.left = 1
+        if progress.robot != NEW_CYCLE:
+            return
+        progress.time_ns += progress.step_ns
+        clock.time_ns = progress.time_ns
+        progress.robot = 0
+        self._graph.clock_topic.tick(progress.time_ns, progress.step_ns)
+        self._look_for_listeners(tables)
+
+    # -- the interpreter's turns -----------------------------------------------------------------------------------
+
+    def _take_turn(self, tables: Tables, turn: int) -> None:
+        progress = self._progress
+        if turn == rows.STEP_IN_PYTHON:
+            self._step()
+        elif turn == rows.FAILED:
+            raise EngineError(self._code.error_text().decode(errors="replace"))
+        elif turn == rows.ROBOT_IN_PYTHON:
+            self._run_robot(tables.seats[progress.robot])
+        elif turn == rows.PUBLICATION:
+            self._publish(tables.seats[progress.robot], progress.controller - 1)
+        else:
+            self._update(tables.seats[progress.robot], progress.controller - 1)
+
+    def _step(self) -> None:
+        progress = self._progress
+        self._world.step()
+        progress.robot = NEW_CYCLE
+        progress.cycles += 1
+
+    def _run_robot(self, seat: Seat) -> None:
+        """The whole cycle of a robot that is not seated; afterwards it is, when that is possible."""
+        seat.parts.cycle.run(self._progress.time_ns)
+        self._progress.robot += 1
+        if seat.fits():
+            seat.take()
+            self._released = [other for other in self._released if other is not seat]
+
+    def _publish(self, seat: Seat, position: int) -> None:
+        speaker = seat.speakers[position]
+        speaker.show(self._tables.content["joints"])  # type: ignore[union-attr]
+        self._try(seat, position, speaker.controller.publish)
+
+    def _update(self, seat: Seat, position: int) -> None:
+        seat.show_joints()
+        self._acting = seat
+        self._try(seat, position, seat.updates[position])
+        if seat.is_taken:
+            seat.take_joints()
+
+    def _try(self, seat: Seat, position: int, action: Callable[[int, float], None]) -> None:
+        """Act for one controller. If that fails, or somebody looks at the robot, the interpreter ends its cycle."""
+        time_ns, period_s = self._progress.time_ns, seat.period_s()
+        failure: Exception | None = None
+        try:
+            action(time_ns, period_s)
+        except Exception as raised:
+            failure = raised
+            self._release(seat)
+        finally:
+            self._acting = None
+        if not seat.is_taken:
+            seat.parts.manager.finish_update(position + 1, time_ns, period_s, failure)
+            seat.parts.cycle.write(time_ns)
+            self._progress.controller = 0
+            self._progress.robot += 1

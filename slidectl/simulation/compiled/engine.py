@@ -1,0 +1,97 @@
+"""Which engine runs the cycles: the interpreter, or machine code as soon as there is some.
+
+Compiling happens in a process of its own and is done once for all simulations; loading what it made takes some 50 ms.
+The interpreter runs the cycles until then.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+from slidectl.errors import Refused, UsageError
+from slidectl.simulation.compiled import object_file
+
+if TYPE_CHECKING:
+    from slidectl.simulation.compiled.cycles import CompiledCycles
+    from slidectl.simulation.loop import Loop
+
+PLAIN, COMPILED, AUTO = ENGINES = ("plain", "compiled", "auto")
+WORTH_COMPILING = 10_000
+"""Cycles in one go for which a simulation that nobody drives begins to compile."""
+
+
+class Engine:
+    """`chosen` is one of ENGINES. `cycles` is what runs compiled, None while the interpreter runs all."""
+
+    def __init__(self, loop: Loop, chosen: str) -> None:
+        """Raises UsageError: no such engine. Refused: `compiled` without numba."""
+        if chosen not in ENGINES:
+            raise UsageError(f"there is no engine {chosen!r}", f"choose one of: {', '.join(ENGINES)}")
+        if chosen == COMPILED and not object_file.is_possible():
+            raise Refused("the compiled engine needs numba", "install it: pip install 'slidectl[fast]'")
+        self._loop = loop
+        self._chosen = chosen
+        self._compiling: subprocess.Popen[bytes] | None = None
+        self._trouble = ""
+        self.cycles: CompiledCycles | None = None
+        self.is_settled = chosen == PLAIN or not object_file.is_possible()
+        """True when nothing will change any more."""
+
+    def __str__(self) -> str:
+        if self.cycles is not None:
+            return COMPILED
+        if self._trouble:
+            return f"plain: {self._trouble}"
+        return PLAIN if self.is_settled else f"{self._chosen}: compiling, plain meanwhile"
+
+    def advance(self, cycles: int) -> None:
+        """Before so many cycles: load the code if it is there, else see to it that somebody makes it."""
+        if object_file.place().exists():
+            self._load()
+        elif self._compiling is None:
+            if cycles >= WORTH_COMPILING or self._loop.driven:
+                self._compiling = _begin_to_compile()
+        elif self._compiling.poll() is not None and not object_file.place().exists():
+            self._give_up(f"compiling failed, see {object_file.report()}")
+
+    def complete(self) -> None:
+        """Compile, if need be, and load, now. Raises Refused when that fails."""
+        if self.cycles is not None:
+            return
+        if not object_file.is_possible():
+            raise Refused("the compiled engine needs numba", "install it: pip install 'slidectl[fast]'")
+        if not object_file.place().exists():
+            _begin_to_compile().wait()
+        if not object_file.place().exists():
+            raise Refused(f"compiling failed, see {object_file.report()}")
+        self._load()
+        if self._trouble:
+            raise Refused(self._trouble)
+
+    def _load(self) -> None:
+        from slidectl.simulation.compiled.cycles import CompiledCycles
+
+        try:
+            code = object_file.load()
+        except (OSError, RuntimeError, ImportError) as error:
+            self._give_up(f"the compiled code cannot be loaded: {error}")
+            return
+        self.is_settled = True
+        self.cycles = CompiledCycles(self._loop, code)
+        self._loop.take_robots(self._loop.robots)
+
+    def _give_up(self, trouble: str) -> None:
+        self.is_settled = True
+        self._trouble = trouble
+
+
+def _begin_to_compile() -> subprocess.Popen[bytes]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "slidectl.simulation.compiled.compiler"],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )

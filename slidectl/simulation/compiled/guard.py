@@ -1,0 +1,54 @@
+"""`physics_step` as LLVM's language: mj_step with its fatal errors caught, as MuJoCo's Python layer catches them.
+
+MuJoCo ends the process on an error unless a hook leaves the step by `longjmp`. The hook is in place during the step
+only. Nothing here is Python but the text.
+"""
+
+SYMBOL = "slidectl_physics_step"
+ERROR_TEXT = "slidectl_error_text"
+
+CODE = """
+@place = internal global [128 x i64] zeroinitializer, align 16
+@text = internal global [256 x i8] zeroinitializer
+
+declare i32 @_setjmp(ptr) #0
+declare void @longjmp(ptr, i32) #1
+declare ptr @strncpy(ptr, ptr, i64)
+
+define internal void @leave(ptr %said) #1 {
+  call ptr @strncpy(ptr @text, ptr %said, i64 255)
+  call void @longjmp(ptr @place, i32 1)
+  unreachable
+}
+
+define ptr @slidectl_error_text() {
+  ret ptr @text
+}
+
+define i64 @slidectl_physics_step(i64 %step, i64 %model, i64 %data, i64 %error_hook) #2 {
+  %hook = inttoptr i64 %error_hook to ptr
+  %hooked = icmp ne i64 %error_hook, 0
+  br i1 %hooked, label %guarded, label %bare
+guarded:
+  %code = call i32 @_setjmp(ptr @place) #0
+  %failed = icmp ne i32 %code, 0
+  br i1 %failed, label %lost, label %try
+try:
+  store volatile ptr @leave, ptr %hook
+  %guarded_step = inttoptr i64 %step to ptr
+  call void %guarded_step(i64 %model, i64 %data)
+  store volatile ptr null, ptr %hook
+  ret i64 0
+lost:
+  store volatile ptr null, ptr %hook
+  ret i64 1
+bare:
+  %bare_step = inttoptr i64 %step to ptr
+  call void %bare_step(i64 %model, i64 %data)
+  ret i64 0
+}
+
+attributes #0 = { returns_twice nounwind }
+attributes #1 = { noreturn }
+attributes #2 = { noinline }
+"""

@@ -1,0 +1,92 @@
+"""Where the machine code of the cycle is kept, and how it is brought into this process: LLVM alone, without numba.
+
+A file is good for one version of everything that it was made from; that is in its name.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import importlib.util
+import os
+import platform
+import sys
+from collections.abc import Callable
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import slidectl
+from slidectl.simulation.compiled import guard
+from slidectl.simulation.compiled.rows import ARRAYS, TABLES
+
+ENTRY = "slidectl_cycle"
+_ARGUMENTS = (2 + 1 + len(TABLES) + len(ARRAYS)) * [ctypes.c_void_p]
+"""Where the result goes, where numba would tell of an exception (it has none here), Progress, tables, arrays."""
+_SOURCES = ("control", "physics/effort.py", "physics/divergence.py", "simulation/cycle.py", "simulation/compiled")
+
+
+def is_possible() -> bool:
+    """True when numba is installed."""
+    return importlib.util.find_spec("numba") is not None
+
+
+@cache
+def place() -> Path:
+    """The file of the code for this program on this machine, whether it is there or not."""
+    made_from = hashlib.sha256()
+    for text in (sys.version, platform.machine(), metadata.version("numba"), metadata.version("llvmlite")):
+        made_from.update(text.encode())
+    root = Path(slidectl.__file__).parent
+    for source in _SOURCES:
+        whole = root / source
+        for file in [whole] if whole.is_file() else sorted(whole.rglob("*.py")):
+            made_from.update(file.read_bytes())
+    return _folder() / f"cycle-{made_from.hexdigest()[:24]}.o"
+
+
+def report() -> Path:
+    """The file in which a failed compilation says why; whoever compiles has it locked."""
+    return _folder() / "compiling.log"
+
+
+def _folder() -> Path:
+    base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    return Path(base) / "slidectl"
+
+
+def machine() -> Any:
+    """LLVM's idea of any processor of this kind: without the fused operations that newer ones have."""
+    import llvmlite.binding as llvm
+
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    target = llvm.Target.from_default_triple()
+    return target.create_target_machine(cpu="", features="", opt=3, reloc="pic", codemodel="small")
+
+
+class Cycle(NamedTuple):
+    """The loaded code: the cycle as a function of addresses, and the text of the error that ended it."""
+
+    run: Callable[..., int]
+    error_text: Callable[[], bytes]
+    engine: Any
+    """Owns the memory that the code is in."""
+
+
+@cache
+def load() -> Cycle:
+    """Bring the code into this process, once. Raises OSError, RuntimeError when the file is not there or no good."""
+    import llvmlite.binding as llvm
+
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine())
+    engine.add_object_file(llvm.ObjectFileRef.from_data(place().read_bytes()))
+    engine.finalize_object()
+    addresses = [engine.get_function_address(name) for name in (ENTRY, guard.ERROR_TEXT)]
+    if not all(addresses):
+        raise RuntimeError(f"{place()} is not what it should be; delete it")
+    # The interpreter's lock is kept: there is one thread, and MuJoCo's warnings come back through Python.
+    run = ctypes.PYFUNCTYPE(ctypes.c_int32, *_ARGUMENTS)(addresses[0])
+    text = ctypes.PYFUNCTYPE(ctypes.c_char_p)(addresses[1])
+    return Cycle(run, text, engine)

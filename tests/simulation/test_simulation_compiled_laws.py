@@ -1,0 +1,165 @@
+"""The laws, compiled as the engine compiles them, against the recordings and against the interpreter, to the bit."""
+
+from __future__ import annotations
+
+import json
+import random
+import struct
+from collections.abc import Callable
+from inspect import signature
+from math import inf, nan
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+numba = pytest.importorskip("numba")
+
+from slidectl.control import angles, limit_laws  # noqa: E402
+from slidectl.control.duration import from_seconds, to_seconds  # noqa: E402
+from slidectl.control.handles import JointHandle  # noqa: E402
+from slidectl.control.joint_limits import JointLimits, SoftJointLimits  # noqa: E402
+from slidectl.control.laws import Columns  # noqa: E402
+from slidectl.control.limits import EffortJointSaturation, EffortJointSoftLimits, saturate_effort, slow_effort  # noqa: E402
+from slidectl.control.pid import Pid, next_command, next_command_from, pid_law  # noqa: E402
+from slidectl.physics.effort import truncated  # noqa: E402
+from slidectl.simulation.compiled import rows  # noqa: E402
+from slidectl.simulation.compiled.compiler import column_type, teach_laws  # noqa: E402
+
+DATA = Path(__file__).parent.parent / "data"
+SCALAR_LAWS = [
+    pid_law,
+    truncated,
+    to_seconds,
+    *(getattr(limit_laws, name) for name in vars(limit_laws) if callable(getattr(limit_laws, name)) and name != "law"),
+    angles.normalize_angle,
+    angles.shortest_angular_distance,
+    angles.unwrapped,
+    angles.two_pi_complement,
+    angles.distance_with_large_limits,
+    angles.distance_with_limits,
+]
+VALUES = (
+    0.0,
+    -0.0,
+    1.0,
+    -1.0,
+    3.141592653589793,
+    -3.141592653589793,
+    6.283185307179586,
+    1e-300,
+    5e-324,
+    1e300,
+    inf,
+    -inf,
+    nan,
+)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _taught() -> None:
+    teach_laws()
+
+
+def bits(value: Any) -> Any:
+    """Comparable to the bit; every nan is like another."""
+    if isinstance(value, tuple):
+        return tuple(map(bits, value))
+    return "nan" if value != value else struct.pack("<d", value)
+
+
+class Rows:
+    """One object in one row, as compiled laws see it."""
+
+    def __init__(self, columns: Columns, source: object) -> None:
+        self._columns = columns
+        self._memory = bytearray(columns.size)
+        self.array: Any = np.frombuffer(self._memory, column_type(columns))
+        self._source = source
+        self.fill()
+
+    def fill(self) -> None:
+        places = (0.0,) * (len(self._columns.names) - len(self._columns.attributes))
+        self._columns.fill(self._memory, 0, self._source, *map(int, places))
+
+    def give(self) -> None:
+        self._columns.give(self._memory, 0, self._source)
+
+
+def compiled(law: Callable[..., Any], rows_in_front: int) -> Callable[..., Any]:
+    """The law with tables in the place of its first arguments, of which it takes the first row."""
+    if rows_in_front == 1:
+        return numba.njit(lambda one, *rest: law(one[0], *rest))  # type: ignore[no-any-return]
+    return numba.njit(lambda one, two: law(one[0], two[0]))  # type: ignore[no-any-return]
+
+
+def recorded(name: str) -> list[dict[str, Any]]:
+    cases: list[dict[str, Any]] = json.loads((DATA / name).read_text())["cases"]
+    return cases
+
+
+def test_every_recorded_pid_comes_out_of_the_compiled_law() -> None:
+    laws = {"error": compiled(next_command, 1)}
+    other = compiled(next_command_from, 1)
+    for case in recorded("pid_vectors.json"):
+        gains = {key: float(value) for key, value in case["gains"].items() if key != "antiwindup"}
+        pid = Pid(**gains, antiwindup=bool(case["gains"]["antiwindup"]))
+        row = Rows(Pid.columns, pid)
+        operations = {"reset": pid.reset, "reset2": pid.reset_to, "setGains": lambda *g, pid=pid: _set_gains(pid, g)}
+        for k, inputs in enumerate(case["inputs"]):
+            for operation in case["ops"]:
+                if operation["before_input"] == k:
+                    operations[operation["op"]](*map(float, operation["args"]))
+                    row.fill()
+            *errors, _ = map(float, inputs)
+            computed = laws.get(case["mode"], other)(row.array, *errors, to_seconds(case["dt_ns"][k]))
+            row.give()
+            assert bits(computed) == bits(float(case["outputs"][k])), case["name"]
+            state = (pid.p_error, pid.i_error, pid.d_error, pid.command)
+            assert bits(state) == bits(tuple(map(float, case["state_after"][k]))), case["name"]
+
+
+def _set_gains(pid: Pid, gains: tuple[float, ...]) -> None:
+    pid.p, pid.i, pid.d, pid.i_max, pid.i_min = gains[:5]
+    pid.antiwindup = bool(gains[5])
+
+
+def test_every_recorded_effort_limit_comes_out_of_the_compiled_law() -> None:
+    saturate, slow = compiled(saturate_effort, 2), compiled(slow_effort, 2)
+    seen = 0
+    for case in recorded("joint_limits_vectors.json"):
+        if not case["handle"].startswith("Effort"):
+            continue
+        seen += 1
+        joint = JointHandle("joint")
+        limits = JointLimits(**{k: v if isinstance(v, bool) else float(v) for k, v in case["limits"].items()})
+        soft = "Soft" in case["handle"]
+        handle: Any = EffortJointSaturation(joint, limits)
+        if soft:
+            bounds = SoftJointLimits(**{key: float(value) for key, value in case["soft_limits"].items()})
+            handle = EffortJointSoftLimits(joint, limits, bounds)
+        limit_row, joint_row = Rows(type(handle).compiled.columns, handle), Rows(rows.JOINT, joint)
+        for step, output in zip(case["steps"], case["outputs"], strict=True):
+            joint.position, joint.velocity, joint.effort, joint.command, period_s = map(float, step)
+            assert to_seconds(from_seconds(period_s)) >= 0.0
+            joint_row.fill()
+            (slow if soft else saturate)(limit_row.array, joint_row.array)
+            joint_row.give()
+            assert bits(joint.command) == bits(float(output))
+    assert seen > 10
+
+
+@pytest.mark.parametrize("law", SCALAR_LAWS, ids=lambda law: law.__name__)
+def test_a_compiled_law_and_the_interpreter_agree_to_the_bit(law: Callable[..., Any]) -> None:
+    machine = numba.njit(law)
+    dice = random.Random(law.__name__)
+    kinds = [parameter.annotation for parameter in signature(law).parameters.values()]
+    draw = {
+        "float": lambda: dice.choice(VALUES) if dice.random() < 0.3 else dice.uniform(-8, 8),
+        "int": lambda: dice.randrange(-(10**12), 10**15),
+        "bool": lambda: dice.random() < 0.5,
+    }
+    for _ in range(4000):
+        arguments = [draw[kind]() for kind in kinds]
+        assert bits(machine(*arguments)) == bits(law(*arguments)), arguments
