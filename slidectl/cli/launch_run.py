@@ -92,10 +92,12 @@ class Daemon:
     def begin(self, settings: WorldSettings) -> bool:
         from slidectl.daemon import lifecycle
 
-        paths = self.context.paths
-        if self.must_run or lifecycle.running(paths) is not None:
+        if self.must_run:
             return False
         from slidectl.daemon.options import DaemonOptions
+
+        paths = self.context.paths
+        runs_already = lifecycle.running(paths) is not None
 
         usual = DaemonOptions()
         options = DaemonOptions(
@@ -107,7 +109,7 @@ class Daemon:
             child=self.child,
         )
         self._beginning = lifecycle.Beginning(paths, options)
-        return True
+        return not runs_already
 
     def connect(self) -> tuple[Client, bool]:
         if self.must_run:

@@ -31,7 +31,7 @@ class Door(Protocol):
     """How to get at a daemon, and to get rid of it."""
 
     def begin(self, settings: WorldSettings) -> bool:
-        """Begin to start a daemon with such a world. False when one runs already."""
+        """Begin to start a daemon with such a world, unless one runs already: then False."""
 
     def connect(self) -> tuple[Client, bool]:
         """Wait until it answers; the connection, and whether the daemon is the one that was begun here."""
@@ -78,11 +78,11 @@ class Session:
         run.settings = self._settings()
         with run.interrupts.held():
             self._began_daemon = self.door.begin(run.settings)
-        parameters = run.plan.parameters()  # running xacro takes as long as a daemon's start
+        run.parameters = run.plan.parameters()  # running xacro takes as long as a daemon's start
         client, run.owns_daemon = self.door.connect()
         run.connect(client)
         run.watch.add(client.fileno(), lambda: None)
-        prepare(run, parameters)
+        prepare(run, run.parameters)
         self._start_nodes()
         self.is_up = True
 
@@ -244,7 +244,7 @@ class Session:
         self._escalate(processes)
         if run.is_connected:
             run.client.close()
-        if self._began_daemon:
+        if self._began_daemon or run.owns_daemon:
             self._stop_daemon()
 
     def _stop(self, task: Task) -> None:

@@ -366,3 +366,39 @@ def test_on_a_terminal_a_line_at_the_bottom_shows_how_things_stand(slidectl: Com
     os.close(master)
     assert b"everything runs" in shown
     assert b"robots: slider, 2 of 2 controllers run" in shown
+
+
+def test_meshes_of_a_plain_urdf_are_found_from_the_launch_files_folder(slidectl: CommandLine, tmp_path: Path) -> None:
+    package = tmp_path / "ws" / "bot"
+    (package / "meshes").mkdir(parents=True)
+    (package / "package.xml").write_text("<package><name>bot</name></package>")
+    tetrahedron = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+    (package / "meshes" / "t.obj").write_text(tetrahedron)
+    (package / "bot.urdf").write_text(
+        '<robot name="bot"><link name="a"><inertial><mass value="1"/>'
+        '<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial><collision><geometry>'
+        '<mesh filename="package://bot/meshes/t.obj"/></geometry></collision></link></robot>'
+    )
+    path = write(
+        package,
+        "bot.launch",
+        '<param name="robot_description" textfile="$(dirname)/bot.urdf"/>'
+        '<node name="urdf" pkg="gazebo_ros" type="spawn_model" args="-urdf -model bot -param robot_description"/>',
+    )
+    slidectl.ok("daemon", "start")
+    done = slidectl("launch", path, cwd=Path("/"))
+    assert done.returncode == 0, done.stderr
+    assert "bot spawned in /bot" in done.stdout
+    slidectl.ok("daemon", "stop")
+
+
+def test_two_launches_at_once_share_one_daemon(slidectl: CommandLine) -> None:
+    world = Launched(slidectl, "rrbot_world")
+    slider = Launched(slidectl, "slider")
+    world.up()
+    slider.up()
+    assert slidectl.ok("robots", "--json").count('"name": "slider"') == 1
+    slider_ended, world_ended = slider.interrupt(), world.interrupt()
+    # Whoever began the daemon ends it; the other one has then lost it.
+    assert {slider_ended, world_ended} <= {130, 3}
+    nothing_is_left(slidectl.runtime)
