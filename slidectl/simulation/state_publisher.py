@@ -1,7 +1,7 @@
 """robot_state_publisher of every robot: moving joints on `/tf` at 50 Hz, fixed ones latched on `/tf_static`.
 
 It reads the joints of the world themselves, so it needs no joint_states and shows passive joints too. Its parameters
-below `/<ns>/robot_state_publisher`, publish_frequency and tf_prefix, take effect whenever they are set.
+below `/<ns>/robot_state_publisher`, publish_frequency, tf_prefix and enabled, take effect whenever they are set.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from slidectl.physics.rotation import IDENTITY, Pose, from_rpy
 from slidectl.simulation.assembly import SpawnedRobot
 from slidectl.simulation.clock import SECOND, stamp
 from slidectl.simulation.periodic import PeriodicTopic
-from slidectl.simulation.topics import NodePublisher
+from slidectl.simulation.topics import NodePublisher, TopicPublisher
 
 if TYPE_CHECKING:
     from slidectl.simulation.simulation import Simulation
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 FREQUENCY_HZ = 50
 ROTARY = ("revolute", "continuous")
 NODE = "robot_state_publisher"
+ENABLED = "enabled"
+"""The parameter that, when it is false, takes the node out of the graph."""
 
 
 class StatePublisher:
@@ -36,39 +38,52 @@ class StatePublisher:
         self._robot = robot
         self._moving = [joint for joint in robot.paper.joints.values() if joint.type != "fixed"]
         self._node = names.join(robot.namespace, NODE)
-        topics = simulation.graph.topics
-        self._prefix = _prefix(simulation, robot)
-        self._period_ns = self._asked_period_ns()
-        self._tf = self._periodic()
-        self._static = topics.advertise("/tf_static", "tf2_msgs/TFMessage", self._node, latch=True, kind=NodePublisher)
-        self._publish_fixed()
+        self._prefix = ""
+        self._period_ns = 0
+        self._tf: PeriodicTopic | None = None
+        self._static: TopicPublisher | None = None
+        self._configure()
         self._watch = simulation.parameters.watch(self._node, self._configure)
 
     def close(self) -> None:
         """Take the topics back."""
         self._watch.close()
-        self._tf.close()
-        self._static.close()
+        self._silence()
 
-    def _periodic(self) -> PeriodicTopic:
+    def _silence(self) -> None:
+        for publisher in (self._tf, self._static):
+            if publisher is not None:
+                publisher.close()
+        self._tf = self._static = None
+
+    def _configure(self) -> None:
+        """What the parameters of the node ask for; called whenever one is set or deleted."""
+        prefix = _prefix(self._simulation, self._robot)
+        has_other_names, self._prefix = prefix != self._prefix, prefix
+        if self._simulation.parameters.get(names.join(self._node, ENABLED), True) is False:
+            self._silence()
+            return
+        period_ns = self._asked_period_ns()
+        if self._tf is None or period_ns != self._period_ns:
+            self._period_ns = period_ns
+            self._publish_moving()
+        if self._static is None or has_other_names:
+            self._publish_fixed()
+
+    def _publish_moving(self) -> None:
+        if self._tf is not None:
+            self._tf.close()
         graph = self._simulation.graph
-        return PeriodicTopic(graph, "/tf", "tf2_msgs/TFMessage", self._node, self._period_ns, self._dynamic)
+        self._tf = PeriodicTopic(graph, "/tf", "tf2_msgs/TFMessage", self._node, self._period_ns, self._dynamic)
 
     def _publish_fixed(self) -> None:
+        if self._static is None:
+            topics = self._simulation.graph.topics
+            kind = "tf2_msgs/TFMessage"
+            self._static = topics.advertise("/tf_static", kind, self._node, latch=True, kind=NodePublisher)
         fixed = [joint for joint in self._robot.paper.joints.values() if joint.type == "fixed"]
         if fixed:
             self._static.publish({"transforms": [self._transform(joint, _origin(joint)) for joint in fixed]})
-
-    def _configure(self) -> None:
-        """Somebody has set or deleted a parameter of the node."""
-        period_ns, prefix = self._asked_period_ns(), _prefix(self._simulation, self._robot)
-        if period_ns != self._period_ns:
-            self._period_ns = period_ns
-            self._tf.close()
-            self._tf = self._periodic()
-        if prefix != self._prefix:
-            self._prefix = prefix
-            self._publish_fixed()
 
     def _asked_period_ns(self) -> int:
         asked = self._simulation.parameters.get(names.join(self._node, "publish_frequency"), FREQUENCY_HZ)

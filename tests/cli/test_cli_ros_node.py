@@ -178,10 +178,20 @@ def test_kill_of_an_unknown_node_kills_nobody(slide: SlideWorld) -> None:
     assert (done.stdout, done.stderr, done.returncode) == ("", "ERROR: Unknown node(s):\n * /nope\n", 1)
 
 
-def test_killing_gazebo_ends_the_daemon() -> None:
+def test_a_killed_state_publisher_is_gone_until_it_is_started_again_and_gazebo_ends_the_daemon() -> None:
     with slider_world() as world:
         shell = Shell(world.slidectl)
-        assert "/slider/robot_state_publisher" in shell.run("rosnode list").stdout
+        node = "/slider/robot_state_publisher"
+        assert node in shell.run("rosnode list").stdout
+        assert shell.run(f"rosnode kill {node}").stdout == f"killing {node}\nkilled\n"
+        assert node not in shell.run("rosnode list").stdout
+        assert shell.run("rostopic list | grep tf").stdout == ""
+        restarted = world.slidectl.start("ros", "rosrun", "robot_state_publisher", "robot_state_publisher")
+        assert restarted.stdout is not None
+        assert restarted.stdout.readline() == "the simulation publishes the frames of slider at 50 Hz\n"
+        assert node in shell.run("rosnode list").stdout
+        restarted.send_signal(signal.SIGINT)
+        restarted.communicate(timeout=30)
         done = shell.run("rosnode kill /gazebo")
         assert (done.stdout, done.stderr, done.returncode) == ("killing /gazebo\nkilled\n", "", 0)
         with pytest.raises(NoDaemon):

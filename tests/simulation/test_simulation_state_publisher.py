@@ -90,3 +90,14 @@ def test_a_deleted_robot_listens_to_its_parameters_no_more(simulation: Simulatio
     simulation.delete("cart")
     simulation.parameters.set(FREQUENCY, 10)
     assert not simulation.graph.topics.exists("/tf")
+
+
+def test_a_state_publisher_can_be_taken_out_of_the_graph_and_put_back(simulation: Simulation) -> None:
+    enabled = "/cart/robot_state_publisher/enabled"
+    listeners = simulation.graph.topics
+    simulation.parameters.set(enabled, False)
+    assert listeners.publishers("/tf") == listeners.publishers("/tf_static") == []
+    simulation.parameters.set(PREFIX, "left")
+    simulation.parameters.delete(enabled)
+    assert listeners.publishers("/tf") == ["/cart/robot_state_publisher"]
+    assert all(name.startswith("left/") for names in frames(simulation, "/tf", 20) for name in names)

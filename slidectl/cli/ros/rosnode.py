@@ -38,6 +38,7 @@ TOOL = Tool(
     help_options=("--help",),
 )
 _RULE = "-" * 80
+_STATE_PUBLISHER = "/robot_state_publisher"
 _CLIENT = re.compile(r"/slidectl_(?P<pid>\d+)_\d+\Z")
 _PERIOD_S = 1.0
 _PATIENCE_S = 10.0
@@ -217,7 +218,7 @@ def _round_trip(ctx: Context, full: str) -> float:
 
 
 def kill(ctx: Context, argv: Sequence[str]) -> None:
-    """End nodes: a client by SIGINT, as Ctrl-C would; one of the simulation with the daemon."""
+    """End nodes: a client by SIGINT, as Ctrl-C would; a state publisher by its parameter; others with the daemon."""
     option = Option(("-a", "--all"), "everything", "all nodes")
     given = Parser("rosnode", "rosnode kill [node]...", [option]).parse(argv)
     known = ctx.names("node")
@@ -249,6 +250,9 @@ def _asked(known: Sequence[str]) -> str:
 
 def _end(ctx: Context, node: str) -> None:
     match = _CLIENT.match(node)
+    if match is None and node.endswith(_STATE_PUBLISHER):
+        ctx.call("/rosapi/set_param", {"name": f"{node}/enabled", "value": "false"})
+        return None
     if match is None:
         return _end_of_simulation(ctx)
     with suppress(ProcessLookupError):

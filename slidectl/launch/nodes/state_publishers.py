@@ -51,6 +51,8 @@ class RobotStatePublisher(Task):
 
     def _set_up(self, run: Run, robot: dict[str, Any]) -> None:
         place = names.join(robot["namespace"], "robot_state_publisher")
+        if run.parameter(names.join(place, "enabled")) is False:  # `rosnode kill` has ended it
+            run.call("/rosapi/delete_param", {"name": names.join(place, "enabled")})
         for parameter in _HONOURED:
             own = names.join(self.node.full_name, parameter)
             value = run.parameter(own)
