@@ -140,7 +140,7 @@ def _run(
     ctx: Context, plan: Plan, tasks: Sequence[Task], packages: Packages, title: str, given: dict[str, Any]
 ) -> None:
     from slidectl.cli.launch_run import Background
-    from slidectl.launch.interrupts import Interrupts
+    from slidectl.launch.interrupts import Interrupted, Interrupts
 
     background = None
     stays = any(task.needs_presence for task in tasks)
@@ -150,9 +150,12 @@ def _run(
         make_private(ctx.paths.folder)
         background = Background(str(ctx.paths.folder / f"launch-{os.getpid()}.log"))
         background.fork()
-    with Interrupts() as interrupts:
-        session = _session(ctx, plan, tasks, packages, interrupts, given)
-        _PidFile(given["pid_file"]).around(lambda: _drive(session, title, given["detach"], background))
+    try:
+        with Interrupts() as interrupts:
+            session = _session(ctx, plan, tasks, packages, interrupts, given)
+            _PidFile(given["pid_file"]).around(lambda: _drive(session, title, given["detach"], background))
+    except Interrupted as interrupted:  # before there was anything to end
+        _interrupted(interrupted.number, was_up=False)
 
 
 def _session(

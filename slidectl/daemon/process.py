@@ -12,8 +12,8 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
 from slidectl.daemon.lock import InstanceLock, holder
@@ -67,7 +67,7 @@ def _settle_in(start: Start) -> None:
     """Be nobody's child: private files, no terminal, none of the starter's descriptors or its folder."""
     os.umask(0o077)
     for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, _stop_early)
+        signal.signal(number, _early.take)
     if start.parent is not None:
         _end_with(start.parent)
     if start.foreground:
@@ -93,8 +93,35 @@ def _end_with(parent: int) -> None:
         raise Stopped
 
 
-def _stop_early(*_: object) -> None:
-    raise Stopped
+class _EarlyStop:
+    """Signals before the loop runs. Some are lost in C code that is being imported, so they are remembered too."""
+
+    def __init__(self) -> None:
+        self.asked = False
+        self._raises = True
+
+    def take(self, *_: object) -> None:
+        """The handler. It raises Stopped once, so that nothing keeps the way out from being gone to its end."""
+        self.asked = True
+        if self._raises:
+            self._raises = False
+            raise Stopped
+
+    def check(self) -> None:
+        """Raise Stopped if a signal has come by now."""
+        if self.asked:
+            raise Stopped
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Inside, signals are only remembered."""
+        self._raises = False
+        yield
+        self._raises = True
+        self.check()
+
+
+_early = _EarlyStop()
 
 
 def _run(start: Start, starter: Starter) -> int:
@@ -109,9 +136,10 @@ def _run(start: Start, starter: Starter) -> int:
             print(f"a daemon runs there already (process {holder(start.paths.lock)})", file=sys.stderr, flush=True)
             return EXIT_DONE
         log = LogFile(start.paths.log, start.foreground)
-        listener = listen(start.paths.socket)
-        stack.callback(start.paths.socket.unlink, missing_ok=True)
-        stack.callback(listener.close)
+        with _early.held():
+            listener = listen(start.paths.socket)
+            stack.callback(start.paths.socket.unlink, missing_ok=True)
+            stack.callback(listener.close)
         _serve(start, listener, log, lambda: starter.tell("ready", pid=os.getpid()))
     return EXIT_DONE
 
@@ -125,5 +153,6 @@ def _serve(start: Start, listener: socket.socket, log: LogFile, ready: Callable[
 
     daemon = Daemon(start, listener, log, began)
     gc.freeze()
+    _early.check()
     ready()
     daemon.run()

@@ -44,7 +44,8 @@ def test_an_interrupt_at_any_moment_leaves_nothing(slidectl: CommandLine, everyt
     launched = Launched(slidectl, everything)
     with suppress(subprocess.TimeoutExpired):
         launched.process.wait(moment_s)
-    assert launched.interrupt() in (130, -signal.SIGINT)  # the latter before Python itself is up
+    code = launched.interrupt()
+    assert code in (130, -signal.SIGINT), launched.text  # the latter before Python itself is up
     if moment_s > 0.1:
         assert "Traceback" not in launched.text
     nothing_is_left(slidectl.runtime)
