@@ -51,6 +51,7 @@ SLIDER = {
 STATUS = {
     "version": "0", "pid": 1, "instance": "default", "time": 1.0, "cycles": 1000, "paused": False, "speed": 1.0,
     "speed_reached": 1.0, "timestep": 0.001, "cycle_mean": 1e-6, "cycle_p99": 1e-6, "cycle_worst": 1e-6,
+    "engine": "plain",
     "lateness_p50": 1e-6, "lateness_p99": 1e-6, "overruns": 0, "robots": ["slider"], "controllers": 1,
     "controllers_running": 1, "connections": 1, "memory": 1, "uptime": 1.0, "log": "",
 }  # fmt: skip
