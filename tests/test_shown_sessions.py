@@ -62,9 +62,10 @@ def environment() -> Iterator[dict[str, str]]:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_the_sessions_of_a_page_print_what_it_shows(page: Path, environment: dict[str, str]) -> None:
+    evaluated: list[str] = []
     for command, lines in sessions(page):
         done = subprocess.run(
-            ["bash", "-c", command],
+            ["bash", "-c", "\n".join([*evaluated, command])],
             cwd=ROOT,
             env=environment,
             stdin=subprocess.DEVNULL,
@@ -74,6 +75,7 @@ def test_the_sessions_of_a_page_print_what_it_shows(page: Path, environment: dic
             timeout=120,
             check=False,
         )
+        evaluated += [command] if command.startswith("eval ") else []
         printed = "".join(line.rstrip() + "\n" for line in done.stdout.splitlines())
         assert pattern(lines).match(printed), (
             f"$ {command}\n--- printed (exit {done.returncode}):\n{printed}--- shown:\n" + "\n".join(lines)
