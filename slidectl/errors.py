@@ -110,13 +110,14 @@ class AmbiguousName(UsageError):
         self.matches = list(matches)
 
 
+_ANY_NAME = "name: letters, digits, '_' and '/', and the first is a letter, '/' or '~'"
+
+
 class BadName(UsageError):
     """Text that is not a legal graph name."""
 
-    def __init__(self, name: str) -> None:
-        super().__init__(
-            f"{name!r} is not a legal name: letters, digits, '_' and '/', and the first is a letter, '/' or '~'"
-        )
+    def __init__(self, name: str, rule: str = _ANY_NAME, hint: str | None = None) -> None:
+        super().__init__(f"{name!r} is not a legal {rule}", hint)
 
 
 class BadMessage(UsageError):

@@ -11,7 +11,8 @@ from collections.abc import Iterable
 
 from slidectl.errors import AmbiguousName, BadName, UnknownName
 
-_LEGAL = r"(?a)^[A-Za-z/~][\w/]*$|^/$"
+_LEGAL = r"(?a)[A-Za-z/~][\w/]*\Z"
+_COMPONENT = r"(?a)[A-Za-z]\w*\Z"
 
 
 def is_legal(name: str) -> bool:
@@ -23,6 +24,13 @@ def check(name: str) -> str:
     """The name itself. Raises BadName when it is not legal."""
     if not is_legal(name):
         raise BadName(name)
+    return name
+
+
+def check_robot(name: str) -> str:
+    """The name itself. Raises BadName unless it can be a robot's: one component of a name."""
+    if not re.match(_COMPONENT, name):
+        raise BadName(name, "name of a robot: a letter, then letters, digits and '_'", "give it another name (-n NAME)")
     return name
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 DEFAULT_INSTANCE = "default"
-_INSTANCE = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
+_INSTANCE = r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}\Z"
 # A Unix socket's path is limited by the kernel (sun_path, 108 bytes with its end).
 _LONGEST_SOCKET_PATH = 107
 

@@ -12,6 +12,8 @@ from slidectl.cli.context import Context, paint
 from slidectl.cli.output import ClosedPipe, reader_has_gone
 from slidectl.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_REFUSED, EXIT_USAGE, NoDaemon, SlidectlError
 
+_LONGEST_LINE = 4000
+
 
 def guard(action: Callable[[], None], context: Context) -> int:
     """Run the action; the exit code. Errors are printed, with a traceback when `-v` was given twice."""
@@ -37,8 +39,17 @@ def _report(error: Exception, context: Context) -> int:
         traceback.print_exception(error)
     text, code = describe(error)
     with suppress(OSError):  # stderr may be a full disk, and the exit code is all that is left then
-        print(paint("error:", "red"), "\n".join(text.rstrip().splitlines()), file=sys.stderr, flush=True)
+        lines = [_shortened(line) for line in text.rstrip().splitlines()]
+        print(paint("error:", "red"), "\n".join(lines), file=sys.stderr, flush=True)
     return code
+
+
+def _shortened(line: str) -> str:
+    """A line that quotes something endless loses its middle."""
+    if len(line) <= _LONGEST_LINE:
+        return line
+    half = _LONGEST_LINE // 2
+    return f"{line[:half]} ... ({len(line) - 2 * half} characters more) ... {line[-half:]}"
 
 
 def describe(error: Exception) -> tuple[str, int]:

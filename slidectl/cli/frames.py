@@ -137,7 +137,7 @@ def _pose(transform: Mapping[str, Mapping[str, float]]) -> Pose:
 def normalised(q: Quaternion) -> Quaternion:
     """The unit quaternion; all zeros mean no rotation."""
     x, y, z, w = q
-    length = math.sqrt(x * x + y * y + z * z + w * w)
+    length = math.hypot(x, y, z, w)
     return (x / length, y / length, z / length, w / length) if length > 0 else IDENTITY.rotation
 
 
@@ -178,7 +178,7 @@ def roll_pitch_yaw(q: Quaternion) -> Vector:
     """Fixed-axis angles in rad (URDF's rpy); at a pitch of 90 degrees the yaw is 0."""
     x, y, z, w = q
     sine = 2 * (x * z - w * y)
-    if abs(sine) >= 1.0 - 1e-12:
+    if abs(sine) >= 1.0 - 1e-9:
         sign = -1.0 if sine > 0 else 1.0
         return sign * 2 * math.atan2(x, w), sign * math.pi / 2, 0.0
     roll = math.atan2(2 * (y * z + w * x), 1 - 2 * (x * x + y * y))

@@ -174,7 +174,6 @@ def _session(
         given["skip_unknown"],
         given["sigint_timeout"],
         given["sigterm_timeout"],
-        given["detach"],
     )
     folder = str(ctx.paths.folder / "launch")
     run: Run = Run(plan, packages, Terminal(ctx), options, Watch(), interrupts, folder, _way_to_daemon(ctx))
@@ -184,7 +183,10 @@ def _session(
 def _way_to_daemon(ctx: Context) -> dict[str, str]:
     """For the programs of nodes, so that commands of this kind in them reach the same daemon."""
     paths = ctx.paths
-    return {"SLIDECTL_SOCKET": paths.socket_text} if paths.prefix else {"SLIDECTL_INSTANCE": paths.name}
+    return {
+        "SLIDECTL_SOCKET": paths.socket_text if paths.prefix else "",
+        "SLIDECTL_INSTANCE": "" if paths.prefix else paths.name,
+    }
 
 
 class _PidFile:

@@ -39,6 +39,7 @@ class Terminal:
         both = output.is_terminal(sys.stdout) and output.is_terminal(sys.stderr)
         self.is_live = both and context.format == "text" and not context.quiet
         self._status = ""
+        self._unheard = False
 
     def step(self, event: str, text: str, **details: Any) -> None:
         self._under_status(lambda: self.context.done({"event": event, "text": text, **details}, text))
@@ -49,23 +50,30 @@ class Terminal:
     def output(self, node: str, stream: str, line: str) -> None:
         if self.context.format != "text":
             record = {"event": "output", "node": node, "stream": stream, "line": line}
-            self.context.emit(record)
+            self._under_status(lambda: self.context.emit(record))
         elif stream == "stdout":
             self._under_status(lambda: output.write(f"[{node}] {line}"))
         else:
             self._under_status(lambda: print(f"[{node}] {line}", file=sys.stderr, flush=True))
 
     def status(self, text: str) -> None:
-        if self.is_live and (text or self._status):
+        if self.is_live and (text or self._status) and not self._unheard:
             self._status = text[: max(10, output._terminal_width() - 1)]
             self._draw(self._status)
 
     def _under_status(self, action: Callable[[], None]) -> None:
-        if self._status:
-            self._draw("")
-        action()
-        if self._status:
-            self._draw(self._status)
+        """Say it above the status. A reader that has gone is told of once: what ends a launch needs no audience."""
+        if self._unheard:
+            return
+        try:
+            if self._status:
+                self._draw("")
+            action()
+            if self._status:
+                self._draw(self._status)
+        except (output.ClosedPipe, BrokenPipeError):
+            self._unheard = True
+            raise output.ClosedPipe from None
 
     def _draw(self, text: str) -> None:
         sys.stderr.write(_CLEAR + (paint(text, "cyan") if text else ""))
@@ -84,10 +92,12 @@ class Daemon:
     def begin(self, settings: WorldSettings) -> bool:
         from slidectl.daemon import lifecycle
 
-        paths = self.context.paths
-        if self.must_run or lifecycle.running(paths) is not None:
+        if self.must_run:
             return False
         from slidectl.daemon.options import DaemonOptions
+
+        paths = self.context.paths
+        runs_already = lifecycle.running(paths) is not None
 
         usual = DaemonOptions()
         options = DaemonOptions(
@@ -99,7 +109,7 @@ class Daemon:
             child=self.child,
         )
         self._beginning = lifecycle.Beginning(paths, options)
-        return True
+        return not runs_already
 
     def connect(self) -> tuple[Client, bool]:
         if self.must_run:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from slidectl import names
 from slidectl.cli import configuration, live, robots
 from slidectl.cli.bringup import bring_up
 from slidectl.cli.commands import Variadic, command, looks_like_number
@@ -138,11 +139,11 @@ def quaternion(roll: float, pitch: float, yaw: float) -> dict[str, float]:
 
 
 def _identity(xml: str, document: Document, name: str | None) -> tuple[str, str]:
-    """The robot's name and namespace. Raises BadFile when the model is broken."""
+    """The robot's name and namespace. Raises BadFile when the model is broken, BadName."""
     from slidectl import description
 
     robot = description.parse(xml, document.file)
-    chosen = name or robot.name
+    chosen = names.check_robot(robot.name if name is None else name)
     return chosen, description.namespace_of(robot, chosen)
 
 

@@ -13,7 +13,7 @@ import click
 from slidectl.cli import output
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
-from slidectl.cli.frames import Frames, View, roll_pitch_yaw
+from slidectl.cli.frames import Frames, Pose, View, roll_pitch_yaw
 from slidectl.cli.options import positive_seconds
 from slidectl.cli.stream import Stream
 from slidectl.cli.topics import PUBLISHERS, users_of
@@ -77,7 +77,7 @@ class Listener:
         return any(count >= _ROUNDS for count in self._heard.values())
 
 
-def _open(ctx: Context) -> tuple[Stream, list[str]]:
+def open_stream(ctx: Context) -> tuple[Stream, list[str]]:
     """A stream of the topics of transforms that somebody publishes. Raises Refused when there is none."""
     known = ctx.client.topics()
     users = users_of(ctx, [topic for topic in (STATIC, MOVING) if topic in known], PUBLISHERS)
@@ -89,7 +89,7 @@ def _open(ctx: Context) -> tuple[Stream, list[str]]:
 
 def _frames(ctx: Context) -> Frames:
     """All frames there are."""
-    stream, topics = _open(ctx)
+    stream, topics = open_stream(ctx)
     with stream:
         listener = Listener(ctx, stream, topics)
         listener.listen(lambda _: False)
@@ -152,7 +152,7 @@ def echo(ctx: Context, reference: str, target: str, count: int | None, follow: b
     JSON keys: reference, target, time (simulated s; null when nothing between them moves), translation (x y z, m),
     rotation (x y z w), rpy (rad).
     """
-    stream, topics = _open(ctx)
+    stream, topics = open_stream(ctx)
     left = math.inf if follow and count is None else count or 1
     with stream:
         listener = Listener(ctx, stream, topics)
@@ -179,14 +179,20 @@ def _tell(ctx: Context, reference: str, target: str, view: View) -> None:
         "rotation": list(pose.rotation),
         "rpy": list(rpy),
     }
+    ctx.emit(record, f"At time {time or 0.0:.3f}\n{pose_text(view.pose)}")
+
+
+def pose_text(pose: Pose, digits: int = 3) -> str:
+    """The lines of tf_echo below the time: where the frame is, in m, and how it is turned."""
+    rpy = roll_pitch_yaw(pose.rotation)
     degrees = [math.degrees(angle) for angle in rpy]
-    ctx.emit(
-        record,
-        f"At time {time or 0.0:.3f}\n- Translation: {_vector(pose.translation)}\n"
-        f"- Rotation: in Quaternion {_vector(pose.rotation)}\n"
-        f"            in RPY (radian) {_vector(rpy)}\n            in RPY (degree) {_vector(degrees)}",
+    return (
+        f"- Translation: {_vector(pose.translation, digits)}\n"
+        f"- Rotation: in Quaternion {_vector(pose.rotation, digits)}\n"
+        f"            in RPY (radian) {_vector(rpy, digits)}\n"
+        f"            in RPY (degree) {_vector(degrees, digits)}"
     )
 
 
-def _vector(numbers: Any) -> str:
-    return "[" + ", ".join(f"{number:.3f}" for number in numbers) + "]"
+def _vector(numbers: Any, digits: int) -> str:
+    return "[" + ", ".join(f"{number:.{digits}f}" for number in numbers) + "]"

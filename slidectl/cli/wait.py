@@ -12,7 +12,7 @@ from slidectl.cli.commands import command
 from slidectl.cli.context import Context
 from slidectl.cli.options import positive_seconds, wait_for_world_s
 from slidectl.cli.topics import PUBLISHERS, look_up
-from slidectl.errors import Refused, UsageError
+from slidectl.errors import Refused, TimedOut, UsageError
 
 
 @command(
@@ -66,7 +66,12 @@ def wait(
     call = ctx.client.call_async("/slidectl/wait", request)
     if ctx.call("/slidectl/status")["paused"]:
         ctx.say("the simulation is paused; this waits until somebody lets it go on or steps it")
-    _tell(ctx, request, ctx.client.answer(call, timeout=limit))
+    try:
+        answer = ctx.client.answer(call, timeout=limit)
+    except TimedOut as error:
+        text = f"{_where(request)} was not {_expected(request)} within {limit:g} s of wall time"
+        raise TimedOut(text, error.hint) from None
+    _tell(ctx, request, answer)
 
 
 def _condition(**given: Any) -> tuple[str, Any]:
@@ -94,9 +99,13 @@ def _expected(request: dict[str, Any]) -> str:
     return what + (f" for {request['hold']:g} s" if request["hold"] else "")
 
 
+def _where(request: dict[str, Any]) -> str:
+    return f"{request['topic']}/{request['field']}".rstrip("/")
+
+
 def _tell(ctx: Context, request: dict[str, Any], answer: dict[str, Any]) -> None:
     last, closest = (json.loads(answer[key]) if answer[key] else None for key in ("last", "closest"))
-    where = request["topic"] + (f"/{request['field']}" if request["field"] else "")
+    where = _where(request)
     record = {
         "topic": request["topic"],
         "field": request["field"],

@@ -88,7 +88,7 @@ class Daemon:
         self._next_tidy_s = now + _TIDY_EVERY_S
         self._collect_garbage()
         given_up = self._pacer.given_up_s
-        if given_up > self._given_up_s + 1.0:
+        if given_up > max(self._given_up_s + 1.0, 2.0 * self._given_up_s):  # ever rarer, or it would fill the log
             self._given_up_s = given_up
             self._log.write("warn", f"slower than asked: {given_up:.0f} s of wall time given up so far")
 

@@ -137,8 +137,15 @@ class TransmissionReader:
             before = self.driven[joint.name]
             self.report.wrong(element, f"joint {joint.name!r} is driven by {before.title} already (line {before.line})")
         self.driven.setdefault(joint.name, element)
+        self._check_type(element, info.type)
         self._check_interface(element, joint)
         self._check_limit(element, joint.name)
+
+    def _check_type(self, element: Element, name: str) -> None:
+        if name.rpartition("/")[2] != "SimpleTransmission":
+            kind = element.find("type")
+            text = f"{name} has no effect: simulated hardware takes every transmission of one joint as a simple one"
+            self.report.ignored(kind or element, text, f"{element.title}/<type>")
 
     def _check_limit(self, element: Element, name: str) -> None:
         limit = self.joints[name].limit

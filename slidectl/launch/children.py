@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 
 from slidectl.launch.watch import Watch
@@ -16,6 +16,7 @@ from slidectl.launch.watch import Watch
 _CHUNK = 65536
 _LONGEST_LINE = 65536
 _PR_SET_PDEATHSIG = 1
+_HELD = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 OnLine = Callable[[str, str], None]
 OnEnd = Callable[[int], None]
@@ -128,13 +129,45 @@ class Child:
         os.close(self._descriptor)
 
 
-def _ending_with(parent: int) -> Callable[[], None]:
+def run(arguments: Sequence[str], environment: Mapping[str, str]) -> tuple[int, bytes]:
+    """Run a program to its end, with all that it starts gone when this is left early. Its exit code and its output.
+
+    Raises:
+        OSError, ValueError: it cannot be started.
+    """
+    # A signal between the start and the next line would leave a program that nobody knows of.
+    held = signal.pthread_sigmask(signal.SIG_BLOCK, _HELD)
+    try:
+        process = subprocess.Popen(
+            arguments,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            env=environment,
+            start_new_session=True,
+            preexec_fn=_ending_with(os.getpid(), held),
+        )
+    except BaseException:
+        signal.pthread_sigmask(signal.SIG_SETMASK, held)
+        raise
+    try:
+        signal.pthread_sigmask(signal.SIG_SETMASK, held)
+        output, _ = process.communicate()
+    except BaseException:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        raise
+    return process.returncode, output
+
+
+def _ending_with(parent: int, mask: Iterable[int] = ()) -> Callable[[], None]:
     """What the child does before it becomes the program: it asks the kernel for a SIGTERM when its parent dies."""
     import ctypes
 
     prctl = ctypes.CDLL(None).prctl
 
     def prepare() -> None:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
         if os.getppid() != parent:
             os._exit(1)

@@ -6,11 +6,11 @@ As roslaunch does it, there is no shell: words, quotes, and nothing is expanded.
 from __future__ import annotations
 
 import os
-import subprocess
 from pathlib import Path
 
 from slidectl.description.packages import is_file
 from slidectl.errors import BadFile, SlidectlError
+from slidectl.launch.children import run
 from slidectl.launch.tag import Tag
 
 _XACRO = ("xacro", "xacro.py")
@@ -51,21 +51,16 @@ class Command:
     def _run(self) -> str:
         shown = " ".join(self.words)
         try:
-            done = subprocess.run(
-                self.words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, env=self._environment(), check=False
-            )
+            code, output = run(self.words, self.tag.scope.launch.environment)
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
             raise self.tag.error(f"cannot run {self.words[0]!r}: {reason}", f"command: {shown}") from None
-        if done.returncode:
-            raise self.tag.error(f"the command ended with code {done.returncode}", f"command: {shown}")
+        if code:
+            raise self.tag.error(f"the command ended with code {code}", f"command: {shown}")
         try:
-            return done.stdout.decode("utf-8")
+            return output.decode("utf-8")
         except UnicodeDecodeError:
             raise self.tag.error("the command's output is no text", f"command: {shown}") from None
-
-    def _environment(self) -> dict[str, str]:
-        return dict(self.tag.scope.launch.environment)
 
 
 def _is_xacro(words: list[str]) -> bool:

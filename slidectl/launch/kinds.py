@@ -31,6 +31,7 @@ _COUNTERPARTS = {
 }
 _TOOLS = ("rostopic", "rosservice", "rosparam")
 _VIEWERS = ("rviz", "rqt")
+_VIEWER = "viewers:Viewer"
 # Scripts that were once installed with their suffix.
 _SUFFIXES = (".py",)
 
@@ -59,15 +60,30 @@ def tasks(plan: Plan, packages: Packages, skip_unknown: bool = False) -> list[Ta
     return found
 
 
+def counterparts() -> list[tuple[str, str]]:
+    """Package and type of the nodes that have one, without the windows, which are all those of rviz and rqt."""
+    return list(_COUNTERPARTS)
+
+
+def has_counterpart(package: str, kind: str) -> bool:
+    """Whether such a node is something here, and not a program to run."""
+    return _entry(package, kind) is not None
+
+
+def _entry(package: str, kind: str) -> str | None:
+    if package.startswith(_VIEWERS):
+        return _VIEWER
+    found = (_COUNTERPARTS.get((package, kind.removesuffix(suffix))) for suffix in ("", *_SUFFIXES))
+    return next((entry for entry in found if entry is not None), None)
+
+
 def _counterpart(node: Node, plan: Plan) -> Task | None:
-    if node.package.startswith(_VIEWERS):
-        return _made("viewers:Viewer", node, plan)
-    for suffix in ("", *_SUFFIXES):
-        entry = _COUNTERPARTS.get((node.package, node.type.removesuffix(suffix)))
-        if entry is not None:
-            _point_out(node, plan)
-            return _made(entry, node, plan)
-    return None
+    entry = _entry(node.package, node.type)
+    if entry is None:
+        return None
+    if entry != _VIEWER:
+        _point_out(node, plan)
+    return _made(entry, node, plan)
 
 
 def _made(entry: str, node: Node, plan: Plan) -> Task:

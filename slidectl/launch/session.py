@@ -21,7 +21,9 @@ from slidectl.launch.setup import prepare
 from slidectl.launch.task import Run, StepFailed, Task
 from slidectl.launch.world import WorldSettings
 
+# Nobody tells when a robot comes or a parameter is set, so look now and then.
 _LOOK_AGAIN_S = 0.2
+_LOOK_SELDOM_S = 0.5
 _STATUS_EVERY_S = 1.0
 
 
@@ -29,7 +31,7 @@ class Door(Protocol):
     """How to get at a daemon, and to get rid of it."""
 
     def begin(self, settings: WorldSettings) -> bool:
-        """Begin to start a daemon with such a world. False when one runs already."""
+        """Begin to start a daemon with such a world, unless one runs already: then False."""
 
     def connect(self) -> tuple[Client, bool]:
         """Wait until it answers; the connection, and whether the daemon is the one that was begun here."""
@@ -76,11 +78,11 @@ class Session:
         run.settings = self._settings()
         with run.interrupts.held():
             self._began_daemon = self.door.begin(run.settings)
-        parameters = run.plan.parameters()  # running xacro takes as long as a daemon's start
+        run.parameters = run.plan.parameters()  # running xacro takes as long as a daemon's start
         client, run.owns_daemon = self.door.connect()
         run.connect(client)
         run.watch.add(client.fileno(), lambda: None)
-        prepare(run, parameters)
+        prepare(run, run.parameters)
         self._start_nodes()
         self.is_up = True
 
@@ -164,7 +166,7 @@ class Session:
         if self.run.console.is_live:
             self._show_status()
         while not self._over and self._anything_left():
-            self._turn(None)
+            self._turn(_LOOK_SELDOM_S if self._waiting else None)
             if self._waiting:
                 self._look_again()
         self._judge()
@@ -242,7 +244,7 @@ class Session:
         self._escalate(processes)
         if run.is_connected:
             run.client.close()
-        if self._began_daemon:
+        if self._began_daemon or run.owns_daemon:
             self._stop_daemon()
 
     def _stop(self, task: Task) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 from slidectl.client import Client
 from slidectl.description.packages import Packages
 from slidectl.errors import Refused, SlidectlError
-from slidectl.launch.plan import Node, Plan
+from slidectl.launch.plan import Leaf, Node, Plan
 from slidectl.launch.watch import Watch
 from slidectl.launch.world import WorldSettings
 
@@ -57,7 +57,6 @@ class Options:
     skip_unknown: bool = False
     sigint_timeout_s: float = 15.0
     sigterm_timeout_s: float = 2.0
-    detached: bool = False
 
 
 @dataclass
@@ -76,6 +75,8 @@ class Run:
     """What the programs of nodes get beside the environment of this process: how to reach the daemon."""
     settings: WorldSettings = field(default_factory=WorldSettings)
     owns_daemon: bool = False
+    parameters: Mapping[str, Leaf] = field(default_factory=dict)
+    """Those that the launch files set."""
     spawned: list[str] = field(default_factory=list)
     """Robots that this run has put into the world and that are to leave it with the run."""
     _client: Client | None = None

@@ -24,6 +24,9 @@ Euler solves once more with the damped inertia: so every robot takes that path, 
 NARROWEST_RANGE = 1e-6
 """m or rad. MuJoCo wants the lower limit below the upper; a joint locked by equal limits gets this much."""
 
+DEEPEST = 1000
+"""Joints between the root and a link. MuJoCo takes a few more, and looks at a longer chain for minutes to refuse it."""
+
 _HINGE = mujoco.mjtJoint.mjJNT_HINGE
 _SLIDE = mujoco.mjtJoint.mjJNT_SLIDE
 _BALL = mujoco.mjtJoint.mjJNT_BALL
@@ -52,6 +55,7 @@ class RobotBuilder:
         Raises:
             BadInertia, BadJoint, BadShape: naming the robot and the link or joint.
         """
+        check_depth(self.robot, self.name)
         check_moving_masses(self.robot, self.name)
         bodies = {self.robot.root: self._root(pose)}
         waiting = [self.robot.root]
@@ -155,6 +159,21 @@ def range_of(joint: Joint) -> tuple[float, float] | None:
         middle = (lower + upper) / 2
         return middle - NARROWEST_RANGE / 2, middle + NARROWEST_RANGE / 2
     return lower, upper
+
+
+def check_depth(robot: Robot, name: str) -> None:
+    """Raises BadJoint for a link that hangs too far below the root."""
+    depth = {robot.root: 0}
+    above = {joint.child: joint for joint in robot.joints.values()}
+    for link in robot.links:
+        way = []
+        while link not in depth:
+            way.append(above[link])
+            link = above[link].parent
+        for joint in reversed(way):
+            depth[joint.child] = depth[joint.parent] + 1
+            if depth[joint.child] > DEEPEST:
+                raise BadJoint(name, joint, f"its child hangs more than {DEEPEST} joints below the root")
 
 
 def check_moving_masses(robot: Robot, name: str) -> None:

@@ -44,7 +44,7 @@ def xyzw(quaternion: Quaternion) -> Quaternion:
 
 def normalized(quaternion: Quaternion) -> Quaternion:
     """The quaternion at length one; all zeros mean no rotation, as in messages that leave it out."""
-    length = math.sqrt(sum(part * part for part in quaternion))
+    length = math.hypot(*quaternion)
     if length == 0.0:
         return IDENTITY
     x, y, z, w = (part / length for part in quaternion)

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 from slidectl import description, names
 from slidectl.description.robot import Robot
-from slidectl.errors import BadName, Refused, UnknownName
+from slidectl.errors import Refused, UnknownName
 from slidectl.physics import World
 from slidectl.simulation.assembly import ORIGIN, Companion, Pose, SpawnedRobot, assemble, report
 from slidectl.simulation.loop import Loop
@@ -80,8 +80,7 @@ class Robots:
         self._loop.take_robots(tuple(self._robots.values()))
 
     def _check_name(self, name: str) -> None:
-        if "/" in name or not names.is_legal(name):
-            raise BadName(name)
+        names.check_robot(name)
         if name in self._robots:
             raise Refused(
                 f"there is a robot {name!r} already, in {self._robots[name].namespace}",

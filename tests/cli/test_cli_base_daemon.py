@@ -155,7 +155,7 @@ def test_a_folder_that_others_may_enter_is_refused(slidectl: CommandLine, runtim
     open_folder.mkdir(mode=0o755)
     done = slidectl("--socket", str(open_folder / "s"), "daemon", "start")
     assert done.returncode == 1
-    assert "chmod 700" in done.stderr
+    assert "mkdir -m 700" in done.stderr
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])

@@ -46,6 +46,15 @@ def test_output_that_cannot_be_written_is_an_error(slidectl: CommandLine, words:
     assert done.stderr.startswith("error: cannot write the output: No space left on device")
 
 
+def test_an_error_that_quotes_something_endless_is_shortened(slidectl: CommandLine, tmp_path: Path) -> None:
+    model = tmp_path / "endless.urdf"
+    model.write_text(f'<robot name="x"><link name="{"x" * 100_000}"/></robot>')
+    done = slidectl("spawn", str(model))
+    assert done.returncode == 2
+    assert len(done.stderr) < 6000
+    assert "characters more" in done.stderr
+
+
 def test_an_unknown_verb_of_a_group_is_wrong_usage_and_suggests_the_closest(slidectl: CommandLine) -> None:
     done = slidectl("sim", "statsu")
     assert done.returncode == 2

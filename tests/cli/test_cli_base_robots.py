@@ -160,6 +160,15 @@ def test_a_taken_name_or_namespace_is_refused_and_changes_nothing(world: Command
     assert json.loads(world.ok("controller", "list", "--json"))["type"] == "effort_controllers/JointPositionController"
 
 
+@pytest.mark.parametrize("name", ["1x", "a/b", "_a"])
+def test_a_bad_name_is_wrong_usage_and_sets_no_parameter(world: CommandLine, name: str) -> None:
+    done = world("spawn", "slider", "-n", name, "--controllers", "config/slider_control.yaml")
+    assert done.returncode == 2
+    assert "name of a robot" in done.stderr
+    assert "-n NAME" in done.stderr
+    assert name not in world.ok("param", "list")
+
+
 def test_an_unknown_controller_is_found_before_the_robot_is_spawned(world: CommandLine) -> None:
     done = world("spawn", "slider", "--controllers", CONTROLLERS, "--start", "joint1_positon_controller")
     assert done.returncode == 1
@@ -186,6 +195,9 @@ def test_a_start_that_is_refused_leaves_the_robot_there(world: CommandLine, tmp_
         (["slider", ":=1"], "is not KEY:=VALUE"),
         (["slider", "--controllers", "nowhere.yaml"], "nowhere.yaml: no such file"),
         (["slider", "-n", "a b"], "not a legal name"),
+        (["slider", "-n", "a/b"], "not a legal name of a robot"),
+        (["slider", "-n", "a\n"], "not a legal name"),
+        (["slider", "-n", ""], "not a legal name"),
         (["slider", "--package", "here"], "is not KEY=VALUE"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",

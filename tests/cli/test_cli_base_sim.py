@@ -48,8 +48,8 @@ def status(slidectl: CommandLine) -> dict[str, object]:
 
 def test_status_has_all_its_keys(slidectl: CommandLine) -> None:
     assert set(status(slidectl)) == {
-        "version", "pid", "instance", "time", "cycles", "paused", "speed", "speed_reached", "timestep", "engine", "cycle_mean",
-        "cycle_p99", "cycle_worst", "lateness_p50", "lateness_p99", "overruns", "robots", "controllers",
+        "version", "pid", "instance", "time", "cycles", "paused", "speed", "speed_reached", "timestep", "engine",
+        "cycle_mean", "cycle_p99", "cycle_worst", "lateness_p50", "lateness_p99", "overruns", "robots", "controllers",
         "controllers_running", "connections", "memory", "uptime", "log",
     }  # fmt: skip
     text = slidectl.ok("sim", "status")
@@ -157,6 +157,7 @@ def test_wait_in_a_world_that_stands_still_times_out_and_says_why(slider: Comman
     done = slider("wait", "joint_states/position[0]", "--above", "0.7", "--within", "1", "--timeout", "0.3")
     assert (done.returncode, done.stdout) == (4, "")
     assert done.stderr.startswith("the simulation is paused")
+    assert "/slider/joint_states/position[0] was not above 0.7 within 0.3 s of wall time" in done.stderr
     assert "slidectl sim resume" in done.stderr
 
 

@@ -114,7 +114,10 @@ def test_an_open_quote_is_told(slidectl: CommandLine) -> None:
 
 def test_a_script_may_start_restart_and_stop_the_daemon(slidectl: CommandLine) -> None:
     lines = ["daemon start --paused", "sim step 5", "sim status --json", "daemon restart --paused", "sim status --json"]
-    done = slidectl("-q", "shell", stdin="\n".join([*lines, "daemon stop", "sim status"]))
+    try:
+        done = slidectl("-q", "shell", stdin="\n".join([*lines, "daemon stop", "sim status"]))
+    finally:
+        slidectl("daemon", "stop")
     assert done.returncode == 3, done.stderr
     assert [json.loads(line)["cycles"] for line in done.stdout.splitlines() if line.startswith("{")] == [5, 0]
 

@@ -39,6 +39,14 @@ class TestLoading:
     def test_a_rate_that_makes_no_period_does_not_load(self, rate):
         assert not bench_with(publish_rate=rate).manager.load("states")
 
+    @pytest.mark.parametrize("rate", [0, -1.0])
+    def test_a_rate_that_is_not_above_0_publishes_nothing_and_says_so(self, rate):
+        bench = bench_with(publish_rate=rate)
+        bench.start("states")
+        bench.run(100)
+        assert bench.graph.sent(TOPIC) == []
+        assert bench.graph.lines("warn") == "/bot/states/publish_rate is not above 0: nothing is published"
+
     def test_an_unknown_joint_does_not_load(self):
         bench = bench_with(publish_rate=50, joints=["joint1", "joint7"])
         assert not bench.manager.load("states")

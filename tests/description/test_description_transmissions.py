@@ -44,6 +44,14 @@ def test_blanks_around_and_inside_texts_are_condensed() -> None:
     assert info.type == "a b"
 
 
+def test_another_type_of_one_joint_is_taken_as_a_simple_one_and_that_is_reported() -> None:
+    _, report = read(transmission(f"<type>transmission_interface/Magic</type>{JOINT}{ACTUATOR}"))
+    (notice,) = report
+    assert notice.startswith('ignored bot.urdf:5: <transmission name="tran1">/<type>: transmission_interface/')
+    assert "Magic has no effect" in notice
+    assert read(transmission(f"<type>SimpleTransmission</type>{JOINT}{ACTUATOR}"))[1] == []
+
+
 @pytest.mark.parametrize(
     ("text", "reason"),
     [

@@ -114,7 +114,7 @@ def test_a_path_of_any_letters_stays_one_word_through_arguments_includes_and_com
 def test_an_argument_with_several_words_is_several_words(workspace: Workspace) -> None:
     node = workspace.node(
         '<arg name="controllers" default="one two"/>'
-        '<node pkg="controller_manager" type="spawner" name="s" args="$(arg controllers) $(optenv NOT_SET three four)"/>'
+        '<node pkg="rviz" type="rviz" name="s" args="$(arg controllers) $(optenv NOT_SET three four)"/>'
     )
     assert node.words == ["one", "two", "three", "four"]
 

@@ -87,7 +87,8 @@ def test_what_does_not_apply_is_not_looked_into(workspace: Workspace) -> None:
 
 def test_namespaces_nest_and_absolute_ones_begin_anew(workspace: Workspace) -> None:
     plan = workspace.plan(
-        """<group ns="a"><group ns="b/c"><param name="x" value="1"/><node pkg="rviz" type="rviz" name="n" ns="d"/></group>
+        """<group ns="a">
+        <group ns="b/c"><param name="x" value="1"/><node pkg="rviz" type="rviz" name="n" ns="d"/></group>
         <group ns="/top"><param name="x" value="2"/></group><param name="/root" value="3"/>
         <node pkg="rviz" type="rviz" name="m" ns="/slider"/></group>"""
     )

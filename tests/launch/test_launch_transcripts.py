@@ -211,12 +211,18 @@ REFUSED = {
 }
 
 
+def read_wholly(workspace: Workspace, content: str) -> None:
+    """Everything that happens before something is started."""
+    plan = workspace.plan(content)
+    kinds.tasks(plan, workspace.packages)
+    plan.parameters()
+
+
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_the_real_one_refuses_is_refused_with_the_place(workspace: Workspace, name: str) -> None:
     content, text = REFUSED[name]
     with pytest.raises(SlidectlError, match=text) as caught:
-        kinds.tasks(made := workspace.plan(content), workspace.packages)
-        made.parameters()
+        read_wholly(workspace, content)
     assert re.match(r"demo/launch/test.launch:1: ", str(caught.value)), caught.value
     assert caught.value.exit_code == 2
 

@@ -51,20 +51,18 @@ def test_factor_and_rate_that_contradict_are_pointed_out(workspace: Workspace) -
     assert "the factor is 0.5" in notice.text
 
 
+def model(shape: str) -> str:
+    return f'<model name="m"><link name="l"><collision name="c"><geometry>{shape}</geometry></collision></link></model>'
+
+
 @pytest.mark.parametrize(
     ("content", "ground"),
     [
         ("", False),
         ("<include><uri>model://ground_plane</uri></include>", True),
         ('<model name="ground_plane"><static>true</static></model>', True),
-        (
-            '<model name="floor"><link name="l"><collision name="c"><geometry><plane/></geometry></collision></link></model>',
-            True,
-        ),
-        (
-            '<model name="box"><link name="l"><collision name="c"><geometry><box/></geometry></collision></link></model>',
-            False,
-        ),
+        (model("<plane/>"), True),
+        (model("<box/>"), False),
     ],
 )
 def test_the_ground_is_a_plane_however_it_is_written(workspace: Workspace, content: str, ground: bool) -> None:

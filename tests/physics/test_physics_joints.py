@@ -235,3 +235,11 @@ def _urdf(joints: list[Joint]) -> str:
         for j in joints
     )
     return f'<robot name="robot">{links}{made}</robot>'
+
+
+def test_a_chain_that_is_too_long_is_refused_before_it_takes_minutes() -> None:
+    names = ["world", *(f"link{number}" for number in range(3000))]
+    links = [Link(name, box_inertial(1.0, (0.1, 0.1, 0.1))) for name in reversed(names)]
+    joints = [Joint(f"to_{child}", "continuous", parent, child) for parent, child in pairwise(names)]
+    with pytest.raises(SlidectlError, match=r"joint 'to_link1000' of robot 'chain': .* more than 1000 joints below"):
+        World().attach(tree(links, joints), "chain")

@@ -60,7 +60,7 @@ class Parser:
     ) -> None:
         self.tool = tool
         self.usage = usage
-        self.options = [*options, Option(("-h", "--help"), "help", "show this help message and exit")]
+        self.options = [*options, Option(("-h", "--help"), "help", "show this and exit")]
         self.about = about
         self._modern = modern
         self._is_value = is_value or self._is_number

@@ -71,6 +71,7 @@ def ros(ctx: Context, words: tuple[str, ...]) -> None:
 
 def run(ctx: Context, name: str, argv: Sequence[str]) -> None:
     """Run one tool; how it failed goes to stderr in its own words. Raises click's Exit with the code then."""
+    _heed_interrupts()
     tool: Any = import_module(f"slidectl.cli.ros.{TOOLS[name]}")
     try:
         tool.main(ctx, list(argv))
@@ -79,3 +80,11 @@ def run(ctx: Context, name: str, argv: Sequence[str]) -> None:
             raise
         print(told(error, getattr(tool, "PREFIX", "ERROR: ")), file=sys.stderr, flush=True)
         raise click.exceptions.Exit(error.exit_code) from None
+
+
+def _heed_interrupts() -> None:
+    """SIGINT ends a node also in the background of a script, where shells start programs with it ignored."""
+    import signal
+
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -22,11 +22,11 @@ _PARSER = Parser(
     "roscore [options]",
     [
         Option(("-p", "--port"), "port", "no effect: there are no ports", "PORT"),
-        Option(("-v",), "verbose", "verbose printing"),
+        Option(("-v",), "verbose", "say more"),
         Option(("-w", "--numworkers"), "workers", "no effect: there is one thread", "NUM_WORKERS"),
         Option(("-t", "--timeout"), "socket_timeout", "no effect: there are no ports", "TIMEOUT"),
         Option(("--master-logger-level",), "logger_level", "no effect", "LEVEL"),
-        Option(("--sigint-timeout",), "sigint", "seconds to wait for the end of the daemon", "TIMEOUT"),
+        Option(("--sigint-timeout",), "sigint", "how long the daemon may take to end", "TIMEOUT"),
         Option(("--sigterm-timeout",), "sigterm", "no effect", "TIMEOUT"),
     ],
     about="roscore starts the daemon, which is master, parameter server, rosout and world in one.",

@@ -55,8 +55,8 @@ def main(ctx: Context, argv: Sequence[str]) -> None:
 def list_nodes(ctx: Context, argv: Sequence[str]) -> None:
     """Names, or where they answer."""
     options = [
-        Option(("-u",), "uris", "list XML-RPC URIs"),
-        Option(("-a", "--all"), "everything", "list all information"),
+        Option(("-u",), "uris", "where they answer, instead of their names"),
+        Option(("-a", "--all"), "everything", "where they answer, and their names"),
     ]
     parser = Parser("rosnode", "rosnode list", options)
     given = parser.parse(argv)
@@ -94,7 +94,7 @@ def cleanup(ctx: Context, argv: Sequence[str]) -> None:
 
 def info(ctx: Context, argv: Sequence[str]) -> None:
     """Topics, services, connections. Raises Failure when one of the nodes is unknown."""
-    option = Option(("-q", "--quiet"), "quiet", "print only basic information about node")
+    option = Option(("-q", "--quiet"), "quiet", "without the connections")
     parser = Parser("rosnode", "rosnode info [options] node1 [node2...]", [option])
     given = parser.parse(argv)
     if not given.words:
@@ -155,8 +155,8 @@ def _pid(ctx: Context, full: str) -> int:
 def ping(ctx: Context, argv: Sequence[str]) -> None:
     """Round trips, one a second until Ctrl-C or -c."""
     options = [
-        Option(("-a", "--all"), "everything", "ping all nodes"),
-        Option(("-c",), "count", "number of pings to send. Not available with --all", "COUNT"),
+        Option(("-a", "--all"), "everything", "all nodes, once"),
+        Option(("-c",), "count", "so many times; not with -a", "COUNT"),
     ]
     parser = Parser("rosnode", "rosnode ping [options] <node>", options)
     given = parser.parse(argv)
@@ -218,7 +218,7 @@ def _round_trip(ctx: Context, full: str) -> float:
 
 def kill(ctx: Context, argv: Sequence[str]) -> None:
     """End nodes: a client by SIGINT, as Ctrl-C would; one of the simulation with the daemon."""
-    option = Option(("-a", "--all"), "everything", "select all nodes")
+    option = Option(("-a", "--all"), "everything", "all nodes")
     given = Parser("rosnode", "rosnode kill [node]...", [option]).parse(argv)
     known = ctx.names("node")
     if given.everything:

@@ -33,7 +33,7 @@ TOOL = Tool(
     without=0,
     unknown=0,
 )
-_VERBOSE = Option(("-v",), "verbose", "turn on verbose output")
+_VERBOSE = Option(("-v",), "verbose", "say what is done")
 _INT32 = range(-(2**31), 2**31)
 _NO_NAME = "invalid arguments. Please specify a parameter name"
 _TOO_MANY = "too many arguments"
@@ -59,8 +59,8 @@ def set_parameter(ctx: Context, argv: Sequence[str]) -> None:
     """A value in YAML, or with -t and -b what a file holds."""
     parser = _parser(
         "set [options] parameter value",
-        Option(("-t", "--textfile"), "textfile", "set parameters to contents of text file", "TEXT_FILE"),
-        Option(("-b", "--binfile"), "binfile", "set parameters to contents of binary file, as base64", "BINARY_FILE"),
+        Option(("-t", "--textfile"), "textfile", "the text of a file as the value", "TEXT_FILE"),
+        Option(("-b", "--binfile"), "binfile", "the bytes of a file as the value, in base64", "BINARY_FILE"),
     )
     given = parser.parse(argv)
     file = given.textfile or given.binfile
@@ -140,7 +140,7 @@ def _one_name(parser: Parser, words: Sequence[str]) -> str:
 
 def get(ctx: Context, argv: Sequence[str]) -> None:
     """The value as YAML."""
-    parser = _parser("get [options] parameter", Option(("-p",), "pretty", "pretty print. WARNING: not YAML-safe"))
+    parser = _parser("get [options] parameter", Option(("-p",), "pretty", "for reading: text without quotes"))
     given = parser.parse(argv)
     full = _full(ctx, _one_name(parser, given.words))
     if given.verbose:

@@ -46,7 +46,7 @@ def main(ctx: Context, argv: Sequence[str]) -> None:
 
 def list_services(ctx: Context, argv: Sequence[str]) -> None:
     """Names, with -n the nodes too; nothing at all when there are none."""
-    option = Option(("-n", "--nodes"), "nodes", "print nodes that provide service")
+    option = Option(("-n", "--nodes"), "nodes", "with the nodes that provide them")
     parser = Parser("rosservice", "rosservice list [/namespace]", [option])
     given = parser.parse(without_remappings(argv))
     (namespace,) = parser.at_most(given, 1, "you may only specify one input namespace")
@@ -128,7 +128,7 @@ _CALL = Parser(
     "rosservice call /service [args...]",
     [
         Option(("-v",), "verbose", "print the request, too"),
-        Option(("--wait",), "wait", "wait for service to be advertised to ROS master"),
+        Option(("--wait",), "wait", "wait until somebody provides the service"),
     ],
 )
 

@@ -43,11 +43,11 @@ def list_topics(ctx: Context, argv: Sequence[str]) -> None:
         "rostopic",
         "rostopic list [/namespace]",
         [
-            Option(("-b", "--bag"), "bag", "list topics in .bag file", "BAGFILE"),
-            Option(("-v", "--verbose"), "verbose", "list full details about each topic"),
-            Option(("-p",), "published", "list only publishers"),
-            Option(("-s",), "subscribed", "list only subscribers"),
-            Option(("--host",), "host", "group by host name"),
+            Option(("-b", "--bag"), "bag", "the topics of a bag", "BAGFILE"),
+            Option(("-v", "--verbose"), "verbose", "types, and how many use them"),
+            Option(("-p",), "published", "only those that somebody publishes"),
+            Option(("-s",), "subscribed", "only those that somebody subscribes to"),
+            Option(("--host",), "host", "below the name of the machine"),
         ],
     )
     given = parser.parse(without_remappings(argv))

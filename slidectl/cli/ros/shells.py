@@ -55,11 +55,35 @@ def _program(ctx: Context) -> list[str]:
     return words
 
 
+# A function that runs in the background of a script is a shell of its own, which the script knows by $!. What is sent
+# to it must reach the command. bash ignores SIGQUIT in such a shell, which tells it from one in a pipe.
+_POSIX = """\
+_slidectl_ros() {{
+  if ! _slidectl_is_job; then {prefix} ros "$@"; return; fi
+  local child= status=0
+  trap 'kill -INT "$child"' INT; trap 'kill -TERM "$child"' TERM
+  {prefix} ros "$@" <&0 &
+  child=$!
+  while :; do wait "$child" && status=0 || status=$?; kill -0 "$child" 2>/dev/null || break; done
+  trap - INT TERM
+  return "$status"
+}}
+_slidectl_is_job() {{
+  [ "${{BASHPID:-$$}}" != "$$" ] && [ -r /proc/self/status ] || return 1
+  local key value
+  while read -r key value; do
+    case $key:$value in SigIgn::*[4567cdef]) return 0 ;; esac
+  done </proc/self/status
+  return 1
+}}
+{functions}
+if [ -n "${{BASH_VERSION:-}}" ]; then export -f _slidectl_ros _slidectl_is_job {names}; fi"""
+
+
 def _posix(prefix: str) -> str:
     """bash, zsh and their kin. bash exports functions to the scripts that it starts."""
-    lines = [f'{name}() {{ {prefix} ros {name} "$@"; }}' for name in TOOLS]
-    export = f'if [ -n "${{BASH_VERSION:-}}" ]; then export -f {" ".join(TOOLS)}; fi'
-    return "\n".join([*lines, export])
+    functions = "\n".join(f'{name}() {{ _slidectl_ros {name} "$@"; }}' for name in TOOLS)
+    return _POSIX.format(prefix=prefix, functions=functions, names=" ".join(TOOLS))
 
 
 def _fish(prefix: str) -> str:

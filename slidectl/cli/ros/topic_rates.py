@@ -25,7 +25,7 @@ AnyMeter = TypeVar("AnyMeter", bound=Meter)
 
 _LONGEST_WINDOW = 50_000
 _BW_WINDOW = 100
-_WINDOW = Option(("-w", "--window"), "window", "window size, in # of messages, for calculating rate", "WINDOW")
+_WINDOW = Option(("-w", "--window"), "window", "how many messages to count in", "WINDOW")
 _NODELAY = Option(("--tcpnodelay",), "tcpnodelay", "no effect: there is no TCP")
 
 

@@ -18,7 +18,7 @@ from slidectl.cli.ros.verbs import NO_SUCH_VERB, Tool, Verb
 from slidectl.errors import UnknownName, closest
 
 _PLEASE = "Please refer to msg/srv types as 'package_name/Type'."
-_SINGLE_LINE = Option(("-s",), "single_line", "list on one line")
+_SINGLE_LINE = Option(("-s",), "single_line", "all on one line")
 
 
 def tool(name: str, what: str) -> Tool:
@@ -51,8 +51,8 @@ class Types:
             self.name,
             f"{self.name} show [options] <{self._noun} type>",
             [
-                Option(("-r", "--raw"), "raw", "show raw message text, including comments"),
-                Option(("-b", "--bag"), "bag", "show message from .bag file", "BAGFILE"),
+                Option(("-r", "--raw"), "raw", "the definition as it was written"),
+                Option(("-b", "--bag"), "bag", "as a bag has it", "BAGFILE"),
             ],
         )
         given = parser.parse(argv)

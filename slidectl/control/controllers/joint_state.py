@@ -68,6 +68,8 @@ class JointStateController(Controller[JointStateInterface]):
         """Raises SlidectlError: no publish_rate, or an unknown joint."""
         chosen = params.texts(node, "joints")
         self._take_rate(params.needed_number(node, "publish_rate"))
+        if not self._publishes:
+            node.log("warn", f"{node.namespace}/publish_rate is not above 0: nothing is published")
         self._publisher = node.advertise(names.join(root.namespace, "joint_states"), "sensor_msgs/JointState")
         self._joints = tuple(interface.get_handle(name) for name in (interface.names() if chosen is None else chosen))
         self._take_extra(_extra_joints(node, [joint.name for joint in self._joints]))

@@ -1,11 +1,12 @@
 """controller_manager's scripts `controller_manager` and `controller_group` as nodes: done once, and gone.
 
-What goes wrong ends the launch, where the scripts print it and leave with 0.
+What goes wrong ends the launch, where the scripts print it and leave with 0. Their lines are theirs to the letter.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 from slidectl import names
 from slidectl.errors import Refused, UnknownName
@@ -16,10 +17,31 @@ from slidectl.launch.task import Run, Task
 
 _ALIASES = {"lc": "list", "lt": "list-types", "sp": "spawn", "kl": "kill", "reload": "reload-libraries"}
 _NAMELESS = ("list", "list-types", "reload-libraries")
+_NOT_RELOADED = "Failed to reload libraries. Do you still have controllers loaded?"
+
+COMMANDS: dict[str, tuple[str, ...]] = {
+    "load": ("load",), "unload": ("unload",), "start": ("start",), "stop": ("stop",),
+    "spawn": ("load", "start"), "kill": ("stop", "unload"),
+    "list": (), "list-types": (), "reload-libraries": (),
+}  # fmt: skip
+"""Command -> what is done with all controllers, one after the other."""
+
+
+def is_command(word: str) -> bool:
+    """Whether the script knows the command, by its name or by its alias."""
+    return _ALIASES.get(word, word) in COMMANDS
+
+
+class Operation(NamedTuple):
+    """One call of the script, and the line that it prints when that is done and when it is not."""
+
+    act: Callable[[], None]
+    done: str
+    failed: str
 
 
 class ManagerScript(Task):
-    """`controller_manager COMMAND [NAME...]`."""
+    """`controller_manager COMMAND [NAME...]`. With `goes_on` one operation that fails does not keep the next away."""
 
     family = "controllers"
     keeps_running = False
@@ -30,8 +52,9 @@ class ManagerScript(Task):
         command, *self.controllers = words.rest or [""]
         self.command = _ALIASES.get(command, command)
         self.restore = words.has("--restore")
-        if self.command not in _COMMANDS:
-            error = UnknownName("command", command, sorted(_COMMANDS), "of controller_manager")
+        self.goes_on = False
+        if self.command not in COMMANDS:
+            error = UnknownName("command", command, sorted(COMMANDS), "of controller_manager")
             raise node.place.error(f"{node.full_name}: {error.message}", error.hint)
         if not self.controllers and self.command not in _NAMELESS:
             raise node.place.error(f"{node.full_name}: {self.command} needs the names of controllers")
@@ -44,68 +67,70 @@ class ManagerScript(Task):
         manager = Manager(run, self.node.namespace)
         if not manager.is_there():
             return f"{manager.name} (no robot is in {self.node.namespace} yet)"
-        for line in _COMMANDS[self.command](manager, self.controllers):
+        for line in self._lines(manager):
             self.settled(run, line)
-        if self.command == "reload-libraries":
-            self._reload(run, manager)
+        failures: list[str] = []
+        for operation in self._operations(manager):
+            try:
+                operation.act()
+            except Refused as error:
+                self.settled(run, operation.failed)
+                failures.append(error.message)
+                if not self.goes_on:
+                    raise
+            else:
+                self.settled(run, operation.done)
+        if failures:
+            raise Refused("\n".join(failures))
         return None
 
-    def _reload(self, run: Run, manager: Manager) -> None:
-        before = manager.states()
-        manager.reload_libraries()
-        self.settled(run, "Successfully reloaded libraries")
+    def _lines(self, manager: Manager) -> list[str]:
+        """What the script prints before it does anything."""
+        if self.command == "list":
+            return _states(manager)
+        if self.command == "list-types":
+            return manager.types()
+        return [f"Restore: {self.restore}"] if self.command == "reload-libraries" else []
+
+    def _operations(self, manager: Manager) -> list[Operation]:
+        if self.command == "reload-libraries":
+            return self._reload(manager)
+        return [_operation(manager, verb, name) for verb in COMMANDS[self.command] for name in self.controllers]
+
+    def _reload(self, manager: Manager) -> list[Operation]:
+        before = manager.states() if self.restore else {}
+        running = [name for name, state in before.items() if state == "running"]
+        operations = [Operation(manager.reload_libraries, "Successfully reloaded libraries", _NOT_RELOADED)]
+        operations += [_operation(manager, "load", name) for name in before]
         if self.restore:
-            for name in before:
-                manager.load(name)
-            running = [name for name, state in before.items() if state == "running"]
-            if running:
-                manager.switch(running, (), BEST_EFFORT)
-            self.settled(run, "Controllers restored to original state")
+
+            def restart() -> None:
+                if running:
+                    manager.switch(running, (), BEST_EFFORT)
+
+            operations.append(Operation(restart, "Controllers restored to original state", f"{running} not restarted"))
+        return operations
 
 
-def _load(manager: Manager, controllers: Sequence[str]) -> list[str]:
-    for name in controllers:
-        manager.load(name)
-    return [f"Loaded {name!r}" for name in controllers]
+def _operation(manager: Manager, verb: str, name: str) -> Operation:
+    if verb == "load":
+        return Operation(lambda: manager.load(name), f"Loaded {name!r}", f"Error when loading {name!r}")
+    if verb == "unload":
+        return Operation(
+            lambda: manager.unload(name), f"Unloaded {name!r} successfully", f"Error when unloading {name!r}"
+        )
+    start, stop = ([name], []) if verb == "start" else ([], [name])
+    failed = f"Error when starting {start} and stopping {stop}"
+    done = f"{'Started' if start else 'Stopped'} {[name]} successfully"
+    return Operation(lambda: manager.switch(start, stop), done, failed)
 
 
-def _unload(manager: Manager, controllers: Sequence[str]) -> list[str]:
-    for name in controllers:
-        manager.unload(name)
-    return [f"Unloaded {name!r} successfully" for name in controllers]
-
-
-def _start(manager: Manager, controllers: Sequence[str]) -> list[str]:
-    for name in controllers:
-        manager.switch([name], ())
-    return [f"Started {[name]} successfully" for name in controllers]
-
-
-def _stop(manager: Manager, controllers: Sequence[str]) -> list[str]:
-    for name in controllers:
-        manager.switch((), [name])
-    return [f"Stopped {[name]} successfully" for name in controllers]
-
-
-def _list(manager: Manager, _: Sequence[str]) -> list[str]:
+def _states(manager: Manager) -> list[str]:
     lines = []
     for controller in manager.controllers():
         interfaces = dict.fromkeys(claimed["hardware_interface"] for claimed in controller["claimed_resources"])
         lines.append(f"'{controller['name']}' - '{'+'.join(interfaces)}' ( {controller['state']} )")
     return lines or ["No controllers are loaded in mechanism control"]
-
-
-_COMMANDS: dict[str, Callable[[Manager, Sequence[str]], list[str]]] = {
-    "load": _load,
-    "unload": _unload,
-    "start": _start,
-    "stop": _stop,
-    "spawn": lambda manager, controllers: [*_load(manager, controllers), *_start(manager, controllers)],
-    "kill": lambda manager, controllers: [*_stop(manager, controllers), *_unload(manager, controllers)],
-    "list": _list,
-    "list-types": lambda manager, _: manager.types(),
-    "reload-libraries": lambda *_: [],
-}
 
 
 class GroupScript(Task):

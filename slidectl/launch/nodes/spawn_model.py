@@ -76,19 +76,22 @@ class SpawnModel(Task):
 
     def _document(self, run: Run) -> description.Document:
         """Expanded, with meshes found. Raises Refused, BadFile."""
+        packages = run.packages.starting_at(Path(self.node.file).parent) if self.node.file else run.packages
         if self.words.has("-file"):
             path = Path(self.words.one("-file"))
             if not is_file(path):
                 raise Refused(f"there is no file {path}")
-            return description.load(path, {}, run.packages)
-        xml = run.parameter(self._parameter)
+            return description.load(path, {}, packages)
+        # What the files say is what is meant, though another launch may have set the same name meanwhile.
+        own = run.parameters.get(self._parameter)
+        xml = own[0] if own is not None else run.parameter(self._parameter)
         if not isinstance(xml, str):
             known = [name for name in run.call("/rosapi/get_param_names")["names"] if name.endswith("description")]
             hint = f"descriptions there are: {', '.join(known) or 'none'}"
             raise Refused(f"the parameter {self._parameter} is not set to a robot's description", hint)
         if not xml.lstrip("\ufeff \t\r\n").startswith("<"):
             raise Refused(f"the parameter {self._parameter} holds no XML")
-        return description.load(xml, {}, run.packages)
+        return description.load(xml, {}, packages)
 
     def _spawn(self, run: Run, document: description.Document) -> None:
         namespace = self.words.one("-robot_namespace")

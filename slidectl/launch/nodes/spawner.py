@@ -11,7 +11,7 @@ from typing import Any
 
 from slidectl import names
 from slidectl.description.packages import is_file
-from slidectl.errors import Refused, SlidectlError, UnknownName
+from slidectl.errors import NoDaemon, Refused, SlidectlError, UnknownName
 from slidectl.launch.manager import BEST_EFFORT, Manager
 from slidectl.launch.options import parse
 from slidectl.launch.plan import Node, Plan, leaves
@@ -139,6 +139,7 @@ class Unspawner(Task):
         if not manager.is_there():
             return f"{manager.name} (no robot is in {self.node.namespace} yet)"
         stopped = self._look(run)
+        run.watch.later(_AGAIN_S, lambda: self._look_again(run))
         self.settled(run, f"stopped {', '.join(stopped) or 'nothing: none of them runs'}", controllers=stopped)
         return None
 
@@ -149,11 +150,18 @@ class Unspawner(Task):
         if running:
             manager.switch((), running, BEST_EFFORT)
             self.inhibited += [name for name in running if name not in self.inhibited]
-        run.watch.later(_AGAIN_S, lambda: self._look_again(run))
         return running
 
     def _look_again(self, run: Run) -> None:
-        if Manager(run, self.node.namespace, HOOK_LIMIT_S).is_there() and (stopped := self._look(run)):
+        run.watch.later(_AGAIN_S, lambda: self._look_again(run))
+        try:
+            stopped = self._look(run) if Manager(run, self.node.namespace, HOOK_LIMIT_S).is_there() else []
+        except NoDaemon:
+            raise
+        except SlidectlError as error:
+            self.warn(run, error.message)
+            return
+        if stopped:
             self.settled(run, f"stopped {', '.join(stopped)} again", controllers=stopped)
 
     def stop(self, run: Run) -> None:

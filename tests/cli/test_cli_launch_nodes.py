@@ -1,0 +1,294 @@
+"""Counterparts of ROS nodes in a real world: what their options do there, and what their end undoes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from command_line import CommandLine
+from launch_runs import Launched, eventually, kill_all
+
+MODEL = '<param name="robot_description" command="$(find xacro)/xacro $(find my_slider)/urdf/slider.xacro"/>'
+YAML = '<rosparam file="$(find my_slider)/config/slider_control.yaml"/>'
+BOTH = "joint_state_controller joint1_position_controller"
+
+
+def node(kind: str, args: str = "", attributes: str = "", inside: str = "", name: str = "n") -> str:
+    package, _, program = kind.partition("/")
+    return f'<node pkg="{package}" type="{program}" name="{name}" args="{args}" {attributes}>{inside}</node>'
+
+
+def spawn(options: str = "") -> str:
+    args = f"-urdf -model slider -param robot_description {options}"
+    return MODEL + node("gazebo_ros/spawn_model", args, name="urdf")
+
+
+def control(args: str = BOTH, kind: str = "spawner", name: str = "control") -> str:
+    return node(f"controller_manager/{kind}", args, 'ns="/slider"', name=name)
+
+
+@pytest.fixture
+def world(slidectl: CommandLine) -> Iterator[CommandLine]:
+    """With a daemon that runs."""
+    slidectl.ok("daemon", "start")
+    yield slidectl
+    slidectl("daemon", "stop")
+    kill_all(slidectl.runtime)
+
+
+@pytest.fixture
+def slider(world: CommandLine) -> CommandLine:
+    """With a slider in it, whose controllers have parameters and are not loaded."""
+    world.ok("spawn", "slider", "--controllers", "config/slider_control.yaml")
+    return world
+
+
+class Write:
+    """Writes launch files, each with another name."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.count = 0
+
+    def __call__(self, content: str) -> str:
+        self.count += 1
+        path = self.folder / f"test{self.count}.launch"
+        path.write_text(f"<launch>{content}</launch>")
+        return str(path)
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    return Write(tmp_path)
+
+
+def states(slidectl: CommandLine) -> dict[str, str]:
+    return {
+        row["name"]: row["state"] for row in map(json.loads, slidectl.ok("controller", "list", "--json").splitlines())
+    }
+
+
+# --- spawn_model ----------------------------------------------------------------------------------------------------
+
+
+def test_a_robot_is_put_where_it_is_told_with_its_joints_as_told(world: CommandLine, write: Write) -> None:
+    world.ok("sim", "pause")
+    done = world("launch", write(spawn("-x 1 -y -2.5 -z 0.25 -R 0.1 -J joint1 0.75")))
+    assert done.returncode == 0, done.stderr
+    robot = json.loads(world.ok("robots", "slider", "--json"))
+    assert robot["pose"][:3] == pytest.approx([1.0, -2.5, 0.25])
+    joint = json.loads(world.ok("service", "call", "/gazebo/get_joint_properties", "joint_name: joint1", "--json"))
+    assert joint["position"] == [pytest.approx(0.75)]
+    assert json.loads(world.ok("sim", "status", "--json"))["paused"] is True
+    done = world("launch", write(spawn().replace("model slider", "model other -robot_namespace b -unpause")))
+    assert done.returncode == 0, done.stderr
+    assert json.loads(world.ok("robots", "other", "--json"))["namespace"] == "/b"
+    assert json.loads(world.ok("sim", "status", "--json"))["paused"] is False
+
+
+def test_a_file_can_be_spawned_without_a_parameter(world: CommandLine, write: Write) -> None:
+    args = "-urdf -model s -file '$(find my_slider)/urdf/slider.xacro' -robot_namespace /s -package_to_model"
+    done = world("launch", write(node("gazebo_ros/spawn_model", args)))
+    assert done.returncode == 0, done.stderr
+    assert "/n: s spawned in /s" in done.stdout
+
+
+def test_a_robot_stays_when_the_launch_that_spawned_it_ends_and_leaves_with_b(world: CommandLine, write: Write) -> None:
+    assert world("launch", write(spawn())).returncode == 0
+    assert "slider" in world.ok("robots")
+    world.ok("delete", "slider")
+    launched = Launched(world, write(spawn("-b")))
+    launched.up()
+    assert "slider" in world.ok("robots")
+    assert launched.interrupt() == 130
+    assert world.ok("robots", "--json") == ""
+
+
+def test_spawning_can_wait_for_another_robot(world: CommandLine, write: Write) -> None:
+    launched = Launched(world, write(spawn("-wait first -x 2 -robot_namespace /s")))
+    launched.until("/urdf: waits for the model first")
+    world.ok("spawn", "rrbot", "-n", "first")
+    launched.until("slider spawned in /s")
+    assert launched.end() == 0
+
+
+def test_tags_without_effect_are_counted_and_shown_with_v(world: CommandLine, write: Write) -> None:
+    path = write(spawn().replace("my_slider)/urdf/slider", "rrbot_description)/urdf/rrbot"))
+    done = world("launch", path)
+    assert "tags without effect, -v shows them" in done.stdout
+    world.ok("delete", "slider")
+    done = world("launch", path, "-v")
+    assert "rrbot.xacro:" in done.stderr
+    assert "<sensor" in done.stderr
+
+
+# --- controllers ----------------------------------------------------------------------------------------------------
+
+
+def test_a_spawner_may_stand_before_the_robot_that_it_waits_for(world: CommandLine, write: Write) -> None:
+    launched = Launched(world, write(YAML + control() + spawn()))
+    launched.up()
+    assert states(world) == dict.fromkeys(BOTH.split(), "running")
+    launched.interrupt()
+
+
+def test_a_spawner_can_load_without_starting(slider: CommandLine, write: Write) -> None:
+    launched = Launched(slider, write(control(f"--stopped {BOTH}")))
+    launched.up()
+    assert states(slider) == dict.fromkeys(BOTH.split(), "initialized")
+    assert launched.interrupt() == 130
+    assert states(slider) == {}
+
+
+def test_a_spawner_takes_files_of_controllers(slider: CommandLine, write: Write, tmp_path: Path) -> None:
+    file = tmp_path / "my controllers.yaml"
+    file.write_text("extra: {type: joint_state_controller/JointStateController, publish_rate: 10}\n")
+    args = f"'{file}' joint1_position_controller"
+    launched = Launched(slider, write(control(args)))
+    launched.up()
+    assert states(slider) == {"extra": "running", "joint1_position_controller": "running"}
+    assert slider.ok("param", "get", "/slider/extra/publish_rate").strip() == "10"
+    launched.interrupt()
+
+
+def test_a_spawner_can_wait_for_a_topic_to_say_true(slider: CommandLine, write: Write) -> None:
+    launched = Launched(slider, write(control(f"--wait-for go {BOTH}")))
+    launched.until("waits for true on /slider/go")
+    slider.ok("pub", "/slider/go", "false")
+    slider.ok("pub", "/slider/go", "true")
+    launched.up()
+    assert set(states(slider).values()) == {"running"}
+    launched.interrupt()
+
+
+def test_a_spawner_that_finds_a_controller_loaded_fails_and_leaves_it_alone(slider: CommandLine, write: Write) -> None:
+    slider.ok("controller", "spawn", "joint_state_controller")
+    done = slider("launch", write(control("joint1_position_controller joint_state_controller")))
+    assert done.returncode == 1
+    assert "cannot load joint_state_controller" in done.stderr
+    assert states(slider) == {"joint_state_controller": "running"}
+
+
+def test_the_end_of_a_spawner_unloads_what_it_can(slider: CommandLine, write: Write) -> None:
+    launched = Launched(slider, write(control()))
+    launched.up()
+    slider.ok("controller", "stop", "joint_state_controller")
+    assert launched.interrupt() == 130
+    assert "cannot stop joint_state_controller, joint1_position_controller" in launched.text
+    assert states(slider) == {"joint1_position_controller": "running"}
+
+
+def test_an_unspawner_keeps_controllers_stopped_and_starts_them_again_at_its_end(
+    slider: CommandLine, write: Write
+) -> None:
+    slider.ok("controller", "spawn", *BOTH.split())
+    launched = Launched(slider, write(control("joint1_position_controller", "unspawner")))
+    launched.up()
+    assert states(slider)["joint1_position_controller"] == "stopped"
+    slider.ok("controller", "start", "joint1_position_controller")
+    launched.until("stopped joint1_position_controller again")
+    assert launched.interrupt() == 130
+    assert states(slider) == dict.fromkeys(BOTH.split(), "running")
+
+
+def test_the_controller_manager_script_does_one_thing_and_is_gone(slider: CommandLine, write: Write) -> None:
+    done = slider("launch", write(control(f"spawn {BOTH}", "controller_manager")))
+    assert done.returncode == 0, done.stderr
+    assert "Loaded 'joint_state_controller'" in done.stdout
+    assert states(slider) == dict.fromkeys(BOTH.split(), "running")
+    done = slider("launch", write(control("list", "controller_manager")))
+    assert "'joint_state_controller'" in done.stdout
+    assert "( running )" in done.stdout
+    done = slider("launch", write(control(f"kill {BOTH}", "controller_manager")))
+    assert states(slider) == {}
+    done = slider("launch", write(control("load nothing", "controller_manager")))
+    assert done.returncode == 1
+
+
+def test_controller_groups_are_switched_as_wholes(slider: CommandLine, write: Write) -> None:
+    groups = '<rosparam ns="/slider">controller_groups: {all: [%s], one: [%s]}</rosparam>'
+    groups %= (BOTH.replace(" ", ", "), "joint_state_controller")
+    done = slider("launch", write(groups + control("spawn all", "controller_group")))
+    assert done.returncode == 0, done.stderr
+    assert states(slider) == dict.fromkeys(BOTH.split(), "running")
+    done = slider("launch", write(control("switch one", "controller_group")))
+    assert done.returncode == 0, done.stderr
+    assert states(slider) == {"joint_state_controller": "running", "joint1_position_controller": "stopped"}
+    done = slider("launch", write(control("list", "controller_group")))
+    assert "Number of groups: 2" in done.stdout
+    done = slider("launch", write(control("switch none", "controller_group")))
+    assert done.returncode == 1
+    assert "no controller group 'none'" in done.stderr
+
+
+# --- frames ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_state_publisher_without_a_robot_waits_for_one_while_the_launch_runs(
+    world: CommandLine, write: Write
+) -> None:
+    content = node("robot_state_publisher/state_publisher", inside='<param name="publish_frequency" value="25"/>')
+    launched = Launched(world, write(content))
+    launched.up()
+    world.ok("spawn", "slider")
+    launched.until("/n: the simulation publishes the frames of slider at 25 Hz")
+    assert world.ok("param", "get", "/slider/robot_state_publisher/publish_frequency").strip() == "25"
+    assert launched.interrupt() == 130
+    assert world("param", "get", "/slider/robot_state_publisher/publish_frequency").returncode == 1
+
+
+@pytest.mark.parametrize(
+    ("kind", "args"),
+    [
+        ("tf/static_transform_publisher", "0 0 1 1.5707963 0 0 world cam 100"),
+        ("tf2_ros/static_transform_publisher", "0 0 1 0 0 0.7071068 0.7071068 /world cam"),
+    ],
+)
+def test_a_static_transform_is_there_as_long_as_its_node(
+    world: CommandLine, write: Write, kind: str, args: str
+) -> None:
+    other = node("tf2_ros/static_transform_publisher", "1 0 0 0 0 0 cam lens", name="other")
+    launched = Launched(world, write(node(kind, args) + other))
+    launched.up()
+    found = json.loads(world.ok("tf", "echo", "world", "lens", "--json"))
+    assert found["translation"] == pytest.approx([0.0, 1.0, 1.0], abs=1e-6)
+    assert launched.interrupt() == 130
+    assert world("tf", "echo", "world", "cam").returncode == 1
+
+
+# --- windows, and others that are not ------------------------------------------------------------------------------
+
+
+def test_windows_are_a_line_that_names_what_shows_the_same(world: CommandLine, write: Write) -> None:
+    done = world("launch", write(node("rviz/rviz") + node("rqt_plot/rqt_plot", name="p")))
+    assert done.returncode == 0
+    assert "/n: no windows here; slidectl robots NAME" in done.stdout
+    assert "/p: no windows here; slidectl echo -p" in done.stdout
+    assert world("launch", "rrbot_control", "rrbot_rqt.launch").returncode == 0
+
+
+def test_a_joint_state_publisher_is_refused_or_left_out(slider: CommandLine, write: Write) -> None:
+    path = write(node("joint_state_publisher/joint_state_publisher"))
+    done = slider("launch", path)
+    assert done.returncode == 1
+    assert "the joints of a simulated robot are where the world has them" in done.stderr
+    assert "--skip-unknown" in done.stderr
+    done = slider("launch", path, "--skip-unknown")
+    assert done.returncode == 0
+    assert "/n: left out:" in done.stderr
+
+
+def test_a_required_node_that_is_done_at_once_ends_the_launch(slidectl: CommandLine, write: Write) -> None:
+    done = slidectl("launch", write(spawn().replace('name="urdf"', 'name="urdf" required="true"')))
+    assert done.returncode == 0
+    eventually(lambda: slidectl("daemon", "status").returncode == 3, "the daemon is still there")
+
+
+def test_warnings_of_the_world_are_those_of_the_launch(slider: CommandLine, write: Write) -> None:
+    launched = Launched(slider, write(control()))
+    launched.up()
+    slider("pub", "/slider/joint1_position_controller/command", ".nan")
+    launched.until("warning: /slider/joint1_position_controller")
+    launched.interrupt()

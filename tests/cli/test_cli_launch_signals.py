@@ -1,0 +1,141 @@
+"""Signals at every moment of a launch: it ends orderly, and neither a daemon nor a process is left."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from command_line import CommandLine
+from launch_runs import Launched, eventually, kill_all, nothing_is_left, processes
+
+MOMENTS_S = [0.0, 0.05, 0.08, 0.1, 0.12, 0.14, 0.16, 0.18, 0.2, 0.23, 0.26, 0.3, 0.34, 0.38, 0.42, 0.46, 0.5, 0.6]
+
+
+@pytest.fixture(autouse=True)
+def clean(slidectl: CommandLine) -> Iterator[None]:
+    yield
+    kill_all(slidectl.runtime)
+
+
+@pytest.fixture
+def everything(tmp_path: Path) -> str:
+    """The slider with programs before and after it."""
+    package = tmp_path / "demo"
+    (package / "scripts").mkdir(parents=True)
+    (package / "package.xml").write_text("<package><name>demo</name></package>")
+    script = package / "scripts" / "live"
+    script.write_text("#!/bin/bash\nsleep 600 &\nwait\n")
+    script.chmod(0o755)
+    path = package / "all.launch"
+    path.write_text(
+        '<launch><node pkg="demo" type="live" name="first"/><include file="$(find my_slider)/launch/slider.launch"/>'
+        '<node pkg="demo" type="live" name="last" respawn="true"/></launch>'
+    )
+    return str(path)
+
+
+@pytest.mark.parametrize("moment_s", MOMENTS_S)
+def test_an_interrupt_at_any_moment_leaves_nothing(slidectl: CommandLine, everything: str, moment_s: float) -> None:
+    launched = Launched(slidectl, everything)
+    with suppress(subprocess.TimeoutExpired):
+        launched.process.wait(moment_s)
+    assert launched.interrupt() in (130, -signal.SIGINT)  # the latter before Python itself is up
+    if moment_s > 0.1:
+        assert "Traceback" not in launched.text
+    nothing_is_left(slidectl.runtime)
+
+
+@pytest.mark.parametrize("moment_s", MOMENTS_S[3::4])
+def test_interrupts_in_a_row_leave_nothing(slidectl: CommandLine, everything: str, moment_s: float) -> None:
+    launched = Launched(slidectl, everything)
+    with suppress(subprocess.TimeoutExpired):
+        launched.process.wait(moment_s)
+    for _ in range(5):
+        launched.signal()
+        with suppress(subprocess.TimeoutExpired):
+            launched.process.wait(0.002)
+    assert launched.end() in (130, -signal.SIGINT)
+    nothing_is_left(slidectl.runtime)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_polite_end_of_what_runs_is_a_success(slidectl: CommandLine, everything: str, number: int) -> None:
+    launched = Launched(slidectl, everything)
+    launched.up()
+    assert launched.end(number) == 0
+    assert "joint1_position_controller, joint_state_controller stopped and unloaded" in launched.text
+    nothing_is_left(slidectl.runtime)
+
+
+def test_an_end_before_everything_runs_is_none(slidectl: CommandLine, tmp_path: Path) -> None:
+    path = tmp_path / "w.launch"
+    path.write_text('<launch><node pkg="controller_manager" type="spawner" name="s" args="a"/></launch>')
+    launched = Launched(slidectl, str(path))
+    launched.until("/s: waits for /controller_manager")
+    assert launched.end(signal.SIGTERM) == 1
+    assert "ended by SIGTERM before everything ran" in launched.text
+    nothing_is_left(slidectl.runtime)
+
+
+def test_an_interrupt_while_a_command_runs_ends_the_command(slidectl: CommandLine, tmp_path: Path) -> None:
+    path = tmp_path / "c.launch"
+    command = "bash -c 'echo started &gt;&amp;2; sleep 600'"
+    path.write_text(f'<launch><param name="x" command="{command}"/></launch>')
+    launched = Launched(slidectl, str(path))
+    launched.until("started")
+    assert launched.interrupt() == 130
+    eventually(lambda: not processes(slidectl.runtime), "the command or the daemon is still there")
+
+
+def test_a_detached_launch_with_programs_is_watched_in_the_background(slidectl: CommandLine, everything: str) -> None:
+    launched = Launched(slidectl, everything, "--detach")
+    launched.until("everything runs")
+    assert launched.end() == 0
+    assert "its log is" in launched.text
+    [log] = slidectl.runtime.glob("slidectl/default/launch-*.log")
+    children = processes(slidectl.runtime)
+    assert len(children) >= 4  # the daemon, the launch, two programs
+    assert "running" in slidectl.ok("controller", "list")
+    slidectl.ok("daemon", "stop")
+    eventually(lambda: not processes(slidectl.runtime), f"these are left: {processes(slidectl.runtime)}")
+    assert "the daemon went away" in log.read_text()
+
+
+def test_a_detached_launch_that_fails_says_so_with_its_exit_code(slidectl: CommandLine, everything: str) -> None:
+    path = Path(everything)
+    path.write_text(path.read_text().replace("</launch>", '<node pkg="controller_manager" type="spawner" name="s"'
+                                             ' ns="/slider" args="nothing"/></launch>'))  # fmt: skip
+    done = slidectl("launch", everything, "--detach")
+    assert done.returncode == 1
+    assert "no controller 'nothing'" in done.stderr
+    nothing_is_left(slidectl.runtime)
+
+
+def test_a_detached_launch_can_be_interrupted_while_it_starts(slidectl: CommandLine, everything: str) -> None:
+    path = Path(everything)
+    path.write_text(path.read_text().replace("</launch>", '<node pkg="controller_manager" type="spawner" name="s"'
+                                             ' ns="/nobody" args="nothing"/></launch>'))  # fmt: skip
+    launched = Launched(slidectl, everything, "--detach")
+    launched.until("/nobody/s: waits for")
+    assert launched.interrupt() == 130
+    nothing_is_left(slidectl.runtime)
+
+
+def test_a_reader_that_goes_away_ends_the_launch_quietly(slidectl: CommandLine) -> None:
+    read, write = os.pipe()
+    process = subprocess.Popen(
+        slidectl.argv("launch", "slider"), stdin=subprocess.DEVNULL, stdout=write, stderr=subprocess.PIPE,
+        env=slidectl.environment,
+    )  # fmt: skip
+    os.close(write)
+    os.read(read, 10)
+    os.close(read)
+    _, errors = process.communicate(timeout=60)
+    assert b"Traceback" not in errors
+    assert process.returncode == 0
+    nothing_is_left(slidectl.runtime)

@@ -1,0 +1,159 @@
+"""The loop, the signals and the children that a launch stands on."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+
+import pytest
+
+from slidectl.launch.children import Child, run
+from slidectl.launch.interrupts import Interrupted, Interrupts
+from slidectl.launch.watch import Watch
+
+DEADLINE_S = 30.0
+
+
+def until(watch: Watch, condition: object) -> None:
+    deadline = time.monotonic() + DEADLINE_S
+    while not condition():  # type: ignore[operator]
+        assert time.monotonic() < deadline
+        watch.turn(1.0)
+
+
+def test_timers_fire_in_the_order_of_their_times_and_cancelled_ones_do_not() -> None:
+    watch = Watch()
+    fired: list[str] = []
+    watch.later(0.02, lambda: fired.append("second"))
+    watch.later(0.0, lambda: fired.append("first"))
+    watch.later(0.01, lambda: fired.append("never")).cancel()
+    until(watch, lambda: len(fired) == 2)
+    assert fired == ["first", "second"]
+
+
+def test_a_readable_descriptor_is_told_until_it_is_removed() -> None:
+    watch = Watch()
+    read, write = os.pipe()
+    heard: list[bytes] = []
+    watch.add(read, lambda: heard.append(os.read(read, 1)))
+    os.write(write, b"ab")
+    until(watch, lambda: heard == [b"a", b"b"])
+    os.write(write, b"c")
+    watch.remove(read)
+    watch.remove(read)
+    watch.turn(0.0)
+    assert heard == [b"a", b"b"]
+    os.close(read)
+    os.close(write)
+
+
+def test_one_action_may_remove_what_another_waits_for() -> None:
+    watch = Watch()
+    ends = [os.pipe() for _ in range(2)]
+    heard: list[int] = []
+
+    def take(index: int) -> None:
+        heard.append(index)
+        for read, _ in ends:
+            watch.remove(read)
+
+    for index, (read, write) in enumerate(ends):
+        watch.add(read, lambda index=index: take(index))  # type: ignore[misc]
+        os.write(write, b"x")
+    watch.turn(1.0)
+    assert len(heard) == 1
+    for end in (end for pair in ends for end in pair):
+        os.close(end)
+
+
+def interrupt() -> None:
+    """Send this process a SIGINT; Python hears it before the next line."""
+    os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_the_first_signal_is_raised_at_once_and_later_ones_are_only_noted() -> None:
+    with Interrupts() as interrupts:
+        with pytest.raises(Interrupted) as caught:
+            interrupt()
+        assert caught.value.number == signal.SIGINT
+        interrupt()
+        assert interrupts.received == [signal.SIGINT, signal.SIGINT]
+    with pytest.raises(KeyboardInterrupt):
+        interrupt()
+
+
+def test_a_signal_that_comes_while_they_are_held_is_raised_at_the_end_of_the_outermost_block() -> None:
+    done: list[str] = []
+
+    def work(interrupts: Interrupts) -> None:
+        with interrupts.held():
+            with interrupts.held():
+                interrupt()
+                done.append("inner")
+            done.append("outer")
+        done.append("never")
+
+    with Interrupts() as interrupts:
+        with pytest.raises(Interrupted):
+            work(interrupts)
+        assert done == ["inner", "outer"]
+
+
+def test_signals_wake_the_loop_when_they_are_held_for_good() -> None:
+    watch = Watch()
+    with Interrupts() as interrupts:
+        interrupts.hold_for_good()
+        watch.add(interrupts.fileno(), interrupts.clear)
+        interrupt()
+        watch.turn(None)
+        assert interrupts.received == [signal.SIGINT]
+        watch.remove(interrupts.fileno())
+
+
+def child(watch: Watch, script: str) -> tuple[Child, list[tuple[str, str]], list[int]]:
+    lines: list[tuple[str, str]] = []
+    codes: list[int] = []
+    started = Child(["bash", "-c", script], watch, lambda *line: lines.append(line), codes.append)
+    return started, lines, codes
+
+
+def test_a_child_tells_its_lines_and_its_end() -> None:
+    watch = Watch()
+    started, lines, codes = child(watch, r"printf 'a\nb'; printf '\xff\n' >&2; exit 5")
+    until(watch, lambda: codes)
+    assert codes == [5]
+    assert sorted(lines) == [("stderr", "\ufffd"), ("stdout", "a"), ("stdout", "b")]
+    started.release()
+
+
+def test_a_line_without_an_end_is_told_in_pieces() -> None:
+    watch = Watch()
+    started, lines, codes = child(watch, "head -c 300000 /dev/zero | tr '\\0' x")
+    until(watch, lambda: codes)
+    assert sum(len(text) for _, text in lines) == 300000
+    assert len(lines) > 1
+    started.release()
+
+
+def test_the_end_of_a_child_by_a_signal_is_a_negative_code() -> None:
+    watch = Watch()
+    started, _, codes = child(watch, "exec sleep 600")
+    started.signal(signal.SIGTERM)
+    until(watch, lambda: codes)
+    assert codes == [-signal.SIGTERM]
+    started.release()
+
+
+def test_a_program_that_cannot_be_started_is_an_error() -> None:
+    with pytest.raises(FileNotFoundError):
+        Child(["/no/such/program"], Watch(), lambda *_: None, lambda _: None)
+    with pytest.raises(FileNotFoundError):
+        run(["/no/such/program"], {})
+
+
+def test_a_command_that_is_left_early_is_ended() -> None:
+    with Interrupts():
+        script = f"kill -INT {os.getpid()}; exec sleep 600"
+        with pytest.raises(Interrupted):
+            run(["bash", "-c", script], dict(os.environ))
