@@ -24,7 +24,7 @@ from numba.extending import overload, register_jitable
 
 from slidectl.control.laws import LAWS, Columns
 from slidectl.simulation.compiled import guard, kernel, object_file
-from slidectl.simulation.compiled.object_file import ENTRY, machine
+from slidectl.simulation.compiled.object_file import machine
 from slidectl.simulation.compiled.rows import ARRAYS, TABLES, Progress
 
 types: Any = numba.types
@@ -57,14 +57,14 @@ def teach_laws() -> None:
 def compile_cycle() -> bytes:
     """The object file."""
     teach_laws()
-    step = types.ExternalFunction(guard.SYMBOL, types.int64(*4 * [types.int64]))
+    step = types.ExternalFunction(guard.STEP, types.int64(*4 * [types.int64]))
 
     @overload(kernel.physics_step, strict=False)
     def _physics_step(step_: Any, model: Any, data: Any, error_hook: Any) -> Any:  # noqa: ARG001
         return lambda step_, model, data, error_hook: step(step_, model, data, error_hook)
 
     # numba links what it compiled at once, though it is never called here.
-    llvm.add_symbol(guard.SYMBOL, ctypes.cast(ctypes.CDLL(None).abort, ctypes.c_void_p).value)
+    llvm.add_symbol(guard.STEP, ctypes.cast(ctypes.CDLL(None).abort, ctypes.c_void_p).value)
     function = numba.cfunc(types.int64(*_arguments()))(_on_pointers())
     return _object_file(function.inspect_llvm(), function.native_name.removeprefix("cfunc."))
 
@@ -89,16 +89,14 @@ def _on_pointers() -> Callable[..., int]:
 
 
 def _object_file(code: str, entry: str) -> bytes:
-    """Code and guard as one module in which only the entry can be called from outside."""
+    """Code, guard and door as one module in which only the door can be called from outside."""
     target = machine()
     module = llvm.parse_assembly(code)
-    module.link_in(llvm.parse_assembly(guard.CODE))
+    module.get_function(entry).name = guard.CYCLE
+    for other in (guard.CODE, guard.door(len(_arguments()))):
+        module.link_in(llvm.parse_assembly(other))
     for function in module.functions:
-        if function.is_declaration:
-            continue
-        if function.name == entry:
-            function.name = ENTRY
-        elif function.name != guard.ERROR_TEXT:
+        if not function.is_declaration and function.name not in (guard.DOOR, guard.ERROR_TEXT):
             function.linkage = "internal"
     for variable in module.global_variables:
         if not variable.is_declaration:

@@ -7,6 +7,7 @@ looks at them; whoever does makes `release` be called before.
 from __future__ import annotations
 
 import ctypes
+from array import array
 from typing import TYPE_CHECKING
 
 from slidectl.physics import EngineError
@@ -14,7 +15,7 @@ from slidectl.physics.engine import error_hook_address, step_address
 from slidectl.simulation.compiled import rows
 from slidectl.simulation.compiled.object_file import Cycle
 from slidectl.simulation.compiled.rows import NEW_CYCLE, Progress
-from slidectl.simulation.compiled.tables import Seat, Tables
+from slidectl.simulation.compiled.tables import Guest, Seat, Tables
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -32,15 +33,16 @@ class CompiledCycles:
         self._world = loop.world
         self._code = code
         self._progress = Progress(robot=NEW_CYCLE, error_hook=error_hook_address())
-        self._result = ctypes.c_int64()
         self._step_address = step_address()
         self._robots: Sequence[SpawnedRobot] = ()
         self._tables: Tables | None = None
         self._released: list[Seat] = []
-        self._acting: Seat | None = None
-        """The robot of which a controller without a row has its turn."""
+        self._acting: Guest | None = None
+        """The controller without a row that has its turn."""
         self._topic_changes = -1
-        self._arguments: list[ctypes.c_void_p] = []
+        self._addresses = array("Q")
+        self._step: Callable[[], None] | None = None
+        """What made a step of the physics when that was last looked at."""
 
     # -- who has the state -----------------------------------------------------------------------------------------
 
@@ -63,8 +65,8 @@ class CompiledCycles:
 
     def _release(self, seat: Seat) -> None:
         if seat.is_taken:
-            if seat is self._acting:  # its handles are newer than the rows
-                seat.take_joints()
+            if self._acting is not None and self._acting.seat is seat:  # its commands are newer than the rows
+                self._acting.take_commands()
             seat.release()
             self._released.append(seat)
 
@@ -76,7 +78,8 @@ class CompiledCycles:
             if seat.fits():
                 seat.take()
         self._released = [seat for seat in self._released if not seat.is_taken]
-        self._look_for_listeners(tables)
+        if self._topic_changes != self._graph.topics.changes:
+            self._look_for_listeners(tables)
         return tables
 
     def _build(self) -> Tables:
@@ -89,21 +92,21 @@ class CompiledCycles:
         progress.robots = len(tables.seats)
         progress.model, progress.data = memory.model, memory.data
         progress.positions, progress.dofs = memory.positions, memory.dofs
-        addresses = [ctypes.addressof(self._result), 0, ctypes.addressof(progress), *tables.addresses()]
-        addresses += [memory.qpos, memory.qvel, memory.forces, tables.outside.buffer_info()[0]]
-        self._arguments = [ctypes.c_void_p(address) for address in addresses]
+        state = [memory.qpos, memory.qvel, memory.forces, tables.outside.buffer_info()[0]]
+        self._addresses = array("Q", [ctypes.addressof(progress), *tables.addresses(), *state])
         return tables
 
     def _look_for_listeners(self, tables: Tables) -> None:
-        if self._topic_changes != self._graph.topics.changes:
-            self._topic_changes = self._graph.topics.changes
-            for seat in tables.seats:
-                for speaker in seat.speakers.values():
-                    speaker.look()
+        """Which publishers are wanted now?"""
+        self._topic_changes = self._graph.topics.changes
+        for seat in tables.seats:
+            for speaker in seat.speakers.values():
+                speaker.look()
 
     def _look_outside(self, tables: Tables) -> None:
         """Who makes the steps, and what pushes from outside."""
         progress, loads = self._progress, self._world.loads
+        self._step = self._world.step
         progress.step = self._step_address if self._world.steps_alone else 0
         if progress.has_outside or loads.efforts:
             for dof in range(len(tables.outside)):
@@ -136,29 +139,44 @@ class CompiledCycles:
 
     def _turns(self, tables: Tables, end: int) -> None:
         """Turn by turn, until all cycles are done or one of them is the last for now."""
-        progress, code, arguments = self._progress, self._code.run, self._arguments
-        clock, timers, clock_topic = self._graph.clock, self._graph.timers, self._graph.clock_topic
+        progress, code, addresses = self._progress, self._code.run, self._addresses.buffer_info()[0]
+        graph, world = self._graph, self._world
+        clock, timers, topics, clock_publisher = graph.clock, graph.timers, graph.topics, graph.clock_topic.publisher
+        next_ns = -1
         while True:
-            progress.left = self._until_timer(end - progress.cycles)
-            if clock_topic.publisher.wanted:
-                self._begin_cycle(tables)
-            code(*arguments)
-            turn = self._result.value
+            if timers.next_ns != next_ns or clock_publisher.wanted:
+                next_ns = timers.next_ns
+                self._allow(tables, end)
+            turn = code(addresses)
             clock.time_ns = progress.time_ns
-            if turn not in (rows.DONE, rows.DIVERGED):
-                self._take_turn(tables, turn)
+            if turn == rows.DONE or turn == rows.DIVERGED:
+                if self._is_last(end, turn):
+                    break
+                next_ns = -1
+                continue
+            self._take_turn(tables, turn)
+            if world.step is not self._step:
                 self._look_outside(tables)
+            if topics.changes != self._topic_changes:
                 self._look_for_listeners(tables)
-            if progress.robot == NEW_CYCLE and self._is_last(end, turn):
-                break
-            if progress.robot == NEW_CYCLE and progress.time_ns >= timers.next_ns:
+            if turn == rows.STEP_IN_PYTHON and self._is_last(end, turn):
                 break
 
-    def _is_last(self, end: int, turn: int) -> bool:
-        """All done; or the physics is to be looked at, which the machine code does by itself as long as it steps."""
+    def _allow(self, tables: Tables, end: int) -> None:
+        """Say how many cycles may come before the interpreter must look again."""
         progress = self._progress
-        to_check = progress.step == 0 and progress.cycles % rows.CHECK_EVERY == 0
-        return progress.cycles >= end or turn == rows.DIVERGED or to_check
+        progress.left = self._until_timer(end - progress.cycles)
+        if self._graph.clock_topic.publisher.wanted:
+            progress.left = 1
+            if progress.robot == NEW_CYCLE:
+                self._begin_cycle(tables)
+
+    def _is_last(self, end: int, turn: int) -> bool:
+        """All done, or a timer is due; or the physics is to be looked at, which the machine code does when it steps."""
+        progress = self._progress
+        to_check = turn == rows.STEP_IN_PYTHON and progress.cycles % rows.CHECK_EVERY == 0
+        is_timely = progress.time_ns >= self._graph.timers.next_ns
+        return is_timely or progress.cycles >= end or turn == rows.DIVERGED or to_check
 
     def _until_timer(self, count: int) -> int:
         """Cycles up to and with the one after which a timer is due: at most `count`, and at least one."""
@@ -171,21 +189,19 @@ class CompiledCycles:
     def _begin_cycle(self, tables: Tables) -> None:
         """/clock has listeners: each cycle begins with it."""
         progress, clock = self._progress, self._graph.clock
-        progress.left = 1
-        if progress.robot != NEW_CYCLE:
-            return
         progress.time_ns += progress.step_ns
         clock.time_ns = progress.time_ns
         progress.robot = 0
         self._graph.clock_topic.tick(progress.time_ns, progress.step_ns)
-        self._look_for_listeners(tables)
+        if self._topic_changes != self._graph.topics.changes:
+            self._look_for_listeners(tables)
 
     # -- the interpreter's turns -----------------------------------------------------------------------------------
 
     def _take_turn(self, tables: Tables, turn: int) -> None:
         progress = self._progress
         if turn == rows.STEP_IN_PYTHON:
-            self._step()
+            self._make_step(tables)
         elif turn == rows.FAILED:
             raise EngineError(self._code.error_text().decode(errors="replace"))
         elif turn == rows.ROBOT_IN_PYTHON:
@@ -195,11 +211,13 @@ class CompiledCycles:
         else:
             self._update(tables.seats[progress.robot], progress.controller - 1)
 
-    def _step(self) -> None:
+    def _make_step(self, tables: Tables) -> None:
         progress = self._progress
         self._world.step()
         progress.robot = NEW_CYCLE
+        progress.left -= 1
         progress.cycles += 1
+        self._look_outside(tables)
 
     def _run_robot(self, seat: Seat) -> None:
         """The whole cycle of a robot that is not seated; afterwards it is, when that is possible."""
@@ -215,11 +233,12 @@ class CompiledCycles:
         self._try(seat, position, speaker.controller.publish)
 
     def _update(self, seat: Seat, position: int) -> None:
+        guest = seat.guests[position]
         seat.show_joints()
-        self._acting = seat
-        self._try(seat, position, seat.updates[position])
+        self._acting = guest
+        self._try(seat, position, guest.update)
         if seat.is_taken:
-            seat.take_joints()
+            guest.take_commands()
 
     def _try(self, seat: Seat, position: int, action: Callable[[int, float], None]) -> None:
         """Act for one controller. If that fails, or somebody looks at the robot, the interpreter ends its cycle."""

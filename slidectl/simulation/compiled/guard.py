@@ -1,11 +1,15 @@
-"""`physics_step` as LLVM's language: mj_step with its fatal errors caught, as MuJoCo's Python layer catches them.
+"""What numba cannot say, in LLVM's language: mj_step with its fatal errors caught, and the door to the cycle.
 
 MuJoCo ends the process on an error unless a hook leaves the step by `longjmp`. The hook is in place during the step
 only. Nothing here is Python but the text.
 """
 
-SYMBOL = "slidectl_physics_step"
+CYCLE = "slidectl_cycle"
+"""What numba made: where the result goes, where it would tell of an exception (it has none here), and the tables."""
+STEP = "slidectl_physics_step"
 ERROR_TEXT = "slidectl_error_text"
+DOOR = "slidectl_run"
+"""The cycle with one argument: the address of the addresses of its tables. Returns what the cycle returns."""
 
 CODE = """
 @place = internal global [128 x i64] zeroinitializer, align 16
@@ -51,4 +55,23 @@ bare:
 attributes #0 = { returns_twice nounwind }
 attributes #1 = { noreturn }
 attributes #2 = { noinline }
+"""
+
+
+def door(tables: int) -> str:
+    """Code of the door for so many tables."""
+    loads = "".join(
+        f"  %place{k} = getelementptr ptr, ptr %tables, i64 {k}\n  %table{k} = load ptr, ptr %place{k}\n"
+        for k in range(tables)
+    )
+    arguments = "".join(f", ptr %table{k}" for k in range(tables))
+    return f"""
+declare i32 @{CYCLE}(ptr, ptr{", ptr" * tables})
+
+define i64 @{DOOR}(ptr %tables) {{
+  %result = alloca i64
+{loads}  %status = call i32 @{CYCLE}(ptr %result, ptr null{arguments})
+  %turn = load i64, ptr %result
+  ret i64 %turn
+}}
 """

@@ -19,11 +19,7 @@ from typing import Any, NamedTuple
 
 import slidectl
 from slidectl.simulation.compiled import guard
-from slidectl.simulation.compiled.rows import ARRAYS, TABLES
 
-ENTRY = "slidectl_cycle"
-_ARGUMENTS = (2 + 1 + len(TABLES) + len(ARRAYS)) * [ctypes.c_void_p]
-"""Where the result goes, where numba would tell of an exception (it has none here), Progress, tables, arrays."""
 _SOURCES = ("control", "physics/effort.py", "physics/divergence.py", "simulation/cycle.py", "simulation/compiled")
 
 
@@ -67,9 +63,9 @@ def machine() -> Any:
 
 
 class Cycle(NamedTuple):
-    """The loaded code: the cycle as a function of addresses, and the text of the error that ended it."""
+    """The loaded code: the cycle as a function of the address of addresses, and the text of the error that ended it."""
 
-    run: Callable[..., int]
+    run: Callable[[int], int]
     error_text: Callable[[], bytes]
     engine: Any
     """Owns the memory that the code is in."""
@@ -83,10 +79,10 @@ def load() -> Cycle:
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine())
     engine.add_object_file(llvm.ObjectFileRef.from_data(place().read_bytes()))
     engine.finalize_object()
-    addresses = [engine.get_function_address(name) for name in (ENTRY, guard.ERROR_TEXT)]
+    addresses = [engine.get_function_address(name) for name in (guard.DOOR, guard.ERROR_TEXT)]
     if not all(addresses):
         raise RuntimeError(f"{place()} is not what it should be; delete it")
     # The interpreter's lock is kept: there is one thread, and MuJoCo's warnings come back through Python.
-    run = ctypes.PYFUNCTYPE(ctypes.c_int32, *_ARGUMENTS)(addresses[0])
+    run = ctypes.PYFUNCTYPE(ctypes.c_int64, ctypes.c_void_p)(addresses[0])
     text = ctypes.PYFUNCTYPE(ctypes.c_char_p)(addresses[1])
     return Cycle(run, text, engine)

@@ -23,6 +23,7 @@ _JOINT_STATE = Struct("=4d")
 _FLAG = Struct("=q")
 _NUMBER = Struct("=d")
 _PERIOD_OFFSET = 8 * rows.ROBOT.names.index("period_s")
+_COMMAND_OFFSET = 8 * rows.JOINT.names.index("command")
 _PLAIN_OFFSET = 8 * rows.ROBOT.names.index("is_plain")
 
 Update = Callable[[int, float], None]
@@ -81,6 +82,23 @@ class Speaker:
             _show(joints, place, handle)
 
 
+class Guest:
+    """A controller without a row: it sees all handles of its robot, and the commands of those that it claims count."""
+
+    __slots__ = ("_claimed", "_joints", "seat", "update")
+
+    def __init__(self, seat: Seat, update: Update, joints: bytearray, claimed: list[tuple[Any, int]]) -> None:
+        self.seat = seat
+        self.update = update
+        self._joints = joints
+        self._claimed = [(handle, place + _COMMAND_OFFSET) for handle, place in claimed]
+
+    def take_commands(self) -> None:
+        """Let the rows be as the controller left the handles."""
+        for handle, place in self._claimed:
+            _NUMBER.pack_into(self._joints, place, handle.command)
+
+
 class Seat:
     """One robot's rows. `is_taken`: they are the truth."""
 
@@ -92,6 +110,8 @@ class Seat:
         self.is_possible = False
         self.speakers: dict[int, Speaker] = {}
         """By the controller's position in the order of updates."""
+        self.guests: dict[int, Guest] = {}
+        """The other controllers, which run in the interpreter."""
         self._living: list[Row] = []
         """Rows of objects that may change while the robot is not seated."""
         self._changing: list[Row] = []
@@ -147,12 +167,6 @@ class Seat:
         for handle, place in self._handles:
             _show(joints, place, handle)
 
-    def take_joints(self) -> None:
-        """Let the rows be as such a controller left the handles."""
-        joints = self._tables["joints"]
-        for handle, place in self._handles:
-            _JOINT_STATE.pack_into(joints, place, handle.position, handle.velocity, handle.effort, handle.command)
-
     # -- making the rows -------------------------------------------------------------------------------------------
 
     def settle(self, tables: Tables) -> None:
@@ -189,6 +203,7 @@ class Seat:
     def _settle_controller(self, tables: Tables, position: int, form: Form | None, places: dict[int, int]) -> None:
         if form is None or any(id(handle) not in places for handle in form[2].handles()):
             self._settle_row(tables, "controllers", None, rows.IN_PYTHON, 0)
+            self._seat_guest(position)
             return
         controller, kind, parts = form
         own: list[float] = []
@@ -205,6 +220,14 @@ class Seat:
         if parts.publisher is not None:
             shown = [(handle, places[id(handle)] * rows.JOINT.size) for handle in parts.shown]
             self.speakers[position] = Speaker(controller, parts, row, shown)
+
+    def _seat_guest(self, position: int) -> None:
+        update = self.updates[position]
+        owner = getattr(update, "__self__", None)
+        claims = owner.claimed_resources if isinstance(owner, ControllerBase) else ()
+        names = {name for claim in claims for name in claim.resources}
+        claimed = [(handle, place) for handle, place in self._handles if handle.name in names]
+        self.guests[position] = Guest(self, update, self._tables["joints"], claimed)
 
     def _settle_row(self, tables: Tables, table: str, source: object, *places: float) -> Row:
         columns = rows.TABLES[table]
