@@ -29,7 +29,14 @@ def guard(action: Callable[[], None], context: Context) -> int:
     except BrokenPipeError as error:
         return EXIT_DONE if reader_has_gone() else _report(NoDaemon(f"the connection broke: {error}"), context)
     except Exception as error:
-        return _report(error, context)
+        return EXIT_INTERRUPTED if _was_interrupted(error) else _report(error, context)
+
+
+def _was_interrupted(error: BaseException | None) -> bool:
+    """Python dresses an interrupt that comes while it makes a class as a RuntimeError; what it was is the cause."""
+    while isinstance(error, Exception):
+        error = error.__cause__
+    return error is not None
 
 
 def _report(error: Exception, context: Context) -> int:

@@ -244,6 +244,8 @@ def _end(session: Session) -> None:
         session.shut_down()
     except Interrupted:
         session.shut_down()
+    if session.run.interrupts.received:
+        session.run.interrupts.ignore()  # a further one would only spoil the last words
 
 
 def _interrupted(number: int, was_up: bool) -> None:

@@ -74,6 +74,12 @@ class Interrupts:
         """From now on signals are only noted."""
         self._held += 1_000_000
 
+    def ignore(self) -> None:
+        """For a process that is about to leave: signals mean nothing any more, after `__exit__` too."""
+        for number in SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+        self._previous.clear()
+
     def _take(self, number: int, _frame: FrameType | None) -> None:
         self.received.append(number)
         self.check()
