@@ -17,6 +17,10 @@ from slidectl.errors import BadFile, UsageError
 _NUMERIC = frozenset("0123456789.+-eE")
 _WORDS = r"[A-Za-z_/][A-Za-z0-9_/.-]*( [A-Za-z0-9_/.-]+)*\Z"
 _PAIR = r"(?P<open>\{?)[ ]*(?P<key>[A-Za-z_][A-Za-z0-9_]*):[ ]+(?P<value>[^:#,{}\[\]'\"&*!|>%@`]+?)[ ]*(?P<close>\}?)\Z"
+_QUOTED_PAIR = (
+    r"(?P<open>\{?)[ ]*(?P<key>[A-Za-z_][A-Za-z0-9_]*):[ ]+"
+    r"(?P<value>'[ !#-&(-~]*'|\"[ !#-&(-\[\]-~]*\")[ ]*(?P<close>\}?)\Z"
+)
 _CONSTANTS = {
     "": None, "~": None, "null": None, "Null": None, "NULL": None,
     ".inf": float("inf"), ".Inf": float("inf"), ".INF": float("inf"), "+.inf": float("inf"), "-.inf": float("-inf"),
@@ -88,11 +92,12 @@ def _number(text: str) -> Any:
 
 
 def _pair(text: str) -> Any:
-    """`data: 1.0` and `{data: 1.0}`: what every tutorial types."""
-    match = re.match(_PAIR, text)
+    """`data: 1.0`, `{data: 1.0}` and `name: 'a controller'`: what every tutorial types."""
+    is_quoted = "'" in text or '"' in text
+    match = re.match(_QUOTED_PAIR if is_quoted else _PAIR, text)
     if not match or bool(match["open"]) != bool(match["close"]):
         return _UNKNOWN
-    value = _scalar(match["value"])
+    value = match["value"][1:-1] if is_quoted else _scalar(match["value"])
     return _UNKNOWN if value is _UNKNOWN or _scalar(match["key"]) != match["key"] else {match["key"]: value}
 
 

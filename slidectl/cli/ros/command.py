@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from io import TextIOWrapper
 from typing import Any
 
 import click
@@ -72,6 +73,8 @@ def ros(ctx: Context, words: tuple[str, ...]) -> None:
 def run(ctx: Context, name: str, argv: Sequence[str]) -> None:
     """Run one tool; how it failed goes to stderr in its own words. Raises click's Exit with the code then."""
     _heed_interrupts()
+    if isinstance(sys.stdin, TextIOWrapper):
+        sys.stdin.reconfigure(errors="surrogateescape")  # what is no text is for the reader of YAML to refuse
     tool: Any = import_module(f"slidectl.cli.ros.{TOOLS[name]}")
     try:
         tool.main(ctx, list(argv))

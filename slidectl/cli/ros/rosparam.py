@@ -11,7 +11,6 @@ from typing import Any
 
 from slidectl import names
 from slidectl.cli import output, parameters
-from slidectl.cli.configuration import leaves, store
 from slidectl.cli.context import Context
 from slidectl.cli.ros.arguments import Option, Parser
 from slidectl.cli.ros.failure import Failure
@@ -109,6 +108,8 @@ def _content(parser: Parser, file: str, binary: bool) -> str:
 
 def _store(ctx: Context, content: Any, full: str) -> None:
     """Set it; a mapping is merged. Raises Failure for what a parameter server cannot hold."""
+    from slidectl.cli.configuration import store
+
     try:
         chosen = parameters.settings(content, full)
         for name, value in chosen.items():
@@ -233,6 +234,8 @@ def _text(file: str) -> str:
 
 def _show(tree: Any, inside: str) -> None:
     """A line for each parameter."""
+    from slidectl.cli.configuration import leaves
+
     for name, value in leaves(tree, inside) if isinstance(tree, dict) else [(inside, tree)]:
         output.write(f"{name}={value}")
 
