@@ -56,6 +56,13 @@ def test_start_hands_its_options_to_the_world(slidectl: CommandLine) -> None:
     assert (status["speed"], status["paused"], status["timestep"]) == (0.0, True, 0.002)
 
 
+def test_the_engine_is_chosen_at_the_start_and_shown(slidectl: CommandLine) -> None:
+    slidectl.ok("daemon", "start", "--engine", "plain")
+    assert json.loads(slidectl.ok("sim", "status", "--json"))["engine"] == "plain"
+    assert "engine:      plain" in slidectl.ok("sim", "status")
+    assert slidectl("daemon", "restart", "--engine", "warp").returncode == 2
+
+
 def test_two_starts_at_once_make_one_daemon(slidectl: CommandLine) -> None:
     both = [slidectl.start("daemon", "start", "--json") for _ in range(2)]
     records = [json.loads(process.communicate(timeout=60)[0]) for process in both]

@@ -10,6 +10,7 @@ import pytest
 from engine_scenes import Scene, add, arm, at_random, mixed, play, switch, usual
 from sim_robots import STATES, cart, logged, running_cart
 
+import slidectl
 from slidectl.control.controllers.joint_velocity import JointVelocityController
 from slidectl.control.registry import controller
 from slidectl.errors import Refused, UsageError
@@ -403,3 +404,9 @@ def test_many_robots_and_one_that_talks() -> None:
         simulation.step(500)
 
     assert_same(scene)
+
+
+def test_numba_is_imported_by_the_process_that_compiles_and_by_nothing_else() -> None:
+    package = Path(slidectl.__file__).parent
+    users = [path.name for path in package.rglob("*.py") if "import numba" in path.read_text(encoding="utf-8")]
+    assert users == ["compiler.py"]
