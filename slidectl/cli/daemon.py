@@ -65,19 +65,23 @@ def start(click_context: click.Context, /, **world: Any) -> None:
     One that runs already stays as it is (exit code 0). JSON keys: instance, pid, socket, log, already.
     """
     ctx: Context = click_context.obj
-    already = _start(ctx, **world)
-    given = [
-        name for name in world if click_context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
-    ]
+    already = _start(ctx, _options(**world))
+    given = _given(click_context)
     if already and given:
         ctx.warn(f"it runs already, so {', '.join('--' + name for name in given)} had no effect")
 
 
-def _start(ctx: Context, **world: Any) -> bool:
+def _given(click_context: click.Context) -> list[str]:
+    """The options of the new world that stand on the command line."""
+    source = click_context.get_parameter_source
+    return [name for name in click_context.params if source(name) is click.core.ParameterSource.COMMANDLINE]
+
+
+def _start(ctx: Context, options: DaemonOptions) -> bool:
     """Start it and say so. True when it ran already."""
     from slidectl.daemon import lifecycle
 
-    pid, already = lifecycle.start(ctx.paths, _options(**world), ctx.wait_limit(START_LIMIT_S))
+    pid, already = lifecycle.start(ctx.paths, options, ctx.wait_limit(START_LIMIT_S))
     how = "runs already" if already else "started"
     ctx.done({**_place(ctx, pid), "already": already}, f"daemon {ctx.paths.name}: {how}, process {pid}")
     return already
@@ -121,15 +125,30 @@ def _stop(ctx: Context) -> int | None:
 
 @daemon.command("restart", examples=["slidectl daemon restart --rtf max"])
 @_world
-@click.pass_obj
-def restart(ctx: Context, /, **world: Any) -> None:
+@click.pass_context
+def restart(click_context: click.Context, /, **world: Any) -> None:
     """Stop the daemon if it runs, and start a new one with an empty world.
 
-    The options are those of the new one; those of the old one are not remembered. JSON keys as those of start.
+    Options that are not given are those that the old one was started with. JSON keys as those of start.
     """
-    _options(**world)
+    ctx: Context = click_context.obj
+    options = _changed(_old_options(ctx), _options(**world), _given(click_context))
     _stop(ctx)
-    _start(ctx, **world)
+    _start(ctx, options)
+
+
+def _old_options(ctx: Context) -> DaemonOptions:
+    from slidectl.daemon import lifecycle, options
+
+    pid = lifecycle.running(ctx.paths)
+    return (lifecycle.options_of(pid) if pid else None) or options.DaemonOptions()
+
+
+def _changed(old: DaemonOptions, new: DaemonOptions, given: list[str]) -> DaemonOptions:
+    """The old options with those that were given now."""
+    import dataclasses
+
+    return dataclasses.replace(old, **{name: getattr(new, name) for name in given})
 
 
 @daemon.command("status", examples=["slidectl daemon status", "slidectl daemon status --json"])

@@ -21,7 +21,7 @@ import slidectl
 from slidectl.client import Client
 from slidectl.client.link import command
 from slidectl.daemon.lock import holder
-from slidectl.daemon.options import DaemonOptions
+from slidectl.daemon.options import DaemonOptions, parse
 from slidectl.errors import NoDaemon, Refused, SlidectlError, TimedOut
 from slidectl.paths import InstancePaths, make_private
 
@@ -47,8 +47,23 @@ def start(paths: InstancePaths, options: DaemonOptions | None = None, timeout: f
 
     Raises:
         StartFailed: with the reason, or the last lines of the log. TimedOut. Refused: the folder is not private.
+        KeyboardInterrupt: and then a process that was started here has been ended again.
     """
-    return Beginning(paths, options).wait(timeout)
+    beginning = Beginning(paths, options)
+    try:
+        return beginning.wait(timeout)
+    except KeyboardInterrupt:
+        beginning.abandon()
+        raise
+
+
+def options_of(pid: int) -> DaemonOptions | None:
+    """What the daemon of this process was started with, by its command line; None where that cannot be read."""
+    try:
+        words = os.fsdecode(Path(f"/proc/{pid}/cmdline").read_bytes()).split("\0")[:-1]
+        return parse(words[words.index("slidectl.daemon") + 1 :]).options
+    except (OSError, ValueError):
+        return None
 
 
 class Beginning:

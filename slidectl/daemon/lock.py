@@ -12,16 +12,24 @@ import struct
 from contextlib import suppress
 from pathlib import Path
 
+from slidectl.errors import Refused
+
 # struct flock: type, whence, start, length, pid
 _FLOCK = struct.Struct("hhqqi4x")
 
 
 def holder(path: Path) -> int | None:
-    """Process id of the daemon that lives there, or None. It is 0 when that is in another pid namespace."""
+    """Process id of the daemon that lives there, or None. It is 0 when that is in another pid namespace.
+
+    Raises:
+        Refused: the file is there and cannot be asked.
+    """
     try:
         fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return None
+    except OSError as error:
+        raise Refused(f"cannot ask the lock {path}: {error.strerror or error}") from None
     try:
         question = _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, 0, 0, 0)
         kind, _, _, _, pid = _FLOCK.unpack(fcntl.fcntl(fd, fcntl.F_GETLK, question))

@@ -50,8 +50,8 @@ class DaemonOptions:
 
     def arguments(self) -> list[str]:
         """The command line that gives these options again."""
-        arguments = [f"--rtf={self.rtf!r}", f"--timestep={self.timestep!r}", f"--engine={self.engine}", "--gravity"]
-        arguments += [repr(component) for component in self.gravity]
+        arguments = [f"--rtf={self.rtf!r}", f"--timestep={self.timestep!r}", f"--engine={self.engine}"]
+        arguments += ["--gravity=" + ",".join(map(repr, self.gravity))]  # argparse takes -1e-05 alone for an option
         arguments += ["--paused"] if self.paused else []
         arguments += [] if self.ground else ["--no-ground"]
         return arguments + ([f"--parent={os.getpid()}"] if self.child else [])
@@ -84,12 +84,17 @@ def parse(arguments: Sequence[str]) -> Start:
         rtf=given.rtf,
         paused=given.paused,
         timestep=given.timestep,
-        gravity=tuple(given.gravity),
+        gravity=given.gravity,
         ground=not given.no_ground,
         engine=given.engine,
     )
     where = paths.instance(given.instance, str(given.socket) if given.socket else None)
     return Start(where, options, given.ready_fd, given.foreground, given.parent)
+
+
+def _gravity(text: str) -> tuple[float, float, float]:
+    x, y, z = map(float, text.split(","))
+    return x, y, z
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -103,7 +108,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--rtf", type=rtf, default=usual.rtf, help="real-time factor, or 'max'")
     parser.add_argument("--paused", action="store_true", help="begin paused")
     parser.add_argument("--timestep", type=float, default=usual.timestep, help="length of a cycle, s")
-    parser.add_argument("--gravity", type=float, nargs=3, default=usual.gravity, help="m/s²")
+    parser.add_argument("--gravity", type=_gravity, default=usual.gravity, metavar="X,Y,Z", help="m/s²")
     parser.add_argument("--no-ground", action="store_true", help="a world without a floor")
     parser.add_argument("--engine", choices=ENGINES, default=usual.engine, help="who runs the cycles")
     parser.add_argument("--ready-fd", type=int, help="where to tell that it answers (used by the starter)")

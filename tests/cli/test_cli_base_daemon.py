@@ -56,6 +56,51 @@ def test_start_hands_its_options_to_the_world(slidectl: CommandLine) -> None:
     assert (status["speed"], status["paused"], status["timestep"]) == (0.0, True, 0.002)
 
 
+def test_a_world_may_have_hardly_any_gravity(slidectl: CommandLine) -> None:
+    slidectl.ok("daemon", "start", "--paused", "--gravity", "0", "0", "-1e-5")
+    answer = slidectl.ok("service", "call", "/gazebo/get_physics_properties", "--json")
+    assert json.loads(answer)["gravity"] == {"x": 0.0, "y": 0.0, "z": -1e-5}
+
+
+def test_restart_keeps_the_options_that_are_not_given_anew(slidectl: CommandLine) -> None:
+    slidectl.ok(
+        "daemon", "start", "--paused", "--timestep", "0.002", "--engine", "plain", "--gravity", "0", "0", "-1e-5"
+    )
+    slidectl.ok("daemon", "restart", "--rtf", "2")
+    slidectl.ok("daemon", "restart", "--timestep", "0.004")
+    status = json.loads(slidectl.ok("sim", "status", "--json"))
+    assert (status["speed"], status["paused"], status["timestep"], status["engine"]) == (2.0, True, 0.004, "plain")
+    slidectl.ok("daemon", "stop")
+    slidectl.ok("daemon", "restart")
+    assert json.loads(slidectl.ok("sim", "status", "--json"))["timestep"] == 0.001
+
+
+def test_a_start_that_is_interrupted_leaves_no_daemon(slidectl: CommandLine, runtime: Runtime) -> None:
+    starter = slidectl.start("daemon", "start")
+    while runtime.pid is None and starter.poll() is None:
+        os.sched_yield()
+    starter.send_signal(signal.SIGINT)
+    output, errors = starter.communicate(timeout=60)
+    if starter.returncode == 0:
+        assert "started" in output  # it was quicker than the signal
+        return
+    assert (starter.returncode, errors) == (130, "")
+    assert runtime.pid is None
+
+
+@pytest.mark.parametrize("command", ["daemon start", "daemon status", "daemon logs", "pub command 1", "daemon run"])
+def test_a_file_in_the_place_of_the_folder_is_told(slidectl: CommandLine, runtime: Runtime, command: str) -> None:
+    instance = runtime.paths.folder
+    instance.parent.mkdir(mode=0o700, exist_ok=True)
+    instance.write_text("")
+    done = slidectl(*command.split())
+    assert done.returncode in (1, 3)
+    assert str(instance) in done.stderr
+    assert "fault of slidectl" not in done.stderr
+    assert "does not run" in slidectl.ok("daemon", "stop")
+    instance.unlink()
+
+
 def test_the_engine_is_chosen_at_the_start_and_shown(slidectl: CommandLine) -> None:
     slidectl.ok("daemon", "start", "--engine", "plain")
     assert json.loads(slidectl.ok("sim", "status", "--json"))["engine"] == "plain"
