@@ -11,7 +11,8 @@ from slidectl.cli import live
 from slidectl.cli.bringup import Report, bring_up, check_started, each, wait_for_owner
 from slidectl.cli.commands import Variadic, group
 from slidectl.cli.context import Context
-from slidectl.cli.managers import BEST_EFFORT, STRICT, UNLOADED, Manager, chosen, owner
+from slidectl.cli.managers import UNLOADED, Manager, chosen, owner
+from slidectl.client.manager import BEST_EFFORT, STRICT
 from slidectl.errors import UsageError
 
 Decorator = Callable[[Any], Any]

@@ -10,47 +10,31 @@ from typing import Any
 
 from slidectl import names
 from slidectl.cli.context import Context
+from slidectl.client.manager import ManagerServices
 from slidectl.errors import AmbiguousName, Refused, UnknownName, UsageError
 
-STRICT = 2
-BEST_EFFORT = 1
 UNLOADED = "unloaded"
 _LIST = "controller_manager/list_controllers"
 
 
-class Manager:
+class Manager(ManagerServices):
     """The controller manager of one namespace."""
 
     def __init__(self, context: Context, namespace: str) -> None:
+        super().__init__(namespace)
         self.context = context
-        self.namespace = namespace
+        self.timeout_s = context.timeout or 0.0
 
-    def _ask(self, verb: str, **request: Any) -> dict[str, Any]:
+    def ask(self, verb: str, **request: Any) -> dict[str, Any]:
         return self.context.call(names.join(self.namespace, f"controller_manager/{verb}"), request)
 
-    def _act(self, what: str, verb: str, **request: Any) -> None:
-        """Call; pass on what is logged meanwhile, as the reasons of a Refused when the answer is not ok."""
+    def act(self, verb: str, **request: Any) -> tuple[bool, list[str]]:
         with self.context.client.rosout() as lines:
-            answer = self._ask(verb, **request)
-        reasons = [str(line["msg"]) for line in lines]
-        if not answer["ok"]:
-            raise Refused("\n".join(reasons[-2:]) or f"cannot {what}, and no reason was logged")
-        for reason in reasons:
-            self.context.warn(reason)
+            answer = self.ask(verb, **request)
+        return answer["ok"], [str(line["msg"]) for line in lines]
 
-    def controllers(self) -> list[dict[str, Any]]:
-        """The loaded controllers, in load order (controller_manager_msgs/ControllerState)."""
-        return list(self._ask("list_controllers")["controller"])
-
-    def states(self) -> dict[str, str]:
-        """Name -> state of the loaded controllers."""
-        return {controller["name"]: controller["state"] for controller in self.controllers()}
-
-    def configured(self) -> list[str]:
-        """Controllers that have a `type` parameter here, loaded or not."""
-        prefix = self.namespace.rstrip("/") + "/"
-        inside = (n.removeprefix(prefix) for n in self.context.names("parameter") if n.startswith(prefix))
-        return [n.removesuffix("/type") for n in inside if n.endswith("/type") and n.count("/") == 1]
+    def warn(self, text: str) -> None:
+        self.context.warn(text)
 
     def type_parameter(self, name: str) -> str:
         """The type that the parameters give a controller; empty when they give none."""
@@ -60,34 +44,12 @@ class Manager:
         value = json.loads(self.context.call("/rosapi/get_param", {"name": parameter, "default": '""'})["value"])
         return str(value)
 
+    def parameters(self) -> Sequence[str]:
+        return self.context.names("parameter")
+
     def known(self) -> list[str]:
         """Controllers that are loaded or could be."""
         return sorted({*self.states(), *self.configured()})
-
-    def types(self) -> dict[str, Any]:
-        """`types` and `base_classes`, parallel lists."""
-        return self._ask("list_controller_types")
-
-    def load(self, name: str) -> None:
-        """Raises Refused with the reason."""
-        self._act(f"load {name}", "load_controller", name=name)
-
-    def unload(self, name: str) -> None:
-        """Raises Refused with the reason."""
-        self._act(f"unload {name}", "unload_controller", name=name)
-
-    def switch(self, start: Sequence[str], stop: Sequence[str], strictness: int = STRICT, asap: bool = False) -> None:
-        """Stop and start in one cycle. Raises Refused with the reasons."""
-        wishes = [f"{verb} {', '.join(wanted)}" for verb, wanted in (("stop", stop), ("start", start)) if wanted]
-        self._act(
-            " and ".join(wishes) or "switch",
-            "switch_controller",
-            start_controllers=list(start),
-            stop_controllers=list(stop),
-            strictness=strictness,
-            start_asap=asap,
-            timeout=self.context.timeout or 0.0,
-        )
 
 
 def managers(context: Context) -> list[Manager]:

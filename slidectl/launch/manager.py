@@ -9,20 +9,19 @@ from collections.abc import Sequence
 from typing import Any
 
 from slidectl import names
+from slidectl.client.manager import ManagerServices
 from slidectl.errors import Refused
 from slidectl.launch.task import Run
 
-STRICT = 2
-BEST_EFFORT = 1
 SERVICES = ("load_controller", "switch_controller", "unload_controller")
 
 
-class Manager:
+class Manager(ManagerServices):
     """The controller manager of `namespace`; `limit_s` is how long one call may take, None as the client has it."""
 
     def __init__(self, run: Run, namespace: str, limit_s: float | None = None) -> None:
+        super().__init__(namespace)
         self.run = run
-        self.namespace = namespace
         self.limit_s = limit_s
 
     @property
@@ -35,60 +34,20 @@ class Manager:
         known = self.run.call("/rosapi/services")["services"]
         return all(f"{self.name}/{service}" in known for service in SERVICES)
 
-    def _ask(self, verb: str, **request: Any) -> dict[str, Any]:
+    def ask(self, verb: str, **request: Any) -> dict[str, Any]:
         return self.run.call(f"{self.name}/{verb}", request, self.limit_s)
 
-    def _act(self, what: str, verb: str, **request: Any) -> None:
-        """Raises Refused with what was logged meanwhile."""
+    def act(self, verb: str, **request: Any) -> tuple[bool, list[str]]:
         for earlier in self.run.heard():
-            self.run.console.warn(earlier)
-        ok = self._ask(verb, **request)["ok"]
-        reasons = self.run.heard()
-        if not ok:
-            raise Refused(f"cannot {what}: {'; '.join(reasons[-2:]) or 'no reason was logged'}")
-        for reason in reasons:
-            self.run.console.warn(reason)
+            self.warn(earlier)
+        ok = self.ask(verb, **request)["ok"]
+        return ok, self.run.heard()
 
-    def controllers(self) -> list[dict[str, Any]]:
-        """The loaded ones, in load order (controller_manager_msgs/ControllerState)."""
-        return list(self._ask("list_controllers")["controller"])
+    def warn(self, text: str) -> None:
+        self.run.console.warn(text)
 
-    def states(self) -> dict[str, str]:
-        """Name -> state of the loaded ones."""
-        return {controller["name"]: controller["state"] for controller in self.controllers()}
+    def parameters(self) -> Sequence[str]:
+        return list(self.run.call("/rosapi/get_param_names")["names"])
 
-    def types(self) -> list[str]:
-        """The types that can be loaded."""
-        return list(self._ask("list_controller_types")["types"])
-
-    def load(self, name: str) -> None:
-        """Raises Refused with the reason."""
-        self._act(f"load {name}", "load_controller", name=name)
-
-    def unload(self, name: str) -> None:
-        """Raises Refused with the reason."""
-        self._act(f"unload {name}", "unload_controller", name=name)
-
-    def switch(self, start: Sequence[str], stop: Sequence[str], strictness: int = STRICT) -> None:
-        """In one cycle. Raises Refused with the reasons."""
-        wishes = [f"{verb} {', '.join(wanted)}" for verb, wanted in (("stop", stop), ("start", start)) if wanted]
-        self._act(
-            " and ".join(wishes) or "switch",
-            "switch_controller",
-            start_controllers=list(start),
-            stop_controllers=list(stop),
-            strictness=strictness,
-            start_asap=False,
-            timeout=0.0,
-        )
-
-    def reload_libraries(self) -> None:
-        """Raises Refused when controllers are in the way."""
-        self._act("reload the libraries", "reload_controller_libraries", force_kill=True)
-
-    def configured(self) -> list[str]:
-        """Controllers that have a `type` parameter here."""
-        prefix = self.namespace.rstrip("/") + "/"
-        known = self.run.call("/rosapi/get_param_names")["names"]
-        inside = (name.removeprefix(prefix) for name in known if name.startswith(prefix))
-        return [name.removesuffix("/type") for name in inside if name.endswith("/type") and name.count("/") == 1]
+    def refusal(self, what: str, reasons: Sequence[str]) -> Refused:
+        return Refused(f"cannot {what}: {'; '.join(reasons[-2:]) or 'no reason was logged'}")

@@ -9,8 +9,9 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from slidectl import names
+from slidectl.client.manager import BEST_EFFORT
 from slidectl.errors import Refused, UnknownName
-from slidectl.launch.manager import BEST_EFFORT, Manager
+from slidectl.launch.manager import Manager
 from slidectl.launch.options import parse
 from slidectl.launch.plan import Node, Plan
 from slidectl.launch.task import Run, Task
@@ -89,7 +90,7 @@ class ManagerScript(Task):
         if self.command == "list":
             return _states(manager)
         if self.command == "list-types":
-            return manager.types()
+            return list(manager.types()["types"])
         return [f"Restore: {self.restore}"] if self.command == "reload-libraries" else []
 
     def _operations(self, manager: Manager) -> list[Operation]:

@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from slidectl import names
+from slidectl.client.manager import BEST_EFFORT
 from slidectl.description.packages import is_file
 from slidectl.errors import NoDaemon, Refused, SlidectlError, UnknownName
-from slidectl.launch.manager import BEST_EFFORT, Manager
+from slidectl.launch.manager import Manager
 from slidectl.launch.options import parse
 from slidectl.launch.plan import Node, Plan, leaves
 from slidectl.launch.task import HOOK_LIMIT_S, Run, Task
