@@ -15,19 +15,14 @@ from typing import Any, NamedTuple
 from slidectl.cli.schema import BYTES, FLOATS, TIMES, Schema
 from slidectl.cli.yamlform import byte_values
 from slidectl.errors import Refused, UnknownName, UsageError, closest
+from slidectl.operators import ARITHMETIC, COMPARISONS, MATH, MOST_BITS
 
 Names = Mapping[str, Any]
 Compute = Callable[[Names], Any]
 
 _LONGEST = 4000
-_MOST_BITS = 4096
 _CONSTANTS: dict[str, Any] = {name: getattr(math, name) for name in ("pi", "e", "tau", "inf", "nan")}
-_TOO_COSTLY = {"factorial", "comb", "perm", "lcm", "prod", "isqrt"}
-_FUNCTIONS: dict[str, Callable[..., Any]] = {
-    name: value
-    for name, value in vars(math).items()
-    if callable(value) and not name.startswith("_") and name not in _TOO_COSTLY
-} | {
+_FUNCTIONS: dict[str, Callable[..., Any]] = {name: value for name, value in MATH.items() if callable(value)} | {
     "abs": abs,
     "min": min,
     "max": max,
@@ -149,7 +144,7 @@ class Expression:
 
     def _compare(self, node: ast.Compare) -> tuple[Compute, _Kind]:
         terms = [self._plain(term) for term in (node.left, *node.comparators)]
-        tests = [_COMPARISONS[type(op)] for op in node.ops]
+        tests = [COMPARISONS[type(op)] for op in node.ops]
 
         def compare(names: Names) -> bool:
             values = [term(names) for term in terms]
@@ -219,15 +214,9 @@ def _number(value: Any) -> Any:
     raise TypeError(f"{value!r} is no number")
 
 
-def _power(base: Any, exponent: Any) -> Any:
-    if isinstance(base, int) and isinstance(exponent, int) and base.bit_length() * exponent > _MOST_BITS:
-        raise OverflowError(f"{base} ** {exponent} is too large")
-    return operator.pow(base, exponent)
-
-
 def _product(left: Any, right: Any) -> Any:
     result = left * right
-    if isinstance(result, int) and result.bit_length() > _MOST_BITS:
+    if isinstance(result, int) and result.bit_length() > MOST_BITS:
         raise OverflowError("the product is too large")
     return result
 
@@ -254,25 +243,9 @@ def _floats(values: list[float | None]) -> list[float]:
 
 
 _BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
-    ast.Add: operator.add,
-    ast.Sub: operator.sub,
+    **ARITHMETIC,
     ast.Mult: _product,
-    ast.Div: operator.truediv,
-    ast.FloorDiv: operator.floordiv,
     ast.Mod: operator.mod,
-    ast.Pow: _power,
-}
-_COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
-    ast.Eq: operator.eq,
-    ast.NotEq: operator.ne,
-    ast.Lt: operator.lt,
-    ast.LtE: operator.le,
-    ast.Gt: operator.gt,
-    ast.GtE: operator.ge,
-    ast.Is: operator.is_,
-    ast.IsNot: operator.is_not,
-    ast.In: lambda item, values: item in values,
-    ast.NotIn: lambda item, values: item not in values,
 }
 _TIME_METHODS: dict[str, Callable[[Mapping[str, int]], Any]] = {
     "to_sec": lambda time: time["secs"] + 1e-9 * time["nsecs"],

@@ -7,20 +7,19 @@ two underscores. Work and sizes are kept within bounds, so that every expression
 from __future__ import annotations
 
 import ast
-import math
 import operator
 import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
+from slidectl.operators import ARITHMETIC, COMPARISONS, MATH, MOST_BITS
+
 LONGEST = 4000
 MOST_STEPS = 100_000
 """Steps of the walk, plus one for each value in every list that it makes."""
 MOST_LENGTH = 100_000
 """Letters of a text."""
-_MOST_BITS = 4096
-_TOO_COSTLY = {"factorial", "comb", "perm", "lcm", "prod", "isqrt"}
 _TEXT_METHODS = {
     "capitalize", "count", "endswith", "find", "index", "isalnum", "isalpha", "isdigit", "join", "lower", "lstrip",
     "partition", "removeprefix", "removesuffix", "replace", "rfind", "rpartition", "rsplit", "rstrip", "split",
@@ -32,9 +31,6 @@ _OTHER_METHODS: dict[type[Any], set[str]] = {
     tuple: {"count", "index"},
 }
 
-MATH: dict[str, Any] = {
-    name: value for name, value in vars(math).items() if not name.startswith("_") and name not in _TOO_COSTLY
-}
 BUILTINS: dict[str, Any] = {
     "true": True, "false": False, "True": True, "False": False,
     "list": list, "dict": dict, "map": map, "str": str, "float": float, "int": int,
@@ -171,7 +167,7 @@ class _Evaluation:
         left = self.value(node.left)
         for test, term in zip(node.ops, node.comparators, strict=True):
             right = self.value(term)
-            if not _COMPARISONS[type(test)](left, right):
+            if not COMPARISONS[type(test)](left, right):
                 return False
             left = right
         return True
@@ -219,7 +215,7 @@ def _sized(value: Any) -> Any:
     """The value, if it has a size that one can go on with."""
     if isinstance(value, str):
         _check_length(len(value))
-    if isinstance(value, int) and value.bit_length() > _MOST_BITS:
+    if isinstance(value, int) and value.bit_length() > MOST_BITS:
         raise ExpressionError("has a number that is too large")
     return value
 
@@ -252,12 +248,6 @@ def _product(left: Any, right: Any) -> Any:
     return left * right
 
 
-def _power(base: Any, exponent: Any) -> Any:
-    if isinstance(base, int) and isinstance(exponent, int) and base.bit_length() * exponent > _MOST_BITS:
-        raise ExpressionError("has a number that is too large")
-    return operator.pow(base, exponent)
-
-
 def _remainder(left: Any, right: Any) -> Any:
     """Also Python's `'%d' % 1`, with widths that fit on a line."""
     if isinstance(left, str):
@@ -268,13 +258,9 @@ def _remainder(left: Any, right: Any) -> Any:
 
 
 _BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
-    ast.Add: operator.add,
-    ast.Sub: operator.sub,
+    **ARITHMETIC,
     ast.Mult: _product,
-    ast.Div: operator.truediv,
-    ast.FloorDiv: operator.floordiv,
     ast.Mod: _remainder,
-    ast.Pow: _power,
     ast.BitAnd: operator.and_,
     ast.BitOr: operator.or_,
     ast.BitXor: operator.xor,
@@ -284,16 +270,4 @@ _UNARY: dict[type[ast.unaryop], Callable[[Any], Any]] = {
     ast.USub: operator.neg,
     ast.UAdd: operator.pos,
     ast.Invert: operator.invert,
-}
-_COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
-    ast.Eq: operator.eq,
-    ast.NotEq: operator.ne,
-    ast.Lt: operator.lt,
-    ast.LtE: operator.le,
-    ast.Gt: operator.gt,
-    ast.GtE: operator.ge,
-    ast.Is: operator.is_,
-    ast.IsNot: operator.is_not,
-    ast.In: lambda item, values: item in values,
-    ast.NotIn: lambda item, values: item not in values,
 }

@@ -11,9 +11,10 @@ from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 from slidectl.errors import SlidectlError, closest, listing
-from slidectl.launch.evaluator import BUILTINS, MATH, ExpressionError, evaluate
+from slidectl.launch.evaluator import BUILTINS, ExpressionError, evaluate
 from slidectl.launch.protected import plain, protect
 from slidectl.launch.typed import automatic
+from slidectl.operators import MATH
 
 COMMANDS = ("find", "env", "optenv", "dirname", "anon", "arg")
 OPEN = "$("
