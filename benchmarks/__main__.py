@@ -20,7 +20,7 @@ from benchmarks.harness import Row
 
 HERE = Path(__file__).parent
 README = HERE.parent / "README.md"
-NAMES = ("commands", "cycles", "realtime", "latency", "streams", "spawns")
+NAMES = ("commands", "cycles", "realtime", "latency", "streams", "spawns", "compare")
 BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
 
 
