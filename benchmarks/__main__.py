@@ -43,12 +43,12 @@ def main(arguments: list[str]) -> int:
 
 def markdown(rows: list[Row]) -> str:
     """The rows as a Markdown table, which reads as well on a terminal."""
-    lines = ["| what | measured | asked | |", "| --- | ---: | ---: | --- |"]
+    lines = ["| what | measured | goal | |", "| --- | ---: | ---: | --- |"]
     for row in rows:
-        asked = "" if row.goal is None else f"{'≤' if row.better == 'lower' else '≥'} {row.goal:g} {row.unit}".strip()
+        goal = "" if row.goal is None else f"{'≤' if row.better == 'lower' else '≥'} {row.goal:g} {row.unit}".strip()
         verdict = {True: "", False: "**missed** ", None: ""}[row.met]
         lines.append(
-            f"| {row.name} | {figure(row.value)} {row.unit} | {asked} | {verdict}{row.note} |".replace("  ", " ")
+            f"| {row.name} | {figure(row.value)} {row.unit} | {goal} | {verdict}{row.note} |".replace("  ", " ")
         )
     return "\n".join(lines)
 
