@@ -30,7 +30,7 @@ RRBOT_CONTROLLERS = ("joint_state_controller", "joint1_position_controller", "jo
 
 @dataclass(frozen=True)
 class Row:
-    """One measured figure beside the one that was asked; `better` says which side of the goal is good."""
+    """One measured figure beside its goal; `better` says which side of the goal is good."""
 
     name: str
     value: float
