@@ -56,20 +56,21 @@ def _program(ctx: Context) -> list[str]:
 
 
 # A function that runs in the background of a script is a shell of its own, which the script knows by $!. What is sent
-# to it must reach the command. bash ignores SIGQUIT in such a shell, which tells it from one in a pipe.
+# to it must reach the command. Shells ignore SIGQUIT in such a shell, which tells it from one in a pipe.
 _POSIX = """\
 _slidectl_ros() {{
   if ! _slidectl_is_job; then {prefix} ros "$@"; return; fi
-  local child= status=0
-  trap 'kill -INT "$child"' INT; trap 'kill -TERM "$child"' TERM
+  local child= code=0
+  trap 'kill -INT "$child" 2>/dev/null' INT; trap 'kill -TERM "$child" 2>/dev/null' TERM
   {prefix} ros "$@" <&0 &
   child=$!
-  while :; do wait "$child" && status=0 || status=$?; kill -0 "$child" 2>/dev/null || break; done
+  while :; do wait "$child" && code=0 || code=$?; kill -0 "$child" 2>/dev/null || break; done
   trap - INT TERM
-  return "$status"
+  return "$code"
 }}
 _slidectl_is_job() {{
-  [ "${{BASHPID:-$$}}" != "$$" ] && [ -r /proc/self/status ] || return 1
+  [ "${{BASHPID:-$$}}" != "$$" ] || [ "${{ZSH_SUBSHELL:-0}}" != 0 ] || return 1
+  [ -r /proc/self/status ] || return 1
   local key value
   while read -r key value; do
     case $key:$value in SigIgn::*[4567cdef]) return 0 ;; esac
