@@ -40,7 +40,7 @@ class Publication:
         self._latch = latch
         self._type = target.type if advertise else None
         self._fields_of = fields_from(target.typedefs)
-        self._began = 0.0
+        self._began = self._latest = 0.0
         self._remarks: list[dict[str, Any]] = []
         self.published = 0
 
@@ -64,9 +64,9 @@ class Publication:
             self._ctx.detail(f"published {self.published} on {target.topic} to {', '.join(target.users) or 'nobody'}")
 
     def _judge_rate(self, rate: float) -> None:
-        seconds = monotonic() - self._began
+        seconds = self._latest - self._began
         reached = (self.published - 1) / seconds if seconds > 0 else math.inf
-        # The last period is cut off by the end, so a handful of messages says nothing about the rate.
+        # One late message among a handful says nothing about the rate.
         if self.published > 10 and reached < _KEPT_UP * rate:
             self._ctx.warn(f"published at {reached:.1f} Hz instead of {rate:g} Hz")
 
@@ -127,6 +127,7 @@ class Publication:
         client.publish(target.topic, message, self._type, self._latch)
         client.flush()
         self.published += 1
+        self._latest = monotonic()
         self._pass_on_remarks()
 
     def _pass_on_remarks(self) -> None:

@@ -14,7 +14,7 @@ from slidectl.description.packages import Packages
 from slidectl.errors import BadFile, UnknownName, UsageError
 from slidectl.launch import node_tags, parameter_tags
 from slidectl.launch.files import Source, read
-from slidectl.launch.plan import Argument, Plan, Remap
+from slidectl.launch.plan import Argument, Plan
 from slidectl.launch.scope import Launch, Parse, Scope, missing_argument
 from slidectl.launch.tag import Tag
 
@@ -86,7 +86,7 @@ def _contents(parent: Tag) -> None:
 def _arg(tag: Tag) -> None:
     tag.knows(["name", "value", "default", "doc"])
     scope, name = tag.scope, tag.required("name")
-    if name in scope.declared:
+    if name in scope.arguments:
         raise tag.error(f"the argument {name!r} is declared twice")
     if tag.element.get("value") is not None and tag.element.get("default") is not None:
         raise tag.error("'value' and 'default' exclude each other", "a value is constant, a default can be overridden")
@@ -161,6 +161,8 @@ def _include(tag: Tag) -> None:
             _env(child)
         elif child.applies:
             name = child.required("name")
+            if name in own:
+                raise child.error(f"the argument {name!r} is given twice")
             own[name], given[name] = child, _passed(child)
     scope = inner.including(source.path, tag, given, lenient)
     _read(source, scope)
@@ -187,8 +189,7 @@ def _env(tag: Tag) -> None:
 
 
 def _remap(tag: Tag) -> None:
-    remap: Remap = node_tags.remap_of(tag)
-    tag.scope.remaps = (*tag.scope.remaps, remap)
+    tag.scope.remaps = node_tags.with_remap(tag.scope.remaps, tag)
 
 
 # --- what has no effect ----------------------------------------------------------------------------------------------

@@ -85,15 +85,23 @@ def _inside(tag: Tag, scope: Scope, made: Node) -> None:
         elif child.name == "rosparam":
             parameter_tags.rosparam(child, made.full_name)
         elif child.name == "remap":
-            scope.remaps = (*scope.remaps, remap_of(child))
+            scope.remaps = with_remap(scope.remaps, child)
         else:
             scope.environment = (*scope.environment, environment_of(child))
 
 
-def remap_of(tag: Tag) -> Remap:
-    """What a `<remap>` says."""
+def with_remap(remaps: tuple[Remap, ...], tag: Tag) -> tuple[Remap, ...]:
+    """The remaps with what a `<remap>` says: of several for one name the last counts. Raises BadFile."""
     tag.knows(["from", "to"])
-    return Remap(tag.required("from"), tag.required("to"), tag.place)
+    source, target = _remapped(tag, "from"), _remapped(tag, "to")
+    return (*(remap for remap in remaps if remap.source != source), Remap(source, target, tag.place))
+
+
+def _remapped(tag: Tag, attribute: str) -> str:
+    name = tag.required(attribute)
+    if not names.is_legal(name):
+        raise tag.error(f"{attribute}: {name!r} is not a legal name", "names are letters, digits, '_' and '/'")
+    return name
 
 
 def environment_of(tag: Tag) -> tuple[str, str]:

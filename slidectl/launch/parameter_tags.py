@@ -46,7 +46,7 @@ def _setting(tag: Tag) -> Setting:
         raise tag.error(f"the type {kind!r} is none of {', '.join(TYPES)}")
     given = [source for source in SOURCES if tag.element.get(source) is not None]
     if len(given) != 1:
-        found = f"not {len(given)} of them" if given else "and none is there"
+        found = f"not {len(given)} of them" if given else f"and none is there{tag.slip(SOURCES)}"
         raise tag.error(f"{name} needs exactly one of {', '.join(SOURCES)}, {found}")
     compute, runs = _source(tag, given[0], kind)
     file = tag.required(given[0]) if given[0] in ("textfile", "binfile") else ""
@@ -109,8 +109,10 @@ def rosparam(tag: Tag, private: str | None = None) -> None:
     if verb == "load":
         _load(tag, namespace)
     elif verb == "delete":
-        if not (tag.get("param") or tag.get("ns")):
-            raise tag.error("delete needs a param or an ns")
+        if namespace == "/":
+            raise tag.error("delete needs a param or an ns: this would delete all parameters there are")
+        if tag.element.get("file") is not None:
+            raise tag.error("delete takes no file", "param= and ns= say what is deleted")
         tag.plan.commands.append(RosparamCommand("delete", namespace, "", tag.place))
     else:
         tag.plan.commands.append(RosparamCommand("dump", namespace, tag.required("file"), tag.place))
@@ -147,7 +149,12 @@ def _yaml(tag: Tag, text: str, file: str) -> Any:
         if value is None:
             raise tag.error("its value is nothing, which no parameter can be")
         return value
-    tree = yaml_tree.read(text, where, tag.plan.notices)
+    try:
+        tree = yaml_tree.read(text, where, tag.plan.notices)
+    except BadFile as error:
+        if error.reason == yaml_tree.NO_MAPPING:
+            error.hint = "a list or a single value needs param=NAME"
+        raise
     if not tree:
         tag.notice("wrong", "holds no parameters")
     return tree

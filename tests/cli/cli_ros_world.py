@@ -81,6 +81,7 @@ def _answer(success: bool, message: str) -> Callable[[dict[str, Any]], dict[str,
     return lambda _request: {"success": success, "message": message}
 
 
+LOGGERS = [{"name": "rosgraph.network", "level": "INFO"}, {"name": "rospy", "level": "DEBUG"}]
 SERVICES: dict[str, tuple[str, Callable[[dict[str, Any]], dict[str, Any]]]] = {
     "/slide/reset": ("std_srvs/Trigger", _answer(True, "reset done")),
     "/slide/refuse": ("std_srvs/Trigger", _answer(False, "limit switch is active")),
@@ -90,6 +91,7 @@ SERVICES: dict[str, tuple[str, Callable[[dict[str, Any]], dict[str, Any]]]] = {
         "std_srvs/SetBool",
         lambda request: {"success": request["data"], "message": "enabled" if request["data"] else "disabled"},
     ),
+    "/sim/get_loggers": ("roscpp/GetLoggers", lambda _request: {"loggers": LOGGERS}),
     "/sim/set_logger_level": ("roscpp/SetLoggerLevel", lambda _request: {}),
 }
 

@@ -41,9 +41,7 @@ def test_info_shows_topics_services_and_connections(slide: SlideWorld) -> None:
         f"{RULE}Node [{slide.node.name}]\nPublications: \n * /slide/description [std_msgs/String]\n"
         " * /slide/forces [std_msgs/Float64MultiArray]\n"
     )
-    assert (
-        "\n\nSubscriptions: \n * /slide/command [unknown type]\n\nServices: \n * /sim/set_logger_level\n" in done.stdout
-    )
+    assert "\n\nSubscriptions: \n * /slide/command [unknown type]\n\nServices: \n * /sim/get_loggers\n" in done.stdout
     assert re.search(
         rf" \* /slide/stop\n\n\ncontacting node {slide.uri} \.\.\.\nPid: \d+\nConnections:\n"
         r" \* topic: /slide/position\n    \* to: /slidectl_\d+_\d+\n"
@@ -121,6 +119,13 @@ USAGES = [
 def test_wrong_usage(slide: SlideWorld, session: tuple[str, str, str, int]) -> None:
     done = slide(session[0])
     assert (done.stdout, done.stderr, done.returncode) == (session[1], session[2], session[3])
+
+
+@pytest.mark.parametrize("verb", ["list", "info", "ping", "kill", "machine", "cleanup"])
+def test_every_verb_has_a_help(slide: SlideWorld, verb: str) -> None:
+    done = slide(f"rosnode {verb} -h")
+    assert (done.stderr, done.returncode) == ("", 0)
+    assert done.stdout.startswith(f"Usage: rosnode {verb}")
 
 
 def test_ping_without_a_node_lists_them(slide: SlideWorld) -> None:

@@ -52,6 +52,9 @@ SET, GET, DELETE = (
 NO_NAME = "invalid arguments. Please specify a parameter name"
 MANY = "too many arguments"
 
+ILLEGAL = "ERROR: '{}' is not a legal name: letters, digits, '_' and '/', and the first is a letter, '/' or '~'\n"
+GREEN = 'grün ☃\n"gr\\xFCn \\u2603"\n\n'
+
 # They build on each other.
 SESSIONS = [
     usage("rosparam set", SET, NO_NAME),
@@ -89,6 +92,14 @@ SESSIONS = [
     Session("rosparam set -b one.yaml /bin"),
     # get
     Session("rosparam get /f", "1.5\n"),
+    Session("rosparam get f", "1.5\n"),
+    Session("rosparam get / | head -n 1; echo ${PIPESTATUS[@]}", "a:\n0 0\n"),
+    Session("rosparam list | head -n 1; echo ${PIPESTATUS[@]}", "/a/b\n0 0\n"),
+    Session("rosparam dump | head -n 2; echo ${PIPESTATUS[@]}", "a:\n  b: 1\n0 0\n"),
+    Session("rosparam get /bin | base64 -d", "data: 3.25\n"),
+    Session("rosparam set /grüße 'grün'", "", ILLEGAL.format("/grüße"), 2),
+    Session("rosparam set '/bad name' 1", "", ILLEGAL.format("/bad name"), 2),
+    Session("rosparam set /text 'grün ☃'; rosparam get -p /text; rosparam get /text", GREEN),
     Session("rosparam get /neg", "-0.5\n"),
     Session("rosparam get /s", "hello\n"),
     Session("rosparam get /s2", "two words\n"),
@@ -232,6 +243,13 @@ def test_without_a_verb_the_list_of_verbs_is_success(shell: tuple[Shell, Path]) 
         assert (done.returncode, done.stderr) == (0, "")
         for verb in ("set", "get", "load", "dump", "delete", "list"):
             assert f"rosparam {verb}" in done.stdout
+
+
+@pytest.mark.parametrize("verb", ["set", "get", "load", "dump", "delete", "list"])
+def test_every_verb_has_a_help(shell: tuple[Shell, Path], verb: str) -> None:
+    done = shell[0].run(f"rosparam {verb} -h")
+    assert (done.stderr, done.returncode) == ("", 0)
+    assert done.stdout.startswith(f"Usage: rosparam {verb}")
 
 
 def test_without_a_daemon_the_code_is_3(shell: tuple[Shell, Path]) -> None:

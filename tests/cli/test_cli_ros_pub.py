@@ -97,6 +97,13 @@ WORKING = [
     ("-1 /f std_msgs/Float64 -1", ("/f", {"data": -1.0})),
     ("-1 /f std_msgs/Float64 1e-3", ("/f", {"data": 0.001})),
     ("-1 /f std_msgs/Float64 'data: 1e-3'", ("/f", {"data": 0.001})),
+    ("-1 /f std_msgs/Float64 -.5", ("/f", {"data": -0.5})),
+    ("-1 --use-rostime /s std_msgs/String hello", ("/s", {"data": "hello"})),
+    ("/f std_msgs/Float64 1.0 --once", ("/f", {"data": 1.0})),
+    (
+        "-1 /j sensor_msgs/JointState '{position: [0.5]}'",
+        ("/j", {"header": header(seq=1), "name": [], "position": [0.5], "velocity": [], "effort": []}),
+    ),
     ("-1 /s std_msgs/String 'a:=b' __name:=x", ("/s", {"data": "a:=b"})),
 ]
 
@@ -144,6 +151,11 @@ MISFITS = [
     ),
     ("-1 /e std_msgs/Empty 1", "Too many arguments:\n * Given: [1]\n * Expected: []\n\nArgs are: []"),
     ("-1 /s std_msgs/String 'a: b'", "No field name [a]\n\nArgs are: [data]"),
+    (
+        "-1 /j sensor_msgs/JointState '{name: {a: b}}'",
+        "Field [name] must be a list or tuple instead of: dict\n\n"
+        "Args are: [header.seq header.stamp header.frame_id name position velocity effort]",
+    ),
     ("-1 /f std_msgs/Nope 1.0", f"invalid message type: std_msgs/Nope.\n{ROSMAKE} 'rosmake std_msgs'"),
     ("-1 /f nopkg/Float64 1.0", f"invalid message type: nopkg/Float64.\n{ROSMAKE} 'rosmake nopkg'"),
     ("-1 /f Float64 1.0", "invalid topic type: Float64"),
@@ -177,6 +189,7 @@ WRONG_TYPES = [
     ("/i std_msgs/Int32 1.5", "field data must be an integer type"),
     ("/i std_msgs/Int32 99999999999", "field data exceeds specified width [int32]"),
     ("/j sensor_msgs/JointState '{position: [a, b]}'", "field position[] must be float type"),
+    ("/b std_msgs/Bool 'data: 7'", "field data is not a bool"),
     ("-r 5 /f std_msgs/Float64 'data: abc'", "field data must be float type"),
 ]
 
@@ -206,6 +219,10 @@ USAGES = [
     ("-r nan /f std_msgs/Float64 1.0", "rate must be greater than zero"),
     ("-f x.yaml /f std_msgs/Float64 1.0", "args conflict with -f setting"),
     ("-z /f std_msgs/Float64 1.0", "no such option: -z"),
+    (
+        "-1 /s std_msgs/String 2020-01-01",
+        "Argument error: 2020-01-01 in the value '2020-01-01' is a date to YAML\nwrite it in quotes if it is text",
+    ),
     (
         "-1 /f std_msgs/Float64 'data: [1'",
         "Argument error: while parsing a flow sequence\n"
@@ -258,6 +275,9 @@ def test_a_topic_that_nobody_subscribes_to_is_an_error(slide: SlideWorld) -> Non
         done = slide(f"rostopic pub {words}")
         assert done.returncode == 1
         assert "no topic '/lonely'" in done.stderr
+    assert "no topic '/bad name!'" in slide("rostopic pub -1 'bad name!' std_msgs/Float64 1.0").stderr
+    done = slide("rostopic pub /lonely std_msgs/Float64", stdin="data: 1.0\n---\n")
+    assert (done.stdout, done.returncode) == (ONCE, 1)
     done = slide("ROS_NAMESPACE=ns rostopic pub -1 f std_msgs/Float64 1.0")
     assert done.returncode == 1
     assert "'/ns/f'" in done.stderr
@@ -314,6 +334,7 @@ def files(tmp_path: Any) -> Any:
         "badfield.yaml": "value: 1.0\n",
         "empty.yaml": "",
         "list.yaml": "[[1.0]]\n",
+        "pose.yaml": "header: {stamp: now, frame_id: base}\npose: {position: {x: 1.0}}\n",
     }.items():
         (tmp_path / name).write_text(text)
     return tmp_path
@@ -337,6 +358,35 @@ def test_once_publishes_the_first_document_of_a_file(sink: Sink, files: Any, nam
     done = sink.world(f"rostopic pub -1 -f {name}.yaml /f std_msgs/Float64", cwd=files)
     assert (done.stdout, done.stderr, done.returncode) == (ONCE, "", 0)
     assert sink.received() == [("/f", {"data": value})]
+
+
+@pytest.mark.parametrize(("name", "value"), [("one", 3.25), ("three", 1.0)])
+def test_l_keeps_the_first_document_of_a_file_latched(slide: SlideWorld, files: Any, name: str, value: float) -> None:
+    words = ("ros", "rostopic", "pub", "-l", "-f", f"{files}/{name}.yaml", f"/latched_{name}", "std_msgs/Float64")
+    staying = slide.shell.slidectl.start(*words)
+    assert staying.stdout is not None
+    assert staying.stdout.readline() == STAYS
+    assert slide.client.subscribe(f"/latched_{name}").get(30.0) == {"data": value}
+    staying.send_signal(signal.SIGINT)
+    staying.communicate(timeout=30)
+    assert staying.returncode == 130
+
+
+def test_now_in_a_file_is_the_simulated_time(sink: Sink, files: Any) -> None:
+    done = sink.world("rostopic pub -1 -f pose.yaml /p geometry_msgs/PoseStamped", cwd=files)
+    assert (done.stdout, done.stderr, done.returncode) == (ONCE, "", 0)
+    ((_, message),) = sink.received()
+    assert message["header"]["frame_id"] == "base"
+    assert message["header"]["stamp"]["secs"] + message["header"]["stamp"]["nsecs"] > 0
+    assert message["pose"]["position"]["x"] == 1.0
+
+
+@pytest.mark.parametrize(("name", "why"), [("", "Is a directory"), ("binary", "it is no text: ")])
+def test_a_file_that_cannot_be_read_is_named(sink: Sink, files: Any, name: str, why: str) -> None:
+    (files / "binary").write_bytes(b"\xff\xfe")
+    done = sink.world(f"rostopic pub -f {files}/{name} /f std_msgs/Float64")
+    assert (done.stdout, done.returncode) == ("", 1)
+    assert done.stderr.startswith(f"ERROR: cannot read {files}/{name}: {why}")
 
 
 def test_a_file_that_is_no_yaml_is_reported_with_its_name_and_place(sink: Sink, files: Any) -> None:
@@ -382,7 +432,11 @@ def test_no_document_on_stdin_is_nothing_to_do(sink: Sink) -> None:
 def test_a_document_on_stdin_that_is_no_yaml(sink: Sink) -> None:
     done = sink.world("rostopic pub /f std_msgs/Float64", stdin="data: [1\n---\ndata: 7\n---\n")
     assert (done.stdout, done.returncode) == ("", 1)
-    assert done.stderr.startswith("Invalid YAML: while parsing a flow sequence\n")
+    assert done.stderr == (
+        'Invalid YAML: while parsing a flow sequence\n  in "<unicode string>", line 1, column 7:\n    data: [1\n'
+        "          ^\nexpected ',' or ']', but got '<stream end>'\n"
+        '  in "<unicode string>", line 1, column 9:\n    data: [1\n            ^\n'
+    )
 
 
 def test_echo_can_be_piped_into_pub(sink: Sink) -> None:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
 from collections.abc import Iterator
 
 import pytest
 from cli_ros_sessions import Session, usage
 from cli_ros_world import SlideWorld, slide_world
+
+from slidectl.client import Client
 
 
 @pytest.fixture(scope="module")
@@ -18,6 +22,9 @@ def slide() -> Iterator[SlideWorld]:
 BELOW = "".join(f"/slide/{name}\n" for name in ("boom", "enable", "refuse", "reset", "stop"))
 DONE = 'success: True\nmessage: "reset done"\n'
 ENABLED = 'success: True\nmessage: "enabled"\n'
+LOGGERS = (
+    'loggers: \n  - \n    name: "rosgraph.network"\n    level: "INFO"\n  - \n    name: "rospy"\n    level: "DEBUG"\n'
+)
 CALL = "rosservice call /service [args...]"
 SET_BOOL = "\n\nsrv file:\nbool data\n---\nbool success\nstring message\n"
 SET_LEVEL = "\n\nsrv file:\nstring logger\nstring level\n---\n"
@@ -46,6 +53,7 @@ SESSIONS = [
     Session("rosservice args /sim/set_logger_level", "logger level\n"),
     Session("rosservice args /nope", "", "ERROR: Service [/nope] is not available.\n", 2),
     usage("rosservice args", "rosservice args /service", "service must be specified"),
+    Session("rosservice find std_srvs/Trigger", "/slide/boom\n/slide/refuse\n/slide/reset\n"),
     Session("rosservice find std_srvs/SetBool", "/slide/enable\n"),
     Session("rosservice find std_srvs/Nope", "\n"),
     Session("rosservice find garbage", "\n"),
@@ -68,10 +76,13 @@ SESSIONS = [
     Session("rosservice call /slide/enable yes", ENABLED),
     Session("rosservice call /slide/enable", ENABLED * 2, stdin="data: true\n---\ndata: true\n---\n"),
     Session("rosservice call /slide/enable < /dev/null"),
+    Session("rosservice call /sim/get_loggers", LOGGERS),
+    Session("rosservice call /sim/get_loggers | head -n 1; echo ${PIPESTATUS[@]}", "loggers: \n0 0\n"),
     Session("rosservice call /sim/set_logger_level rosout debug", "\n"),
     Session('rosservice call /sim/set_logger_level "{logger: rosout, level: info}"', "\n"),
     Session("rosservice call /sim/set_logger_level 'logger: rosout'", "\n"),
     Session("rosservice call /slide/enable abc", "", f"{WRONG_TYPE}field data is not a bool{SET_BOOL}", 2),
+    Session("rosservice call /slide/enable 7", "", f"{WRONG_TYPE}field data is not a bool{SET_BOOL}", 2),
     Session("rosservice call /slide/enable ''", "", f"{WRONG_TYPE}field data is not a bool{SET_BOOL}", 2),
     Session(
         "rosservice call /slide/enable 'value: true'",
@@ -144,6 +155,38 @@ def test_without_a_verb_the_list_of_verbs_goes_to_stdout_with_exit_code_64(slide
         assert (done.returncode, done.stderr) == (64, "")
         for verb in ("args", "call", "find", "info", "list", "type", "uri"):
             assert f"rosservice {verb}" in done.stdout
+
+
+@pytest.mark.parametrize("verb", ["args", "call", "find", "info", "list", "node", "type", "uri"])
+def test_every_verb_has_a_help(slide: SlideWorld, verb: str) -> None:
+    done = slide(f"rosservice {verb} -h")
+    assert (done.stderr, done.returncode) == ("", 0)
+    assert done.stdout.startswith(f"Usage: rosservice {verb}")
+
+
+def called(slide: SlideWorld, provider: Client) -> subprocess.Popen[str]:
+    """A `rosservice call` whose request has reached the provider, which does not answer."""
+    provider._send(op="advertise_service", service="/slide/slow", type="std_srvs/Empty")
+    provider.flush()
+    calling = slide.shell.slidectl.start("ros", "rosservice", "call", "/slide/slow")
+    assert any(wire.get("op") == "call_service" for wire in provider.events(20.0))
+    return calling
+
+
+def test_ctrl_c_ends_a_call_that_takes_long(slide: SlideWorld) -> None:
+    with slide.daemon.client() as provider:
+        calling = called(slide, provider)
+        calling.send_signal(signal.SIGINT)
+        assert calling.communicate(timeout=30) == ("", "")
+    assert calling.returncode == 130
+
+
+def test_a_provider_that_goes_away_fails_the_call(slide: SlideWorld) -> None:
+    with slide.daemon.client() as provider:
+        calling = called(slide, provider)
+    stdout, stderr = calling.communicate(timeout=30)
+    assert (stdout, calling.returncode) == ("", 2)
+    assert stderr.startswith("ERROR: service [/slide/slow] responded with an error: b'")
 
 
 def test_wait_waits_for_a_service_that_comes_later(slide: SlideWorld) -> None:

@@ -99,6 +99,14 @@ POSE_CSV = (
     "field.pose.position.z,field.pose.orientation.x,field.pose.orientation.y,field.pose.orientation.z,"
     "field.pose.orientation.w\n"
 )
+POSES_CSV = (
+    "%time,field.header.seq,field.header.stamp,field.header.frame_id,"
+    "field.poses0.position.x,field.poses0.position.y,field.poses0.position.z,"
+    "field.poses0.orientation.x,field.poses0.orientation.y,field.poses0.orientation.z,field.poses0.orientation.w,"
+    "field.poses1.position.x,field.poses1.position.y,field.poses1.position.z,"
+    "field.poses1.orientation.x,field.poses1.orientation.y,field.poses1.orientation.z,field.poses1.orientation.w\n"
+)
+VALUES_OF_POSES = "1.0,2.0,3.0,0.0,0.0,0.0,1.0,4.0,5.0,6.0,0.0,0.0,0.0,1.0"
 STATE_CSV = (
     "%time,field.header.seq,field.header.stamp,field.header.frame_id,field.name0,field.name1,field.position0,"
     "field.position1,field.velocity0,field.velocity1,field.effort0,field.effort1\n"
@@ -144,6 +152,7 @@ LOOKING = [
     Session("rostopic type /slide/command", "std_msgs/Float64\n"),
     Session("rostopic type /slide/pose/pose/position/x", "geometry_msgs/PoseStamped pose/position/x float64\n"),
     Session("rostopic type /slide/joint_states/position", "sensor_msgs/JointState position float64[]\n"),
+    Session("rostopic type '/slide/joint_states/position[0]'", "sensor_msgs/JointState position[0] float64\n"),
     Session("rostopic type /nope", "", "unknown topic type [/nope]\n", 1),
     Session("rostopic type /slide/position/nofield", "", "unknown topic type [/slide/position/nofield]\n", 1),
     Session(
@@ -161,6 +170,7 @@ LOOKING = [
     ),
     Session("rostopic type /slide/position | rosmsg show", "float64 data\n\n"),
     Session("rostopic find std_msgs/Bool", "\n"),
+    Session("rostopic find std_msgs/Float64", "/slide/command\n/slide/position\n"),
     Session("rostopic find geometry_msgs/PoseArray", "/slide/poses\n"),
     Session("rostopic find std_msgs/Nope", "\n"),
     Session("rostopic find garbage", "\n"),
@@ -187,6 +197,13 @@ ECHOED = [
     Session("rostopic echo -n 1 /slide/poses", POSES),
     Session("rostopic echo -n 1 /slide/pose", POSE),
     Session("rostopic echo -n 1 /slide/raw", "layout: \n  dim: []\n  data_offset: 0\ndata: [0, 65, 255]\n---\n"),
+    Session("rostopic echo -n 1 /slide/raw/data", "[0, 65, 255]\n---\n"),
+    Session("rostopic echo -n 1 '/slide/raw/data[1]'", "65\n---\n"),
+    Session(
+        "rostopic echo -n 1 /slide/description/data",
+        '"<robot name=\\"slide\\">\\n  <link name=\\"base\\"/>\\n</robot>"\n---\n',
+    ),
+    Session("rostopic echo -n 1 /slide/position/", "data: 0.0\n---\n"),
     Session("rostopic echo -n 2 /slide/position/data", "0.0\n---\n" * 2),
     Session("rostopic echo -n 1 /slide/joint_states/position", "[-0.009203153466526904, 0.25]\n---\n"),
     Session("rostopic echo -n 1 '/slide/joint_states/position[0]'", "-0.009203153466526904\n---\n"),
@@ -233,6 +250,7 @@ ECHOED = [
         "rostopic echo -p -n 1 /slide/pose",
         POSE_CSV + f"{TIME},1,{TIME},base,1.25,0.0,0.0,0.0,0.0,0.0,1.0\n",
     ),
+    Session("rostopic echo -p -n 1 /slide/poses", POSES_CSV + f"{TIME},1,{TIME},base,{VALUES_OF_POSES}\n"),
     Session("rostopic echo -p -n 1 -w 5 /slide/position", "%time,field.data\n1,0.0\n"),
     Session(
         "rostopic echo -n 1 --noarr /slide/joint_states",
@@ -254,11 +272,13 @@ ECHOED = [
     Session("rostopic echo -n 1 --noarr /slide/joint_states/position", '"<array type: float64, length: 2>"\n---\n'),
     Session("rostopic echo -n 1 -w 6 /slide/joint_states/velocity", "[-0.499, 0.0000]\n---\n"),
     Session("rostopic echo -n 1 -w 2 /slide/position", "data: 0.\n---\n"),
+    Session("rostopic echo -n 1 -w 6 /slide/pose/pose/position", "x: 1.2500\ny: 0.0000\nz: 0.0000\n---\n"),
     Session("rostopic echo -n 1 -c /slide/position", "\033[2J\033[;Hdata: 0.0\n---\n"),
     Session(
         "rostopic echo -n 1 --filter 'm.position[1] > 0.2' /slide/joint_states/position",
         "[-0.009203153466526904, 0.25]\n---\n",
     ),
+    Session("rostopic echo -n 1 --filter m.data==0 /slide/position", "data: 0.0\n---\n"),
     Session("rostopic echo -n 0 /slide/position"),
     Session("rostopic echo -n -1 /slide/position"),
     Session("rostopic echo -n 1 /slide/position __name:=fixed", "data: 0.0\n---\n"),
@@ -269,6 +289,14 @@ ECHOED = [
     usage("rostopic echo -n 1 -w x /slide/position", ECHO, "NUM_WIDTH must be an integer"),
     usage("rostopic echo -a /slide/position", ECHO, "Display all option is only valid when echoing from bag files"),
     usage("rostopic echo --offset -b x.bag /t", ECHO, "offset time option is not valid with bag files"),
+    Session(
+        'rostopic echo /slide/position > /dev/full; echo "rc $?"',
+        "rc 1\n",
+        "ERROR: cannot write the output: No space left on device\n",
+    ),
+    Session('rostopic list /slide | head -n 1; echo "${PIPESTATUS[@]}"', "/slide/command\n0 0\n"),
+    Session('rostopic echo /slide/position | grep -m1 data; echo "${PIPESTATUS[@]}"', "data: 0.0\n0 0\n"),
+    Session('rostopic hz /slide/pose | head -n 1; echo "${PIPESTATUS[@]}"', "subscribed to [/slide/pose]\n0 0\n"),
     Session("rostopic echo -b /nofile.bag /t", "", "ERROR: bag file [/nofile.bag] does not exist\n", 1),
 ]
 
@@ -313,6 +341,27 @@ def test_an_offset_is_counted_from_now(slide: SlideWorld) -> None:
     assert int(time) > 10**18  # the node's stamps are of a time that the simulation is not near to
 
 
+def test_an_offset_in_yaml_has_seconds_rounded_down(slide: SlideWorld) -> None:
+    done = slide("rostopic echo -n 1 --offset /slide/pose/header/stamp")
+    secs, nsecs = (int(line.partition(":")[2]) for line in done.stdout.splitlines()[1:3])
+    assert secs > 10**9
+    assert 0 <= nsecs < 10**9
+
+
+WAITING = [
+    ("/slide/command", ""),  # somebody subscribes, nobody publishes
+    ("//slide//position", "WARNING: topic [//slide//position] does not appear to be published yet\n"),
+    ("pos pos:=/slide/position", "WARNING: topic [/pos] does not appear to be published yet\n"),
+]
+
+
+@pytest.mark.parametrize(("words", "warning"), WAITING, ids=[words for words, _ in WAITING])
+def test_an_echo_that_nothing_comes_to_waits(slide: SlideWorld, words: str, warning: str) -> None:
+    done = slide.shell.slidectl("--timeout", "0.5", "ros", "rostopic", "echo", *words.split())
+    assert (done.stdout, done.returncode) == ("", 4)
+    assert done.stderr.startswith(warning)
+
+
 def test_a_wrong_field_or_index_is_said_once(slide: SlideWorld) -> None:
     done = slide("rostopic echo -n 1 /slide/joint_states/nofield")
     assert done.returncode == 1
@@ -320,8 +369,10 @@ def test_a_wrong_field_or_index_is_said_once(slide: SlideWorld) -> None:
     assert "position" in done.stderr
     done = slide("rostopic echo -n 1 '/slide/joint_states/position[7]'")
     assert (done.returncode, done.stderr.count("out of range")) == (1, 1)
-    assert slide("rostopic echo -n 1 '/slide/joint_states/position[x]'").returncode == 2
-    assert slide("rostopic echo -n 1 '/slide/joint_states/position[0'").returncode == 2
+    assert "fields: data" in slide("rostopic echo -n 1 /slide/position/nofield").stderr
+    for index in ("[x]", "[0", "[]"):
+        done = slide(f"rostopic echo -n 1 '/slide/joint_states/position{index}'")
+        assert (done.stdout, done.returncode, len(done.stderr.splitlines())) == ("", 2, 1)
 
 
 def test_a_filter_that_is_no_expression_is_refused_before_the_first_message(slide: SlideWorld) -> None:

@@ -35,6 +35,8 @@ SESSIONS = [
     Session("rosmsg show JointState", f"[sensor_msgs/JointState]:\n{JOINT_STATE}"),
     Session("rosmsg show Float64", "[std_msgs/Float64]:\nfloat64 data\n\n"),
     Session("rosmsg show geometry_msgs/Twist", TWIST),
+    Session("rosmsg show -r std_msgs/Header", "uint32 seq\ntime stamp\nstring frame_id\n\n"),
+    Session("rossrv show -r std_srvs/Trigger", "---\nbool success\nstring message\n\n"),
     Session("rosmsg info std_msgs/Bool", "bool data\n\n"),
     Session("rosmsg show", "float64 data\n\n", stdin="std_msgs/Float64\n"),
     Session("rosmsg md5 std_msgs/Float64", "fdb28210bfa9d7c91146260178d9a584\n"),
@@ -101,6 +103,14 @@ def test_packages_are_listed_on_one_line_or_each_on_its_own(shell: Shell) -> Non
     packages = shell.run("rosmsg packages -s").stdout.split()
     assert packages == shell.run("rosmsg packages").stdout.splitlines()
     assert {"std_msgs", "sensor_msgs", "controller_manager_msgs"} <= set(packages)
+
+
+@pytest.mark.parametrize("tool", ["rosmsg", "rossrv"])
+@pytest.mark.parametrize("verb", ["show", "info", "list", "md5", "package", "packages"])
+def test_every_verb_has_a_help(shell: Shell, tool: str, verb: str) -> None:
+    done = shell.run(f"{tool} {verb} -h")
+    assert (done.stderr, done.returncode) == ("", 0)
+    assert done.stdout.startswith(f"Usage: {tool} ")
 
 
 def test_without_a_verb(shell: Shell) -> None:

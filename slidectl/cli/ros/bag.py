@@ -5,11 +5,10 @@ Types are those that the bag itself carries. rosbags is imported when a bag is o
 
 from __future__ import annotations
 
-import os
 import re
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,22 +21,24 @@ from slidectl.cli.ros.failure import Failure
 from slidectl.cli.schema import TIMES, Field, Schema
 from slidectl.cli.stream import Event
 from slidectl.cli.target import splits
+from slidectl.errors import SlidectlError
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
     from rosbags.rosbag1 import Reader
 
 _SECTION = re.compile(r"^=+\s*\nMSG: *(\S+) *\n", re.MULTILINE)
-_NO_BAG = "This does not appear to be a bag file"
+_MAGIC = b"#ROSBAG V"
 
 
 class Bag:
-    """An open bag. Messages come out in the shape that they have on the wire."""
+    """An open bag. Messages come out in the shape that they have on the wire. What is damaged raises Failure."""
 
-    def __init__(self, reader: Reader) -> None:
+    def __init__(self, reader: Reader, trouble: str) -> None:
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
         self._reader = reader
+        self._trouble = trouble
         self._store = get_typestore(Stores.EMPTY)
         self.schemas: dict[str, Schema] = {}
         self.texts: dict[str, str] = {}
@@ -56,30 +57,53 @@ class Bag:
     def messages(self, topics: set[str]) -> Iterator[Event]:
         """The messages of these topics in the order of their recording; `time_ns` is when that was."""
         chosen = [connection for connection in self._reader.connections if connection.topic in topics]
-        for connection, time_ns, raw in self._reader.messages(connections=chosen):
-            schema = self.schemas[connection.topic]
-            message = self._store.deserialize_ros1(raw, connection.msgtype)
-            yield Event(connection.topic, _plain(schema, schema.root, message), time_ns)
+        with _understood(self._trouble):
+            for connection, time_ns, raw in self._reader.messages(connections=chosen):
+                schema = self.schemas[connection.topic]
+                message = self._store.deserialize_ros1(raw, connection.msgtype)
+                yield Event(connection.topic, _plain(schema, schema.root, message), time_ns)
 
     def times(self, topics: set[str]) -> list[int]:
         """When the messages of these topics were recorded, in ns."""
         chosen = [connection for connection in self._reader.connections if connection.topic in topics]
-        return [time_ns for _, time_ns, _ in self._reader.messages(connections=chosen)] if chosen else []
+        with _understood(self._trouble):
+            return [time_ns for _, time_ns, _ in self._reader.messages(connections=chosen)] if chosen else []
 
 
 @contextmanager
 def opened(path: str, trouble: str = "ERROR: unable to use bag file: ") -> Iterator[Bag]:
-    """The bag at `path`. Raises Failure (1) when there is none."""
-    from rosbags.rosbag1 import Reader, ReaderError
+    """The bag at `path`. Raises Failure (1) when there is none, or it is damaged."""
+    from rosbags.rosbag1 import Reader
 
-    if not os.path.exists(path):
-        raise Failure(f"ERROR: bag file [{path}] does not exist")
+    _check(path, trouble)
+    with ExitStack() as stack:
+        with _understood(trouble):
+            bag = Bag(stack.enter_context(Reader(Path(path))), trouble)
+        yield bag
+
+
+def _check(path: str, trouble: str) -> None:
     try:
-        with Reader(Path(path)) as reader:
-            yield Bag(reader)
-    except ReaderError as error:
-        text = str(error)
-        raise Failure(trouble + (_NO_BAG if "magic" in text or "File" in text else text)) from None
+        with open(path, "rb") as file:
+            start = file.read(len(_MAGIC))
+    except FileNotFoundError:
+        raise Failure(f"ERROR: bag file [{path}] does not exist") from None
+    except OSError as error:
+        raise Failure(f"{trouble}{error.strerror}") from None
+    if start != _MAGIC:
+        raise Failure(f"{trouble}This does not appear to be a bag file")
+
+
+@contextmanager
+def _understood(trouble: str) -> Iterator[None]:
+    """Raises Failure for whatever rosbags raises about bytes that are no bag, or a damaged one."""
+    try:
+        yield
+    except SlidectlError:
+        raise
+    except Exception as error:  # its classes for that are not alone: codecs, asserts and parsers join in
+        text = str(error).partition("\n")[0] or type(error).__name__
+        raise Failure(f"{trouble}it is damaged: {text}") from None
 
 
 def ros1_name(connection: Connection) -> str:

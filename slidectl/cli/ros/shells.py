@@ -23,7 +23,9 @@ _LIKE_BASH = ("sh", "dash", "ash", "ksh", "mksh")
     "ros-commands",
     examples=['eval "$(slidectl ros-commands)"', "slidectl ros-commands --shell fish | source"],
 )
-@click.option("--shell", type=click.Choice(SHELLS), help="For which shell; by default that of $SHELL.")
+@click.option(
+    "--shell", type=click.Choice(SHELLS), help="For which shell; by default the one that calls this, else $SHELL."
+)
 @click.pass_obj
 def ros_commands(ctx: Context, shell: str | None) -> None:
     """Print shell functions named as the ROS commands.
@@ -32,7 +34,17 @@ def ros_commands(ctx: Context, shell: str | None) -> None:
     starts. Each function calls 'slidectl ros NAME'; the daemon that --instance or --socket choose here is theirs.
     """
     prefix = " ".join(map(quote, _program(ctx)))
-    output.write(_fish(prefix) if (shell or _of_the_user()) == "fish" else _posix(prefix))
+    output.write(_fish(prefix) if (shell or _that_calls() or _of_the_user()) == "fish" else _posix(prefix))
+
+
+def _that_calls() -> str | None:
+    """The shell that has started this program, which need not be that of $SHELL; None when it was no shell."""
+    try:
+        with open(f"/proc/{os.getppid()}/comm", encoding="utf-8") as file:
+            name = file.read().strip()
+    except (OSError, UnicodeDecodeError):
+        return None
+    return name if name in SHELLS or name in _LIKE_BASH else None
 
 
 def _of_the_user() -> str:
@@ -56,20 +68,21 @@ def _program(ctx: Context) -> list[str]:
 
 
 # A function that runs in the background of a script is a shell of its own, which the script knows by $!. What is sent
-# to it must reach the command. bash ignores SIGQUIT in such a shell, which tells it from one in a pipe.
+# to it must reach the command. Shells ignore SIGQUIT in such a shell, which tells it from one in a pipe.
 _POSIX = """\
 _slidectl_ros() {{
   if ! _slidectl_is_job; then {prefix} ros "$@"; return; fi
-  local child= status=0
-  trap 'kill -INT "$child"' INT; trap 'kill -TERM "$child"' TERM
+  local child= code=0
+  trap 'kill -INT "$child" 2>/dev/null' INT; trap 'kill -TERM "$child" 2>/dev/null' TERM
   {prefix} ros "$@" <&0 &
   child=$!
-  while :; do wait "$child" && status=0 || status=$?; kill -0 "$child" 2>/dev/null || break; done
+  while :; do wait "$child" && code=0 || code=$?; kill -0 "$child" 2>/dev/null || break; done
   trap - INT TERM
-  return "$status"
+  return "$code"
 }}
 _slidectl_is_job() {{
-  [ "${{BASHPID:-$$}}" != "$$" ] && [ -r /proc/self/status ] || return 1
+  [ "${{BASHPID:-$$}}" != "$$" ] || [ "${{ZSH_SUBSHELL:-0}}" != 0 ] || return 1
+  [ -r /proc/self/status ] || return 1
   local key value
   while read -r key value; do
     case $key:$value in SigIgn::*[4567cdef]) return 0 ;; esac

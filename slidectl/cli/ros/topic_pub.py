@@ -47,7 +47,7 @@ _PARSER = Parser(
         Option(("-f", "--file"), "file", "messages from a YAML file", "FILE"),
         Option(("-l", "--latch"), "latch", "stay, with the message latched for those who subscribe later"),
         Option(("-s", "--substitute-keywords"), "renew", "with -r: 'now' and 'auto' anew in each message"),
-        Option(("--use-rostime",), "rostime", "no effect: the time is always the simulated one"),
+        Option(("--use-rostime",), "rostime", "no effect: stamps are always of the simulated time"),
     ],
     is_value=_is_value,
 )
@@ -197,8 +197,10 @@ class _Run:
             with open(given.file, encoding="utf-8") as file:
                 yield from [_spread(document) for document in yamltext.read_file(file) if document is not None]
         except (OSError, UnicodeDecodeError) as error:
-            missing = isinstance(error, FileNotFoundError)
-            raise Failure(f"ERROR: file does not exist: {given.file}" if missing else f"ERROR: {error}") from None
+            if isinstance(error, FileNotFoundError):
+                raise Failure(f"ERROR: file does not exist: {given.file}") from None
+            why = error.strerror if isinstance(error, OSError) else f"it is no text: {error}"
+            raise Failure(f"ERROR: cannot read {given.file}: {why}") from None
         except yamltext.NotYaml as error:
             what = "Invalid YAML" if given.file is None else "ERROR: invalid YAML in file"
             raise Failure(f"{what}: {error}") from None

@@ -21,7 +21,7 @@ def read(text: str) -> Any:
     try:
         return values.read(text)
     except SlidectlError as error:
-        raise NotYaml(_report(text) or str(error)) from None
+        raise NotYaml(_report(text.rstrip("\n")) or str(error)) from None
 
 
 def read_file(file: TextIO) -> list[Any]:
