@@ -1,11 +1,14 @@
 """slidectl: the ros_control and Gazebo tutorials without ROS and without Gazebo.
 
-The package's front door. `Client` is resolved on first use, so that importing the package costs nothing.
+The package's front door. `Client` is resolved on first use, so that importing the package costs nothing; not even
+typing is imported, so that a Ctrl-C in a command's first milliseconds finds somebody who takes it.
 """
 
 from __future__ import annotations
 
-from typing import Any
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
 
 __version__ = "0.1.0"
 __all__ = ["Client", "__version__"]

@@ -6,30 +6,57 @@ rest are imported inside the functions that need them.
 
 from __future__ import annotations
 
+import _signal  # type: ignore[import-not-found]  # what signal wraps into classes, which takes a millisecond
 import gc
 import os
 import sys
-from typing import NoReturn
+
+TYPE_CHECKING = False  # typing takes milliseconds in which nobody would take a Ctrl-C
+if TYPE_CHECKING:
+    from typing import NoReturn
 
 _INTERRUPTED = 130
+_MOMENT_S = 0.001
 # New objects between two looks for garbage: more than a short command makes (a tenth of its time went into looking),
 # and still few enough for one that follows a topic for days.
 _GARBAGE_THRESHOLD = 100_000
 
 
 def entry() -> NoReturn:
-    """Run the command line of this process and leave with its exit code."""
+    """Run the command line of this process and leave with its exit code. Of several Ctrl-C the first is enough."""
     code = _INTERRUPTED
+    try:
+        try:  # noqa: SIM105 (contextlib takes too long here)
+            code = _run()
+        except KeyboardInterrupt:
+            pass
+        _ignore_interrupts()
+    except KeyboardInterrupt:  # a second one, on the way to the line above
+        _ignore_interrupts()
+    leave(code)
+
+
+def _run() -> int:
     gc.set_threshold(_GARBAGE_THRESHOLD)
+    sys.unraisablehook = _unheard
     if None in (sys.stdin, sys.stdout, sys.stderr):
         _stand_in()
-    try:
-        from slidectl.cli.main import run
+    from slidectl.cli.main import run
 
-        code = run(sys.argv[1:])
-    except KeyboardInterrupt:
-        pass
-    leave(code)
+    return run(sys.argv[1:])
+
+
+def _unheard(unraisable: sys.UnraisableHookArgs) -> None:
+    """A Ctrl-C that came in a finalizer, where nobody can hear it: raise it again in a moment, elsewhere."""
+    if unraisable.exc_type is not KeyboardInterrupt:
+        sys.__unraisablehook__(unraisable)
+        return
+    _signal.signal(_signal.SIGALRM, _signal.default_int_handler)
+    _signal.setitimer(_signal.ITIMER_REAL, _MOMENT_S)
+
+
+def _ignore_interrupts() -> None:
+    _signal.signal(_signal.SIGINT, _signal.SIG_IGN)
 
 
 def _stand_in() -> None:

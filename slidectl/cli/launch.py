@@ -256,13 +256,18 @@ def _interrupted(number: int, was_up: bool) -> None:
         raise Refused(f"ended by {signal.Signals(number).name} before everything ran")
 
 
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
 def _tell_running(session: Session, title: str, detach: bool, background: Any) -> None:
     run = session.run
     status = run.call("/slidectl/status")
-    what = f"{len(session.begun)} nodes, {status['controllers_running']} controllers running"
+    what = f"{_count(len(session.begun), 'node')}, {_count(status['controllers_running'], 'controller')} running"
     end = "Ctrl-C ends it"
     if detach:
-        end = "slidectl daemon stop ends it" if background is None else f"its log is {background.log}"
+        end = "slidectl daemon stop ends it" if run.owns_daemon or background is None else f"kill {os.getpid()} ends it"
+        end += "" if background is None else f"; its log is {background.log}"
     run.console.step(
         "running", f"{title}: everything runs ({what}); {end}", files=run.plan.files, nodes=len(session.begun),
         controllers_running=status["controllers_running"],

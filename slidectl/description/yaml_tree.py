@@ -23,6 +23,7 @@ Pair = tuple[yaml.Node, yaml.Node]
 
 MOST_VALUES = 200_000
 DEEPEST = 60
+NO_MAPPING = "expected names with values, as `name: value`"
 
 _LOOKS_LIKE_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)[eE][+-]?\d+|[+-]?(inf|nan)", re.IGNORECASE)
 _MERGE = "tag:yaml.org,2002:merge"
@@ -101,7 +102,7 @@ class _Reader:
         tree: Tree = {}
         for node in self.nodes(text):
             if not isinstance(node, yaml.MappingNode):
-                raise self.error(node, "expected names with values, as `name: value`")
+                raise self.error(node, NO_MAPPING)
             document = self.mapping(node, 1)
             namespace = document.pop("_ns", "")
             merge(tree, nest(str(namespace), document))

@@ -16,7 +16,7 @@ from slidectl import paths
 from slidectl.description.models import read_file
 from slidectl.description.packages import Packages, UnknownPackage, is_file
 from slidectl.description.xml_tree import MOST_BYTES
-from slidectl.errors import BadFile, UnknownName, UsageError
+from slidectl.errors import BadFile, UnknownName, UsageError, listing
 
 if TYPE_CHECKING:
     from slidectl.launch.tag import Tag
@@ -76,7 +76,7 @@ def find(words: Sequence[str], packages: Packages) -> list[Source]:
             return [_source(path)]
     if len(words) == 2 and not is_file(Path(words[0])) and words[0] != "-":
         raise _neither(words[0], words[1], packages)
-    return [from_stdin() if word == "-" else _source(_single(word)) for word in words]
+    return [from_stdin() if word == "-" else _source(_single(word, packages)) for word in words]
 
 
 def _source(path: Path) -> Source:
@@ -105,11 +105,23 @@ def _neither(package: str, file: str, packages: Packages) -> Exception:
         folder = packages.find(package)
     except UnknownPackage as error:
         return error
-    known = sorted(path.name for path in _below(folder) if path.suffix == SUFFIX)
-    return UnknownName("launch file", file, known, f"in the package {package} ({shown(folder)})")
+    return UnknownName("launch file", file, _launch_files(folder), f"in the package {package} ({shown(folder)})")
 
 
-def _single(word: str) -> Path:
+def _which_of(package: str, packages: Packages) -> UsageError:
+    """What a package alone gets as an answer."""
+    known = _launch_files(packages.find(package))
+    return UsageError(
+        f"{package!r} is a package: which launch file of it?",
+        f"launch files: {listing(known)}\nslidectl launch {package} {known[0] if known else 'FILE'}",
+    )
+
+
+def _launch_files(folder: Path) -> list[str]:
+    return sorted(path.name for path in _below(folder) if path.suffix == SUFFIX)
+
+
+def _single(word: str, packages: Packages) -> Path:
     """A file, else a shipped launch file by its name, else the only one of a shipped package."""
     path = Path(os.path.expanduser(word))
     if is_file(path):
@@ -117,6 +129,8 @@ def _single(word: str) -> Path:
     known = shipped()
     if word in known:
         return known[word]
+    if next(packages.candidates(word), None) is not None:
+        raise _which_of(word, packages)
     if "/" in word or word.endswith((SUFFIX, ".xml")):
         raise BadFile("no such launch file", word, hint=f"shipped ones: {', '.join(sorted(known))}")
     raise UnknownName("shipped launch file", word, sorted(known), "(and no file of that name here)")

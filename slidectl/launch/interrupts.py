@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any
 
+_MOMENT_S = 0.001
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -33,15 +35,18 @@ class Interrupts:
         self._previous: dict[int, Any] = {}
         self._read, self._write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         self._previous_wakeup = -1
+        self._previous_hook: Any = None
 
     def __enter__(self) -> Interrupts:
         self._previous_wakeup = signal.set_wakeup_fd(self._write, warn_on_full_buffer=False)
+        self._previous_hook, sys.unraisablehook = sys.unraisablehook, self._unheard
         self._previous = {number: signal.signal(number, self._take) for number in SIGNALS}
         return self
 
     def __exit__(self, *_: object) -> None:
         for number, handler in self._previous.items():
             signal.signal(number, handler)
+        sys.unraisablehook = self._previous_hook
         signal.set_wakeup_fd(self._previous_wakeup)
         os.close(self._read)
         os.close(self._write)
@@ -79,6 +84,15 @@ class Interrupts:
         for number in SIGNALS:
             signal.signal(number, signal.SIG_IGN)
         self._previous.clear()
+
+    def _unheard(self, unraisable: sys.UnraisableHookArgs) -> None:
+        """It was raised in a finalizer, where nobody can hear it: raise it again in a moment, elsewhere."""
+        if unraisable.exc_type is not Interrupted:
+            self._previous_hook(unraisable)
+            return
+        self._raised = False
+        signal.signal(signal.SIGALRM, lambda *_: self.check())
+        signal.setitimer(signal.ITIMER_REAL, _MOMENT_S)
 
     def _take(self, number: int, _frame: FrameType | None) -> None:
         self.received.append(number)

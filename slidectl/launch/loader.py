@@ -89,7 +89,7 @@ def _contents(parent: Tag) -> None:
 def _arg(tag: Tag) -> None:
     tag.knows(["name", "value", "default", "doc"])
     scope, name = tag.scope, tag.required("name")
-    if name in scope.declared:
+    if name in scope.arguments:
         raise tag.error(f"the argument {name!r} is declared twice")
     value, default = _value_or_default(tag)
     if value is not None and name in scope.given and not scope.lenient:

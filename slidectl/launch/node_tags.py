@@ -136,13 +136,17 @@ def _inside(tag: Tag, scope: Scope, full_name: str) -> None:
 
 
 def with_remap(remaps: tuple[Remap, ...], tag: Tag) -> tuple[Remap, ...]:
-    """The remaps with that of a `<remap>` at the end, in the place of an earlier one of the same name."""
+    """The remaps with what a `<remap>` says: of several for one name the last counts. Raises BadFile."""
     tag.knows(["from", "to"])
-    source, target = (tag.required(attribute) for attribute in ("from", "to"))
-    for name in (source, target):
-        if not names.is_legal(re.sub("//+", "/", name).rstrip("/") or "/"):
-            raise tag.error(f"{name!r} is not a legal name", "names are letters, digits, '_' and '/'")
+    source, target = _remapped(tag, "from"), _remapped(tag, "to")
     return (*(remap for remap in remaps if remap.source != source), Remap(source, target, tag.place))
+
+
+def _remapped(tag: Tag, attribute: str) -> str:
+    name = tag.required(attribute)
+    if not names.is_legal(re.sub("//+", "/", name).rstrip("/") or "/"):
+        raise tag.error(f"{attribute}: {name!r} is not a legal name", "names are letters, digits, '_' and '/'")
+    return name
 
 
 def environment_of(tag: Tag) -> tuple[str, str]:

@@ -48,7 +48,7 @@ def _setting(tag: Tag) -> Setting:
         raise tag.error(f"the type {kind!r} is none of {', '.join(TYPES)}")
     given = [source for source in SOURCES if tag.element.get(source) is not None]
     if len(given) != 1:
-        found = f"not {len(given)} of them" if given else "and none is there"
+        found = f"not {len(given)} of them" if given else f"and none is there{tag.slip(SOURCES)}"
         raise tag.error(f"{name} needs exactly one of {', '.join(SOURCES)}, {found}")
     compute, runs = _source(tag, given[0], kind)
     file = tag.required(given[0]) if given[0] in ("textfile", "binfile") else ""
@@ -111,10 +111,10 @@ def rosparam(tag: Tag, private: str | None = None) -> None:
     if verb == "load":
         _load(tag, namespace)
     elif verb == "delete":
+        if namespace == "/":
+            raise tag.error("delete needs a param or an ns: this would delete all parameters there are")
         if tag.element.get("file") is not None:
-            raise tag.error("delete takes no file")
-        if not (tag.get("param") or tag.get("ns")):
-            raise tag.error("delete needs a param or an ns")
+            raise tag.error("delete takes no file", "param= and ns= say what is deleted")
         tag.plan.commands.append(RosparamCommand("delete", namespace, "", tag.place))
     else:
         tag.plan.commands.append(RosparamCommand("dump", namespace, tag.required("file"), tag.place))
@@ -131,10 +131,7 @@ def _load(tag: Tag, name: str) -> None:
     def compute() -> Any:
         text = _text(tag, file) if file else tag.text
         text = text if substitution is None else _substituted(tag, text, substitution)
-        value = _yaml(tag, text if file else "\n" * (tag.element.line - 1) + text, file)
-        if value is not None and not isinstance(value, dict) and (name == "/" or not tag.get("param")):
-            raise tag.error("expected names with values, as `name: value`", "param= names a single value")
-        return value
+        return _yaml(tag, text if file else "\n" * (tag.element.line - 1) + text, file, name)
 
     tag.plan.settings.append(Setting(name, tag.place, "file" if file else "yaml", compute, source=file or ""))
 
@@ -146,11 +143,13 @@ def _substituted(tag: Tag, text: str, substitution: Substitution) -> str:
         raise tag.error(error.message, error.hint) from None
 
 
-def _yaml(tag: Tag, text: str, file: str | None) -> Any:
+def _yaml(tag: Tag, text: str, file: str | None, name: str) -> Any:
     """The tree or the single value; None when there is nothing."""
     from slidectl.description import yaml_tree  # takes as long to import as all of this room
 
     value = yaml_tree.read_rosparam(text, shown(file) if file else tag.place.file, tag.plan.notices)
+    if value is not None and not isinstance(value, dict) and (name == "/" or not tag.get("param")):
+        raise tag.error(yaml_tree.NO_MAPPING, "a list or a single value needs param=NAME")
     if value is None or value == {}:
         tag.notice("wrong", "holds no parameters")
     return value

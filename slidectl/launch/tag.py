@@ -70,8 +70,15 @@ class Tag:
         value = self.get(attribute)
         if value is None or not value.strip():
             there = "is empty" if value is not None else "is missing"
-            raise self.error(f"the attribute {attribute!r} {there}")
+            raise self.error(f"the attribute {attribute!r} {there}{self.slip([attribute])}")
         return value
+
+    def slip(self, missing: Collection[str]) -> str:
+        """` (...)` about an attribute that is there and looks like one of those that are not; else nothing."""
+        for name in self.element.attributes:
+            if name not in (*missing, *CONDITIONS) and (near := closest(name, missing)):
+                return f" ({name!r} is there: did you mean {near!r}?)"
+        return ""
 
     def words(self, attribute: str) -> list[str]:
         """The attribute taken apart as a shell would do it. Raises BadFile."""

@@ -9,6 +9,7 @@ import math
 from typing import Any
 
 TYPES = ("auto", "str", "string", "int", "double", "bool", "boolean", "yaml")
+_NUMBERS: dict[str, type[int] | type[float]] = {"int": int, "double": float}
 _BOOLEANS = {"true": True, "1": True, "false": False, "0": False}
 
 
@@ -47,10 +48,8 @@ def convert(text: str, type_name: str, file: str) -> Any:
     """
     if type_name == "auto":
         return _finite(automatic(text))
-    if type_name == "int":
-        return int(text)
-    if type_name == "double":
-        return _finite(float(text))
+    if type_name in _NUMBERS:
+        return _finite(_number(_NUMBERS[type_name], text))
     if type_name in ("bool", "boolean"):
         return boolean(text)
     if type_name == "yaml":
@@ -58,6 +57,13 @@ def convert(text: str, type_name: str, file: str) -> Any:
 
         return read_value(text, file, angles=False)
     return text
+
+
+def _number(kind: type[int] | type[float], text: str) -> int | float:
+    try:
+        return kind(text)
+    except ValueError:
+        raise ValueError(repr(text)) from None
 
 
 def _finite(value: Any) -> Any:

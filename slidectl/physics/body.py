@@ -64,7 +64,7 @@ class Body:
         self.links: dict[str, int] = {}
         """Link name to MuJoCo's body id."""
         self.joints: dict[str, JointPlace] = {}
-        """Revolute, continuous and prismatic joints by name, in the order of the file."""
+        """Revolute, continuous and prismatic joints by name, in the order of the file; another dict when they moved."""
         self.weights: Weights | None = None
         """Set once, when the robot is attached."""
         self._model: Any = None
@@ -97,6 +97,10 @@ class Body:
         """The robot's part of qpos."""
         return self._slices["qpos"]
 
+    def part(self, kind: str) -> slice:
+        """The robot's part of arrays over all `qpos`, `dof`, `body` or `tie` (equality constraints)."""
+        return self._slices[kind]
+
     def link_id(self, link: str) -> int:
         """MuJoCo's body id. Raises UnknownName."""
         try:
@@ -112,7 +116,7 @@ class Body:
             raise UnknownName("moving joint", joint, list(self.joints), f"on robot {self.name!r}") from None
 
     def on_rebound(self, callback: Callable[[], None]) -> None:
-        """Call back after every rebuild of the model, when all indices may have changed."""
+        """Call back after every rebuild of the model: the data is another one, and `joints` if places changed."""
         self._rebound.append(callback)
 
     def bind(self, model: Any, data: Any) -> None:
@@ -131,10 +135,8 @@ class Body:
         self._put_weights(self.weights)
 
     def follow(self, model: Any, data: Any) -> None:
-        """Go on in a model in which others only came behind this robot: its places are the same."""
+        """Go on in a model in which others came or went behind this robot only: its places are the same."""
         self._model, self._data = model, data
-        if self.weights is not None:
-            self._put_weights(self.weights)
 
     def _put_weights(self, weights: Weights) -> None:
         self._model.body_invweight0[self._slices["body"]] = weights.bodies

@@ -1,6 +1,6 @@
 """From robots to a MuJoCo model: the options that every world has, the ground, and errors that name the robot.
 
-Robots are added to a specification; one that leaves is left out of a new one, so it cannot leave anything behind.
+Robots are added to a specification and taken out of it, so that neither costs the building of all others.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from slidectl.physics import engine
 from slidectl.physics.body import Body
 from slidectl.physics.builder import RobotBuilder
 from slidectl.physics.rotation import Vector
+from slidectl.physics.solids import mesh_names
 
 GROUND = "ground_plane"
 
@@ -41,7 +42,7 @@ class Settings:
 
 
 class WorldSpec:
-    """The specification of a world with these robots, to which more can be added. After an error it is of no use."""
+    """The specification of a world with these robots; more can be added. After an error it is of no use."""
 
     def __init__(self, settings: Settings, bodies: Iterable[Body] = ()) -> None:
         """Raises as `add` does."""
@@ -53,6 +54,12 @@ class WorldSpec:
     def add(self, body: Body) -> None:
         """One more robot, behind the others. Raises BadInertia, BadJoint, BadShape."""
         RobotBuilder(self._spec, body.robot, body.name).build(body.spawn_pose)
+
+    def remove(self, body: Body) -> None:
+        """Take a robot out, without a trace. What names its parts (excludes, mimic joints) goes with them."""
+        self._spec.delete(self._spec.body(f"{body.name}/{body.robot.root}"))
+        for mesh in mesh_names(body.robot, body.name):
+            self._spec.delete(self._spec.mesh(mesh))
 
     def compile(self, newest: str = "") -> Any:
         """The MjModel. Raises BadModel about a robot; `newest` is named when MuJoCo does not say which."""

@@ -17,11 +17,13 @@ from slidectl.description.robot import Robot
 from slidectl.errors import Refused, UnknownName
 from slidectl.physics import engine
 from slidectl.physics.body import Body
+from slidectl.physics.carrying import carry_over
 from slidectl.physics.compiler import Settings, WorldSpec
 from slidectl.physics.divergence import check_divergence
 from slidectl.physics.loads import Loads
 from slidectl.physics.observer import Observer
 from slidectl.physics.rotation import ORIGIN, Pose, Vector, normalized
+from slidectl.physics.views import Views
 
 GRAVITY: Vector = (0.0, 0.0, -9.8)
 """m/s², the default of SDF and so of Gazebo."""
@@ -75,7 +77,7 @@ class WorldCore:
             model = self._compile_with(body)
         else:
             self._spec = spec
-        self._rebuild({**self._bodies, name: body}, model, body)
+        self._rebuild({**self._bodies, name: body}, model)
         return body
 
     def _compile_with(self, newcomer: Body) -> Any:
@@ -91,8 +93,14 @@ class WorldCore:
         gone = self.body(name)
         self.loads.forget(gone)
         bodies = {key: body for key, body in self._bodies.items() if body is not gone}
-        self._spec = WorldSpec(self._settings, bodies.values())
-        self._rebuild(bodies, self._spec.compile())
+        spec, self._spec = self._spec, None
+        if spec is not None:
+            spec.remove(gone)
+        else:
+            spec = WorldSpec(self._settings, bodies.values())
+        model = spec.compile()
+        self._spec = spec
+        self._rebuild(bodies, model, gone)
 
     def names(self) -> list[str]:
         """The robots in the order of their coming."""
@@ -109,19 +117,19 @@ class WorldCore:
         """Call back whenever `model`, `data` or `step` were replaced."""
         self._listeners.append(callback)
 
-    def _rebuild(self, bodies: dict[str, Body], model: Any, newcomer: Body | None = None) -> None:
-        """Go on with these robots, whose model it is; `newcomer` is the last of them when the others were there."""
-        states = {name: body.capture() for name, body in self._bodies.items() if name in bodies}
+    def _rebuild(self, bodies: dict[str, Body], model: Any, gone: Body | None = None) -> None:
+        """Go on with these robots, whose model it is: those that were there, without `gone`, then a newcomer."""
+        before, old_model, old_data = list(self._bodies), self.model, self.data
+        unmoved = before.index(gone.name) if gone is not None else len(before)
         self._bodies = bodies
-        self._install(model, self.data.time)
-        for name, body in bodies.items():
-            if newcomer in (None, body):
-                body.bind(model, self.data)
-            else:
+        self._install(model, old_data.time)
+        carry_over(old_model, old_data, model, self.data, gone)
+        for place, (name, body) in enumerate(bodies.items()):
+            if place < unmoved:
                 body.follow(model, self.data)
-            if name in states:
-                body.put(states[name])
             else:
+                body.bind(model, self.data)
+            if name not in before:
                 body.put_at_spawn()
         for body in bodies.values():
             body.announce()
@@ -135,6 +143,7 @@ class WorldCore:
     def _install(self, model: Any, time: float) -> None:
         self.model, self.data = model, mujoco.MjData(model)
         self.data.time = time
+        self.views = Views.of(self.data)
         self._observer = Observer(model, self.data)
         self._advance = partial(mujoco.mj_step, model, self.data)
         self.step = self._advance if self.loads.is_empty else self._step_with_loads

@@ -20,11 +20,10 @@ from slidectl.control.limits import LimitHandle, in_order
 from slidectl.control.node import NodeHandle
 from slidectl.control.robot_hw import RobotHW
 from slidectl.description.robot import Robot
-from slidectl.physics.body import Body
+from slidectl.physics.body import Body, JointPlace
 from slidectl.physics.drives import Drive, drive_for
 from slidectl.physics.effort import EffortTruncation, truncated
 from slidectl.physics.hw_joint import HardwareJoint, hardware_joints
-from slidectl.physics.views import Views
 from slidectl.physics.world import World
 
 _COMMANDS: tuple[type[JointCommandInterface], ...] = (
@@ -65,7 +64,7 @@ class MujocoRobotHW(RobotHW):
         self.robot = robot
         self._world = world
         self._body = body
-        self._views = Views()
+        self._places: dict[str, JointPlace] = {}
         self._joints = hardware_joints(body)
         node = node if node.namespace == namespace else node.child(namespace)
         self._register(node)
@@ -177,10 +176,14 @@ class MujocoRobotHW(RobotHW):
         return alone and joint.interface is EffortJointInterface
 
     def _bind(self) -> None:
-        """Find the joints in the rebuilt model."""
-        self._views.take(self._world.data)
-        self._qpos, self._qvel, self._forces = self._views.qpos, self._views.qvel, self._views.forces
+        """The model was rebuilt: look at its new data, and find the joints if they have moved."""
+        self._qpos, self._qvel, self._forces = self._world.views
         self._outside = self._world.loads.efforts
+        if self._places is not self._body.joints:
+            self._places = self._body.joints
+            self._find_joints()
+
+    def _find_joints(self) -> None:
         self._driven = tuple({self._body.place(drive.joint.name).dof for drive in self._drives})
         sliding: list[_Measured] = []
         turning: list[_Measured] = []

@@ -11,7 +11,7 @@ from typing import Any
 
 import mujoco
 
-from slidectl.description.robot import Box, Cylinder, Link, Mesh, Shape, Sphere, Surface
+from slidectl.description.robot import Box, Cylinder, Link, Mesh, Robot, Shape, Sphere, Surface
 from slidectl.errors import SlidectlError
 from slidectl.physics.parts import BadPart, place
 from slidectl.physics.rotation import from_rpy, wxyz
@@ -38,13 +38,23 @@ def put_shapes(spec: Any, body: Any, robot: str, link: Link) -> None:
         BadShape: a size that is not positive, or a mesh that cannot be read.
     """
     for number, shape in enumerate(link.collisions):
-        geom = body.add_geom(name=f"{robot}/{link.name}/{number}", pos=shape.origin.xyz)
+        geom = body.add_geom(name=_geom_name(robot, link, number), pos=shape.origin.xyz)
         geom.quat = wxyz(from_rpy(shape.origin.rpy))
         geom.friction[0] = sliding_friction(link.surface)
         if isinstance(shape.geometry, Mesh):
             _put_mesh(spec, geom, robot, link, shape)
         else:
             geom.type, geom.size = _primitive(robot, link, shape)
+
+
+def mesh_names(robot: Robot, name: str) -> list[str]:
+    """The meshes that `put_shapes` adds to the specification itself, for a robot of this name."""
+    shapes = ((link, number, shape) for link in robot.links.values() for number, shape in enumerate(link.collisions))
+    return [_geom_name(name, link, number) for link, number, shape in shapes if isinstance(shape.geometry, Mesh)]
+
+
+def _geom_name(robot: str, link: Link, number: int) -> str:
+    return f"{robot}/{link.name}/{number}"
 
 
 def sliding_friction(surface: Surface) -> float:

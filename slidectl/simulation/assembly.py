@@ -24,7 +24,7 @@ from slidectl.simulation.manager_services import ManagerServices
 from slidectl.simulation.node import GraphNode
 
 if TYPE_CHECKING:
-    from slidectl.simulation.compiled.tables import Seat
+    from slidectl.simulation.compiled.seat import Seat
 
 Pose = tuple[tuple[float, float, float], tuple[float, float, float, float]]
 """Position in m, and quaternion x y z w."""

@@ -46,7 +46,7 @@ class Loop:
         self.robots = robots
         self._cycles = tuple(robot.parts.cycle.run for robot in robots)
         if self.engine.cycles is not None:
-            self.engine.cycles.forget(robots)
+            self.engine.cycles.take_robots(robots)
             for robot in robots:
                 robot.watch_entries(partial(self.engine.cycles.release, robot))
 
@@ -54,7 +54,7 @@ class Loop:
         if self.world.data is not self._data:
             self._data = self.world.data
             if self.engine.cycles is not None:
-                self.engine.cycles.forget(self.robots)
+                self.engine.cycles.follow_world()
 
     @property
     def stands_still(self) -> bool:

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 from cli_ros_world import Shell
 from command_line import CommandLine
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from slidectl.cli.ros.bag import opened
+from slidectl.cli.ros.failure import Failure
 
 START_NS = 1795220735364070652
 STAMP_NS = 1795220735363786220
@@ -56,6 +62,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         foo = types["my_pkg/msg/Foo"](np.array([0, 255], np.uint8), True, [types["geometry_msgs/msg/Point"](1, 2, 3)])
         bag.write(foos, START_NS + 10**9, store.serialize_ros1(foo, "my_pkg/msg/Foo"))
     (folder / "no.bag").write_text("no bag at all\n")
+    (folder / "binary.bag").write_bytes(bytes(range(255, 0, -1)) * 10)
+    for compression in Writer.CompressionFormat:
+        writer = Writer(folder / f"{compression.name}.bag")
+        writer.set_compression(compression)
+        with writer as bag:
+            texts = bag.add_connection("/text", "std_msgs/msg/String", typestore=store)
+            text = types["std_msgs/msg/String"]("packed" * 10)
+            bag.write(texts, START_NS, store.serialize_ros1(text, "std_msgs/msg/String"))
     (folder / "cut.bag").write_bytes((folder / "run.bag").read_bytes()[:900])
     return folder
 
@@ -106,9 +120,21 @@ def test_the_bag_brings_its_types_along(shell: Shell, folder: Path) -> None:
     )
 
 
+@pytest.mark.parametrize("compression", ["BZ2", "LZ4"])
+def test_compressed_bags_are_read_too(shell: Shell, folder: Path, compression: str) -> None:
+    text = typed(shell, folder, f"rostopic echo -b {compression}.bag /text")
+    assert text == f'data: "{"packed" * 10}"\n---\n'
+
+
 BROKEN = [
     ("rostopic echo -b nofile.bag /t", "ERROR: bag file [nofile.bag] does not exist\n"),
     ("rostopic echo -b no.bag /t", "ERROR: unable to use bag file: This does not appear to be a bag file\n"),
+    (
+        "rostopic echo -b binary.bag -a",
+        "ERROR: unable to use bag file: This does not appear to be a bag file\n",
+    ),
+    ("rostopic echo -b . -a", "ERROR: unable to use bag file: Is a directory\n"),
+    ("rosmsg show -b no.bag a/B", "ERROR: unable to use bag file: This does not appear to be a bag file\n"),
     ("rostopic list -b no.bag", "ERROR: unable to use bag file: This does not appear to be a bag file\n"),
     (
         "rostopic echo -b run.bag /nope",
@@ -130,3 +156,15 @@ def test_a_bag_that_is_cut_off_is_no_fault_of_ours(shell: Shell, folder: Path) -
         assert done.returncode == 1
         assert done.stderr.startswith("ERROR: unable to use bag file: ")
         assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize("name", ["run", "BZ2", "LZ4"])
+@given(data=st.data())
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_a_damaged_bag_is_read_or_refused(folder: Path, tmp_path: Path, name: str, data: st.DataObject) -> None:
+    whole = bytearray((folder / f"{name}.bag").read_bytes())
+    for _ in range(data.draw(st.integers(1, 5))):
+        whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
+    (tmp_path / "damaged.bag").write_bytes(whole)
+    with suppress(Failure), opened(str(tmp_path / "damaged.bag")) as bag:
+        assert all(event.topic in bag.topics for event in bag.messages(set(bag.topics)))

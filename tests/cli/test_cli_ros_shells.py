@@ -2,17 +2,43 @@
 
 from __future__ import annotations
 
+import os
+import select
 import shutil
 import subprocess
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from cli_ros_world import Shell
-from command_line import CommandLine
+from command_line import CommandLine, Done
 from daemon_fixture import running_daemon
 
 from slidectl.cli.ros.command import TOOLS
+
+CTRL_C = "\x03"
+PATIENCE_S = 30.0
+
+
+def typed_at_a_terminal(argv: list[str], steps: list[tuple[str, str]], environment: dict[str, str]) -> None:
+    """Types each text (a line, or Ctrl-C) and waits until the shell has shown what follows it."""
+    program, terminal = os.forkpty()
+    if program == 0:
+        os.execvpe(argv[0], argv, {**environment, "TERM": "dumb"})
+    try:
+        for text, awaited in steps:
+            os.write(terminal, (text if text == CTRL_C else text + "\n").encode())
+            shown = ""
+            while awaited not in shown:
+                assert select.select([terminal], [], [], PATIENCE_S)[0], f"no {awaited!r} came after {text!r}: {shown}"
+                shown += os.read(terminal, 65536).decode(errors="replace")
+        with suppress(OSError):  # the shell has ended
+            while os.read(terminal, 65536):
+                pass
+    finally:
+        os.close(terminal)
+        os.waitpid(program, 0)
 
 
 @pytest.fixture(scope="module")
@@ -87,15 +113,105 @@ def test_the_shell_is_that_of_the_user(nobody: CommandLine) -> None:
     assert "tcsh" in done.stderr
 
 
-@pytest.mark.parametrize("name", ["dash", "zsh", "fish"])
-def test_the_text_is_valid_in_other_shells(nobody: CommandLine, name: str) -> None:
-    if shutil.which(name) is None:
-        pytest.skip(f"{name} is not installed")
-    text = nobody.ok("ros-commands", "--shell", name if name != "dash" else "bash")
-    line = f"{text}\nrosparam; rosparam bogus >/dev/null"
-    done = subprocess.run([name, "-c", line], capture_output=True, text=True, env=nobody.environment, check=False)
-    assert (done.stderr, done.returncode) == ("", 0)
-    assert "rosparam get" in done.stdout
+EVAL = {
+    "bash": 'eval "$({slidectl} ros-commands)"',
+    "zsh": 'eval "$({slidectl} ros-commands)"',
+    "dash": 'eval "$({slidectl} ros-commands)"',
+    "fish": "{slidectl} ros-commands | source",
+}
+PLAIN = {"bash": ["--norc"], "zsh": ["-f"], "dash": [], "fish": ["--no-config"]}
+
+
+class OtherShell:
+    """A shell of that name, with the ROS commands defined as its users define them."""
+
+    def __init__(self, name: str, slidectl: CommandLine) -> None:
+        self.name = name
+        self.environment = {**slidectl.environment, "SHELL": "/bin/false"}
+        self.begin = EVAL[name].format(slidectl=" ".join(slidectl.argv()))
+
+    def __call__(self, script: str, stdin: str = "") -> Done:
+        return subprocess.run(
+            [self.name, *PLAIN[self.name], "-c", f"{self.begin}\n{script}"],
+            input=stdin,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            env=self.environment,
+            check=False,
+        )
+
+    @property
+    def code(self) -> str:
+        """The variable with the exit code."""
+        return "$status" if self.name == "fish" else "$?"
+
+
+@pytest.fixture(params=EVAL)
+def any_shell(request: pytest.FixtureRequest, shell: Shell) -> OtherShell:
+    if shutil.which(request.param) is None:
+        pytest.skip(f"{request.param} is not installed")
+    return OtherShell(request.param, shell.slidectl)
+
+
+WORDS = [
+    ("rosparam set /w \"name: 'x'\"; rosparam get /w", "name: x\n\n"),
+    ("rosparam set /w '{a: [b, c d], e: \"\"}'; rosparam get /w/a", "- b\n- c d\n\n"),
+    ("rosparam set /w ''; rosparam get /w", "''\n\n"),
+    ("rosparam set /w 'two  words, * and $HOME \\n'; rosparam get -p /w", "two  words, * and $HOME \\n\n"),
+    ("rosparam set /w -0.5; rosparam get /w", "-0.5\n"),
+    ("rosparam set -- /w -1; rosparam get -v /w", "getting parameter [/w]\n-1\n"),
+    ("rosparam set /w 'grün ☃'; rosparam get -p /w", "grün ☃\n"),
+    ("rostopic type /clock | rosmsg show", "time clock\n\n"),
+    ("rostopic list | head -1", "/clock\n"),
+    ("rosservice call /gazebo/get_physics_properties '{}' | head -1", "time_step: 0.001\n"),
+]
+
+
+@pytest.mark.parametrize(("line", "printed"), WORDS, ids=[line for line, _ in WORDS])
+def test_words_and_pipes_are_the_same_in_every_shell(any_shell: OtherShell, line: str, printed: str) -> None:
+    done = any_shell(line)
+    assert (done.stdout, done.stderr, done.returncode) == (printed, "", 0)
+
+
+def test_exit_codes_are_the_same_in_every_shell(any_shell: OtherShell) -> None:
+    lines = (
+        "rostopic type /clock",
+        "rostopic info /nope",
+        "rostopic info",
+        "rostopic",
+        "rosrun nopkg x",
+        "rosrun tf x",
+    )
+    done = any_shell("\n".join(f'{line} >/dev/null 2>&1; echo "{any_shell.code}"' for line in lines))
+    assert done.stdout.split() == ["0", "1", "2", "64", "2", "3"]
+
+
+def test_standard_input_reaches_the_command_in_every_shell(any_shell: OtherShell) -> None:
+    assert any_shell("rosparam load - /piped; rosparam get /piped/k", stdin="k: 1\n").stdout == "1\n"
+
+
+def test_ctrl_c_ends_a_command_in_every_shell(any_shell: OtherShell) -> None:
+    """Typed at a terminal, which is where a shell says how a command has ended."""
+    steps = [
+        (any_shell.begin, ""),
+        (f'rostopic echo /rosout; echo "the code is" {any_shell.code}', "is paused"),
+        (CTRL_C, "the code is 130"),
+        ("exit", ""),
+    ]
+    typed_at_a_terminal([any_shell.name, *PLAIN[any_shell.name], "-i"], steps, any_shell.environment)
+
+
+@pytest.mark.parametrize(("number", "code"), [("INT", 130), ("TERM", 143)])
+def test_a_signal_reaches_a_background_job_of_a_zsh_script(shell: Shell, number: str, code: int) -> None:
+    if shutil.which("zsh") is None:
+        pytest.skip("zsh is not installed")
+    done = OtherShell("zsh", shell.slidectl)(
+        'mkfifo "$XDG_RUNTIME_DIR/zlines"; rostopic echo /rosout >"$XDG_RUNTIME_DIR/zlines" 2>&1 & job=$!\n'
+        'exec 3<"$XDG_RUNTIME_DIR/zlines"; rm "$XDG_RUNTIME_DIR/zlines"; read -r line <&3; echo "$line"\n'
+        f'kill -{number} "$job"; wait "$job"; echo "code $?"; rosnode list | grep slidectl_'
+    )
+    assert done.stdout.splitlines()[1:] == [f"code {code}"]
 
 
 def test_a_tool_that_there_is_not(nobody: CommandLine) -> None:

@@ -34,6 +34,13 @@ def test_a_file_a_package_and_its_file_and_a_shipped_name(workspace: Workspace) 
     assert found(workspace, str(path), "demo/launch/a.launch") == [path, path]
 
 
+def test_a_package_alone_is_answered_with_its_launch_files(workspace: Workspace) -> None:
+    workspace.launch_file("", "arm.launch")
+    with pytest.raises(UsageError) as caught:
+        found(workspace, "demo")
+    assert caught.value.hint == "launch files: arm.launch\nslidectl launch demo arm.launch"
+
+
 def test_a_file_is_found_wherever_it_is_in_its_package(workspace: Workspace) -> None:
     deep = workspace.write("some/where/b.launch", "<launch/>")
     assert found(workspace, "demo", "b.launch") == [deep]
@@ -63,7 +70,7 @@ def test_a_package_of_the_users_goes_before_one_that_is_shipped(workspace: Works
         (["nopkg", "x.launch"], UnknownPackage, "no package 'nopkg'"),
         (["demo", "b.launch"], UnknownName, r"no launch file 'b.launch' in the package demo \(demo\)"),
         (["-", "-"], UsageError, "can be read only once"),
-        (["demo"], UnknownName, "no shipped launch file 'demo'"),
+        (["demo"], UsageError, "'demo' is a package: which launch file of it"),
     ],
 )
 def test_words_that_mean_nothing_are_an_error_that_says_what_there_is(

@@ -279,3 +279,28 @@ def test_a_fault_in_the_model_has_the_models_place_and_an_unused_argument_is_poi
     )
     plan.parameters()
     assert "colour:=: the file has no such argument" in notices(plan)[0]
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        ('<rosparam command="delete"/>', "delete needs a param or an ns: this would delete all"),
+        ('<rosparam command="delete" param="a" file="b"/>', "delete takes no file"),
+        ("<rosparam>3</rosparam>", "a list or a single value needs param=NAME"),
+        ("<rosparam>[1, 2]</rosparam>", "a list or a single value needs param=NAME"),
+        ('<param name="a" value="0x10" type="int"/>', "its value is no int: '0x10'"),
+        ('<param name="a" value="1,5" type="double"/>', "its value is no double: '1,5'"),
+    ],
+)
+def test_what_is_wrong_with_a_parameter_is_said_in_the_words_of_the_file(
+    workspace: Workspace, content: str, reason: str
+) -> None:
+    with pytest.raises(BadFile) as caught:
+        workspace.plan(content).parameters()
+    assert reason in str(caught.value)
+    assert "test.launch:1" in str(caught.value)
+
+
+def test_delete_in_a_group_means_the_groups_namespace(workspace: Workspace) -> None:
+    [command] = workspace.plan('<group ns="arm"><rosparam command="delete"/></group>').commands
+    assert (command.verb, command.name) == ("delete", "/arm")

@@ -24,6 +24,35 @@ def test_an_unknown_argument_on_the_command_line_is_an_error_with_the_closest(wo
     assert caught.value.exit_code == 2
 
 
+def test_groups_beside_each_other_have_arguments_of_their_own(workspace: Workspace) -> None:
+    group = '<group ns="{0}"><arg name="side" value="{0}"/><param name="x" value="$(arg side)"/></group>'
+    content = group.format("left") + group.format("right")
+    assert workspace.values(content) == {"/left/x": "left", "/right/x": "right"}
+    with pytest.raises(BadFile, match="there is no argument 'side' here"):
+        workspace.plan(content + '<param name="x" value="$(arg side)"/>')
+
+
+def test_an_argument_of_a_group_can_be_given_from_outside(workspace: Workspace) -> None:
+    content = '<group><arg name="side" default="left"/><param name="x" value="$(arg side)"/></group>'
+    assert workspace.values(content, side="right") == {"/x": "right"}
+
+
+def test_an_argument_given_twice_to_an_include_is_an_error(workspace: Workspace) -> None:
+    workspace.launch_file('<arg name="a"/>', "inner.launch")
+    with pytest.raises(BadFile, match=r"test.launch:1: <arg>: the argument 'a' is given twice"):
+        workspace.plan(
+            '<include file="$(dirname)/inner.launch"><arg name="a" value="1"/><arg name="a" value="2"/></include>'
+        )
+
+
+def test_of_several_remaps_of_a_name_the_last_counts(workspace: Workspace) -> None:
+    node = workspace.node(
+        '<remap from="a" to="b"/><remap from="x" to="y"/><remap from="a" to="c"/>'
+        '<node pkg="demo" type="t" name="n"><remap from="x" to="z"/></node>'
+    )
+    assert [(remap.source, remap.target) for remap in node.remaps] == [("a", "c"), ("x", "z")]
+
+
 def test_several_files_share_the_arguments_of_the_command_line(workspace: Workspace) -> None:
     one = workspace.launch_file('<arg name="a"/><param name="one" value="$(arg a)"/>', "one.launch")
     two = workspace.launch_file('<arg name="b"/><param name="two" value="$(arg b)"/>', "two.launch")
@@ -36,6 +65,7 @@ def test_several_files_share_the_arguments_of_the_command_line(workspace: Worksp
     ("content", "reason"),
     [
         ('<arg name="a" default="1"/><arg name="a" default="2"/>', "the argument 'a' is declared twice"),
+        ('<arg name="a" value="1"/><group><arg name="a" value="2"/></group>', "the argument 'a' is declared twice"),
         ('<arg name="a" default="1" value="2"/>', "'value' and 'default' exclude each other"),
         ("<arg/>", "the attribute 'name' is missing"),
         ('<param name="" value="1"/>', "the attribute 'name' is empty"),
@@ -43,6 +73,10 @@ def test_several_files_share_the_arguments_of_the_command_line(workspace: Worksp
         ('<group clear_params="true"/>', "clear_params needs an ns"),
         ('<group clear_params="perhaps" ns="a"/>', "clear_params: 'perhaps' is neither true nor false"),
         ('<remap from="a"/>', "the attribute 'to' is missing"),
+        ('<remap from="a b" to="c"/>', "from: 'a b' is not a legal name"),
+        ('<remap from="a" to="2c"/>', "to: '2c' is not a legal name"),
+        ('<param nam="a" value="1"/>', r"the attribute 'name' is missing \('nam' is there: did you mean 'name'\?\)"),
+        ('<param name="a" valu="1"/>', r"a needs .* none is there \('valu' is there: did you mean 'value'\?\)"),
         ('<env name="a"/>', "the attribute 'value' is missing"),
         ('<env name="a=b" value="c"/>', "'a=b' cannot be the name of an environment variable"),
         ("<include/>", "the attribute 'file' is missing"),

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from physics_robots import arm, at, block, one_joint
+import trimesh
+from physics_robots import arm, at, block, box_inertial, box_shape, one_joint, tree
 
-from slidectl.description.robot import Robot
+from slidectl.description.robot import Joint, Link, Mesh, Mimic, Robot, Shape
 from slidectl.errors import SlidectlError
 from slidectl.physics import World
 from slidectl.physics.body import Body
@@ -66,6 +68,40 @@ def test_a_world_grows_on_after_a_robot_has_left() -> None:
     for name, place in (("arm", 0.0), ("one", 2.0), ("more", 3.0)):
         fresh.attach(ROBOTS[name], name, at(place, 0.0, 1.0))
     assert_same(world.model, fresh.model)
+
+
+@pytest.fixture
+def mesh(tmp_path: Path) -> Mesh:
+    path = tmp_path / "box.stl"
+    path.write_bytes(trimesh.creation.box((0.2, 0.2, 0.2)).export(file_type="stl"))
+    return Mesh(f"file://{path}", str(path))
+
+
+def gripper(mesh: Mesh) -> Robot:
+    """Of all that a robot may put into a model: meshes, links kept apart, and a joint that mimics another."""
+    shapes = {"palm": Shape(mesh), "left": box_shape((0.1, 0.1, 0.1)), "right": Shape(mesh)}
+    links = [Link(name, box_inertial(1.0, (0.1, 0.1, 0.1)), collisions=(shape,)) for name, shape in shapes.items()]
+    joints = [
+        Joint("lead", "continuous", "palm", "left", axis=(1.0, 0.0, 0.0)),
+        Joint("follow", "continuous", "palm", "right", axis=(1.0, 0.0, 0.0), mimic=Mimic("lead", -1.0)),
+    ]
+    return tree(links, joints, root="palm")
+
+
+@pytest.mark.parametrize("leaving", range(6))
+def test_a_world_that_a_robot_left_has_the_model_of_one_that_it_never_was_in(leaving: int, mesh: Mesh) -> None:
+    robots = {"grip0": gripper(mesh), **ROBOTS, "grip1": gripper(mesh)}
+    left, never = World(), World()
+    for place, (name, robot) in enumerate(robots.items()):
+        left.attach(robot, name, at(float(place), 0.0, 1.0))
+        if place != leaving:
+            never.attach(robot, name, at(float(place), 0.0, 1.0))
+    left.detach(list(robots)[leaving])
+    assert_same(left.model, never.model)
+    assert left.model.names == never.model.names
+    left.attach(gripper(mesh), list(robots)[leaving])
+    never.attach(gripper(mesh), list(robots)[leaving])
+    assert_same(left.model, never.model)
 
 
 def test_a_robot_that_cannot_be_simulated_leaves_nothing_behind() -> None:

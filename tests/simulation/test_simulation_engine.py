@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from engine_scenes import Scene, add, arm, at_random, mixed, play, switch, usual
+from engine_scenes import GAINS, POSITION, Scene, add, arm, at_random, mixed, play, switch, usual
 from sim_robots import STATES, cart, logged, running_cart
 
 import slidectl
@@ -16,7 +16,7 @@ from slidectl.control.registry import controller
 from slidectl.errors import Refused, UsageError
 from slidectl.physics import Diverged, EngineError
 from slidectl.simulation import Simulation
-from slidectl.simulation.compiled import engine, object_file
+from slidectl.simulation.compiled import engine, object_file, tables
 
 needs_numba = pytest.mark.skipif(not object_file.is_possible(), reason="numba is not installed")
 
@@ -295,6 +295,60 @@ def test_what_is_told_between_steps_counts_and_what_is_shown_is_new() -> None:
         simulation.step(1)
     assert robot.manager.get("position1").gains.p == 100.0  # type: ignore[union-attr]
     assert handle.command == pytest.approx(simulation.world.joint_state("cart", "joint1")[2])
+
+
+@needs_numba
+def test_a_robot_that_comes_or_switches_leaves_the_others_in_their_rows() -> None:
+    _, simulation = play(lambda simulation: add(simulation, "a", arm(), usual()), "compiled", driven=True)
+    simulation.step(10)
+    settled = simulation.robots.get("a").seat
+    simulation.step(10)
+    add(simulation, "b", arm(("continuous",)), {"one": {"type": POSITION, "joint": "joint1", "pid": GAINS}})
+    simulation.step(10)
+    switch(simulation, "b", stop=["one"])
+    simulation.step(10)
+    assert simulation.robots._robots["a"].seat is settled
+    assert settled is not None
+    assert settled.is_taken
+
+
+@needs_numba
+def test_rows_that_are_left_over_do_not_pile_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tables, "_FEW", 10)
+
+    def scene(simulation: Simulation) -> None:
+        add(simulation, "a", arm(), usual())
+        add(simulation, "b", arm(), mixed())
+        for _ in range(40):
+            for change in ("stop", "start"):
+                switch(simulation, "b", **{change: ["one", "three"]})
+                simulation.publish("/b/one/command", {"data": 0.7})
+                simulation.step(20)
+
+    simulation = assert_same(scene)
+    cycles = simulation.engine.cycles
+    assert cycles is not None
+    assert sum(map(len, cycles._tables.content.values())) < 20_000
+
+
+@needs_numba
+def test_robots_that_come_and_go_between_two_cycles() -> None:
+    def scene(simulation: Simulation) -> None:
+        for name in "abc":
+            add(simulation, name, arm(), usual())
+        simulation.step(100)
+        simulation.delete("b")
+        add(simulation, "d", arm(), mixed())
+        simulation.step(100)
+        add(simulation, "b", arm(("continuous",)), {"one": {"type": POSITION, "joint": "joint1", "pid": GAINS}})
+        simulation.delete("b")
+        simulation.step(100)
+        simulation.delete("d")
+        simulation.delete("a")
+        simulation.step(100)
+
+    assert_same(scene, driven=True)
+    assert_same(scene)
 
 
 # Which engine it is.

@@ -23,7 +23,9 @@ _LIKE_BASH = ("sh", "dash", "ash", "ksh", "mksh")
     "ros-commands",
     examples=['eval "$(slidectl ros-commands)"', "slidectl ros-commands --shell fish | source"],
 )
-@click.option("--shell", type=click.Choice(SHELLS), help="For which shell; by default that of $SHELL.")
+@click.option(
+    "--shell", type=click.Choice(SHELLS), help="For which shell; by default the one that calls this, else $SHELL."
+)
 @click.pass_obj
 def ros_commands(ctx: Context, shell: str | None) -> None:
     """Print shell functions named as the ROS commands.
@@ -32,7 +34,17 @@ def ros_commands(ctx: Context, shell: str | None) -> None:
     starts. Each function calls 'slidectl ros NAME'; the daemon that --instance or --socket choose here is theirs.
     """
     prefix = " ".join(map(quote, _program(ctx)))
-    output.write(_fish(prefix) if (shell or _of_the_user()) == "fish" else _posix(prefix))
+    output.write(_fish(prefix) if (shell or _that_calls() or _of_the_user()) == "fish" else _posix(prefix))
+
+
+def _that_calls() -> str | None:
+    """The shell that has started this program, which need not be that of $SHELL; None when it was no shell."""
+    try:
+        with open(f"/proc/{os.getppid()}/comm", encoding="utf-8") as file:
+            name = file.read().strip()
+    except (OSError, UnicodeDecodeError):
+        return None
+    return name if name in SHELLS or name in _LIKE_BASH else None
 
 
 def _of_the_user() -> str:

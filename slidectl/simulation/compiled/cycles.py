@@ -14,8 +14,10 @@ from slidectl.physics import EngineError
 from slidectl.physics.engine import error_hook_address, step_address
 from slidectl.simulation.compiled import rows
 from slidectl.simulation.compiled.object_file import Cycle
+from slidectl.simulation.compiled.row import Guest
 from slidectl.simulation.compiled.rows import NEW_CYCLE, Progress
-from slidectl.simulation.compiled.tables import Guest, Seat, Tables
+from slidectl.simulation.compiled.seat import Seat
+from slidectl.simulation.compiled.tables import Tables
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -35,22 +37,40 @@ class CompiledCycles:
         self._progress = Progress(robot=NEW_CYCLE, error_hook=error_hook_address())
         self._step_address = step_address()
         self._robots: Sequence[SpawnedRobot] = ()
-        self._tables: Tables | None = None
+        self._tables = Tables()
+        self._is_new = True
+        """Robots have come, or the world was rebuilt, since all had their rows."""
         self._released: list[Seat] = []
         self._acting: Guest | None = None
         """The controller without a row that has its turn."""
         self._topic_changes = -1
         self._addresses = array("Q")
+        self._outside = array("d")
+        """Efforts from outside by dof."""
         self._step: Callable[[], None] | None = None
         """What made a step of the physics when that was last looked at."""
 
     # -- who has the state -----------------------------------------------------------------------------------------
 
-    def forget(self, robots: Sequence[SpawnedRobot]) -> None:
-        """These are the robots now, or their places in the world are new: make other tables before the next cycle."""
-        self.release_all()
+    def take_robots(self, robots: Sequence[SpawnedRobot]) -> None:
+        """These are the robots now: those that were there and more behind them, or others."""
+        seated = len(self._tables.seats)
+        if robots[:seated] != self._robots[:seated]:
+            self._begin_again()
         self._robots = robots
-        self._tables = None
+        self._is_new = True
+
+    def follow_world(self) -> None:
+        """The world was rebuilt: robots that it placed elsewhere come out of the tables."""
+        for seat in self._tables.seats:
+            if seat.has_moved():
+                self._release(seat)
+        self._is_new = True
+
+    def _begin_again(self) -> None:
+        self.release_all()
+        self._tables = Tables()
+        self._released.clear()
 
     def release(self, robot: SpawnedRobot) -> None:
         """Somebody is about to look at the robot, or to change it."""
@@ -59,9 +79,8 @@ class CompiledCycles:
 
     def release_all(self) -> None:
         """All robots are as if the interpreter had run their cycles."""
-        if self._tables is not None:
-            for seat in self._tables.seats:
-                self._release(seat)
+        for seat in self._tables.seats:
+            self._release(seat)
 
     def _release(self, seat: Seat) -> None:
         if seat.is_taken:
@@ -71,30 +90,37 @@ class CompiledCycles:
             self._released.append(seat)
 
     def _prepare(self) -> Tables:
-        tables = self._tables
-        if tables is None or any(seat.is_outdated() for seat in self._released):
-            tables = self._build()
+        if self._is_new or any(seat.is_outdated() for seat in self._released):
+            self._seat_robots()
         for seat in self._released:
             if seat.fits():
                 seat.take()
         self._released = [seat for seat in self._released if not seat.is_taken]
         if self._topic_changes != self._graph.topics.changes:
-            self._look_for_listeners(tables)
-        return tables
+            self._look_for_listeners(self._tables)
+        return self._tables
 
-    def _build(self) -> Tables:
-        self.release_all()
+    def _seat_robots(self) -> None:
+        """Rows for robots that have come, and other rows for those that are not what they were."""
+        if self._tables.is_wasteful:
+            self._begin_again()
+        tables = self._tables
+        self._released = [tables.seat_anew(seat) if seat.is_outdated() else seat for seat in self._released]
+        self._released += [tables.seat(robot) for robot in self._robots[len(tables.seats) :]]
+        for seat in self._released:
+            seat.robot.seat = seat
+        self._find_memory(tables)
+        self._is_new = False
+
+    def _find_memory(self, tables: Tables) -> None:
+        """Where all tables and arrays lie, for the machine code."""
         memory, progress = self._world.memory(), self._progress
-        tables = self._tables = Tables(self._robots, memory.dofs)
-        for robot, seat in zip(self._robots, tables.seats, strict=True):
-            robot.seat = seat
-        self._released = list(tables.seats)
         progress.robots = len(tables.seats)
         progress.model, progress.data = memory.model, memory.data
         progress.positions, progress.dofs = memory.positions, memory.dofs
-        state = [memory.qpos, memory.qvel, memory.forces, tables.outside.buffer_info()[0]]
+        self._outside = array("d", bytes(8 * max(memory.dofs, 1)))
+        state = [memory.qpos, memory.qvel, memory.forces, self._outside.buffer_info()[0]]
         self._addresses = array("Q", [ctypes.addressof(progress), *tables.addresses(), *state])
-        return tables
 
     def _look_for_listeners(self, tables: Tables) -> None:
         """Which publishers are wanted now?"""
@@ -103,14 +129,14 @@ class CompiledCycles:
             for speaker in seat.speakers.values():
                 speaker.look()
 
-    def _look_outside(self, tables: Tables) -> None:
+    def _look_outside(self) -> None:
         """Who makes the steps, and what pushes from outside."""
         progress, loads = self._progress, self._world.loads
         self._step = self._world.step
         progress.step = self._step_address if self._world.steps_alone else 0
         if progress.has_outside or loads.efforts:
-            for dof in range(len(tables.outside)):
-                tables.outside[dof] = loads.efforts.get(dof, 0.0)
+            for dof in range(len(self._outside)):
+                self._outside[dof] = loads.efforts.get(dof, 0.0)
         progress.has_outside = bool(loads.efforts)
 
     # -- the cycles ------------------------------------------------------------------------------------------------
@@ -122,7 +148,7 @@ class CompiledCycles:
         progress.time_ns, progress.step_ns, progress.cycles = clock.time_ns, loop.step_ns, clock.cycles
         before = clock.cycles
         tables = self._prepare()
-        self._look_outside(tables)
+        self._look_outside()
         loop.in_cycle = True
         try:
             self._turns(tables, before + count)
@@ -156,7 +182,7 @@ class CompiledCycles:
                 continue
             self._take_turn(tables, turn)
             if world.step is not self._step:
-                self._look_outside(tables)
+                self._look_outside()
             if topics.changes != self._topic_changes:
                 self._look_for_listeners(tables)
             if turn == rows.STEP_IN_PYTHON and self._is_last(end, turn):
@@ -201,7 +227,7 @@ class CompiledCycles:
     def _take_turn(self, tables: Tables, turn: int) -> None:
         progress = self._progress
         if turn == rows.STEP_IN_PYTHON:
-            self._make_step(tables)
+            self._make_step()
         elif turn == rows.FAILED:
             raise EngineError(self._code.error_text().decode(errors="replace"))
         elif turn == rows.ROBOT_IN_PYTHON:
@@ -211,13 +237,13 @@ class CompiledCycles:
         else:
             self._update(tables.seats[progress.robot], progress.controller - 1)
 
-    def _make_step(self, tables: Tables) -> None:
+    def _make_step(self) -> None:
         progress = self._progress
         self._world.step()
         progress.robot = NEW_CYCLE
         progress.left -= 1
         progress.cycles += 1
-        self._look_outside(tables)
+        self._look_outside()
 
     def _run_robot(self, seat: Seat) -> None:
         """The whole cycle of a robot that is not seated; afterwards it is, when that is possible."""
@@ -229,7 +255,7 @@ class CompiledCycles:
 
     def _publish(self, seat: Seat, position: int) -> None:
         speaker = seat.speakers[position]
-        speaker.show(self._tables.content["joints"])  # type: ignore[union-attr]
+        speaker.show(self._tables.content["joints"])
         self._try(seat, position, speaker.controller.publish)
 
     def _update(self, seat: Seat, position: int) -> None:

@@ -1,290 +1,61 @@
-"""The tables of all robots, and each robot's seat in them: its state goes into rows and comes back.
+"""The memory of the rows, and who is seated where in it.
 
-While a robot is seated its rows are the truth, and the objects behind it (handles, PIDs, controllers, its cycle) are
-not looked at. Nothing runs here.
+It grows behind what is there: a robot that comes, or whose controllers changed, costs its own rows only.
+Nothing runs here.
 """
 
 from __future__ import annotations
 
 import ctypes
-from array import array
-from collections.abc import Callable, Sequence
-from struct import Struct
-from typing import Any
 
-from slidectl.control.controller import ControllerBase
-from slidectl.control.handles import JointStateHandle
-from slidectl.control.laws import Columns, Parts
-from slidectl.physics import MujocoRobotHW
 from slidectl.simulation.assembly import SpawnedRobot
 from slidectl.simulation.compiled import rows
+from slidectl.simulation.compiled.seat import Seat
 
-_JOINT_STATE = Struct("=4d")
-_FLAG = Struct("=q")
-_NUMBER = Struct("=d")
-_PERIOD_OFFSET = 8 * rows.ROBOT.names.index("period_s")
-_COMMAND_OFFSET = 8 * rows.JOINT.names.index("command")
-_PLAIN_OFFSET = 8 * rows.ROBOT.names.index("is_plain")
-
-Update = Callable[[int, float], None]
-
-
-class Row:
-    """One object's row: `places` are the columns that no attribute fills."""
-
-    __slots__ = ("_columns", "_number", "_places", "_source", "table")
-
-    def __init__(
-        self, table: bytearray, columns: Columns, number: int, source: object, places: tuple[float, ...]
-    ) -> None:
-        self.table = table
-        self._columns = columns
-        self._number = number
-        self._source = source
-        self._places = places
-
-    @property
-    def end(self) -> int:
-        """Where the row ends in its table, bytes."""
-        return (self._number + 1) * self._columns.size
-
-    def fill(self) -> None:
-        """From the object, all columns."""
-        self._columns.fill(self.table, self._number, self._source, *self._places)
-
-    def give(self) -> None:
-        """To the object, what laws change."""
-        self._columns.give(self.table, self._number, self._source)
-
-
-class Speaker:
-    """A controller in a row with a publisher: its flag `wanted`, the last column, and what `publish` looks at."""
-
-    __slots__ = ("_flag", "_publisher", "_row", "_shown", "controller")
-
-    def __init__(
-        self, controller: ControllerBase, parts: Parts, row: Row, shown: list[tuple[JointStateHandle, int]]
-    ) -> None:
-        self.controller = controller
-        self._publisher: Any = parts.publisher
-        self._row = row
-        self._flag = row.end - _FLAG.size
-        self._shown = shown
-
-    def look(self) -> None:
-        """Is somebody listening?"""
-        _FLAG.pack_into(self._row.table, self._flag, self._publisher.wanted)
-
-    def show(self, joints: bytearray) -> None:
-        """Let the controller and its joints' handles be as they are in the rows, as far as `publish` looks at them."""
-        self._row.give()
-        for handle, place in self._shown:
-            _show(joints, place, handle)
-
-
-class Guest:
-    """A controller without a row: it sees all handles of its robot, and the commands of those that it claims count."""
-
-    __slots__ = ("_claimed", "_joints", "seat", "update")
-
-    def __init__(self, seat: Seat, update: Update, joints: bytearray, claimed: list[tuple[Any, int]]) -> None:
-        self.seat = seat
-        self.update = update
-        self._joints = joints
-        self._claimed = [(handle, place + _COMMAND_OFFSET) for handle, place in claimed]
-
-    def take_commands(self) -> None:
-        """Let the rows be as the controller left the handles."""
-        for handle, place in self._claimed:
-            _NUMBER.pack_into(self._joints, place, handle.command)
-
-
-class Seat:
-    """One robot's rows. `is_taken`: they are the truth."""
-
-    def __init__(self, robot: SpawnedRobot, number: int) -> None:
-        self.parts = robot.parts
-        self.number = number
-        self.updates: tuple[Update, ...] = self.parts.manager.updates
-        self.is_taken = False
-        self.is_possible = False
-        self.speakers: dict[int, Speaker] = {}
-        """By the controller's position in the order of updates."""
-        self.guests: dict[int, Guest] = {}
-        """The other controllers, which run in the interpreter."""
-        self._living: list[Row] = []
-        """Rows of objects that may change while the robot is not seated."""
-        self._changing: list[Row] = []
-        """Those in which laws change something."""
-        self._constant: list[Row] = []
-        self._handles: list[tuple[Any, int]] = []
-        self._tables: dict[str, bytearray] = {}
-
-    def fits(self) -> bool:
-        """Is the robot still as it was when the tables were made, and does it do nothing that rows cannot?"""
-        cycle, hardware, manager = self.parts.cycle, self.parts.hardware, self.parts.manager
-        special = hardware.is_special or cycle.is_stopped or manager.switching
-        return self.is_possible and manager.updates is self.updates and not special
-
-    def is_outdated(self) -> bool:
-        """Do other controllers run now than those that have rows?"""
-        return self.parts.manager.updates is not self.updates
-
-    def take(self) -> None:
-        """From now on the rows are the truth."""
-        for row in self._living:
-            row.fill()
-        for speaker in self.speakers.values():
-            speaker.look()
-        self.is_taken = True
-
-    def release(self) -> None:
-        """From now on the objects are the truth again."""
-        if not self.is_taken:
-            return
-        self.is_taken = False
-        for row in self._changing:
-            row.give()
-        self._mark_plain()
-
-    def begin(self) -> None:
-        """When the tables have got their memory: what never changes, and that the robot is not seated."""
-        for row in self._constant:
-            row.fill()
-        self._mark_plain()
-
-    def _mark_plain(self) -> None:
-        _FLAG.pack_into(self._tables["robots"], self.number * rows.ROBOT.size + _PLAIN_OFFSET, True)
-
-    def period_s(self) -> float:
-        """The period of the controllers' present update."""
-        found: float = _NUMBER.unpack_from(self._tables["robots"], self.number * rows.ROBOT.size + _PERIOD_OFFSET)[0]
-        return found
-
-    def show_joints(self) -> None:
-        """Let the handles be as the rows are, for a controller that has no row."""
-        joints = self._tables["joints"]
-        for handle, place in self._handles:
-            _show(joints, place, handle)
-
-    # -- making the rows -------------------------------------------------------------------------------------------
-
-    def settle(self, tables: Tables) -> None:
-        """Reserve rows for everything that the robot consists of, or one alone that says that it is plain."""
-        self._tables = tables.content
-        starts = [tables.count(name) for name in ("joints", "controllers", "saturations", "softs")]
-        limits = self.parts.hardware.limits()
-        compiled = [_form(update) for update in self.updates]
-        self.is_possible = (
-            type(self.parts.hardware) is MujocoRobotHW
-            and not self.parts.hardware.has_drives
-            and all(type(limit) in rows.LIMIT_TABLES for limit in limits)
-            and (not compiled or any(form is not None for form in compiled))
-        )
-        if self.is_possible:
-            places = self._settle_joints(tables)
-            for position, form in enumerate(compiled):
-                self._settle_controller(tables, position, form, places)
-            for limit in limits:
-                self._settle_row(tables, rows.LIMIT_TABLES[type(limit)], limit, places[id(limit.handle)])
-        counts = [tables.count(name) for name in ("joints", "controllers", "saturations", "softs")]
-        ranges = [part for start, end in zip(starts, counts, strict=True) for part in (start, end - start)]
-        self._settle_row(tables, "robots", self.parts.cycle, False, *ranges)
-
-    def _settle_joints(self, tables: Tables) -> dict[int, int]:
-        """Row numbers by the identity of the handles."""
-        places = {}
-        for joint in self.parts.hardware.driven():
-            places[id(joint.handle)] = tables.count("joints")
-            self._handles.append((joint.handle, tables.count("joints") * rows.JOINT.size))
-            self._settle_row(tables, "joints", *joint)
-        return places
-
-    def _settle_controller(self, tables: Tables, position: int, form: Form | None, places: dict[int, int]) -> None:
-        if form is None or any(id(handle) not in places for handle in form[2].handles()):
-            self._settle_row(tables, "controllers", None, rows.IN_PYTHON, 0)
-            self._seat_guest(position)
-            return
-        controller, kind, parts = form
-        own: list[float] = []
-        if parts.pid is not None:
-            own.append(tables.count("pids"))
-            self._settle_row(tables, "pids", parts.pid)
-        if parts.joint is not None:
-            own.append(places[id(parts.joint)])
-        if parts.publisher is not None:
-            own.append(False)
-        table = rows.KIND_TABLES[kind]
-        self._settle_row(tables, "controllers", None, kind, tables.count(table))
-        row = self._settle_row(tables, table, controller, *own)
-        if parts.publisher is not None:
-            shown = [(handle, places[id(handle)] * rows.JOINT.size) for handle in parts.shown]
-            self.speakers[position] = Speaker(controller, parts, row, shown)
-
-    def _seat_guest(self, position: int) -> None:
-        update = self.updates[position]
-        owner = getattr(update, "__self__", None)
-        claims = owner.claimed_resources if isinstance(owner, ControllerBase) else ()
-        names = {name for claim in claims for name in claim.resources}
-        claimed = [(handle, place) for handle, place in self._handles if handle.name in names]
-        self.guests[position] = Guest(self, update, self._tables["joints"], claimed)
-
-    def _settle_row(self, tables: Tables, table: str, source: object, *places: float) -> Row:
-        columns = rows.TABLES[table]
-        row = Row(tables.content[table], columns, tables.add(table), source, places)
-        (self._constant if table in rows.CONSTANT else self._living).append(row)
-        if columns.changing:
-            self._changing.append(row)
-        return row
-
-
-Form = tuple[ControllerBase, int, Parts]
-
-
-def _form(update: Update) -> Form | None:
-    """The controller behind an `update`, the kind of its row and its parts, when it runs compiled.
-
-    A class that has an `update` of its own runs it, whatever its parent declares; so does an instance.
-    """
-    controller = getattr(update, "__self__", None)
-    if not isinstance(controller, ControllerBase) or "update" in vars(controller):
-        return None
-    owner: Any = next(cls for cls in type(controller).__mro__ if "update" in vars(cls))
-    kind = rows.CONTROLLER_KINDS.get(owner) if "compiled" in vars(owner) else None
-    parts = controller.parts() if kind is not None else None
-    return (controller, kind, parts) if kind is not None and parts is not None else None
-
-
-def _show(joints: bytearray, place: int, handle: Any) -> None:
-    handle.position, handle.velocity, handle.effort, command = _JOINT_STATE.unpack_from(joints, place)
-    handle.command = command
+_FEW = 1000
+"""Rows that nobody uses and nobody minds."""
 
 
 class Tables:
-    """The memory of the rows, and the seats. Made anew when robots or running controllers have changed."""
+    """Rows of all robots. `seats` are in the order of the robots."""
 
-    def __init__(self, robots: Sequence[SpawnedRobot], dofs: int) -> None:
-        self.content = {name: bytearray() for name in rows.TABLES}
+    def __init__(self) -> None:
+        self.content = {name: bytearray(columns.size) for name, columns in rows.TABLES.items()}
         self._counts = dict.fromkeys(rows.TABLES, 0)
-        self.seats = [Seat(robot, number) for number, robot in enumerate(robots)]
-        self.outside = array("d", bytes(8 * max(dofs, 1)))
-        """Efforts from outside by dof."""
-        for seat in self.seats:
-            seat.settle(self)
-        for name, table in self.content.items():
-            table.extend(bytes(max(1, self._counts[name]) * rows.TABLES[name].size))
-        for seat in self.seats:
-            seat.begin()
+        self.seats: list[Seat] = []
+        self._abandoned = 0
+
+    def seat(self, robot: SpawnedRobot) -> Seat:
+        """A place behind the others."""
+        seat = Seat(robot, self.add("robots"))
+        self.seats.append(seat)
+        seat.settle(self)
+        return seat
+
+    def seat_anew(self, old: Seat) -> Seat:
+        """Other rows for a robot that is not what it was; those that it had are left over."""
+        self._abandoned += old.rows
+        seat = self.seats[old.number] = Seat(old.robot, old.number)
+        seat.settle(self)
+        return seat
+
+    @property
+    def is_wasteful(self) -> bool:
+        """True when it would be better to begin again."""
+        return self._abandoned > _FEW + sum(self._counts.values()) // 2
 
     def count(self, table: str) -> int:
         """Rows so far."""
         return self._counts[table]
 
     def add(self, table: str) -> int:
-        """Reserve one more row; its number."""
+        """One more row; its number. Its table may lie elsewhere afterwards."""
+        number = self._counts[table]
         self._counts[table] += 1
-        return self._counts[table] - 1
+        if number > 0:
+            self.content[table].extend(bytes(rows.TABLES[table].size))
+        return number
 
     def addresses(self) -> list[int]:
-        """Where each table lies, in order; they stay there."""
+        """Where each table lies, in order; they stay there until a row is added."""
         return [ctypes.addressof(ctypes.c_char.from_buffer(table)) for table in self.content.values()]

@@ -1,0 +1,59 @@
+"""Ctrl-C in the first and the last moments of a command: exit code 130, and never a traceback."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import slidectl
+
+ROOT = str(Path(slidectl.__file__).parent.parent)
+
+
+def command(program: str) -> subprocess.CompletedProcess[str]:
+    """A command whose work is this Python text, in the place of the whole command line."""
+    text = f"import os, select, signal\nimport slidectl.cli as cli\n{program}\ncli.entry()"
+    return subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, timeout=60, check=False)
+
+
+def test_the_command_line_is_ready_for_an_interrupt_before_anything_large_is_imported() -> None:
+    text = f"import sys; sys.path.insert(0, {ROOT!r}); import slidectl.cli; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-I", "-S", "-c", text], capture_output=True, text=True, check=True)
+    assert not {"typing", "re", "enum", "click", "signal"} & set(done.stdout.split())
+
+
+def test_a_second_interrupt_on_the_way_out_changes_nothing() -> None:
+    done = command(
+        """
+def interrupted():
+    os.kill(os.getpid(), signal.SIGINT)
+    raise AssertionError
+again = [interrupted]
+ignore = cli._ignore_interrupts
+def second():
+    if again:
+        again.pop()()
+    ignore()
+cli._run, cli._ignore_interrupts = interrupted, second
+"""
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
+def test_an_interrupt_in_a_finalizer_is_heard_a_moment_later() -> None:
+    done = command(
+        """
+class Last:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+import slidectl.cli.main
+def run(argv):
+    last = Last()
+    del last
+    select.select([], [], [], 30)
+    raise AssertionError
+slidectl.cli.main.run = run
+"""
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
