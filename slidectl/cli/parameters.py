@@ -6,7 +6,7 @@ import json
 import re
 from typing import TYPE_CHECKING, Any
 
-from slidectl.errors import UsageError
+from slidectl.errors import BadFile, UsageError
 
 if TYPE_CHECKING:
     from slidectl.cli.context import Context
@@ -22,7 +22,11 @@ def get(ctx: Context, full: str) -> Any:
 
 
 def typed(text: str) -> Any:
-    """What was typed: YAML, angles in radians, empty text for no text. Raises UsageError."""
+    """What was typed: YAML, angles in radians, empty text for no text. Raises UsageError; BadFile in tagged YAML."""
+    if "!degrees" in text or "!radians" in text:
+        from slidectl.description import yaml_tree
+
+        return yaml_tree.read_value(text, "value")
     from slidectl.cli.values import read
 
     return "" if text == "" else with_angles(read(text))
@@ -46,16 +50,33 @@ def with_angles(value: Any) -> Any:
 
 
 def tree(ctx: Context, text: str, file: str, may_be_list: bool) -> Any:
-    """The parameters in a text: a mapping, or, where there is a namespace to be its name, a list. Raises BadFile."""
+    """The parameters in a text: a mapping; where a namespace names it, a list or text too. Raises BadFile."""
     from slidectl.description import yaml_tree
 
     if may_be_list and _BEGINS_AS_LIST.match(text) and not text.startswith("---"):
         return yaml_tree.read_value(text, file)
     notices: list[Any] = []
-    content = yaml_tree.read(text, file, notices)
+    try:
+        content = yaml_tree.read(text, file, notices)
+    except BadFile:
+        bare = _bare(text, file) if may_be_list else None
+        if bare is None:
+            raise
+        return bare
     for notice in notices:
         ctx.warn(f"{notice.file}:{notice.line}: {notice.subject} {notice.text}")
     return content
+
+
+def _bare(text: str, file: str) -> str | None:
+    """The text that is all there is in a file, which is how one parameter is dumped."""
+    from slidectl.description import yaml_tree
+
+    try:
+        value = yaml_tree.read_value(text, file)
+    except BadFile:
+        return None
+    return value if isinstance(value, str) else None
 
 
 def dumped(value: Any) -> str:

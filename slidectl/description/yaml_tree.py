@@ -36,7 +36,7 @@ class _Loader(yaml.SafeLoader):
 
 
 for _tag, _word in (("!degrees", "deg"), ("!radians", "rad")):
-    _Loader.add_implicit_resolver(_tag, re.compile(rf"^{_word}\(.*\)$"), [_word[0]])
+    _Loader.add_implicit_resolver(_tag, re.compile(rf"^{_word}\((?:[^()]|\([^()]*\))*\)$"), [_word[0]])
 
 
 def read(text: str | bytes, file: str, notices: list[Notice] | None = None) -> Tree:
@@ -48,9 +48,21 @@ def read(text: str | bytes, file: str, notices: list[Notice] | None = None) -> T
     return _Reader(file, notices if notices is not None else []).read(text)
 
 
-def read_value(text: str, file: str = "<value>") -> Any:
-    """One value of any shape, as `rosparam set` reads it; empty text is None."""
-    return _Reader(file, []).value_of(text)
+def read_value(text: str, file: str = "<value>", *, angles: bool = True) -> Any:
+    """One value of any shape, as `rosparam set` reads it; empty text is None. `angles`: whether deg(90) is one."""
+    return _Reader(file, [], _Loader if angles else yaml.SafeLoader).value_of(text)
+
+
+def read_rosparam(text: str, file: str, notices: list[Notice]) -> Any:
+    """What a `<rosparam>` of a launch file holds: one value of any shape; empty text and null are None.
+
+    Of a name that begins with a slash the slash is kept, as it leaves the namespace; `_ns` is a name like any other.
+    """
+    reader = _Reader(file, notices, rooted=True)
+    documents = reader.documents(text)
+    if len(documents) > 1:
+        raise reader.error(documents[1], "a second document, where there can be only one")
+    return reader.value(documents[0], 1) if documents and not _is_empty(documents[0]) else None
 
 
 def places(text: str | bytes, file: str) -> dict[str, int]:
@@ -76,11 +88,14 @@ def _namespace(document: yaml.Node) -> str:
 
 
 class _Reader:
-    def __init__(self, file: str, notices: list[Notice]) -> None:
+    def __init__(
+        self, file: str, notices: list[Notice], loader: type[yaml.SafeLoader] = _Loader, *, rooted: bool = False
+    ) -> None:
         self.file = file
         self.notices = notices
+        self.rooted = rooted
         self.count = 0
-        self.loader = _Loader("")
+        self.loader = loader("")
         self.flat: dict[int, list[Pair]] = {}
 
     def read(self, text: str | bytes) -> Tree:
@@ -101,8 +116,12 @@ class _Reader:
 
     def nodes(self, text: str | bytes) -> list[yaml.Node]:
         """The documents that are not empty."""
+        return [node for node in self.documents(text) if not _is_empty(node)]
+
+    def documents(self, text: str | bytes) -> list[yaml.Node]:
+        """All of them."""
         try:
-            documents = list(yaml.compose_all(text, _Loader))
+            documents = list(yaml.compose_all(text, type(self.loader)))
         except yaml.MarkedYAMLError as error:
             mark = error.problem_mark or error.context_mark
             problem = " ".join(part for part in (error.context, error.problem) if part)
@@ -111,7 +130,7 @@ class _Reader:
             raise BadFile(f"not YAML: {_problem(error)}", self.file) from None
         except RecursionError:
             raise BadFile("is nested too deeply", self.file) from None
-        return [node for node in documents if node is not None and not _is_empty(node)]
+        return [node for node in documents if node is not None]
 
     def error(self, node: yaml.Node, message: str, hint: str | None = None) -> BadFile:
         return BadFile(message, self.file, _line(node), hint)
@@ -143,7 +162,14 @@ class _Reader:
             value = self.value(value_node, depth + 1)
             if not key.strip("/") and not isinstance(value, dict):
                 raise self.error(key_node, f"{key!r} is no name for a value")
-            merge(tree, nest(key, value))
+            merge(tree, self.nested(key, value))
+        return tree
+
+    def nested(self, key: str, value: Any) -> Tree:
+        """The value below the names of its key."""
+        tree: Tree = nest(key, value)
+        if self.rooted and key.startswith("/"):
+            tree = {f"/{name.lstrip('/')}": below for name, below in tree.items()}
         return tree
 
     def pairs(self, node: yaml.MappingNode) -> list[Pair]:

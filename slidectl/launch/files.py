@@ -45,15 +45,14 @@ def shown(path: str | Path) -> str:
 
 
 def read(path: str, tag: Tag) -> Source:
-    """An included file; a relative path is tried from the working folder, and then from that of the includer."""
-    found = Path(os.path.abspath(os.path.expanduser(path)))
-    beside = tag.scope.file.parent / path
-    if not is_file(found) and is_file(beside):
-        found = beside
+    """An included file; a relative path is one from the working folder."""
+    found = Path(os.path.abspath(path))
     try:
         return Source(found, read_file(found), shown(found))
     except BadFile as error:
-        raise tag.error(f"{path}: {error.reason}") from None
+        beside = is_file(tag.scope.file.parent / path)
+        hint = f'there is one beside this file: file="$(dirname)/{path}"' if beside else None
+        raise tag.error(f"{path}: {error.reason}", hint) from None
 
 
 def from_stdin() -> Source:

@@ -60,11 +60,12 @@ def _sorted(arguments: Sequence[Any]) -> list[Any]:
 
 def command_line(task: Task) -> str:
     """The exact command line of a node with its environment; of a counterpart, what it does."""
-    own = {"ROS_NAMESPACE": task.node.namespace, **dict(task.node.environment)}
-    environment = " ".join(f'{name}="{value}"' for name, value in own.items())
+    namespace = {"ROS_NAMESPACE": task.node.namespace} if task.node.namespace != "/" else {}
+    own = {**namespace, **dict(task.node.environment)}
+    environment = "".join(f'{name}="{value}" ' for name, value in own.items())
     if isinstance(task, Process):
-        return f"{environment} {shlex.join(task.command)}"
-    return f"{environment} {task.node.kind} {shlex.join(task.node.words)}".rstrip() + f"  # here: {task.text}"
+        return f"{environment}{shlex.join(task.command)}"
+    return f"{environment}{task.node.kind} {shlex.join(task.node.words)}".rstrip() + f"  # here: {task.text}"
 
 
 def steps(plan: Plan, tasks: Sequence[Task]) -> Iterator[dict[str, Any]]:
@@ -82,16 +83,10 @@ def steps(plan: Plan, tasks: Sequence[Task]) -> Iterator[dict[str, Any]]:
         if setting.runs_command:
             yield _step("parameter", f"{setting.name} = what the command prints", setting.place)
             continue
-        for name, value in _leaves(setting):
+        for name, value in setting.parameters():
             yield _step("parameter", f"{name} = {_short(value)}", setting.place)
     for task in [*(t for t in tasks if not t.comes_last), *(t for t in tasks if t.comes_last)]:
         yield _step(task.family, f"{task.node.full_name}: {task.text}", task.node.place)
-
-
-def _leaves(setting: Any) -> Iterator[tuple[str, Any]]:
-    from slidectl.launch.plan import leaves
-
-    return leaves(setting.name, setting.value(), setting.place)
 
 
 def _step(kind: str, text: str, place: Any) -> dict[str, Any]:

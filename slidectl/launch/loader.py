@@ -48,7 +48,7 @@ def load(
             (_read_arguments if arguments_only else _read)(source, scope)
         except RecursionError:
             raise BadFile("groups and includes are nested too deeply", source.shown) from None
-        declared |= scope.declared
+        declared |= scope.everywhere
     for name in arguments:
         if name not in declared:
             error = UnknownName("argument", name, sorted(declared), f"in {', '.join(s.shown for s in sources)}")
@@ -61,6 +61,9 @@ def _root(source: Source, scope: Scope) -> Tag:
     tag = Tag(element, scope)
     if element.tag != "launch":
         raise tag.error("the root of a launch file is <launch>")
+    for below in element.walk():
+        if below.tag == "launch" and below is not element:
+            raise Tag(below, scope).error("a launch file has one <launch>, its root", "use <group> or <include>")
     return tag
 
 
@@ -88,19 +91,24 @@ def _arg(tag: Tag) -> None:
     scope, name = tag.scope, tag.required("name")
     if name in scope.arguments:
         raise tag.error(f"the argument {name!r} is declared twice")
-    if tag.element.get("value") is not None and tag.element.get("default") is not None:
-        raise tag.error("'value' and 'default' exclude each other", "a value is constant, a default can be overridden")
-    value, default = tag.raw("value"), tag.raw("default")
+    value, default = _value_or_default(tag)
     if value is not None and name in scope.given and not scope.lenient:
         raise tag.error(f"the argument {name!r} is constant and cannot be given", "use default= instead of value=")
     scope.declared.add(name)
+    scope.everywhere.add(name)
     if value is None:
         if not scope.trail:
-            tag.plan.arguments.setdefault(name, Argument(name, tag.get("default"), tag.element.get("doc")))
+            tag.plan.arguments.setdefault(name, Argument(name, tag.get("default"), tag.get("doc")))
         value = scope.given.get(name, default)
     if value is None:
         raise missing_argument(scope, name, tag)
     scope.arguments[name] = value
+
+
+def _value_or_default(tag: Tag) -> tuple[str | None, str | None]:
+    if tag.element.get("value") is not None and tag.element.get("default") is not None:
+        raise tag.error("'value' and 'default' exclude each other", "a value is constant, a default can be overridden")
+    return tag.raw("value"), tag.raw("default")
 
 
 def _read_arguments(source: Source, scope: Scope) -> None:
@@ -112,7 +120,7 @@ def _read_arguments(source: Source, scope: Scope) -> None:
             continue
         tag = Tag(element, scope)
         name = str(element.get("name"))
-        scope.declared.add(name)
+        scope.everywhere.add(name)
         default = _lenient_default(tag)
         scope.arguments[name] = scope.given.get(name, default or "")
         scope.launch.plan.arguments.setdefault(name, Argument(name, default, element.get("doc")))
@@ -141,7 +149,7 @@ def _group(tag: Tag) -> None:
 
 
 def _clear(tag: Tag, namespace: str) -> None:
-    if not tag.boolean("clear_params"):
+    if not tag.clears:
         return
     if not (tag.get("ns") or "").strip():
         raise tag.error("clear_params needs an ns: it deletes all parameters in there")
@@ -151,7 +159,7 @@ def _clear(tag: Tag, namespace: str) -> None:
 def _include(tag: Tag) -> None:
     tag.knows(["file", "ns", "clear_params", "pass_all_args"])
     source = read(tag.required("file"), tag)
-    lenient = tag.boolean("pass_all_args")
+    lenient = tag.flag("pass_all_args")
     _clear(tag, tag.namespace())
     inner = tag.scope.group(tag.scope.namespace)
     given = dict(tag.scope.arguments) if lenient else {}
@@ -167,18 +175,17 @@ def _include(tag: Tag) -> None:
     scope = inner.including(source.path, tag, given, lenient)
     _read(source, scope)
     for name, child in own.items():
-        if name not in scope.declared:
+        if name not in scope.declared and not lenient:
             error = UnknownName("argument", name, sorted(scope.declared), f"in {source.shown}")
             raise child.error(error.message, error.hint)
 
 
 def _passed(child: Tag) -> str:
     child.knows(["name", "value", "default", "doc"])
-    value = child.raw("value")
-    value = child.raw("default") if value is None else value
-    if value is None:
+    value, default = _value_or_default(child)
+    if value is None and default is None:
         raise child.error("the attribute 'value' is missing")
-    return value
+    return str(default if value is None else value)
 
 
 # --- what applies to later nodes -------------------------------------------------------------------------------------
@@ -195,18 +202,8 @@ def _remap(tag: Tag) -> None:
 # --- what has no effect ----------------------------------------------------------------------------------------------
 
 
-def _test(tag: Tag) -> None:
-    tag.notice("ignored", "is for rostest, and is skipped here as roslaunch does")
-
-
 def _master(tag: Tag) -> None:
     tag.notice("ignored", "is obsolete and has no effect")
-
-
-def _machine(tag: Tag) -> None:
-    raise tag.error(
-        f"there are no other machines here (name={tag.get('name')!r})", "leave it out: all nodes run on this one"
-    )
 
 
 _TAGS: dict[str, Callable[[Tag], None]] = {
@@ -218,7 +215,7 @@ _TAGS: dict[str, Callable[[Tag], None]] = {
     "node": node_tags.node,
     "remap": _remap,
     "env": _env,
-    "test": _test,
-    "machine": _machine,
+    "test": node_tags.test,
+    "machine": node_tags.machine,
     "master": _master,
 }

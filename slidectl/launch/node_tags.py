@@ -5,6 +5,9 @@ What a node does when it runs is the affair of nodes/.
 
 from __future__ import annotations
 
+import math
+import os
+import re
 from dataclasses import replace
 
 from slidectl import names
@@ -18,7 +21,10 @@ ATTRIBUTES = (
     "machine", "clear_params",
 )  # fmt: skip
 OUTPUTS = ("log", "screen")
-FOLDERS = ("node", "ROS_HOME")
+NOT_FOR_TESTS = ("output", "respawn", "respawn_delay")
+HERE = ("localhost", "127.0.0.1", "::1")
+ALL_HERE = "leave it out: all nodes run on this one"
+FOLDERS = ("node", "ROS_HOME", "ros_home")
 
 
 def node(tag: Tag) -> None:
@@ -29,26 +35,66 @@ def node(tag: Tag) -> None:
         if other.full_name == made.full_name:
             hint = "give one of them another name, or $(anon NAME)"
             raise tag.error(f"there is a node {made.full_name} already, at {other.place}", hint)
-    inner = tag.scope.group(made.namespace)
-    if tag.boolean("clear_params"):
-        tag.plan.clear.append((made.full_name, tag.place))
-    tag.plan.settings += [
-        replace(setting, name=tag.within(made.full_name, setting.name)) for setting in tag.scope.private
-    ]
-    _inside(Tag(tag.element, inner), inner, made)
+    inner = _filled(tag, made.namespace, made.full_name)
     made.remaps, made.environment = inner.remaps, inner.environment
     tag.plan.nodes.append(made)
 
 
-def _node(tag: Tag) -> Node:
-    name = tag.required("name")
+def test(tag: Tag) -> None:
+    """`<test>` is for rostest and starts nothing; its parameters are set all the same, as roslaunch does it."""
+    tag.knows([*(name for name in ATTRIBUTES if name not in NOT_FOR_TESTS), "test-name", "time-limit", "retry"])
+    tag.notice("ignored", "is for rostest: it is not run, its parameters are set, as roslaunch does")
+    for attribute in NOT_FOR_TESTS:
+        if tag.element.get(attribute) is not None:
+            raise tag.error(f"a test has no {attribute!r}")
+    for attribute in ("pkg", "type", "test-name"):
+        tag.required(attribute)
+    if not _fits(tag.get("time-limit"), float, least=1e-9) or not _fits(tag.get("retry"), int):
+        raise tag.error("time-limit is a number of seconds, retry a whole number")
+    namespace = tag.namespace()
+    _filled(tag, namespace, names.join(namespace, _name(tag, tag.get("name") or tag.required("test-name"))))
+
+
+def _fits(text: str | None, kind: type[float], least: float = -math.inf) -> bool:
+    try:
+        return not text or kind(text) >= least
+    except ValueError:
+        return False
+
+
+def _filled(tag: Tag, namespace: str, full_name: str) -> Scope:
+    """What a node has inside: its parameters go into the plan; remaps and environment are those of the scope."""
+    inner = tag.scope.group(namespace)
+    if tag.clears:
+        tag.plan.clear.append((full_name, tag.place))
+    tag.plan.settings += [replace(setting, name=tag.within(full_name, setting.name)) for setting in tag.scope.private]
+    _inside(Tag(tag.element, inner), inner, full_name)
+    return inner
+
+
+def _name(tag: Tag, name: str) -> str:
     if "/" in name:
         raise tag.error(f"the name {name!r} of a node cannot hold a namespace", "use ns=")
     if not names.is_legal(name) or name.startswith("~"):
         raise tag.error(f"{name!r} cannot be the name of a node", "names are letters, digits and '_', a letter first")
-    if tag.get("machine"):
-        raise tag.error("there are no other machines here", "leave out machine=: all nodes run on this one")
-    respawn, required = tag.boolean("respawn"), tag.boolean("required")
+    return name
+
+
+def machine(tag: Tag) -> None:
+    """`<machine>`: one that is this machine is known by its name; others cannot be reached."""
+    tag.knows(["name", "address", "env-loader", "user", "password", "ssh-port", "timeout", "default"])
+    name, address = tag.required("name"), tag.required("address")
+    if address not in HERE and address != os.uname().nodename:
+        raise tag.error(f"there are no other machines here (name={name!r}, address={address!r})", ALL_HERE)
+    tag.scope.launch.machines.add(name)
+    tag.notice("ignored", "is this machine, where all nodes run")
+
+
+def _node(tag: Tag) -> Node:
+    name = _name(tag, tag.required("name"))
+    if (chosen := tag.get("machine")) and chosen not in (*HERE, *tag.scope.launch.machines):
+        raise tag.error(f"there is no machine {chosen!r}", ALL_HERE)
+    respawn, required = tag.flag("respawn"), tag.flag("required")
     if respawn and required:
         raise tag.error("respawn and required exclude each other")
     return Node(
@@ -69,21 +115,20 @@ def _node(tag: Tag) -> Node:
 
 
 def _one_of(tag: Tag, attribute: str, known: tuple[str, ...]) -> str | None:
-    value = (tag.get(attribute) or "").strip()
-    by_lower_case = {name.lower(): name for name in known}
-    if value and value.lower() not in by_lower_case:
+    value = tag.get(attribute)
+    if value is not None and value not in known:
         raise tag.error(f"{attribute} is one of {', '.join(known)}, not {value!r}")
-    return by_lower_case.get(value.lower())
+    return value
 
 
-def _inside(tag: Tag, scope: Scope, made: Node) -> None:
+def _inside(tag: Tag, scope: Scope, full_name: str) -> None:
     for child in tag.children(("param", "rosparam", "remap", "env")):
         if not child.applies:
             continue
         if child.name == "param":
-            parameter_tags.param(child, made.full_name)
+            parameter_tags.param(child, full_name)
         elif child.name == "rosparam":
-            parameter_tags.rosparam(child, made.full_name)
+            parameter_tags.rosparam(child, full_name)
         elif child.name == "remap":
             scope.remaps = with_remap(scope.remaps, child)
         else:
@@ -99,7 +144,7 @@ def with_remap(remaps: tuple[Remap, ...], tag: Tag) -> tuple[Remap, ...]:
 
 def _remapped(tag: Tag, attribute: str) -> str:
     name = tag.required(attribute)
-    if not names.is_legal(name):
+    if not names.is_legal(re.sub("//+", "/", name).rstrip("/") or "/"):
         raise tag.error(f"{attribute}: {name!r} is not a legal name", "names are letters, digits, '_' and '/'")
     return name
 

@@ -35,13 +35,15 @@ def param(tag: Tag, private: str | None = None) -> None:
         tag.scope.private = (*others, setting)
         return
     setting.name = tag.within(private or tag.scope.namespace, name.lstrip("~/") if private else name)
+    if setting.name == "/":
+        raise tag.error("'/' is no name for a value")
     tag.plan.settings.append(setting)
 
 
 def _setting(tag: Tag) -> Setting:
     tag.knows(["name", "type", *SOURCES])
-    name = tag.required("name")
-    kind = (tag.get("type") or "auto").strip().lower()
+    name = tag.required("name").strip()
+    kind = (tag.element.get("type") or "auto").strip().lower()  # nothing is put in there
     if kind not in TYPES:
         raise tag.error(f"the type {kind!r} is none of {', '.join(TYPES)}")
     given = [source for source in SOURCES if tag.element.get(source) is not None]
@@ -50,22 +52,22 @@ def _setting(tag: Tag) -> Setting:
         raise tag.error(f"{name} needs exactly one of {', '.join(SOURCES)}, {found}")
     compute, runs = _source(tag, given[0], kind)
     file = tag.required(given[0]) if given[0] in ("textfile", "binfile") else ""
-    return Setting(name, tag.place, given[0], compute, runs, source=file)
+    return Setting(name, tag.place, given[0], compute, runs, source=file, is_whole=True)
 
 
 def _source(tag: Tag, source: str, kind: str) -> tuple[Callable[[], Any], bool]:
     """What computes the value, and whether that runs a program."""
-    text = tag.required(source) if source != "value" else tag.get("value") or ""
     if source == "value":
-        value = _converted(tag, text, kind)
+        value = _converted(tag, (tag.get("value") or "").strip(), kind)
         return lambda: value, False
     if source == "command":
         command = commands.Command(tag)
-        return lambda: _converted(tag, command.output(), "str" if kind == "auto" else kind), not command.is_xacro
+        return lambda: _converted(tag, command.output(), kind), not command.is_xacro
+    path = tag.required(source)
     if source == "binfile":
         tag.notice("converted", "binary parameters are base64 text here")
-        return lambda: base64.b64encode(_bytes(tag, text)).decode("ascii"), False
-    return lambda: _converted(tag, _text(tag, text), "str" if kind == "auto" else kind), False
+        return lambda: base64.b64encode(_bytes(tag, path)).decode("ascii"), False
+    return lambda: _converted(tag, _text(tag, path), kind), False
 
 
 def _converted(tag: Tag, text: str, kind: str) -> Any:
@@ -89,7 +91,7 @@ def _bytes(tag: Tag, path: str) -> bytes:
 
 def _text(tag: Tag, path: str) -> str:
     try:
-        return _bytes(tag, path).decode("utf-8")
+        return _bytes(tag, path).decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:
         raise tag.error(f"{path} is no text: {error.reason} at byte {error.start}") from None
 
@@ -100,12 +102,12 @@ def _text(tag: Tag, path: str) -> str:
 def rosparam(tag: Tag, private: str | None = None) -> None:
     """A `<rosparam>`; inside a node `private` is the node's own namespace."""
     tag.knows(["command", "file", "param", "ns", "subst_value"])
-    verb = (tag.get("command") or "load").strip().lower()
+    verb = tag.get("command") or "load"
     if verb not in VERBS:
         raise tag.error(f"the command {verb!r} is none of {', '.join(VERBS)}")
     namespace = private or tag.scope.namespace
     for part in (tag.get("ns"), tag.get("param")):
-        namespace = tag.within(namespace, part.strip()) if part and part.strip() else namespace
+        namespace = tag.within(namespace, part) if part else namespace
     if verb == "load":
         _load(tag, namespace)
     elif verb == "delete":
@@ -119,17 +121,19 @@ def rosparam(tag: Tag, private: str | None = None) -> None:
 
 
 def _load(tag: Tag, name: str) -> None:
-    file = (tag.get("file") or "").strip()
+    file = tag.get("file")
+    if file == "":
+        raise tag.error("the attribute 'file' is empty", "leave it out when the parameters are in the tag itself")
     if file and tag.text.strip():
-        raise tag.error("a file and a text exclude each other")
-    substitution = tag.scope.substitution if tag.boolean("subst_value") else None
-    origin = "file" if file else "yaml"
+        tag.notice("wrong", "has a file and a text: the text has no effect")
+    substitution = tag.scope.substitution if tag.flag("subst_value") else None
 
     def compute() -> Any:
         text = _text(tag, file) if file else tag.text
-        return _yaml(tag, text if substitution is None else _substituted(tag, text, substitution), file)
+        text = text if substitution is None else _substituted(tag, text, substitution)
+        return _yaml(tag, text if file else "\n" * (tag.element.line - 1) + text, file, name)
 
-    tag.plan.settings.append(Setting(name, tag.place, origin, compute, source=file))
+    tag.plan.settings.append(Setting(name, tag.place, "file" if file else "yaml", compute, source=file or ""))
 
 
 def _substituted(tag: Tag, text: str, substitution: Substitution) -> str:
@@ -139,22 +143,13 @@ def _substituted(tag: Tag, text: str, substitution: Substitution) -> str:
         raise tag.error(error.message, error.hint) from None
 
 
-def _yaml(tag: Tag, text: str, file: str) -> Any:
-    """The tree; a list or a single value only when `param` names it."""
+def _yaml(tag: Tag, text: str, file: str | None, name: str) -> Any:
+    """The tree or the single value; None when there is nothing."""
     from slidectl.description import yaml_tree  # takes as long to import as all of this room
 
-    where = shown(file) if file else tag.place.file
-    if (tag.get("param") or "").strip():
-        value = yaml_tree.read_value(text, where)
-        if value is None:
-            raise tag.error("its value is nothing, which no parameter can be")
-        return value
-    try:
-        tree = yaml_tree.read(text, where, tag.plan.notices)
-    except BadFile as error:
-        if error.reason == yaml_tree.NO_MAPPING:
-            error.hint = "a list or a single value needs param=NAME"
-        raise
-    if not tree:
+    value = yaml_tree.read_rosparam(text, shown(file) if file else tag.place.file, tag.plan.notices)
+    if value is not None and not isinstance(value, dict) and (name == "/" or not tag.get("param")):
+        raise tag.error(yaml_tree.NO_MAPPING, "a list or a single value needs param=NAME")
+    if value is None or value == {}:
         tag.notice("wrong", "holds no parameters")
-    return tree
+    return value

@@ -5,7 +5,7 @@ Values that take time (running xacro, reading files) are computed when they are 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -43,6 +43,8 @@ class Setting:
     """True when computing it runs a program of the user's."""
     source: str = ""
     """The file that the value is read from, if it is."""
+    is_whole: bool = False
+    """True when a mapping is one value, and not one for each of the names in it."""
     _value: Any = None
     _known: bool = False
 
@@ -51,6 +53,12 @@ class Setting:
         if not self._known:
             self._value, self._known = self.compute(), True
         return self._value
+
+    def parameters(self) -> Iterator[tuple[str, Any]]:
+        """Full names and values. Raises BadFile."""
+        if self.is_whole:
+            return iter([(self.name, self.value())])
+        return leaves(self.name, self.value(), self.place)
 
 
 @dataclass(frozen=True)
@@ -151,43 +159,49 @@ class Plan:
     def parameters(self) -> dict[str, Leaf]:
         """Every parameter by its full name, with its value and its place; of those set twice the last counts.
 
+        A name that is set to a value cannot hold others: the first mention of either counts for the order, the later
+        one goes over the earlier one, and a notice says so.
+
         Raises:
-            BadFile: a value cannot be had, or a name holds both a value and other names.
+            BadFile: a value cannot be had.
         """
         found: dict[str, Leaf] = {}
         for setting in self.settings:
-            for name, value in leaves(setting.name, setting.value(), setting.place):
-                found.pop(name, None)
-                found[name] = (value, setting.place)
-        return _without_conflicts(found)
+            found.update((name, (value, setting.place)) for name, value in setting.parameters())
+        for name, over in _conflicts(found):
+            gone, last = found.pop(name, None), found[over]
+            if gone is not None:
+                self.notice(
+                    "wrong", gone[1], name, f"cannot be set beside {over}, which is set at {last[1]} and counts"
+                )
+        return found
 
 
 def leaves(name: str, value: Any, place: Place) -> Iterator[tuple[str, Any]]:
-    """Full names and values below a name. Lists and empty mappings are values.
+    """Full names and values below a name; a key with a slash before it is a full name. Lists are values.
 
     Raises:
         BadFile: a key that cannot be a name.
     """
-    if not isinstance(value, dict) or not value:
-        if name != "/":
+    if not isinstance(value, dict):
+        if value is not None:
             yield name, value
         return
     for key, below in value.items():
-        full = names.join(name, str(key).strip("/"))
+        full = names.join(name, str(key).rstrip("/"))
         if not names.is_legal(full):
             raise place.error(f"{key!r} cannot be the name of a parameter", "names are letters, digits, '_' and '/'")
         yield from leaves(full, below, place)
 
 
-def _without_conflicts(found: dict[str, Leaf]) -> dict[str, Leaf]:
-    """The same without empty mappings that others fill. Raises BadFile when a name is a value and a namespace."""
-    filled = set()
-    for name, (_, place) in found.items():
+def _conflicts(found: Mapping[str, Leaf]) -> list[tuple[str, str]]:
+    """Names that are set in vain, each with the later name that goes over it. Mappings have room for others."""
+    order = {name: index for index, name in enumerate(found)}
+    pairs = []
+    for name in found:
         above = names.parent(name)
         while above != "/":
-            value, other = found.get(above, ({}, place))
-            if value != {}:
-                raise place.error(f"parameter {name} lies below {above}, which is set to a value at {other}")
-            filled.add(above)
+            if above in found and not (isinstance(found[above][0], dict) and order[above] < order[name]):
+                pairs.append((above, name) if order[above] < order[name] else (name, above))
             above = names.parent(above)
-    return {name: leaf for name, leaf in found.items() if name not in filled}
+    return pairs

@@ -38,6 +38,8 @@ class Launch:
     run_commands: bool = True
     parse: Parse = xml_tree.read
     plan: Plan = field(default_factory=Plan)
+    machines: set[str] = field(default_factory=set)
+    """Names that launch files give to this machine."""
     _anonymous: dict[str, str] = field(default_factory=dict)
     _tags: int = 0
 
@@ -102,6 +104,9 @@ class Scope:
     lenient: bool = False
     """True when all of the includer's args were passed on: one that is constant here, or unknown, is no error."""
     declared: set[str] = field(default_factory=set)
+    """The args that are declared so far, here or around here. Groups beside each other may have args of one name."""
+    everywhere: set[str] = field(default_factory=set)
+    """All args of the file, those inside groups too."""
     remaps: tuple[Remap, ...] = ()
     environment: tuple[tuple[str, str], ...] = ()
     private: tuple[Setting, ...] = ()
@@ -123,7 +128,7 @@ class Scope:
 
     def group(self, namespace: str) -> Scope:
         """A scope inside this one, of the same file."""
-        return replace(self, namespace=namespace, arguments=dict(self.arguments))
+        return replace(self, namespace=namespace, arguments=dict(self.arguments), declared=set(self.declared))
 
     def including(self, file: Path, tag: Tag, given: Mapping[str, str], lenient: bool) -> Scope:
         """The scope of an included file. Raises BadFile for an include without an end."""
@@ -141,6 +146,7 @@ class Scope:
             given=given,
             lenient=lenient,
             declared=set(),
+            everywhere=set(),
             trail=(*self.trail, tag.place),
             nesting=(*self.nesting, here),
         )

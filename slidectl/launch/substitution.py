@@ -19,7 +19,6 @@ from slidectl.operators import MATH
 COMMANDS = ("find", "env", "optenv", "dirname", "anon", "arg")
 OPEN = "$("
 _EVAL = "$(eval "
-_PATH = re.compile(r"/([^\s'\"]+)")
 _IDENTIFIER = re.compile(r"[A-Za-z_]\w*\Z")
 
 
@@ -69,7 +68,7 @@ class Substitution:
 
     def _command(self, inside: str, after: str) -> tuple[str, str]:
         """What the text in brackets stands for, and what is left of the text after it."""
-        command, *words = inside.split() or [""]
+        command, *words = [word for word in inside.split(" ") if word] or [""]
         if command == "find":
             return self._find(_one(command, words), after)
         if command == "optenv":
@@ -85,13 +84,21 @@ class Substitution:
         return commands[command](), after
 
     def _find(self, package: str, after: str) -> tuple[str, str]:
-        """The package's path. Of one that was built, an executable may be somewhere else than where the text says."""
+        """The package's folder joined with the path that follows, up to a blank, with or without a slash before it.
+
+        Of a package that was built, an executable may be somewhere else than where the text says.
+        """
         folder = self.surroundings.find(package)
-        path = _PATH.match(after)
-        elsewhere = self.surroundings.executable(package, path[1]) if path else None
-        if path is None or elsewhere is None:
+        if not after or after.startswith(" "):
             return protect(folder), after
-        return protect(elsewhere), after[path.end() :]
+        path, blank, rest = after.partition(" ")
+        path = path.replace("\\", "/").removeprefix("/")
+        elsewhere = self.surroundings.executable(package, path)
+        if path.startswith("/"):  # as os.path.join has it
+            return "", path + blank + rest
+        if elsewhere is not None:
+            return protect(elsewhere), blank + rest
+        return protect(folder), (f"/{path}" if path else "") + blank + rest
 
     def _environment(self, name: str) -> str:
         if name not in self.surroundings.environment:
@@ -144,9 +151,10 @@ def _inside(text: str, start: int) -> tuple[str, str]:
     if end < 0:
         raise SubstitutionError(f"'$(' is not closed in {plain(text)!r}")
     inside = text[start + len(OPEN) : end]
-    if "$" in inside:
+    if "$" in inside or "(" in inside:
+        what = "one substitution" if "$" in inside else "a bracket"
         hint = "write it with $(eval ...), for example $(eval find(arg('package')) + '/urdf')"
-        raise SubstitutionError(f"one substitution stands inside another in {plain(text)!r}", hint)
+        raise SubstitutionError(f"{what} stands inside a substitution in {plain(text)!r}", hint)
     return inside, text[end + 1 :]
 
 

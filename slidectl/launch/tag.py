@@ -5,7 +5,8 @@ Knows no tag by name.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+import re
+from collections.abc import Callable, Collection, Iterator
 from functools import cached_property
 
 from slidectl import names
@@ -16,7 +17,7 @@ from slidectl.launch import protected
 from slidectl.launch.plan import Place, Plan
 from slidectl.launch.scope import Scope
 from slidectl.launch.substitution import OPEN, SubstitutionError
-from slidectl.launch.typed import boolean
+from slidectl.launch.typed import boolean, flag
 
 CONDITIONS = ("if", "unless")
 _MOST_INCLUDERS = 3
@@ -70,7 +71,7 @@ class Tag:
         if value is None or not value.strip():
             there = "is empty" if value is not None else "is missing"
             raise self.error(f"the attribute {attribute!r} {there}{self.slip([attribute])}")
-        return value.strip()
+        return value
 
     def slip(self, missing: Collection[str]) -> str:
         """` (...)` about an attribute that is there and looks like one of those that are not; else nothing."""
@@ -86,13 +87,19 @@ class Tag:
         except ValueError as error:
             raise self.error(f"{attribute}: {str(error).lower()} in {self.get(attribute)!r}") from None
 
-    def boolean(self, attribute: str, default: bool = False) -> bool:
-        """true or false. Raises BadFile."""
+    def flag(self, attribute: str) -> bool:
+        """true or false; false when it is not there. Raises BadFile."""
+        return self._either(attribute, flag)
+
+    @property
+    def clears(self) -> bool:
+        """What `clear_params` says; an empty one is false. Raises BadFile."""
+        return bool(self.get("clear_params")) and self.flag("clear_params")
+
+    def _either(self, attribute: str, read: Callable[[str], bool]) -> bool:
         text = self.get(attribute)
-        if text is None:
-            return default
         try:
-            return boolean(text)
+            return text is not None and read(text)
         except ValueError as error:
             raise self.error(f"{attribute}: {error}") from None
 
@@ -109,12 +116,14 @@ class Tag:
 
     def namespace(self) -> str:
         """The namespace of the scope, or that which `ns` makes of it. Raises BadFile."""
-        text = (self.get("ns") or "").strip()
-        return self.within(self.scope.namespace, text) if text else self.scope.namespace
+        text = self.get("ns")
+        if text == "":
+            raise self.error("the attribute 'ns' is empty", "leave it out: the namespace stays")
+        return self.scope.namespace if text is None else self.within(self.scope.namespace, text)
 
     def within(self, namespace: str, name: str) -> str:
-        """`name` in `namespace`, a legal absolute name without a slash at its end. Raises BadFile."""
-        full = names.join(namespace, name).rstrip("/") or "/"
+        """`name` in `namespace`, a legal absolute name; slashes too many are left out. Raises BadFile."""
+        full = re.sub("//+", "/", names.join(namespace, name)).rstrip("/") or "/"
         if name.startswith("~") or not names.is_legal(full):
             raise self.error(f"{name!r} is not a legal name here", "names are letters, digits, '_' and '/'")
         return full
@@ -125,13 +134,12 @@ class Tag:
         given = [attribute for attribute in CONDITIONS if self.element.get(attribute) is not None]
         if len(given) > 1:
             raise self.error("'if' and 'unless' exclude each other")
-        return all(self.boolean(attribute) is (attribute == "if") for attribute in given)
+        return all(self._either(attribute, boolean) is (attribute == "if") for attribute in given)
 
     @property
     def text(self) -> str:
-        """The text of the tag, moved down so that its lines have the numbers of the file."""
-        pieces = (part for part in self.element.content if isinstance(part, str) and not isinstance(part, Comment))
-        return "\n" * (self.element.line - 1) + "".join(pieces)
+        """The text of the tag, without its comments."""
+        return "".join(part for part in self.element.content if isinstance(part, str) and not isinstance(part, Comment))
 
     def knows(self, attributes: Collection[str]) -> None:
         """Point out attributes that are not among these."""

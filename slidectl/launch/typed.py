@@ -26,11 +26,18 @@ def automatic(text: str) -> Any:
 
 
 def boolean(text: str) -> bool:
-    """true, false, 1 or 0. Raises ValueError."""
+    """true, false, 1 or 0, as conditions and parameters have it. Raises ValueError."""
     value = _BOOLEANS.get(text.strip().lower())
     if value is None:
         raise ValueError(f"{text!r} is neither true nor false")
     return value
+
+
+def flag(text: str) -> bool:
+    """true or false and nothing else, as all other attributes have it. Raises ValueError."""
+    if text.lower() not in ("true", "false"):
+        raise ValueError(f"{text!r} is neither true nor false")
+    return text.lower() == "true"
 
 
 def convert(text: str, type_name: str, file: str) -> Any:
@@ -48,7 +55,7 @@ def convert(text: str, type_name: str, file: str) -> Any:
     if type_name == "yaml":
         from slidectl.description.yaml_tree import read_value  # takes as long to import as all of this room
 
-        return read_value(text, file)
+        return read_value(text, file, angles=False)
     return text
 
 

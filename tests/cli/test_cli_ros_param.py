@@ -55,6 +55,11 @@ MANY = "too many arguments"
 ILLEGAL = "ERROR: '{}' is not a legal name: letters, digits, '_' and '/', and the first is a letter, '/' or '~'\n"
 GREEN = 'grün ☃\n"gr\\xFCn \\u2603"\n\n'
 
+TAGS = "a: 3.141592653589793\nb:\n- 1.5707963267948966\n\n"
+PRETTY = "{deep: {list: [1, two], empty: ''}, flag: true, small: 1.0e-7, text: 'q\n\nr\n\n'}"
+# Its lists and texts of several lines are for eyes: this is no YAML.
+PRETTY_LINES = "deep:\n  empty: \n  list: - 1\n- two\nflag: true\nsmall: 1.0e-07\ntext: |\n  q\n  r\n  \n"
+
 # They build on each other.
 SESSIONS = [
     usage("rosparam set", SET, NO_NAME),
@@ -76,6 +81,8 @@ SESSIONS = [
     Session('rosparam set /deg "deg(90)"'),
     Session('rosparam set /rad "rad(pi/2)"'),
     Session("rosparam set /sci2 1.0e-3"),
+    Session("rosparam set /tags '{a: !degrees 180, b: [!radians pi/2]}'; rosparam get /tags", TAGS),
+    Session("rosparam delete /tags"),
     Session(
         "rosparam set /intkey '{1: 2}'",
         "",
@@ -109,6 +116,9 @@ SESSIONS = [
     Session("rosparam get /l", "- 1\n- 2.0\n- x\n\n"),
     Session("rosparam get /d", "d: 0.01\ni: 0.1\nnested:\n  x: 2\np: 1.0\n\n"),
     Session("rosparam get -p /d", "d: 0.01\ni: 0.1\nnested:\n  x: 2\np: 1.0\n"),
+    Session(f'rosparam set /p "{PRETTY}"; rosparam get -p /p', PRETTY_LINES),
+    Session("rosparam get -p /p/text", "q\nr\n\n"),
+    Session("rosparam delete /p"),
     Session("rosparam get -p /l", "- 1\n- 2.0\n- x\n\n"),
     Session("rosparam get -p /s", "hello\n"),
     Session("rosparam get -v /f", "getting parameter [/f]\n1.5\n"),
@@ -170,6 +180,14 @@ SESSIONS = [
         "rosparam dump -v out.yaml /slide/controller/pid",
         "dumping namespace [/slide/controller/pid] to file [out.yaml]\n"
         "/slide/controller/pid/p=100.0\n/slide/controller/pid/i=0.01\n/slide/controller/pid/d=10.0\n",
+    ),
+    Session(
+        "rosparam dump -v out.yaml /pl; rosparam load -v out.yaml /pl2",
+        "dumping namespace [/pl] to file [out.yaml]\n[1, 2]\nreading parameters from [out.yaml]\n[1, 2]\n",
+    ),
+    Session(
+        "rosparam dump out.yaml /slide/controller/joint; rosparam load -v out.yaml /copy; rosparam get /copy",
+        "reading parameters from [out.yaml]\nslide\nslide\n",
     ),
     Session("rosparam dump out.yaml /nope", "", "ERROR: Parameter [/nope] is not set\n", 1),
     Session("rosparam load -", stdin="k: 1\n"),

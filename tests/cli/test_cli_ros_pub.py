@@ -365,7 +365,9 @@ def test_l_keeps_the_first_document_of_a_file_latched(slide: SlideWorld, files: 
     words = ("ros", "rostopic", "pub", "-l", "-f", f"{files}/{name}.yaml", f"/latched_{name}", "std_msgs/Float64")
     staying = slide.shell.slidectl.start(*words)
     assert staying.stdout is not None
+    assert staying.stderr is not None
     assert staying.stdout.readline() == STAYS
+    assert "is latched" in staying.stderr.readline()
     assert slide.client.subscribe(f"/latched_{name}").get(30.0) == {"data": value}
     staying.send_signal(signal.SIGINT)
     staying.communicate(timeout=30)

@@ -32,8 +32,8 @@ from slidectl.errors import BadFile
         ('value="1" type="bool"', True),
         ('value="0" type="boolean"', False),
         ('value="[1, {a: b}]" type="yaml"', [1, {"a": "b"}]),
-        ('value="deg(90)" type="yaml"', pytest.approx(1.5707963)),
-        ('value="{a: {b: 1}}" type="yaml"', None),
+        ('value="deg(90)" type="yaml"', "deg(90)"),
+        ('value="{a: {b: 1}}" type="yaml"', {"a": {"b": 1}}),
     ],
 )
 def test_a_value_is_typed_as_roslaunch_types_it(workspace: Workspace, attributes: str, expected: Any) -> None:
@@ -64,9 +64,11 @@ def test_a_value_is_typed_as_roslaunch_types_it(workspace: Workspace, attributes
         ('<rosparam command="delete"/>', "delete needs a param or an ns"),
         ('<rosparam command="dump" param="a"/>', "the attribute 'file' is missing"),
         ('<rosparam command="lod" file="x"/>', "the command 'lod' is none of load, dump, delete"),
-        ('<rosparam file="x">a: 1</rosparam>', "a file and a text exclude each other"),
+        ('<rosparam file="">a: 1</rosparam>', "the attribute 'file' is empty"),
+        ('<rosparam command="delete" param="a" file="x"/>', "delete takes no file"),
+        ('<rosparam param="/">1</rosparam>', "expected names with values"),
+        ('<param name="/" value="1"/>', "'/' is no name for a value"),
         ('<rosparam file="/no/such.yaml"/>', "/no/such.yaml: no such file or directory"),
-        ('<rosparam param="x"> </rosparam>', "its value is nothing"),
     ],
 )
 def test_what_no_parameter_can_be_is_refused_with_the_place(workspace: Workspace, content: str, reason: str) -> None:
@@ -84,7 +86,7 @@ def test_yaml_in_the_file_has_the_lines_of_the_file(workspace: Workspace) -> Non
 
 def test_files_give_text_bytes_and_trees(workspace: Workspace) -> None:
     workspace.write("a.txt", "größe\n")
-    workspace.write("p.yaml", "pid: {p: 1.0}\n---\npid: {i: 0.5}\nlist: [a]\n")
+    workspace.write("p.yaml", "pid: {p: 1.0, i: 0.5}\nlist: [a]\n")
     found = workspace.values(
         '<param name="t" textfile="$(find demo)/a.txt"/><param name="b" binfile="$(find demo)/a.txt"/>'
         '<rosparam file="$(find demo)/p.yaml" ns="left"/>'
@@ -105,13 +107,67 @@ def test_later_parameters_replace_earlier_ones_and_trees_are_merged(workspace: W
     assert workspace.values(content) == {"/a/x": 1, "/a/y": 2, "/a/z": 3}
 
 
-def test_a_name_cannot_hold_a_value_and_other_names(workspace: Workspace) -> None:
-    for content in ('<param name="a" value="1"/>\n<param name="a/b" value="2"/>',
-                    '<param name="a/b" value="2"/>\n<param name="a" value="1"/>'):  # fmt: skip
-        with pytest.raises(BadFile, match=r"parameter /a/b lies below /a, which is set to a value at .*test.launch:\d"):
-            workspace.values(content)
-    assert workspace.values('<rosparam>a: {}</rosparam><param name="a/b" value="2"/>') == {"/a/b": 2}
-    assert workspace.values("<rosparam>a: {}</rosparam>") == {"/a": {}}
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        ('<param name="a" value="1"/><param name="a/b" value="2"/>', {"/a/b": 2}),
+        ('<param name="a/b" value="2"/><param name="a" value="1"/>', {"/a": 1}),
+        ('<param name="a" value="1"/><param name="a/b" value="2"/><param name="a" value="3"/>', {"/a/b": 2}),
+        ('<param name="a/b" value="2"/><param name="a" value="{c: 1}" type="yaml"/>', {"/a": {"c": 1}}),
+    ],
+)
+def test_of_a_value_and_names_below_it_the_later_one_counts_and_a_notice_says_so(
+    workspace: Workspace, content: str, expected: dict[str, Any]
+) -> None:
+    plan = workspace.plan(content)
+    assert {name: value for name, (value, _) in plan.parameters().items()} == expected
+    [notice] = notices(plan)
+    assert "cannot be set beside /a" in notice
+
+
+def test_a_mapping_as_one_value_has_room_for_names_below_it(workspace: Workspace) -> None:
+    content = '<param name="a" value="{c: 1}" type="yaml"/><param name="a/b" value="2"/>'
+    assert workspace.values(content) == {"/a": {"c": 1}, "/a/b": 2}
+
+
+@pytest.mark.parametrize("content", ["a: {}", "{}", "a: {b: {}}", "null", ""])
+def test_empty_mappings_in_a_rosparam_set_nothing(workspace: Workspace, content: str) -> None:
+    assert workspace.values(f'<rosparam param="x">{content}</rosparam>') == {}
+    if content != "null":
+        assert workspace.values(f"<rosparam>{content}</rosparam>") == {}
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        ("x: {/a: 1, b: 2}", {"/a": 1, "/n/x/b": 2}),
+        ("/a/b: {c: 1}", {"/a/b/c": 1}),
+        ("/: {c: 1}", {"/c": 1}),
+        ("a//b/: 1", {"/n/a/b": 1}),
+        ("_ns: q", {"/n/_ns": "q"}),
+        ("a: deg(180)\nb: deg(1) + deg(2)", {"/n/a": pytest.approx(3.14159265), "/n/b": "deg(1) + deg(2)"}),
+    ],
+)
+def test_names_and_values_in_a_rosparam(workspace: Workspace, content: str, expected: dict[str, Any]) -> None:
+    assert workspace.values(f'<rosparam ns="n">{content}</rosparam>') == expected
+    workspace.write("p.yaml", content)
+    assert workspace.values('<rosparam ns="n" file="$(find demo)/p.yaml"/>') == expected
+
+
+def test_the_text_of_a_rosparam_can_be_one_expression(workspace: Workspace) -> None:
+    assert workspace.values('\n<rosparam subst_value="true">$(eval {"a": 1 + 1})</rosparam>') == {"/a": 2}
+
+
+def test_a_rosparam_holds_one_document(workspace: Workspace) -> None:
+    with pytest.raises(BadFile, match=r"test.launch:4: a second document, where there can be only one"):
+        workspace.values("<rosparam>\na: 1\n---\nb: 2</rosparam>")
+
+
+def test_of_a_file_and_a_text_the_file_counts(workspace: Workspace) -> None:
+    workspace.write("p.yaml", "a: 1\n")
+    plan = workspace.plan('<rosparam file="$(find demo)/p.yaml">b: 2</rosparam>')
+    assert list(plan.parameters()) == ["/a"]
+    assert "the text has no effect" in notices(plan)[0]
 
 
 def test_an_empty_rosparam_is_pointed_out(workspace: Workspace) -> None:
@@ -154,7 +210,21 @@ def test_a_command_gives_its_output_as_it_is(workspace: Workspace) -> None:
         """<param name="x" command="printf '%s|' one 'two words' $HOME"/><param name="n" command="echo 5" type="int"/>
         <param name="y" command="echo '{a: [1, 2]}'" type="yaml"/>"""
     )
-    assert found == {"/x": "one|two words|$HOME|", "/n": 5, "/y/a": [1, 2]}
+    assert found == {"/x": "one|two words|$HOME|", "/n": 5, "/y": {"a": [1, 2]}}
+
+
+def test_texts_of_files_and_commands_are_typed_as_values_are_and_only_values_lose_their_blanks(
+    workspace: Workspace,
+) -> None:
+    workspace.write("n.txt", " 1.5\r\n")
+    (workspace.package / "t.txt").write_bytes(b" a\r\nb\r")
+    found = workspace.values(
+        """<param name="n" textfile="$(find demo)/n.txt"/><param name="t" textfile="$(find demo)/t.txt"/>
+        <param name="c" command="echo 5"/><param name="s" command="echo 5" type="str"/>
+        <param name="b" command="echo true"/>
+        <param name="v" value=" true "/><param name="w" type="str" value=" 1 "/>"""
+    )
+    assert found == {"/n": 1.5, "/t": " a\nb\n", "/c": 5, "/s": "5\n", "/b": "true\n", "/v": True, "/w": "1"}
 
 
 def test_commands_can_be_refused_but_not_our_own_xacro(workspace: Workspace) -> None:

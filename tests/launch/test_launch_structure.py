@@ -154,7 +154,7 @@ def test_an_include_passes_what_it_says_and_nothing_else(workspace: Workspace) -
     include = '<arg name="b" default="5"/><include file="$(dirname)/inner.launch" ns="{ns}">{args}</include>'
     assert workspace.values(include.format(ns="in", args='<arg name="a" value="1"/>')) == {"/in/x": 10}
     given = '<arg name="a" value="1"/><arg name="b" value="$(arg b)"/>'
-    assert workspace.values(include.format(ns="", args=given)) == {"/x": 15}
+    assert workspace.values(include.format(ns="/", args=given)) == {"/x": 15}
     with pytest.raises(BadFile, match=r"inner.launch:1: <arg>: the included file requires the argument 'a'") as caught:
         workspace.plan(include.format(ns="in", args=""))
     assert "included from demo/launch/test.launch:1" in str(caught.value)
@@ -170,6 +170,19 @@ def test_pass_all_args_passes_all_and_forgives_what_is_not_wanted(workspace: Wor
     include = '<include file="$(dirname)/in.launch" pass_all_args="true">{}</include>'
     assert workspace.values(content.format(include.format(""))) == {"/x": 13}
     assert workspace.values(content.format(include.format('<arg name="a" value="7"/>'))) == {"/x": 73}
+    assert workspace.values(content.format(include.format('<arg name="z" value="7"/>'))) == {"/x": 13}
+
+
+def test_groups_beside_each_other_may_have_args_of_one_name(workspace: Workspace) -> None:
+    group = '<group><arg name="a" default="{0}"/><param name="p{0}" value="$(arg a)"/></group>'
+    content = group.format(1) + group.format(2)
+    assert workspace.values(content) == {"/p1": 1, "/p2": 2}
+    assert workspace.load(workspace.launch_file(content), a="7").parameters()["/p2"][0] == 7
+    workspace.launch_file(content, "inner.launch")
+    with pytest.raises(BadFile, match="no argument 'a'"):
+        workspace.plan('<include file="$(dirname)/inner.launch"><arg name="a" value="1"/></include>')
+    with pytest.raises(BadFile, match="declared twice"):
+        workspace.plan('<arg name="a" default="1"/>' + content)
 
 
 def test_the_surroundings_of_an_include_reach_into_it_and_nothing_comes_back(workspace: Workspace) -> None:
@@ -223,9 +236,11 @@ def test_clear_params_of_groups_includes_and_nodes_are_kept_in_order(workspace: 
     assert [namespace for namespace, _ in plan.clear] == ["/g", "/g/n", "/i"]
 
 
-def test_an_include_is_found_from_the_working_folder_or_from_its_includer(workspace: Workspace) -> None:
+def test_an_include_is_found_from_the_working_folder_only(workspace: Workspace) -> None:
     workspace.launch_file('<param name="x" value="1"/>', "inner.launch")
-    assert workspace.values('<include file="inner.launch"/>') == {"/x": 1}
+    with pytest.raises(BadFile) as caught:
+        workspace.values('<include file="inner.launch"/>')
+    assert 'there is one beside this file: file="$(dirname)/inner.launch"' in str(caught.value)
     (workspace.folder / "inner.launch").write_text('<launch><param name="x" value="2"/></launch>')
     assert workspace.values('<include file="inner.launch"/>') == {"/x": 2}
 

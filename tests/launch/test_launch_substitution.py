@@ -20,7 +20,7 @@ from slidectl.launch.evaluator import ExpressionError, evaluate
         ("$(arg a)-$(arg a)/$(arg b)", "one-one/2"),
         ("$(arg b)", 2),
         ("$(arg b).0", 2.0),
-        ("  $(arg   a)  ", "  one  "),
+        ("  $(arg   a)  ", "one"),
         ("$ (arg a) $a $$", "$ (arg a) $a $$"),
         ("$(optenv NOT_SET)", ""),
         ("$(optenv NOT_SET a  b)", "a b"),
@@ -41,6 +41,18 @@ def test_each_is_put_in_where_it_stands(
 def test_packages_and_the_files_own_folder_are_found(workspace: Workspace) -> None:
     assert workspace.value("$(find demo)/urdf/x.xacro") == f"{workspace.package}/urdf/x.xacro"
     assert workspace.value("$(dirname)") == str(workspace.package / "launch")
+
+
+@pytest.mark.parametrize(
+    ("written", "meant"),
+    [
+        ("", "{}"), ("/", "{}"), ("/a b", "{}/a b"), (" /a", "{} /a"), ("a", "{}/a"), (":a", "{}/:a"),
+        ("../a", "{}/../a"),
+        ("/a//b/", "{}/a//b/"), ("//a", "/a"), ("\\a\\b", "{}/a/b"), ("$(arg x)", "{}/1"), ("/$(arg x)/c", "{}/1/c"),
+    ],
+)  # fmt: skip
+def test_a_packages_folder_is_joined_with_the_path_after_it(workspace: Workspace, written: str, meant: str) -> None:
+    assert workspace.value(f"p=$(find demo){written}", x="1") == "p=" + meant.format(workspace.package)
 
 
 def test_an_included_file_has_its_own_folder_and_its_own_neighbours(workspace: Workspace) -> None:
@@ -152,7 +164,7 @@ def test_lists_that_double_in_each_turn_come_to_an_end() -> None:
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("$(find $(arg a))", "one substitution stands inside another"),
+        ("$(find $(arg a))", "one substitution stands inside a substitution"),
         ("$(arg a", r"'\$\(' is not closed"),
         ("$()", "unknown substitution"),
         ("$(arg)", r"\$\(arg\) takes exactly one name, not 0"),
@@ -160,6 +172,7 @@ def test_lists_that_double_in_each_turn_come_to_an_end() -> None:
         ("$(env)", r"\$\(env\) takes exactly one name"),
         ("$(optenv)", "needs the name of a variable"),
         ("$(dirname x)", "takes nothing after it"),
+        ("$(optenv NOT_SET (x))", "a bracket stands inside a substitution"),
         ("$(fnd demo)", "Did you mean 'find'?"),
         ("$(arg aa)", "Did you mean 'a'?"),
         ("x $(eval 1)", "must be the whole value"),

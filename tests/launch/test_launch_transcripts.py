@@ -255,5 +255,5 @@ def test_what_the_real_one_warns_of_is_pointed_out_with_the_place(workspace: Wor
     ]
     path = workspace.write("launch/test.launch", '<launch deprecated="use all.launch"/>')
     assert "is deprecated: use all.launch" in notices(workspace.load(path))[0]
-    assert "skipped" in notices(workspace.plan('<test test-name="t" pkg="a" type="b"/>'))[0]
+    assert "is not run" in notices(workspace.plan('<test test-name="t" pkg="a" type="b"/>'))[0]
     assert "obsolete" in notices(workspace.plan('<master auto="start"/>'))[0]

@@ -84,6 +84,8 @@ def _typed(text: str) -> Any:
         if "is not text" in error.message:
             raise Failure(f"ERROR: {keys}\n{_python(text)}") from None
         raise Failure(f"ERROR: {error}") from None
+    except BadFile as error:
+        raise Failure(f"ERROR: {error}") from None
 
 
 def _python(text: str) -> str:
@@ -147,7 +149,7 @@ def get(ctx: Context, argv: Sequence[str]) -> None:
     if given.verbose:
         output.write(f"getting parameter [{full}]")
     value = _value(ctx, full)
-    output.write(pretty(value) if given.pretty and isinstance(value, str | dict) else printed(value))
+    output.write(pretty(value) + "\n" if given.pretty and isinstance(value, str | dict) else printed(value))
 
 
 def _value(ctx: Context, full: str) -> Any:
@@ -164,15 +166,21 @@ def printed(value: Any) -> str:
 
 
 def pretty(value: Any, indent: str = "") -> str:
-    """Text as it is, mappings a name a line."""
+    """Text as it is, other values as YAML, mappings a name a line; only texts of several lines stay in order."""
+    if isinstance(value, str):
+        return value
     if not isinstance(value, dict):
-        return f"{indent}{value}"
-    lines = []
-    for key in sorted(value):
-        item = value[key]
-        inner = pretty(item, indent + "  ") if isinstance(item, dict) else ""
-        lines.append(f"{indent}{key}:\n{inner}" if inner else f"{indent}{key}: {item}")
-    return "\n".join(lines)
+        return parameters.dumped(value).removesuffix("\n...\n").removesuffix("\n")
+    return "\n".join(_named(key, value[key], indent) for key in sorted(value) if value[key] != {})
+
+
+def _named(key: str, value: Any, indent: str) -> str:
+    if isinstance(value, dict):
+        return f"{indent}{key}:\n{pretty(value, indent + '  ')}"
+    if isinstance(value, str) and "\n" in value:
+        lines = "\n".join(f"{indent}  {line}" for line in value.split("\n"))
+        return f"{indent}{key}: |\n{lines}"
+    return f"{indent}{key}: {pretty(value)}"
 
 
 def delete(ctx: Context, argv: Sequence[str]) -> None:
@@ -233,11 +241,12 @@ def _text(file: str) -> str:
 
 
 def _show(tree: Any, inside: str) -> None:
-    """A line for each parameter."""
+    """A line for each parameter; a value that is none of several alone."""
     from slidectl.cli.configuration import leaves
 
-    for name, value in leaves(tree, inside) if isinstance(tree, dict) else [(inside, tree)]:
-        output.write(f"{name}={value}")
+    lines = [f"{name}={value}" for name, value in leaves(tree, inside)] if isinstance(tree, dict) else [str(tree)]
+    for line in lines:
+        output.write(line + "\n")
 
 
 def dump(ctx: Context, argv: Sequence[str]) -> None:
