@@ -56,7 +56,8 @@ class ManagerScript(Task):
         self.goes_on = False
         if self.command not in COMMANDS:
             error = UnknownName("command", command, sorted(COMMANDS), "of controller_manager")
-            raise node.place.error(f"{node.full_name}: {error.message}", error.hint)
+            message = error.message if command else "controller_manager needs a command in its args"
+            raise node.place.error(f"{node.full_name}: {message}", error.hint)
         if not self.controllers and self.command not in _NAMELESS:
             raise node.place.error(f"{node.full_name}: {self.command} needs the names of controllers")
 
@@ -67,7 +68,7 @@ class ManagerScript(Task):
     def start(self, run: Run) -> str | None:
         manager = Manager(run, self.node.namespace)
         if not manager.is_there():
-            return f"{manager.name} (no robot is in {self.node.namespace} yet)"
+            return manager.missing()
         for line in self._lines(manager):
             self.settled(run, line)
         failures: list[str] = []
@@ -158,7 +159,7 @@ class GroupScript(Task):
     def start(self, run: Run) -> str | None:
         manager = Manager(run, self.node.namespace)
         if not manager.is_there():
-            return f"{manager.name} (no robot is in {self.node.namespace} yet)"
+            return manager.missing()
         groups = self._groups(run)
         if self.command == "list":
             self._list(run, groups)
