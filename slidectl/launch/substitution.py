@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 from slidectl.errors import SlidectlError, closest, listing
-from slidectl.launch.evaluator import BUILTINS, ExpressionError, evaluate
+from slidectl.launch.evaluator import ExpressionError, evaluate
 from slidectl.launch.protected import plain, protect
 from slidectl.launch.typed import automatic
 from slidectl.operators import MATH
@@ -133,16 +133,22 @@ class Substitution:
             "anon": self.surroundings.anonymous,
             "dirname": lambda: protect(self.folder),
         }
-        taken = {**MATH, **BUILTINS, **functions}
+        taken = {*MATH, *functions, "true", "false"}
         values = {
             name: automatic(value)
             for name, value in self.arguments.items()
             if name not in taken and _IDENTIFIER.match(name)
         }
         try:
-            return str(evaluate(expression, {**values, **functions}))
+            return _text(evaluate(expression, {**values, **functions}))
         except ExpressionError as error:
             raise SubstitutionError(f"$(eval {plain(expression)}) {error}") from None
+
+
+def _text(value: Any) -> str:
+    if callable(value):
+        raise ExpressionError("gives a function: its arguments are missing")
+    return str(value)
 
 
 def _inside(text: str, start: int) -> tuple[str, str]:
