@@ -116,7 +116,7 @@ WATCHED: dict[str, Callable[[str], Callable[..., str]]] = {
 }  # fmt: skip
 METHODS = {
     *WATCHED, "capitalize", "casefold", "count", "endswith", "find", "index", "isalnum", "isalpha", "isdecimal",
-    "isdigit", "isidentifier", "islower", "isnumeric", "isspace", "isupper", "lower", "lstrip", "partition", "removeprefix",
-    "removesuffix", "rfind", "rindex", "rpartition", "rsplit", "rstrip", "split", "splitlines", "startswith", "strip",
-    "swapcase", "title", "upper",
+    "isdigit", "isidentifier", "islower", "isnumeric", "isspace", "isupper", "lower", "lstrip", "partition",
+    "removeprefix", "removesuffix", "rfind", "rindex", "rpartition", "rsplit", "rstrip", "split", "splitlines",
+    "startswith", "strip", "swapcase", "title", "upper",
 }  # fmt: skip
