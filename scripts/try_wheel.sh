@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Builds the wheel, installs it into a bare environment and runs the slider from a folder that knows no checkout.
+# Builds the wheel, installs it into a bare environment, and runs the slider and the samples' launch files from a folder
+# that knows no checkout. PYTHON builds; the checkout's own environment unless it is set.
 set -euo pipefail
 root="$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)"
 work="$(mktemp -d)"
@@ -8,7 +9,7 @@ mkdir -m 700 "$XDG_RUNTIME_DIR"
 slidectl="$work/venv/bin/slidectl"
 trap '"$slidectl" -q daemon stop >/dev/null 2>&1 || true; rm -rf "$work"' EXIT
 
-"$root/.venv/bin/python" -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir "$work" "$root"
+"${PYTHON:-$root/.venv/bin/python}" -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir "$work" "$root"
 python3 -m venv "$work/venv"
 "$work/venv/bin/python" -m pip install --quiet --disable-pip-version-check "$work"/slidectl-*.whl
 
@@ -19,5 +20,23 @@ cd "$work"
 "$slidectl" controller spawn joint_state_controller joint1_position_controller
 "$slidectl" pub command 1.0
 "$slidectl" wait 'joint_states/position[0]' --near 1.0 --tol 0.02 --within 15
+"$slidectl" daemon stop
+
+"$slidectl" launch my_slider slider.launch --detach
+"$slidectl" pub command -0.1
+"$slidectl" wait 'joint_states/position[0]' --near -0.1 --tol 0.02 --within 15
+"$slidectl" daemon stop
+"$slidectl" launch rrbot_gazebo rrbot_world.launch --detach
+"$slidectl" launch rrbot_control rrbot_control.launch --detach
+"$slidectl" launch rrbot_control rrbot_rqt.launch
+"$slidectl" controller list
+"$slidectl" daemon stop
+
+# A package of one's own, at a path with blanks and letters of all kinds, that includes a sample's file.
+mkdir -p "$work/größe und weite/mine/launch"
+echo '<package format="2"><name>mine</name></package>' > "$work/größe und weite/mine/package.xml"
+echo '<launch><include file="$(find my_slider)/launch/slider.launch" pass_all_args="true"/></launch>' \
+  > "$work/größe und weite/mine/launch/all.launch"
+SLIDECTL_PACKAGE_PATH="$work/größe und weite" "$slidectl" launch mine all.launch --detach
 "$slidectl" daemon stop
 echo "the wheel works from any folder"

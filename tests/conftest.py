@@ -2,8 +2,29 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import tempfile
+
+import pytest
 from hypothesis import HealthCheck, settings
 
 # No test may depend on how fast the machine is, nor leave a database behind.
 settings.register_profile("slidectl", deadline=None, suppress_health_check=[HealthCheck.too_slow], database=None)
 settings.load_profile("slidectl")
+
+_CACHE = pytest.StashKey[pytest.MonkeyPatch]()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Compiled code goes into a folder of this run, which all its workers and daemons share: it is compiled once."""
+    if not hasattr(config, "workerinput"):
+        config.stash[_CACHE] = pytest.MonkeyPatch()
+        config.stash[_CACHE].setenv("XDG_CACHE_HOME", tempfile.mkdtemp(prefix="slidectl-cache-"))
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """A compilation that is still under way finds its folder gone, and ends."""
+    if _CACHE in config.stash:
+        shutil.rmtree(os.environ["XDG_CACHE_HOME"], ignore_errors=True)
+        config.stash[_CACHE].undo()

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from slidectl import description, names
+from slidectl import names
 from slidectl.check import model
 from slidectl.check.findings import Findings
 from slidectl.check.launch_parameters import LaunchParameters
@@ -75,7 +75,7 @@ class LaunchNodes:
         asked = task.words.one("-robot_namespace")
         namespace = names.join(task.node.namespace, asked) if asked else None
         if found is not None:
-            namespace = namespace or description.namespace_of(found.robot, task.model)
+            namespace = task.home(found.robot, self.plan.nodes)
             found = replace(found, namespace=namespace)
         return SpawnedOnPaper(task.model, namespace, found, task.node)
 

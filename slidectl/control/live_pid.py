@@ -146,6 +146,8 @@ class _StatePublisher:
         """The state after a command that was computed for this period."""
         if self._publisher.wanted:
             self._publisher.publish(self._message(period_s))
+        else:
+            self._publisher.sequence += 1
 
     def _message(self, period_s: float) -> Message:
         pid = self._pid

@@ -30,9 +30,12 @@ class Publisher(Protocol):
 
     wanted: bool
     """True when somebody subscribes, or the topic is latched."""
+    sequence: int
+    """`header.seq` of the next message. Who builds none since none is wanted counts it here, so that who listens
+    changes nothing."""
 
     def publish(self, message: Message) -> None:
-        """Hand the message on. The publisher numbers `header.seq`; the dict must not be changed afterwards."""
+        """Hand the message on. The publisher writes `header.seq`; the dict must not be changed afterwards."""
 
 
 class NodeHandle(Protocol):

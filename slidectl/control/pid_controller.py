@@ -21,11 +21,12 @@ UPDATES_PER_STATE = 10
 
 @law
 def state_is_due(goal: PidController) -> bool:
-    """Count an update. True on every tenth, when the state is to be published."""
+    """Count an update. True on every tenth, when the state is to be published; that is counted too."""
     goal.updates_to_state -= 1
     if goal.updates_to_state:
         return False
     goal.updates_to_state = UPDATES_PER_STATE
+    goal.states += 1
     return True
 
 
@@ -42,6 +43,7 @@ class PidController(ScalarController):
         super().__init__()
         # Counted over the life of the controller: stopping and starting leave it alone.
         self.updates_to_state = 1
+        self.states = 0
         self.set_point = 0.0
         self.error = 0.0
         """Of the last update."""
@@ -68,7 +70,11 @@ class PidController(ScalarController):
     def _offer_state(self, node: NodeHandle) -> None:
         self._state = node.advertise("state", "control_msgs/JointControllerState")
 
-    def _state_message(self, time_ns: int, period_s: float, *, value: float, value_dot: float) -> Message:
+    def _tell_state(self, time_ns: int, period_s: float, *, value: float, value_dot: float) -> None:
+        self._state.sequence = self.states - 1
+        self._state.publish(self._state_message(time_ns, period_s, value, value_dot))
+
+    def _state_message(self, time_ns: int, period_s: float, value: float, value_dot: float) -> Message:
         """As control_msgs/JointControllerState."""
         pid = self._pid
         return {

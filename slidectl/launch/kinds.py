@@ -8,7 +8,7 @@ from __future__ import annotations
 from importlib import import_module
 
 from slidectl.description.packages import Packages
-from slidectl.errors import BadFile
+from slidectl.errors import BadFile, listing
 from slidectl.launch.plan import Node, Plan
 from slidectl.launch.task import Task
 
@@ -46,6 +46,7 @@ def tasks(plan: Plan, packages: Packages, skip_unknown: bool = False) -> list[Ta
         BadFile: such a node, or one whose arguments make no sense.
     """
     found = []
+    errors: dict[str, BadFile] = {}
     for node in plan.nodes:
         counterpart = _counterpart(node, plan)
         if counterpart is not None:
@@ -54,10 +55,20 @@ def tasks(plan: Plan, packages: Packages, skip_unknown: bool = False) -> list[Ta
         try:
             found.append(_program(node, plan, packages))
         except BadFile as error:
-            if not skip_unknown:
-                raise
-            plan.notice("wrong", node.place, node.full_name, f"left out: {error.reason}")
+            errors[f"{node.full_name} ({node.kind})"] = error
+            if skip_unknown:
+                plan.notice("wrong", node.place, node.full_name, f"left out: {error.reason}")
+    if errors and not skip_unknown:
+        raise _first_of(errors)
     return found
+
+
+def _first_of(errors: dict[str, BadFile]) -> BadFile:
+    """The first error, with the names of the other nodes that have one."""
+    (_, first), *others = errors.items()
+    if others:
+        first.hint = f"{first.hint}\nneither can these: {listing(name for name, _ in others)}"
+    return first
 
 
 def counterparts() -> list[tuple[str, str]]:

@@ -34,6 +34,12 @@ class Manager(ManagerServices):
         known = self.run.call("/rosapi/services")["services"]
         return all(f"{self.name}/{service}" in known for service in SERVICES)
 
+    def missing(self) -> str:
+        """What is waited for while it is not there, and where robots are instead."""
+        robots = self.run.call("/slidectl/list_robots", {"name": ""})["robots"]
+        elsewhere = ", ".join(f"{robot['name']} is in {robot['namespace']}" for robot in robots)
+        return f"{self.name} (no robot is in {self.namespace} yet{f'; {elsewhere}' if elsewhere else ''})"
+
     def ask(self, verb: str, **request: Any) -> dict[str, Any]:
         return self.run.call(f"{self.name}/{verb}", request, self.limit_s)
 

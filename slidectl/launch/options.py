@@ -64,7 +64,8 @@ def parse(node: Node, known: Mapping[str, int]) -> Words:
         while len(values) < known[name] and pending:
             values.append(pending.pop(0))
         if len(values) != known[name]:
-            raise node.place.error(f"{node.full_name}: {name} takes {known[name]} values, not {len(values)}")
+            count = f"{known[name]} value{'' if known[name] == 1 else 's'}"
+            raise node.place.error(f"{node.full_name}: {name} takes {count}, not {len(values)}")
         words.given.setdefault(name, []).append(values)
     return words
 

@@ -6,6 +6,7 @@ started here is left.
 
 from __future__ import annotations
 
+import math
 import signal
 import time
 from collections.abc import Sequence
@@ -18,6 +19,7 @@ from slidectl.launch.interrupts import Interrupted
 from slidectl.launch.nodes.gazebo import Gazebo
 from slidectl.launch.nodes.process import Process, reason
 from slidectl.launch.setup import prepare
+from slidectl.launch.strays import Strays
 from slidectl.launch.task import Run, StepFailed, Task
 from slidectl.launch.world import WorldSettings
 
@@ -63,6 +65,7 @@ class Session:
         self._lost_daemon = False
         self._waiting: list[_Waiting] = []
         self._ended: dict[Task, int] = {}
+        self._strays: Strays | None = None
         self._over = False
         run.watch.add(run.interrupts.fileno(), run.interrupts.clear)
 
@@ -105,6 +108,7 @@ class Session:
 
     def _start(self, task: Task) -> None:
         if isinstance(task, Process):
+            self._strays = self._strays or Strays()
             task.on_end = self._process_ended
         self.begun.append(task)
         why = self._attempt(task)
@@ -148,8 +152,10 @@ class Session:
                     entry.told = True
                     entry.task.settled(self.run, f"waits for {entry.reason}")
                 if time.monotonic() >= entry.until:
-                    limit = f"within {entry.task.patience_s:g} s"
-                    raise StepFailed(entry.task, Refused(f"there was no {entry.reason} {limit}"))
+                    if not entry.task.goes_on_waiting(self.run):
+                        limit = f"within {entry.task.patience_s:g} s"
+                        raise StepFailed(entry.task, Refused(f"there was no {entry.reason} {limit}"))
+                    entry.until = math.inf
             self._turn(_LOOK_AGAIN_S)
             if self._over:
                 return
@@ -195,6 +201,8 @@ class Session:
         return [task for task in self.begun if task.keeps_running and task not in (*self._ended, *waiting)]
 
     def _is_required(self, task: Task) -> bool:
+        if task.family in ("notice", "refused"):  # a window that there never was cannot be closed
+            return False
         return task.node.required or (self.run.options.all_required and isinstance(task, Process))
 
     def _process_ended(self, task: Process, code: int) -> None:
@@ -246,6 +254,11 @@ class Session:
             run.client.close()
         if self._began_daemon or run.owns_daemon:
             self._stop_daemon()
+        if self._strays is not None:
+            self._strays.end(run.options.sigterm_timeout_s, lambda: len(run.interrupts.received) > 1, self._tell_stray)
+
+    def _tell_stray(self, pid: int, name: str) -> None:
+        self.run.console.warn(f"process {pid} ({name}) was left behind by a node; it is ended")
 
     def _stop(self, task: Task) -> None:
         if not isinstance(task, Process) and (self._lost_daemon or not self.run.is_connected):

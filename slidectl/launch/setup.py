@@ -19,7 +19,8 @@ def prepare(run: Run, parameters: Mapping[str, Leaf]) -> None:
         _carry_out(run, command)
     _set(run, parameters)
     if parameters:
-        run.console.step("parameters", f"{len(parameters)} parameters set", count=len(parameters))
+        plural = "" if len(parameters) == 1 else "s"
+        run.console.step("parameters", f"{len(parameters)} parameter{plural} set", count=len(parameters))
 
 
 def _tell_notices(run: Run) -> None:
@@ -31,7 +32,8 @@ def _tell_notices(run: Run) -> None:
         else:
             quiet += 1
     if quiet:
-        run.console.step("notices", f"{quiet} things in the files have no effect, -v shows them", count=quiet)
+        things = "one thing" if quiet == 1 else f"{quiet} things"
+        run.console.step("notices", f"{things} in the files without effect, -v shows more", count=quiet)
 
 
 def _clear(run: Run, namespace: str, place: Place) -> None:

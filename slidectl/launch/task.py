@@ -153,6 +153,10 @@ class Task:
         """
         raise NotImplementedError
 
+    def goes_on_waiting(self, run: Run) -> bool:  # noqa: ARG002
+        """Asked when its patience is over: whether it waits on all the same, which it says itself."""
+        return False
+
     def afterwards(self, run: Run) -> None:
         """What there is to say or do when all other nodes have started."""
 

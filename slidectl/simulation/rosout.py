@@ -32,6 +32,8 @@ class Rosout:
             self.sink(severity, node, text, now)
         if self._publisher.wanted:
             self._publisher.publish(_log(level, node, text, now))
+        else:
+            self._publisher.sequence += 1
 
 
 def _log(level: int, node: str, text: str, now_ns: int) -> dict[str, object]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
+from typing import Any, ClassVar
 
 from slidectl import msgs, names
 from slidectl.control.node import Message, MessageCallback
@@ -23,8 +23,13 @@ class TypeConflict(Refused):
 
 
 class TopicPublisher:
-    """One publisher of one topic. Ask `wanted` before building a message: nobody may be listening."""
+    """One publisher of one topic. Ask `wanted` before building a message: nobody may be listening.
 
+    `sequence` is `header.seq` of the next message; those that nobody wanted count too.
+    """
+
+    first: ClassVar[int] = 1
+    """`header.seq` of the first message, as rospy has it (rostopic pub)."""
     __slots__ = ("_on_close", "_topic", "last", "latch", "node", "sequence", "wanted")
 
     def __init__(self, topic: Topic, node: str, latch: bool, on_close: Callable[[TopicPublisher], None]) -> None:
@@ -32,7 +37,7 @@ class TopicPublisher:
         self._on_close = on_close
         self.node = node
         self.latch = latch
-        self.sequence = 0
+        self.sequence = self.first
         self.last: Message | None = None
         self.wanted = False
 
@@ -43,8 +48,8 @@ class TopicPublisher:
             SlidectlError: what the first subscriber said that refused it; all of them have been asked.
         """
         if self._topic.has_header:
-            self.sequence += 1
             message["header"]["seq"] = self.sequence
+            self.sequence += 1
         if self.latch:
             self.last = message
         refusal: SlidectlError | None = None
@@ -64,6 +69,7 @@ class TopicPublisher:
 class NodePublisher(TopicPublisher):
     """A publisher inside the simulation: as in ROS it does not hear that a subscriber refused; that one logs it."""
 
+    first = 0  # as roscpp has it
     __slots__ = ()
 
     def publish(self, message: Message) -> None:

@@ -163,6 +163,15 @@ def test_a_spawner_can_wait_for_a_topic_to_say_true(slider: CommandLine, write: 
     launched.interrupt()
 
 
+def test_a_spawner_goes_on_waiting_for_its_topic_with_a_warning(slider: CommandLine, write: Write) -> None:
+    launched = Launched(slider, write(control(f"--timeout 0.2 --wait-for go {BOTH}")))
+    launched.until("nothing true came on /slider/go within 0.2 s; it is waited for")
+    slider.ok("pub", "/slider/go", "true")
+    launched.up()
+    assert set(states(slider).values()) == {"running"}
+    launched.interrupt()
+
+
 def test_a_spawner_that_finds_a_controller_loaded_fails_and_leaves_it_alone(slider: CommandLine, write: Write) -> None:
     slider.ok("controller", "spawn", "joint_state_controller")
     done = slider("launch", write(control("joint1_position_controller joint_state_controller")))

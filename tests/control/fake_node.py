@@ -18,6 +18,7 @@ class FakePublisher:
     def __init__(self, topic: str, type_name: str, latch: bool) -> None:
         self.topic, self.type_name, self.latch = topic, type_name, latch
         self.wanted = True
+        self.sequence = 0
         self.messages: list[Message] = []
 
     def publish(self, message: Message) -> None:

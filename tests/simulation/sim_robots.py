@@ -61,9 +61,11 @@ def switch(
     return ok
 
 
-def running_cart(plugin: str = "", joints: int = 1, timestep: float = 0.001) -> Simulation:
+def running_cart(plugin: str = "", joints: int = 1, timestep: float = 0.001, engine: str = "auto") -> Simulation:
     """A simulation with one cart whose controllers run, at time 0."""
-    simulation = Simulation(timestep=timestep, ground=False)
+    simulation = Simulation(timestep=timestep, ground=False, engine=engine)
+    if engine == "compiled":
+        simulation.engine.complete()
     simulation.spawn(cart(plugin, joints), "cart")
     drive_up(simulation, joints=joints)
     return simulation

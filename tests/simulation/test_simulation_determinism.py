@@ -9,6 +9,9 @@ import pytest
 from sim_robots import cart, command, drive_up, running_cart, state
 
 from slidectl.simulation import Simulation
+from slidectl.simulation.compiled import object_file
+
+needs_numba = pytest.mark.skipif(not object_file.is_possible(), reason="numba is not installed")
 
 CYCLES = 1000
 TARGETS = {0: 1.0, 300: -0.5, 701: 0.25}
@@ -108,3 +111,29 @@ def test_messages_carry_the_same_numbers_in_every_run() -> None:
     first, second = record(), record()
     assert len(first) > 1000
     assert first == second
+
+
+@pytest.mark.parametrize("engine", ["plain", pytest.param("compiled", marks=needs_numba)])
+def test_the_numbers_of_headers_are_those_that_an_earlier_listener_would_have_heard(engine: str) -> None:
+    topics = ("/cart/joint_states", "/cart/position1/state", "/rosout")
+
+    def numbers(listens_at: int) -> list[tuple[str, int, int]]:
+        heard: list[tuple[str, int, int]] = []
+
+        def listen(topic: str) -> None:
+            simulation.subscribe(topic, lambda m: heard.append((topic, simulation.time_ns, m["header"]["seq"])))
+
+        simulation = running_cart(joints=2, engine=engine)
+        for burst in range(5):
+            if burst == listens_at:
+                for topic in topics:
+                    listen(topic)
+            simulation.step(200)
+            simulation.graph.log("info", "/me", "hello")
+        return heard
+
+    first = numbers(0)
+    assert first[0][2] >= 0
+    late = numbers(3)
+    assert {topic for topic, _, _ in late} == set(topics)
+    assert late == first[-len(late) :]

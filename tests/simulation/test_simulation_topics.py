@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from slidectl import msgs
 from slidectl.errors import BadMessage, BadName, MessageRefused, Refused, UnknownName
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.topics import NodePublisher, Topics, TypeConflict
@@ -62,6 +63,16 @@ def test_each_publisher_numbers_its_headers_from_1(topics: Topics) -> None:
         topics.publish("/joints", None, {}, node)
         topics.publish("/joints", None, {"header": {"seq": 99}}, node)
     assert heard == [1, 2, 1, 2]
+
+
+def test_publishers_inside_count_from_0_and_count_what_nobody_wanted(topics: Topics) -> None:
+    heard: list[int] = []
+    publisher = topics.advertise("/joints", "sensor_msgs/JointState", "/gazebo", kind=NodePublisher)
+    publisher.publish(msgs.default("sensor_msgs/JointState"))
+    publisher.sequence += 1
+    topics.subscribe("/joints", None, "/me", lambda message: heard.append(message["header"]["seq"]))
+    publisher.publish(msgs.default("sensor_msgs/JointState"))
+    assert heard == [2]
 
 
 def test_another_type_for_a_topic_is_refused_and_says_who_uses_it(topics: Topics) -> None:

@@ -46,10 +46,10 @@ class JointPositionController(PidController):
     compiled = Compiled(
         "joint_position",
         Columns(
-            changing="error updates_to_state",
+            changing="error updates_to_state states",
             fixed="set_point set_velocity has_set_velocity lower upper turns",
             places="pid joint wanted",
-            whole="updates_to_state has_set_velocity turns pid joint wanted",
+            whole="updates_to_state states has_set_velocity turns pid joint wanted",
         ),
     )
 
@@ -91,7 +91,7 @@ class JointPositionController(PidController):
     def publish(self, time_ns: int, period_s: float) -> None:
         """The state after an update."""
         joint = self._joint
-        self._state.publish(self._state_message(time_ns, period_s, value=joint.position, value_dot=joint.velocity))
+        self._tell_state(time_ns, period_s, value=joint.position, value_dot=joint.velocity)
 
 
 @controller("effort_controllers/JointPositionController")

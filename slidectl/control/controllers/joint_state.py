@@ -33,6 +33,7 @@ def states_are_due(rhythm: JointStateController, time_ns: int) -> bool:
     if time_ns <= rhythm.due_ns:
         return False
     rhythm.due_ns += rhythm.period_ns
+    rhythm.messages += 1
     return True
 
 
@@ -52,7 +53,9 @@ class JointStateController(Controller[JointStateInterface]):
     interface_type = JointStateInterface
     compiled = Compiled(
         "joint_state",
-        Columns(changing="due_ns", fixed="period_ns", places="wanted", whole="due_ns period_ns wanted"),
+        Columns(
+            changing="due_ns messages", fixed="period_ns", places="wanted", whole="due_ns messages period_ns wanted"
+        ),
     )
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("publish_rate", NUMBER, "messages per simulated second; none unless above 0", "1/s", required=True),
@@ -75,6 +78,7 @@ class JointStateController(Controller[JointStateInterface]):
         self._take_extra(_extra_joints(node, [joint.name for joint in self._joints]))
         # The time after which the next message is due: the last one's plus one period.
         self.due_ns = NEVER
+        self.messages = 0
         self._started = False
 
     def _take_rate(self, rate: float) -> None:
@@ -104,6 +108,7 @@ class JointStateController(Controller[JointStateInterface]):
 
     def publish(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
         """The states of this cycle."""
+        self._publisher.sequence = self.messages - 1
         self._publisher.publish(self._message(time_ns))
 
     def parts(self) -> Parts:

@@ -31,10 +31,10 @@ class JointVelocityController(PidController):
     compiled = Compiled(
         "joint_velocity",
         Columns(
-            changing="error updates_to_state",
+            changing="error updates_to_state states",
             fixed="set_point",
             places="pid joint wanted",
-            whole="updates_to_state pid joint wanted",
+            whole="updates_to_state states pid joint wanted",
         ),
     )
 
@@ -63,4 +63,4 @@ class JointVelocityController(PidController):
 
     def publish(self, time_ns: int, period_s: float) -> None:
         """The state after an update. The derivative of the velocity is 0: the model never fills it in."""
-        self._state.publish(self._state_message(time_ns, period_s, value=self._joint.velocity, value_dot=0.0))
+        self._tell_state(time_ns, period_s, value=self._joint.velocity, value_dot=0.0)

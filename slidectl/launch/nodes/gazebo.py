@@ -38,6 +38,9 @@ class Gazebo(Task):
         for option in words.given:
             if option not in _QUIET:
                 plan.notice("ignored", node.place, node.full_name, f"Gazebo's option {option} has no effect")
+        engine = words.one("-e") or words.one("--physics") or "ode"
+        if engine != "ode":
+            plan.notice("ignored", node.place, node.full_name, f"-e {engine} has no effect: the physics here is MuJoCo")
         if len(words.rest) > 1:
             raise node.place.error(f"{node.full_name}: one world file at most, not {' '.join(words.rest)}")
         if words.rest:

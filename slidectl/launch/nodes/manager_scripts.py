@@ -67,7 +67,7 @@ class ManagerScript(Task):
     def start(self, run: Run) -> str | None:
         manager = Manager(run, self.node.namespace)
         if not manager.is_there():
-            return f"{manager.name} (no robot is in {self.node.namespace} yet)"
+            return manager.missing()
         for line in self._lines(manager):
             self.settled(run, line)
         failures: list[str] = []
@@ -158,7 +158,7 @@ class GroupScript(Task):
     def start(self, run: Run) -> str | None:
         manager = Manager(run, self.node.namespace)
         if not manager.is_there():
-            return f"{manager.name} (no robot is in {self.node.namespace} yet)"
+            return manager.missing()
         groups = self._groups(run)
         if self.command == "list":
             self._list(run, groups)

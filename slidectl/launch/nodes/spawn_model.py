@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from slidectl import description, names
 from slidectl.description.packages import is_file
-from slidectl.errors import Refused, SlidectlError
+from slidectl.errors import BadName, Refused, SlidectlError
 from slidectl.launch.options import Words, number, parse
 from slidectl.launch.plan import Node, Plan
 from slidectl.launch.task import HOOK_LIMIT_S, SPAWN_LIMIT_S, Run, Task
@@ -45,10 +47,35 @@ class SpawnModel(Task):
             raise self._error("needs a name for the robot: -model NAME")
         if words.one("-gazebo_namespace", "/gazebo").strip("/") != "gazebo":
             raise self._error("there is one world, and it is in /gazebo", "leave -gazebo_namespace out")
-        self.model = words.one("-model")
+        self.model = self._name()
         self.pose = _pose(words)
         self.joints = {joint: number(node, f"-J {joint}", value) for joint, value in words.given.get("-J", [])}
         self.bound = self.keeps_running = self.needs_presence = words.has("-b")
+
+    def _name(self) -> str:
+        try:
+            return names.check_robot(self.words.one("-model"))
+        except BadName as error:
+            raise self._error(error.message, "give it another name (-model NAME)") from None
+
+    def home(self, robot: description.Robot, nodes: Sequence[Node]) -> str:
+        """The namespace in which the robot will be, in a launch of these nodes.
+
+        A plugin that names none gets the node's own from spawn_model, and else the model's name. Which of them is
+        meant is seen from the nodes that speak to a controller manager.
+        """
+        asked = self.words.one("-robot_namespace")
+        if asked:
+            return names.join(self.node.namespace, asked)
+        is_open = robot.plugin is not None and robot.plugin.robot_namespace is None
+        if is_open and self._is_spoken_to(nodes):
+            return self.node.namespace
+        return description.namespace_of(robot, self.model)
+
+    def _is_spoken_to(self, nodes: Sequence[Node]) -> bool:
+        """Whether a node speaks to a controller manager in this one's namespace, and none to one in the model's."""
+        managers = {_manager_of(node) for node in nodes if node.package == "controller_manager"}
+        return self.node.namespace in managers and names.join("/", self.model) not in managers
 
     def _error(self, message: str, hint: str | None = None) -> SlidectlError:
         return self.node.place.error(f"{self.node.full_name}: {message}", hint)
@@ -94,11 +121,10 @@ class SpawnModel(Task):
         return description.load(xml, {}, packages)
 
     def _spawn(self, run: Run, document: description.Document) -> None:
-        namespace = self.words.one("-robot_namespace")
         request: dict[str, Any] = {
             "model_name": self.model,
             "model_xml": document.xml,
-            "robot_namespace": names.join(self.node.namespace, namespace) if namespace else "",
+            "robot_namespace": self._asked_namespace(run, document),
             "initial_pose": self.pose,
             "reference_frame": self.words.one("-reference_frame"),
         }
@@ -112,6 +138,14 @@ class SpawnModel(Task):
         finally:
             if halt:
                 run.call("/gazebo/unpause_physics")
+
+    def _asked_namespace(self, run: Run, document: description.Document) -> str:
+        """Empty where the plugin says it, or the robot's name does."""
+        asked = self.words.one("-robot_namespace")
+        if asked:
+            return names.join(self.node.namespace, asked)
+        is_open = self._is_spoken_to(run.plan.nodes)
+        return self.home(description.parse(document.xml), run.plan.nodes) if is_open else ""
 
     def _set_joints(self, run: Run) -> None:
         request = {
@@ -146,6 +180,13 @@ class SpawnModel(Task):
             run.call("/gazebo/delete_model", {"model_name": self.model}, HOOK_LIMIT_S)
             run.spawned.remove(self.model)
             self.settled(run, f"{self.model}: deleted")
+
+
+def _manager_of(node: Node) -> str:
+    """The namespace in which a node of the package controller_manager looks for one."""
+    given = [after for word, after in pairwise([*node.words, ""]) if word == "--namespace"]
+    given += [word.partition("=")[2] for word in node.words if word.startswith("--namespace=")]
+    return names.join(node.namespace, given[-1]) if given else node.namespace
 
 
 def _act(run: Run, service: str, request: dict[str, Any], timeout: float | None = None) -> None:

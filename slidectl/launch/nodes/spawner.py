@@ -50,7 +50,7 @@ class Spawner(Task):
     def start(self, run: Run) -> str | None:
         manager = Manager(run, self.namespace)
         if not manager.is_there():
-            return f"{manager.name} (no robot is in {self.namespace} yet)"
+            return manager.missing()
         if self.words.has("--wait-for") and not self._is_open(run):
             return f"true on {self.node.resolve(self.words.one('--wait-for'))}"
         controllers = self._controllers(run)
@@ -62,6 +62,13 @@ class Spawner(Task):
             manager.switch(self.loaded, ())
         self._report(run, manager)
         return None
+
+    def goes_on_waiting(self, run: Run) -> bool:
+        """Only the controller manager must come in time; for its topic the real one waits on, with a warning."""
+        if self._gate is not None:
+            topic = self.node.resolve(self.words.one("--wait-for"))
+            self.warn(run, f"nothing true came on {topic} within {self.patience_s:g} s; it is waited for")
+        return self._gate is not None
 
     def _is_open(self, run: Run) -> bool:
         """Whether the last that came on the topic of --wait-for was true."""
@@ -138,7 +145,7 @@ class Unspawner(Task):
     def start(self, run: Run) -> str | None:
         manager = Manager(run, self.node.namespace)
         if not manager.is_there():
-            return f"{manager.name} (no robot is in {self.node.namespace} yet)"
+            return manager.missing()
         stopped = self._look(run)
         run.watch.later(_AGAIN_S, lambda: self._look_again(run))
         self.settled(run, f"stopped {', '.join(stopped) or 'nothing: none of them runs'}", controllers=stopped)

@@ -1,7 +1,7 @@
 """Makes machine code of the cycle: numba compiles it, LLVM writes an object file. Runs in a process of its own.
 
-`python -m slidectl.simulation.compiled.compiler [FILE]` writes FILE, else the one that is looked for, at once or not at
-all. Only here is numba imported.
+`python -m slidectl.simulation.compiled.compiler` writes the file that is looked for, into a folder that is there.
+Only here is numba imported.
 No fast-math and no fused operations, so that the code computes the same bits as the interpreter.
 """
 
@@ -14,7 +14,6 @@ import os
 import sys
 import traceback
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -23,7 +22,7 @@ import numpy as np
 from numba.extending import overload, register_jitable
 
 from slidectl.control.laws import LAWS, Columns
-from slidectl.simulation.compiled import guard, kernel, object_file
+from slidectl.simulation.compiled import cache, guard, kernel, object_file
 from slidectl.simulation.compiled.object_file import machine
 from slidectl.simulation.compiled.rows import ARRAYS, TABLES, Progress
 
@@ -108,27 +107,21 @@ def _object_file(code: str, entry: str) -> bytes:
     return made
 
 
-def write(path: Path) -> None:
-    """Compile into this file."""
-    content = compile_cycle()
-    draft = path.with_name(f"{path.name}.{os.getpid()}")
-    draft.write_bytes(content)
-    draft.replace(path)
-
-
-def main(arguments: list[str]) -> int:
+def main() -> int:
     """Several of these at once wait for the first one and find its work done. What goes wrong is in the report."""
     os.nice(_MODESTY)
-    path = Path(arguments[0]) if arguments else object_file.place()
-    report = object_file.report()
-    report.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-    with report.open("a", encoding="utf-8") as turn:
+    try:
+        turn = object_file.report().open("a", encoding="utf-8")
+    except OSError:  # the folder has gone: whoever wanted the code has, too
+        return 1
+    with turn:
         fcntl.flock(turn, fcntl.LOCK_EX)
-        if path.exists():
+        if object_file.is_there():
             return 0
         turn.truncate(0)
         try:
-            write(path)
+            cache.write(object_file.place(), compile_cycle())
+            cache.tidy()
         except Exception:
             turn.write(traceback.format_exc())
             return 1
@@ -136,4 +129,4 @@ def main(arguments: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

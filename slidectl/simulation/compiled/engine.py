@@ -11,7 +11,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from slidectl.errors import Refused, UsageError
-from slidectl.simulation.compiled import object_file
+from slidectl.simulation.compiled import cache, object_file
 
 if TYPE_CHECKING:
     from slidectl.simulation.compiled.cycles import CompiledCycles
@@ -48,13 +48,19 @@ class Engine:
 
     def advance(self, cycles: int) -> None:
         """Before so many cycles: load the code if it is there, else see to it that somebody makes it."""
-        if object_file.place().exists():
+        if object_file.is_there():
             self._load()
         elif self._compiling is None:
             if cycles >= WORTH_COMPILING or self._loop.driven:
-                self._compiling = _begin_to_compile()
-        elif self._compiling.poll() is not None and not object_file.place().exists():
+                self._begin()
+        elif self._compiling.poll() is not None and not object_file.is_there():
             self._give_up(f"compiling failed, see {object_file.report()}")
+
+    def _begin(self) -> None:
+        try:
+            self._compiling = _begin_to_compile()
+        except Refused as refusal:
+            self._give_up(refusal.message)
 
     def complete(self) -> None:
         """Compile, if need be, and load, now. Raises Refused when that fails."""
@@ -62,19 +68,22 @@ class Engine:
             return
         if not object_file.is_possible():
             raise Refused("the compiled engine needs numba", "install it: pip install 'slidectl[fast]'")
-        if not object_file.place().exists():
+        if not object_file.is_there():
             _begin_to_compile().wait()
-        if not object_file.place().exists():
+        if not object_file.is_there():
             raise Refused(f"compiling failed, see {object_file.report()}")
         self._load()
-        if self._trouble:
-            raise Refused(self._trouble)
+        if self.cycles is None:
+            raise Refused(self._trouble or "the compiled code has gone again")
 
     def _load(self) -> None:
         from slidectl.simulation.compiled.cycles import CompiledCycles
 
         try:
             code = object_file.load()
+        except FileNotFoundError:  # another version's compiler has just tidied up
+            self._compiling = None
+            return
         except (OSError, RuntimeError, ImportError) as error:
             self._give_up(f"the compiled code cannot be loaded: {error}")
             return
@@ -88,6 +97,11 @@ class Engine:
 
 
 def _begin_to_compile() -> subprocess.Popen[bytes]:
+    """Raises Refused: no place for the result."""
+    try:
+        cache.prepare()
+    except OSError as error:
+        raise Refused(f"there is no place for compiled code: {error}") from error
     return subprocess.Popen(
         [sys.executable, "-m", "slidectl.simulation.compiled.compiler"],
         stdin=subprocess.DEVNULL,

@@ -6,19 +6,18 @@ A file is good for one version of everything that it was made from; that is in i
 from __future__ import annotations
 
 import ctypes
+import functools
 import hashlib
 import importlib.util
-import os
 import platform
 import sys
 from collections.abc import Callable
-from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import slidectl
-from slidectl.simulation.compiled import guard
+from slidectl.simulation.compiled import cache, guard
 
 _SOURCES = ("control", "physics/effort.py", "physics/divergence.py", "simulation/cycle.py", "simulation/compiled")
 
@@ -28,7 +27,7 @@ def is_possible() -> bool:
     return importlib.util.find_spec("numba") is not None
 
 
-@cache
+@functools.cache
 def place() -> Path:
     """The file of the code for this program on this machine, whether it is there or not."""
     made_from = hashlib.sha256()
@@ -39,17 +38,17 @@ def place() -> Path:
         whole = root / source
         for file in [whole] if whole.is_file() else sorted(whole.rglob("*.py")):
             made_from.update(file.read_bytes())
-    return _folder() / f"cycle-{made_from.hexdigest()[:24]}.o"
+    return cache.folder() / f"cycle-{made_from.hexdigest()[:24]}.o"
+
+
+def is_there() -> bool:
+    """True when the code is compiled, and by nobody else."""
+    return cache.holds(place())
 
 
 def report() -> Path:
     """The file in which a failed compilation says why; whoever compiles has it locked."""
-    return _folder() / "compiling.log"
-
-
-def _folder() -> Path:
-    base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    return Path(base) / "slidectl"
+    return cache.folder() / "compiling.log"
 
 
 def machine() -> Any:
@@ -71,13 +70,13 @@ class Cycle(NamedTuple):
     """Owns the memory that the code is in."""
 
 
-@cache
+@functools.cache
 def load() -> Cycle:
-    """Bring the code into this process, once. Raises OSError, RuntimeError when the file is not there or no good."""
+    """Bring the code into this process, once. Raises OSError (not there, or not ours), RuntimeError (no good)."""
     import llvmlite.binding as llvm
 
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine())
-    engine.add_object_file(llvm.ObjectFileRef.from_data(place().read_bytes()))
+    engine.add_object_file(llvm.ObjectFileRef.from_data(cache.read(place())))
     engine.finalize_object()
     addresses = [engine.get_function_address(name) for name in (guard.DOOR, guard.ERROR_TEXT)]
     if not all(addresses):

@@ -1,0 +1,86 @@
+"""The folder in which compiled code is kept between runs: what goes in, what comes out, and what is thrown away.
+
+It is machine code, so only a file that nobody but the user could have written is taken. Knows no compiler.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from contextlib import suppress
+from pathlib import Path
+
+KEPT = 8
+"""Files that stay: those that were used last. Each version of anything that the code is made from has its own."""
+_FOREIGN_WRITERS = stat.S_IWGRP | stat.S_IWOTH
+
+
+class NotOurs(PermissionError):
+    """A file or folder that somebody else could have written."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(f"{path} belongs to somebody else, or others may write to it; move it away or chmod go-w it")
+
+
+def folder() -> Path:
+    """Where the code is kept, below XDG_CACHE_HOME or ~/.cache."""
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    return Path(base if os.path.isabs(base) else os.path.expanduser("~/.cache")) / "slidectl"
+
+
+def prepare() -> None:
+    """See to it that the folder is there. Raises OSError: it cannot be made; NotOurs."""
+    folder().mkdir(mode=0o700, parents=True, exist_ok=True)
+    if not _is_ours(folder().stat()):
+        raise NotOurs(folder())
+
+
+def holds(path: Path) -> bool:
+    """True when the file is there and may be trusted."""
+    try:
+        found = os.lstat(path)
+        return stat.S_ISREG(found.st_mode) and _is_ours(found) and _is_ours(path.parent.stat())
+    except OSError:
+        return False
+
+
+def read(path: Path) -> bytes:
+    """The file's content; it counts as used now. Raises OSError: not there; NotOurs."""
+    with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC), "rb") as file:
+        if not (_is_ours(os.fstat(file.fileno())) and _is_ours(path.parent.stat())):
+            raise NotOurs(path)
+        with suppress(OSError):  # a file system that can only be read
+            os.utime(path)
+        return file.read()
+
+
+def write(path: Path, content: bytes) -> None:
+    """Put the file there, at once or not at all. Raises OSError, also when the folder has gone meanwhile."""
+    draft = path.with_name(f"{path.name}.{os.getpid()}")
+    draft.unlink(missing_ok=True)
+    with open(os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600), "wb") as file:
+        file.write(content)
+    draft.replace(path)
+
+
+def tidy() -> None:
+    """Throw away what was not used for longest, and drafts of those who ended before they were done.
+
+    For whoever has the folder's lock; others may read meanwhile, and find a file gone.
+    """
+    for draft in folder().glob("*.o.*"):
+        draft.unlink(missing_ok=True)
+    by_use = sorted(folder().glob("*.o"), key=_last_use, reverse=True)
+    for old in by_use[KEPT:]:
+        old.unlink(missing_ok=True)
+
+
+def _last_use(path: Path) -> float:
+    try:
+        return path.stat().st_mtime
+    except OSError:
+        return 0.0
+
+
+def _is_ours(found: os.stat_result) -> bool:
+    return found.st_uid == os.geteuid() and not found.st_mode & _FOREIGN_WRITERS

@@ -1,0 +1,137 @@
+"""The folder of compiled code: only what is the user's own is run, and what nobody uses goes."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from slidectl.errors import Refused
+from slidectl.simulation import Simulation
+from slidectl.simulation.compiled import cache, object_file
+
+needs_numba = pytest.mark.skipif(not object_file.is_possible(), reason="numba is not installed")
+
+
+@pytest.fixture
+def folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """An empty one, of this test alone."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(object_file, "place", lambda: cache.folder() / "cycle-now.o")
+    cache.prepare()
+    return cache.folder()
+
+
+def test_what_is_written_is_the_users_alone(folder: Path) -> None:
+    file = folder / "cycle-now.o"
+    assert not cache.holds(file)
+    cache.write(file, b"code")
+    assert cache.holds(file)
+    assert cache.read(file) == b"code"
+    assert file.stat().st_mode & 0o777 == 0o600
+    assert folder.stat().st_mode & 0o777 == 0o700
+    assert list(folder.iterdir()) == [file]
+
+
+def test_a_file_that_others_may_write_is_not_taken(folder: Path) -> None:
+    file = folder / "cycle-now.o"
+    cache.write(file, b"code")
+    for mode in (0o620, 0o602):
+        file.chmod(mode)
+        assert not cache.holds(file)
+        with pytest.raises(cache.NotOurs, match=r"cycle-now\.o belongs to somebody else, or others may write"):
+            cache.read(file)
+
+
+def test_a_file_in_a_folder_that_others_may_write_is_not_taken(folder: Path) -> None:
+    file = folder / "cycle-now.o"
+    cache.write(file, b"code")
+    folder.chmod(0o770)
+    assert not cache.holds(file)
+    with pytest.raises(cache.NotOurs):
+        cache.read(file)
+
+
+def test_a_link_to_a_file_is_not_taken(folder: Path, tmp_path: Path) -> None:
+    elsewhere = tmp_path / "code"
+    cache.write(elsewhere, b"code")
+    (folder / "cycle-now.o").symlink_to(elsewhere)
+    assert not cache.holds(folder / "cycle-now.o")
+    with pytest.raises(OSError, match="symbolic link"):
+        cache.read(folder / "cycle-now.o")
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files away")
+def test_a_file_of_somebody_else_is_not_taken(folder: Path) -> None:
+    file = folder / "cycle-now.o"
+    cache.write(file, b"code")
+    os.chown(file, 12345, 12345)
+    assert not cache.holds(file)
+
+
+@needs_numba
+def test_an_engine_without_a_place_for_its_code_says_so_and_runs_plain(folder: Path) -> None:
+    folder.chmod(0o777)
+    simulation = Simulation(engine="auto")
+    simulation.driven = True
+    simulation.step(3)
+    assert simulation.cycles == 3
+    assert str(simulation.engine).startswith(f"plain: there is no place for compiled code: {folder} belongs to")
+    with pytest.raises(Refused, match="chmod go-w"):
+        simulation.engine.complete()
+
+
+@needs_numba
+def test_code_that_is_tidied_away_under_an_engine_is_made_anew(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cache.write(folder / "cycle-now.o", b"code")
+
+    def gone() -> None:
+        (folder / "cycle-now.o").unlink(missing_ok=True)
+        raise FileNotFoundError
+
+    monkeypatch.setattr(object_file, "load", gone)
+    simulation = Simulation(engine="auto")
+    simulation.step(3)
+    assert str(simulation.engine) == "auto: compiling, plain meanwhile"
+
+
+def test_the_files_that_were_used_last_stay(folder: Path) -> None:
+    for age in range(cache.KEPT + 5):
+        file = folder / f"cycle-{age}.o"
+        cache.write(file, b"code")
+        os.utime(file, (10_000.0 - age, 10_000.0 - age))
+    oldest = folder / f"cycle-{cache.KEPT + 4}.o"
+    cache.read(oldest)
+    (folder / "cycle-1.o.4711").write_bytes(b"cod")
+    (folder / "compiling.log").touch()
+    cache.tidy()
+    kept = {f"cycle-{age}.o" for age in range(cache.KEPT - 1)}
+    assert {path.name for path in folder.iterdir()} == kept | {oldest.name, "compiling.log"}
+
+
+@needs_numba
+def test_two_compilers_at_once_do_the_work_once_and_tidy_up(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    cache.prepare()
+    for age in range(cache.KEPT):
+        cache.write(cache.folder() / f"cycle-{age}.o", b"code")
+        os.utime(cache.folder() / f"cycle-{age}.o", (10_000.0 - age, 10_000.0 - age))
+    command = [sys.executable, "-m", "slidectl.simulation.compiled.compiler"]
+    both = [subprocess.Popen(command, env=dict(os.environ)) for _ in range(2)]
+    assert [process.wait() for process in both] == [0, 0]
+    assert object_file.report().read_text() == ""
+    made = [path for path in cache.folder().glob("*.o") if path.stat().st_size > 1000]
+    assert [path.parent for path in made] == [cache.folder()]
+    assert len(list(cache.folder().glob("*.o"))) == cache.KEPT
+    assert not (cache.folder() / f"cycle-{cache.KEPT - 1}.o").exists()
+
+
+@needs_numba
+def test_a_compiler_whose_folder_is_gone_leaves_nothing_behind(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "gone"))
+    done = subprocess.run([sys.executable, "-m", "slidectl.simulation.compiled.compiler"], env=dict(os.environ))
+    assert done.returncode == 1
+    assert list(tmp_path.iterdir()) == []
