@@ -69,6 +69,19 @@ def test_an_included_file_has_its_own_folder_and_its_own_neighbours(workspace: W
     assert found == {"/d": str(other), "/n": str(neighbour), "/own": str(workspace.package)}
 
 
+def test_find_is_understood_in_what_another_substitution_gives_and_nothing_else_is(
+    workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MODEL", "$(find demo)/m.urdf")
+    assert workspace.value("$(arg model)", model="$(find demo)/urdf/m.urdf") == f"{workspace.package}/urdf/m.urdf"
+    assert workspace.value("$(env MODEL)") == f"{workspace.package}/m.urdf"
+    assert workspace.value("$(find demo)/$(arg a)", a="/abs") == "/abs"
+    assert workspace.value("$(arg a)", a="$(dirname)") == "$(dirname)"
+    assert workspace.value("$(eval a)", a="$(find demo)") == "$(find demo)"
+    with pytest.raises(BadFile, match="unknown substitution"):
+        workspace.value("$(arg a)", a="$(foo)")
+
+
 def test_anon_gives_one_name_for_one_identifier_and_different_ones_for_others(workspace: Workspace) -> None:
     plan = workspace.plan(
         '<node pkg="rviz" type="rviz" name="$(anon view)"/><node pkg="rviz" type="rviz" name="$(anon other)"/>'
@@ -80,6 +93,12 @@ def test_anon_gives_one_name_for_one_identifier_and_different_ones_for_others(wo
     assert plan.parameters()["/x"][0] == first
     again = workspace.node('<node pkg="rviz" type="rviz" name="$(anon view)"/>')
     assert again.name != first
+
+
+def test_each_include_has_anonymous_names_of_its_own(workspace: Workspace) -> None:
+    workspace.launch_file('<node pkg="rviz" type="rviz" name="$(anon view)"/>', "inner.launch")
+    plan = workspace.plan('<include file="$(dirname)/inner.launch"/><include file="$(dirname)/inner.launch"/>')
+    assert len({node.name for node in plan.nodes}) == 2
 
 
 @pytest.mark.parametrize(
