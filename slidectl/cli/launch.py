@@ -270,7 +270,7 @@ def _tell_running(session: Session, title: str, detach: bool, background: Any) -
     run = session.run
     status = run.call("/slidectl/status")
     what = f"{_count(len(session.begun), 'node')}, {_count(status['controllers_running'], 'controller')} running"
-    end = "Ctrl-C ends it"
+    end = "Ctrl-C ends it" if session.stays else "nothing is left to watch, so the launch ends"
     if detach:
         end = "slidectl daemon stop ends it" if run.owns_daemon or background is None else f"kill {os.getpid()} ends it"
         end += "" if background is None else f"; its log is {background.log}"

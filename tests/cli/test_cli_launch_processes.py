@@ -299,3 +299,11 @@ def test_what_left_its_process_group_ends_with_the_launch_too(slidectl: CommandL
     assert launched.interrupt() == 130
     assert launched.text.count("(sleep) was left behind by a node; it is ended") == 2
     nothing_is_left(slidectl.runtime)
+
+
+def test_a_launch_that_has_nothing_to_watch_says_so(daemon: CommandLine, package: Package) -> None:
+    done = daemon("launch", package.launch('<param name="x" value="1"/>'))
+    assert done.returncode == 0
+    assert (
+        "everything runs (0 nodes, 0 controllers running); nothing is left to watch, so the launch ends" in done.stdout
+    )

@@ -56,7 +56,8 @@ class ManagerScript(Task):
         self.goes_on = False
         if self.command not in COMMANDS:
             error = UnknownName("command", command, sorted(COMMANDS), "of controller_manager")
-            raise node.place.error(f"{node.full_name}: {error.message}", error.hint)
+            message = error.message if command else "controller_manager needs a command in its args"
+            raise node.place.error(f"{node.full_name}: {message}", error.hint)
         if not self.controllers and self.command not in _NAMELESS:
             raise node.place.error(f"{node.full_name}: {self.command} needs the names of controllers")
 

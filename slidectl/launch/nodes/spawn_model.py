@@ -193,7 +193,7 @@ def _act(run: Run, service: str, request: dict[str, Any], timeout: float | None 
     answer = run.call(service, request, timeout)
     if not answer["success"]:
         first, _, rest = answer["status_message"].partition("\n")
-        raise Refused(first, rest or None)
+        raise Refused(first, rest.replace("(-n)", "(-model)") or None)
 
 
 def _pose(words: Words) -> dict[str, Any]:
