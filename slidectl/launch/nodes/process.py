@@ -64,11 +64,12 @@ class Process(Task):
 
     def _begin(self, run: Run) -> None:
         Process._serial += 1
-        log = self._log(run, Process._serial) if self._output(run) == "log" else None
+        path = self._log_path(run, Process._serial)
+        log = self._log(run, f"{path}-stdout.log") if self._output(run) == "log" else None
         try:
             with run.interrupts.held():
                 self.child = Child(
-                    self.command,
+                    [*self.command, f"__log:={path}.log"],
                     run.watch,
                     lambda stream, line: run.console.output(self._label, stream, line),
                     lambda code: self._ended(run, code),
@@ -89,10 +90,13 @@ class Process(Task):
     def _output(self, run: Run) -> str:
         return run.options.output or self.node.output or "screen"
 
-    def _log(self, run: Run, number: int) -> int:
+    def _log_path(self, run: Run, number: int) -> str:
+        """Where the program may write a log of its own, without the suffix; the folder is there."""
         folder = os.environ.get("ROS_LOG_DIR") or run.folder
         os.makedirs(folder, mode=0o700, exist_ok=True)
-        path = os.path.join(folder, f"{self._label.replace('/', '-')}-{number}-stdout.log")
+        return os.path.join(folder, f"{self._label.replace('/', '-')}-{number}")
+
+    def _log(self, run: Run, path: str) -> int:
         self.settled(run, f"its standard output goes to {path}", log=path)
         return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
 
@@ -106,6 +110,8 @@ class Process(Task):
     def _environment(self, run: Run) -> dict[str, str]:
         """Ours; its namespace; the way to the daemon; and what the launch file says. Python's output comes at once."""
         ours = {"PYTHONUNBUFFERED": "1", **os.environ, "ROS_NAMESPACE": self.node.namespace}
+        if self.node.namespace == "/":
+            del ours["ROS_NAMESPACE"]
         return {**ours, **run.environment, **dict(self.node.environment)}
 
     # --- its end ------------------------------------------------------------------------------------------------
