@@ -118,8 +118,7 @@ class Loop:
 
     def _give_up(self, trouble: SlidectlError) -> None:
         """Hold the world; whoever drives it is told by the log, whoever calls it directly by the error."""
-        self.run.paused = True
-        self.run.abandon_steps("the simulation diverged")
+        self.run.hold(trouble.message, "the simulation diverged")
         self.graph.log("fatal", WORLD_NODE, str(trouble))
         if not self.driven:
             raise trouble

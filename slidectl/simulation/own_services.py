@@ -39,6 +39,7 @@ def _status(simulation: Simulation) -> Message:
         "time": simulation.graph.clock.seconds,
         "cycles": simulation.cycles,
         "paused": simulation.run.paused,
+        "trouble": simulation.run.trouble,
         "speed": 0.0 if math.isinf(simulation.run.speed) else simulation.run.speed,
         "timestep": simulation.timestep_ns * 1e-9,
         "engine": str(simulation.engine),

@@ -151,7 +151,7 @@ class Simulation:
 
     def resume(self) -> None:
         """Let the world go on."""
-        self.run.paused = False
+        self.run.resume()
 
     def set_speed(self, factor: float) -> None:
         """Real-time factor, 0 for as fast as possible. Raises Refused for anything else."""

@@ -101,7 +101,7 @@ class Subscription:
 class Topic:
     """A name, its type, and those who use it. `callbacks` is a tuple: it may be replaced during a delivery."""
 
-    __slots__ = ("callbacks", "has_header", "name", "publishers", "subscriptions", "type")
+    __slots__ = ("callbacks", "has_header", "is_inside", "name", "publishers", "subscriptions", "type")
 
     def __init__(self, name: str, type_name: str) -> None:
         self.name = name
@@ -109,6 +109,8 @@ class Topic:
         self.publishers: list[TopicPublisher] = []
         self.subscriptions: list[Subscription] = []
         self.callbacks: tuple[MessageCallback, ...] = ()
+        self.is_inside = True
+        """No client publishes it."""
         first = msgs.fields(type_name)[:1]
         self.has_header = any(field.name == "header" and field.type == "std_msgs/Header" for field in first)
 
@@ -123,6 +125,7 @@ class Topic:
     def update(self) -> None:
         """After somebody came or went."""
         self.callbacks = tuple(subscription.callback for subscription in self.subscriptions)
+        self.is_inside = all(isinstance(publisher, NodePublisher) for publisher in self.publishers)
         for publisher in self.publishers:
             publisher.wanted = publisher.latch or bool(self.callbacks)
 

@@ -207,8 +207,10 @@ def test_when_the_physics_diverges_the_world_is_held_and_the_robot_is_named(driv
     assert not step.result()["success"]
     (fatal,) = [text for severity, text in lines if severity == "fatal"]
     assert "'bad'" in fatal
+    assert "'bad' diverged" in driven.call("/slidectl/status")["trouble"]
     driven.delete("bad")
     driven.resume()
+    assert driven.call("/slidectl/status")["trouble"] == ""
     assert driven.step(10) == 10
 
 
