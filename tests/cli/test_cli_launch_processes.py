@@ -307,3 +307,21 @@ def test_a_launch_that_has_nothing_to_watch_says_so(daemon: CommandLine, package
     assert (
         "everything runs (0 nodes, 0 controllers running); nothing is left to watch, so the launch ends" in done.stdout
     )
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("#!/no/such/python\r\nprint()", r"there is no such program as its first line names, '#!/no/such/python\r'"),
+        ("print()", "a script begins with a line such as #!/usr/bin/env python3"),
+    ],
+)
+def test_a_script_that_the_system_cannot_run_is_told_of_its_first_line(
+    slidectl: CommandLine, package: Package, text: str, reason: str
+) -> None:
+    package.script("odd", "").write_text(text, newline="")
+    done = slidectl("launch", package.launch('<node pkg="demo" type="odd" name="o"/>'))
+    assert done.returncode == 1
+    assert "node /o (demo/odd): cannot run" in done.stderr
+    assert reason in done.stderr
+    nothing_is_left(slidectl.runtime)

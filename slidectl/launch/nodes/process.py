@@ -5,6 +5,7 @@ Its end is orderly: SIGINT, after a while SIGTERM, then SIGKILL, for it and all 
 
 from __future__ import annotations
 
+import errno
 import os
 import shlex
 import signal
@@ -23,6 +24,7 @@ from slidectl.launch.task import Run, Task
 
 _RESPAWN_PAUSE_S = 0.1
 """The least time between an end and the next start."""
+_LONGEST_FIRST_LINE = 256
 _POLITE_S = 0.5
 """How long the next one waits for this one to end before it is asked to end itself."""
 
@@ -78,9 +80,9 @@ class Process(Task):
                     subprocess.PIPE if log is None else log,
                 )
         except OSError as error:
-            missing = error.filename or self.command[0]
+            missing = str(error.filename or self.command[0])
             hint = f"command: {shlex.join(self.command)}"
-            raise Refused(f"cannot run {missing}: {error.strerror}", hint) from None
+            raise Refused(f"cannot run {missing}: {_why(error, missing)}", hint) from None
         finally:
             if log is not None:
                 os.close(log)
@@ -165,6 +167,17 @@ class Process(Task):
         if self.child is not None:
             self.child.release()
             self.child = None
+
+
+def _why(error: OSError, program: str) -> str:
+    """The system's reason; when it is about the interpreter of a script, the script's first line too."""
+    if error.errno not in (errno.ENOENT, errno.ENOEXEC, errno.EACCES) or not os.path.isfile(program):
+        return str(error.strerror)
+    with open(program, "rb") as file:
+        first = file.readline(_LONGEST_FIRST_LINE).rstrip(b"\n").decode("utf-8", "backslashreplace")
+    if not first.startswith("#!"):
+        return f"{error.strerror}; a script begins with a line such as #!/usr/bin/env python3"
+    return f"{error.strerror}: there is no such program as its first line names, {first!r}"
 
 
 def reason(code: int) -> str:
