@@ -26,6 +26,7 @@ def load(
     *,
     run_commands: bool = True,
     arguments_only: bool = False,
+    namespace: str = "/",
     parse: Parse = xml_tree.read,
 ) -> Plan:
     """The plan of one or several launch files.
@@ -33,6 +34,7 @@ def load(
     Args:
         arguments: the `arg:=value` of the command line.
         run_commands: whether `<param command=...>` may run programs; our own xacro always may.
+        namespace: where the files' relative names are.
         arguments_only: find out which arguments there are, and be content when they have no values.
         parse: makes elements of the text of a file; `check` gives one whose elements note what is read of them.
 
@@ -42,7 +44,7 @@ def load(
     launch = Launch((packages or Packages()).starting_at(Path.cwd()), run_commands=run_commands, parse=parse)
     declared: set[str] = set()
     for source in sources:
-        scope = Scope(launch, source.path, given=dict(arguments))
+        scope = Scope(launch, source.path, namespace, given=dict(arguments))
         scope.nesting = ((source.path, ()),)
         try:
             (_read_arguments if arguments_only else _read)(source, scope)

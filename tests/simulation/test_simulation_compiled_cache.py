@@ -135,3 +135,31 @@ def test_a_compiler_whose_folder_is_gone_leaves_nothing_behind(monkeypatch: pyte
     done = subprocess.run([sys.executable, "-m", "slidectl.simulation.compiled.compiler"], env=dict(os.environ))
     assert done.returncode == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_is_not_what_was_written_is_thrown_away(folder: Path) -> None:
+    file = folder / "cycle-now.o"
+    for damaged in (b"", b"short", b"\0" * 9000):
+        file.write_bytes(damaged)
+        file.chmod(0o600)
+        with pytest.raises(cache.Damaged):
+            cache.read(file)
+        assert not file.exists()
+
+
+@needs_numba
+def test_damaged_code_is_made_anew_and_ends_nobody(tmp_path: Path) -> None:
+    program = (
+        "from slidectl.simulation import Simulation\n"
+        "from slidectl.simulation.compiled import cache, object_file\n"
+        "cache.prepare()\n"
+        "object_file.place().write_bytes(b'half of what was ' * 100)\n"
+        "object_file.place().chmod(0o600)\n"
+        "simulation = Simulation(engine='compiled')\n"
+        "simulation.engine.complete()\n"
+        "simulation.step(10)\n"
+        "print(simulation.engine, simulation.cycles)\n"
+    )
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
+    assert (done.stdout, done.stderr, done.returncode) == ("compiled 10\n", "", 0)

@@ -68,20 +68,22 @@ class Engine:
             return
         if not object_file.is_possible():
             raise Refused("the compiled engine needs numba", "install it: pip install 'slidectl[fast]'")
-        if not object_file.is_there():
-            _begin_to_compile().wait()
-        if not object_file.is_there():
-            raise Refused(f"compiling failed, see {object_file.report()}")
-        self._load()
-        if self.cycles is None:
-            raise Refused(self._trouble or "the compiled code has gone again")
+        for _ in range(2):  # what is there may turn out to be damaged
+            if not object_file.is_there():
+                _begin_to_compile().wait()
+            if not object_file.is_there():
+                raise Refused(f"compiling failed, see {object_file.report()}")
+            self._load()
+            if self.cycles is not None:
+                return
+        raise Refused(self._trouble or "the compiled code has gone again")
 
     def _load(self) -> None:
         from slidectl.simulation.compiled.cycles import CompiledCycles
 
         try:
             code = object_file.load()
-        except FileNotFoundError:  # another version's compiler has just tidied up
+        except FileNotFoundError:  # another version's compiler has just tidied up, or it was damaged
             self._compiling = None
             return
         except (OSError, RuntimeError, ImportError) as error:
