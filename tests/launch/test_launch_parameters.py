@@ -154,6 +154,12 @@ def test_names_and_values_in_a_rosparam(workspace: Workspace, content: str, expe
     assert workspace.values('<rosparam ns="n" file="$(find demo)/p.yaml"/>') == expected
 
 
+def test_angles_are_known_to_params_after_the_first_rosparam(workspace: Workspace) -> None:
+    angle = '<param name="{}" value="deg(180)" type="yaml"/>'
+    found = workspace.values(angle.format("before") + "<rosparam/>" + angle.format("after"))
+    assert found == {"/before": "deg(180)", "/after": pytest.approx(3.14159265)}
+
+
 def test_the_text_of_a_rosparam_can_be_one_expression(workspace: Workspace) -> None:
     assert workspace.values('\n<rosparam subst_value="true">$(eval {"a": 1 + 1})</rosparam>') == {"/a": 2}
 
