@@ -291,10 +291,11 @@ def test_json_is_one_object_a_line_for_steps_and_output(daemon: CommandLine, pac
 
 
 def test_what_left_its_process_group_ends_with_the_launch_too(slidectl: CommandLine, package: Package) -> None:
-    package.script("escape", "setsid sleep 600 &\n(setsid sleep 600 &)\ntrap '' INT TERM\necho away\nwait; wait")
+    away = "setsid sh -c 'echo away; exec sleep 600'"
+    package.script("escape", f"{away} &\n({away} &)\ntrap '' INT TERM\nwait; wait")
     path = package.launch('<node pkg="demo" type="escape" name="e"/>')
     launched = Launched(slidectl, path, "--sigint-timeout", "0.2", "--sigterm-timeout", "0.2")
-    launched.until("[e] away")
+    launched.until("[e] away", 2)
     launched.up()
     assert launched.interrupt() == 130
     assert launched.text.count("(sleep) was left behind by a node; it is ended") == 2

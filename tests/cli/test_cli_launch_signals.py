@@ -73,6 +73,20 @@ def test_a_polite_end_of_what_runs_is_a_success(slidectl: CommandLine, everythin
     nothing_is_left(slidectl.runtime)
 
 
+def test_nohup_outlives_its_terminal(slidectl: CommandLine, everything: str) -> None:
+    previous = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # what nohup does, and programs inherit
+    try:
+        launched = Launched(slidectl, everything)
+    finally:
+        signal.signal(signal.SIGHUP, previous)
+    launched.up()
+    launched.signal(signal.SIGHUP)
+    assert "running" in slidectl.ok("controller", "list")
+    assert launched.process.poll() is None
+    assert launched.interrupt() == 130
+    nothing_is_left(slidectl.runtime)
+
+
 def test_an_end_before_everything_runs_is_none(slidectl: CommandLine, tmp_path: Path) -> None:
     path = tmp_path / "w.launch"
     path.write_text('<launch><node pkg="controller_manager" type="spawner" name="s" args="a"/></launch>')
