@@ -34,11 +34,11 @@ def node(plan: Plan, name: str) -> Node:
 
 
 def parameters(plan: Plan) -> str:
-    """All of them as YAML, sorted by name. Raises BadFile."""
+    """All of them as YAML, sorted by name, letter for letter as `roslaunch --dump-params`. Raises BadFile."""
     import yaml
 
     values = {name: value for name, (value, _) in plan.parameters().items()}
-    return str(yaml.safe_dump(values, allow_unicode=True, default_flow_style=False)) if values else ""
+    return str(yaml.safe_dump(values, default_flow_style=False))
 
 
 def arguments(plan: Plan) -> str:

@@ -190,6 +190,22 @@ def test_a_nodes_own_parameters_are_below_it(workspace: Workspace) -> None:
     assert workspace.values(content) == values
 
 
+@pytest.mark.parametrize(
+    ("around", "inside", "expected"),
+    [
+        ("", '<param name="q" value="1"/><rosparam>q: 2</rosparam>', 1),
+        ("", '<rosparam>q: 2</rosparam><param name="q" value="1"/>', 1),
+        ('<param name="~q" value="0"/>', "<rosparam>q: 2</rosparam>", 0),
+        ('<param name="~q" value="0"/>', '<param name="q" value="1"/><rosparam>q: 2</rosparam>', 1),
+        ('<param name="n/q" value="3"/>', "<rosparam>q: 2</rosparam>", 2),
+    ],
+)
+def test_in_a_node_a_param_counts_more_than_one_from_around_and_that_more_than_a_rosparam(
+    workspace: Workspace, around: str, inside: str, expected: int
+) -> None:
+    assert workspace.values(f'{around}<node pkg="rviz" type="rviz" name="n">{inside}</node>') == {"/n/q": expected}
+
+
 def test_rosparam_commands_are_kept_for_before_the_parameters(workspace: Workspace) -> None:
     plan = workspace.plan(
         '<group ns="g"><rosparam command="delete" param="old"/><rosparam command="dump" file="/tmp/x.yaml"/></group>'
