@@ -1,7 +1,8 @@
 """`$(...)` in a text: `env V`, `optenv V words`, `find PKG`, `anon ID`, `arg A`, `dirname` and `eval EXPRESSION`.
 
 Texts in, texts out: what is found is put in as it is, and looked through again for `find` only, as roslaunch does it:
-`model:='$(find my_robot)/model.urdf'` on a command line is understood. Paths come out protected (see protected.py). Knows no tags and no places; who has a place adds it to the error.
+`model:='$(find my_robot)/model.urdf'` on a command line is understood. Paths come out protected (see protected.py).
+Knows no tags and no places; who has a place adds it to the error.
 """
 
 from __future__ import annotations
