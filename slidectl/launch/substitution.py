@@ -147,9 +147,22 @@ class Substitution:
             if name not in taken and _IDENTIFIER.match(name)
         }
         try:
-            return _text(evaluate(expression, {**values, **functions}))
+            named = {name: _of_names(name, function) for name, function in functions.items()}
+            return _text(evaluate(expression, {**values, **named}))
         except ExpressionError as error:
             raise SubstitutionError(f"$(eval {plain(expression)}) {error}") from None
+
+
+def _of_names(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function, which takes nothing but texts."""
+
+    def checked(*values: Any) -> Any:
+        for value in values:
+            if not isinstance(value, str):
+                raise ExpressionError(f"{name}() takes names, in quotes, and not {value!r}")
+        return function(*values)
+
+    return checked
 
 
 def _text(value: Any) -> str:
