@@ -72,11 +72,10 @@ def _root(source: Source, scope: Scope) -> Tag:
 def _read(source: Source, scope: Scope) -> None:
     scope.launch.plan.files.append(str(source.path))
     root = _root(source, scope)
-    root.knows(["deprecated"])
+    root.knows(["deprecated"], conditions=False)
     if (reason := root.element.get("deprecated")) is not None:
         root.notice("wrong", f"is deprecated: {reason}")
-    if root.applies:
-        _contents(root)
+    _contents(root)
 
 
 def _contents(parent: Tag) -> None:

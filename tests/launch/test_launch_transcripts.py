@@ -253,6 +253,10 @@ def test_what_the_real_one_warns_of_is_pointed_out_with_the_place(workspace: Wor
         "demo/launch/test.launch:3: <frobnicate>: is unknown in <launch> and has no effect",
         'demo/launch/test.launch:4: <parm name="y">: is unknown in <launch> and has no effect; did you mean <param>?',
     ]
+    path = workspace.write("launch/test.launch", '<launch if="false"><param name="x" value="1"/></launch>')
+    plan = workspace.load(path)
+    assert list(plan.parameters()) == ["/x"]
+    assert "attribute 'if' is unknown" in notices(plan)[0]
     path = workspace.write("launch/test.launch", '<launch deprecated="use all.launch"/>')
     assert "is deprecated: use all.launch" in notices(workspace.load(path))[0]
     assert "is not run" in notices(workspace.plan('<test test-name="t" pkg="a" type="b"/>'))[0]
