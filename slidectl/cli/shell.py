@@ -148,8 +148,8 @@ def shell(click_context: click.Context, file: str | None, keep_going: bool) -> N
     """Run many commands in one process.
 
     One command a line, without 'slidectl' in front, from FILE or from stdin; '#' begins a comment. It stops at the
-    first command that fails, with its exit code. All lines share one connection, so each takes about a tenth of a millisecond.
-    Options before 'shell' hold for every line.
+    first command that fails, with its exit code. All lines share one connection, so each takes about a tenth of a
+    millisecond. Options before 'shell' hold for every line.
 
     On a terminal there is a prompt with history and completion; 'exit' or Ctrl-D ends it.
     """
