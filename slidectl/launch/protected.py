@@ -1,8 +1,8 @@
 """Paths that keep together when a text is taken apart as a shell would do it.
 
-A package's folder may hold blanks, quotes and dollars. What `$(find)` and `$(dirname)` give is written with stand-ins for these,
-which go through arguments and includes as they are, and are turned back where a value is used. roslaunch itself
-takes such a path for several words.
+A package's folder may hold blanks, quotes and dollars. What `$(find)` and `$(dirname)` give is written with stand-ins
+for these, which go through arguments and includes as they are, and are turned back where a value is used. roslaunch
+itself takes such a path for several words.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """`$(...)` in a text: `env V`, `optenv V words`, `find PKG`, `anon ID`, `arg A`, `dirname` and `eval EXPRESSION`.
 
 Texts in, texts out: what is found is put in as it is, and looked through again for `find` only, as roslaunch does it:
-`model:='$(find my_robot)/model.urdf'` on a command line is understood. Paths come out protected (see protected.py). Knows no tags and no places; who has a place adds it to the error.
+`model:='$(find my_robot)/model.urdf'` on a command line is understood. Paths come out protected (see protected.py).
+Knows no tags and no places; who has a place adds it to the error.
 """
 
 from __future__ import annotations
@@ -146,9 +147,22 @@ class Substitution:
             if name not in taken and _IDENTIFIER.match(name)
         }
         try:
-            return _text(evaluate(expression, {**values, **functions}))
+            named = {name: _of_names(name, function) for name, function in functions.items()}
+            return _text(evaluate(expression, {**values, **named}))
         except ExpressionError as error:
             raise SubstitutionError(f"$(eval {plain(expression)}) {error}") from None
+
+
+def _of_names(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function, which takes nothing but texts."""
+
+    def checked(*values: Any) -> Any:
+        for value in values:
+            if not isinstance(value, str):
+                raise ExpressionError(f"{name}() takes names, in quotes, and not {value!r}")
+        return function(*values)
+
+    return checked
 
 
 def _text(value: Any) -> str:

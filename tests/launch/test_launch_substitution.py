@@ -248,3 +248,9 @@ def test_an_argument_that_is_declared_later_is_not_known_earlier(workspace: Work
     with pytest.raises(BadFile, match="there is no argument 'a' here"):
         plan.parameters()
     assert notices(plan) == []
+
+
+@pytest.mark.parametrize("call", ["arg(5)", "arg(a)", "find(1.5)", "env(true)", "optenv('NOPE', 3)", "anon([])"])
+def test_a_function_of_an_expression_wants_names_in_quotes(workspace: Workspace, call: str) -> None:
+    with pytest.raises(BadFile, match=r"takes names, in quotes, and not "):
+        workspace.value(f"$(eval {call})", a="5")

@@ -178,6 +178,8 @@ class GroupScript(Task):
 
     def _groups(self, run: Run) -> dict[str, list[str]]:
         groups = run.parameter(self._parameter)
+        if groups is None:
+            raise Refused(f"the parameter {self._parameter} is not set", "it maps groups to lists of controllers")
         is_right = isinstance(groups, dict) and all(isinstance(members, list) for members in groups.values())
         if not is_right:
             raise Refused(f"the parameter {self._parameter} is no mapping of groups to lists of controllers")
