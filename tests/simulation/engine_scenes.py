@@ -27,10 +27,14 @@ Scene = Callable[[Simulation], None]
 
 
 def arm(
-    kinds: tuple[str, ...] = ("prismatic", "revolute", "continuous"), safety: bool = False, plugin: str = ""
+    kinds: tuple[str, ...] = ("prismatic", "revolute", "continuous"),
+    safety: bool = False,
+    plugin: str = "",
+    interface: str = "Effort",
 ) -> str:
     """Joints of several kinds, each between the world and a link of its own; nothing touches anything."""
     parts = "".join(_joint(number + 1, kind, safety) for number, kind in enumerate(kinds))
+    parts = parts.replace("EffortJointInterface", f"{interface}JointInterface")
     block = f'<gazebo><plugin name="c" filename="libgazebo_ros_control.so">{plugin}</plugin></gazebo>'
     return f'<robot name="arm"><link name="world"/>{parts}{block}</robot>'
 
@@ -77,6 +81,19 @@ def usual() -> dict[str, dict[str, Any]]:
         "two": {"type": POSITION, "joint": "joint2", "pid": GAINS | {"antiwindup": True}},
         "three": {"type": VELOCITY, "joint": "joint3", "pid": GAINS},
     }
+
+
+def driven(simulation: Simulation, name: str, interface: str, safety: bool = False, gains: bool = True) -> None:
+    """A robot whose joints take positions or velocities, with PIDs of the hardware unless it has none."""
+    for joint in ("joint1", "joint2", "joint3"):
+        own = GAINS if gains else {}
+        simulation.parameters.set(f"/{name}/gazebo_ros_control/pid_gains/{joint}", own)
+        simulation.parameters.set(f"/{name}/joint_limits/{joint}", {"has_acceleration_limits": joint != "joint1"})
+        simulation.parameters.set(f"/{name}/joint_limits/{joint}/max_acceleration", 20.0)
+    kind = f"{interface.lower()}_controllers/Joint{interface}Controller"
+    goals = {f"goal{k}": {"type": kind, "joint": f"joint{k}"} for k in (1, 2, 3)}
+    states = {"states": {"type": STATES, "publish_rate": 100}}
+    add(simulation, name, arm(safety=safety, interface=interface), states | goals)
 
 
 class Heard:

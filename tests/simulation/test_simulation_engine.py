@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from engine_scenes import GAINS, POSITION, Scene, add, arm, at_random, mixed, play, switch, usual
+from engine_scenes import EFFORT, GAINS, POSITION, Scene, add, arm, at_random, driven, mixed, play, switch, usual
 from sim_robots import STATES, cart, logged, running_cart
 
 import slidectl
@@ -61,6 +61,72 @@ def test_every_compiled_controller_gives_the_same_bits(safety: bool, listened: b
     times = count_plain_cycles(simulation, "a")
     simulation.step(1000)
     assert times == []
+
+
+@needs_numba
+@pytest.mark.parametrize("safety", [False, True])
+@pytest.mark.parametrize("interface", ["Position", "Velocity"])
+def test_positions_and_velocities_with_a_pid_of_the_hardware_give_the_same_bits(interface: str, safety: bool) -> None:
+    def scene(simulation: Simulation) -> None:
+        driven(simulation, "a", interface, safety)
+        simulation.heard.listen("/a/joint_states")  # type: ignore[attr-defined]
+        for k in range(8):
+            for number, value in enumerate((2.0, -4.0, 5.0)):
+                simulation.publish(f"/a/goal{number + 1}/command", {"data": value * (-1) ** k})
+            simulation.step(300)
+            if k == 3:
+                simulation.parameters.set("/a/gazebo_ros_control/pid_gains/joint2/p", 11.0)
+            if k == 5:
+                simulation.reset_world()
+
+    simulation = assert_same(scene)
+    times = count_plain_cycles(simulation, "a")
+    simulation.step(1000)
+    assert times == []
+
+
+@needs_numba
+def test_a_joint_with_several_transmissions_gives_the_same_bits() -> None:
+    def scene(simulation: Simulation) -> None:
+        xml = arm(("prismatic", "revolute")).replace('<joint name="joint2"><hardware', '<joint name="joint1"><hardware')
+        own = {f"e{k}": {"type": EFFORT, "joint": "joint1"} for k in (1,)}
+        add(simulation, "a", xml, own)
+        simulation.publish("/a/e1/command", {"data": 7.0})
+        simulation.step(500)
+
+    assert_same(scene)
+
+
+@needs_numba
+@pytest.mark.parametrize("interface", ["Position", "Velocity"])
+def test_joints_with_motors_and_those_that_publish_their_pid_are_the_interpreters(interface: str) -> None:
+    def scene(simulation: Simulation) -> None:
+        driven(simulation, "a", interface, gains=False)
+        add(simulation, "b", arm(), usual())
+        simulation.parameters.set("/c/gazebo_ros_control/pid_gains/joint1/publish_state", True)
+        driven(simulation, "c", interface)
+        for name in "ac":
+            simulation.publish(f"/{name}/goal1/command", {"data": 0.5})
+        simulation.step(300)
+
+    assert_same(scene)
+
+
+@needs_numba
+def test_an_emergency_stop_of_driven_joints_gives_the_same_bits() -> None:
+    def scene(simulation: Simulation) -> None:
+        plugin = "<eStopTopic>/stop</eStopTopic>"
+        for name, interface in (("a", "Position"), ("b", "Velocity")):
+            simulation.parameters.set(f"/{name}/gazebo_ros_control/pid_gains", {"joint1": GAINS, "joint2": GAINS})
+            kind = f"{interface.lower()}_controllers/Joint{interface}Controller"
+            xml = arm(("prismatic", "revolute"), plugin=plugin, interface=interface)
+            add(simulation, name, xml, {"goal": {"type": kind, "joint": "joint2"}})
+            simulation.publish(f"/{name}/goal/command", {"data": 0.8})
+        for stopped in (False, True, False):
+            simulation.publish("/stop", {"data": stopped}, "std_msgs/Bool")
+            simulation.step(200)
+
+    assert_same(scene)
 
 
 @needs_numba

@@ -19,7 +19,14 @@ from typing import Any, NamedTuple
 import slidectl
 from slidectl.simulation.compiled import cache, guard
 
-_SOURCES = ("control", "physics/effort.py", "physics/divergence.py", "simulation/cycle.py", "simulation/compiled")
+_SOURCES = (
+    "control",
+    "physics/effort.py",
+    "physics/drives.py",
+    "physics/divergence.py",
+    "simulation/cycle.py",
+    "simulation/compiled",
+)
 
 
 def is_possible() -> bool:
