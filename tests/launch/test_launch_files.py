@@ -55,7 +55,7 @@ def test_a_file_is_found_wherever_it_is_in_its_package(workspace: Workspace) -> 
 def test_a_name_that_is_in_the_launch_folder_and_elsewhere_is_not_guessed_at(workspace: Workspace) -> None:
     workspace.launch_file("", "c.launch")
     workspace.write("test/c.launch", "<launch/>")
-    with pytest.raises(UsageError, match="has several c.launch"):
+    with pytest.raises(UsageError, match=r"has several c\.launch"):
         found(workspace, "demo", "c.launch")
 
 

@@ -172,6 +172,13 @@ def test_arguments_without_a_default_are_required(workspace: Workspace) -> None:
     path = workspace.launch_file('<arg name="must" doc="give me"/><param name="x" value="$(arg must)"/>')
     only = loader.load(files.find([str(path)], workspace.packages), {}, arguments_only=True)
     assert listing.arguments(only) == "Required Arguments:\n  must: give me"
+    content = (
+        '<arg name="a"/><arg name="b" default="$(arg a)/x" doc="$(eval 1 + 1)"/><arg name="c" default="1" if="0"/>'
+    )
+    lacking = loader.load(
+        files.find([str(workspace.launch_file(content))], workspace.packages), {}, arguments_only=True
+    )
+    assert listing.arguments(lacking).splitlines()[-1] == '  b (default "$(arg a)/x"): 2'
     none = loader.load(files.find([str(workspace.launch_file(""))], workspace.packages), {}, arguments_only=True)
     assert listing.arguments(none) == "No arguments."
 
