@@ -5,6 +5,7 @@ Knows parameters from the controllers themselves, through the registry. Nothing 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from slidectl.check.declared import Declared
 from slidectl.check.findings import Findings
 from slidectl.check.joints import driven_joints
 from slidectl.check.model import Model
-from slidectl.check.parameter_file import ParameterFile
+from slidectl.check.parameter_file import ParameterFile, shown
 from slidectl.control import registry
 from slidectl.control.controller import ControllerBase
 from slidectl.control.parameters import Parameter
@@ -25,6 +26,7 @@ from slidectl.errors import BadFile, closest, listing
 
 Tree = dict[str, Any]
 
+_UNSPACED = re.compile(r"^\w+:\S")
 # What is read by others than controllers, wherever it is.
 _OTHERS = {
     "robot_description": "the robot, for whoever draws or plans",
@@ -99,20 +101,38 @@ class ControllerCheck:
             if isinstance(value, Mapping) and _is_controller(value):
                 self._controller(below, value)
             elif isinstance(value, Mapping) and key in hardware.PLACES:
-                hardware.check(self.source, key, below, value, self._model(below))
+                self._hardware(key, below, value)
+            elif key == hardware.GAINS_PLACE:
+                text = "no controller reads it; simulated hardware looks for gazebo_ros_control/pid_gains"
+                self.source.unknown(below, text, value)
             elif isinstance(value, Mapping) and value:
                 self._namespace(below, value)
             elif reason := _OTHERS.get(key) or self.reader(self.source.full(below)):
                 self.source.add("used", below, reason)
+            elif isinstance(value, str) and _UNSPACED.search(value):
+                text = f"{shown(value)!r} is one text: a blank follows each colon between a name and its value"
+                self.source.add("wrong", below, text)
             else:
                 self.source.unknown(below, "no controller reads it, nor does the simulated hardware", value)
+
+    def _hardware(self, place: str, path: str, tree: Mapping[str, Any]) -> None:
+        """What simulated hardware reads, if there is any in this namespace."""
+        model = self._model(path)
+        if model is None and self.models:
+            homes = listing({names.join(model.namespace, place) for model in self.models})
+            self.source.unknown(path, f"no robot lives here; simulated hardware reads {homes}", tree)
+        else:
+            hardware.check(self.source, place, path, tree, model)
 
     def _namespace(self, path: str, tree: Mapping[str, Any]) -> None:
         if candidates := _likely_types(tree):
             text = f"has no 'type' and cannot be loaded as a controller; its parameters are those of {candidates[0]}"
             self.source.add("wrong", path, text)
             return
-        self.source.add("used", path, f"namespace of {', '.join(map(str, tree))}")
+        if path.endswith("/ros__parameters"):
+            self.source.add("wrong", path, "is ROS 2's: controllers are to be directly below the robot's namespace")
+        else:
+            self.source.add("used", path, f"namespace of {', '.join(map(str, tree))}")
         self.check(tree, path)
 
     def _model(self, path: str) -> Model | None:

@@ -45,6 +45,15 @@ def read(text: str) -> Any:
     return read_yaml(text, f"value {text if len(text) <= 60 else text[:57] + '...'!r}")
 
 
+def is_numeric(value: Any) -> bool:
+    """True for numbers, booleans, and lists and mappings of these: nothing in them can be an expression or a time."""
+    if isinstance(value, dict):
+        value = list(value.values())
+    if isinstance(value, list):
+        return all(map(is_numeric, value))
+    return isinstance(value, bool | int | float)
+
+
 def read_yaml(text: str, what: str = "value") -> Any:
     """The value of one YAML document. Raises UsageError as `read` does; `what` names the text in it."""
     documents = list(read_documents(text, what))

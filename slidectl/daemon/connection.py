@@ -153,6 +153,8 @@ class Connection:
             return
         self._outbox.put(line)
         if not self._blocked:
+            # To the end of the row: answers leave in the order in which they were given, whoever they are for.
+            self._busy.with_output.pop(self, None)
             self._busy.with_output[self] = None
 
     @property

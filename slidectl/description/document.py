@@ -28,8 +28,16 @@ class Document:
     """What xacro warned of, and arguments without effect. What URDF tags became of is in the parsed robot's report."""
 
 
-def load(source: str | Path, arguments: Mapping[str, str] | None = None, packages: Packages | None = None) -> Document:
+def load(
+    source: str | Path,
+    arguments: Mapping[str, str] | None = None,
+    packages: Packages | None = None,
+    *,
+    all_meshes: bool = True,
+) -> Document:
     """The document of a model: a `.xacro` or `.urdf` path, a shipped model's name, `-` for stdin, or XML text.
+
+    Meshes that collide have to be there, unless `all_meshes` is false: then the parser may say so.
 
     Raises:
         BadFile: missing, broken, or refused by xacro. UnknownName: no shipped model of that name.
@@ -45,7 +53,7 @@ def load(source: str | Path, arguments: Mapping[str, str] | None = None, package
         root, notices = xacro_run.expand(root, model.path, arguments or {}, packages)
     else:
         notices = [_no_xacro(name, model.file) for name in arguments or {}]
-    _make_meshes_absolute(root, MeshFiles(packages, base))
+    _make_meshes_absolute(root, MeshFiles(packages, base), all_meshes)
     xml, source_map = xml_writer.write(root)
     return Document(xml, source_map, model.file, tuple(notices))
 
@@ -61,7 +69,7 @@ def _no_xacro(name: str, file: str) -> Notice:
     return Notice("ignored", f"{name}:=", "plain URDF takes no arguments", file, None)
 
 
-def _make_meshes_absolute(root: Element, meshes: MeshFiles) -> None:
+def _make_meshes_absolute(root: Element, meshes: MeshFiles, all_meshes: bool) -> None:
     """Turn the names of meshes into `file://` ones, so that whoever reads the text needs no package path.
 
     Raises:
@@ -73,7 +81,7 @@ def _make_meshes_absolute(root: Element, meshes: MeshFiles) -> None:
             path, why = meshes.locate(uri, element.file) if uri.strip() else (None, "")
             if path is not None:
                 element.attributes["filename"] = path.as_uri()
-            elif uri and shape.tag == "collision":
+            elif uri and shape.tag == "collision" and all_meshes:
                 raise element.error(f"mesh {uri!r}: {why}")
 
 

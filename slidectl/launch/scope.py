@@ -40,6 +40,8 @@ class Launch:
     plan: Plan = field(default_factory=Plan)
     machines: set[str] = field(default_factory=set)
     """Names that launch files give to this machine."""
+    knows_angles: bool = False
+    """Whether `deg(90)` is a number in `<param type="yaml">`: in roslaunch it is, after the first `<rosparam>`."""
     _tags: int = 0
 
     def count(self, tag: Tag) -> None:
