@@ -38,17 +38,22 @@ class Model:
 
 
 def check(
-    source: str | Path, arguments: Mapping[str, str], packages: Packages, findings: Findings, ask_others: bool = True
+    source: str | Path,
+    arguments: Mapping[str, str],
+    packages: Packages,
+    findings: Findings,
+    ask_others: bool = False,
+    title: str | None = None,
 ) -> Model | None:
     """Add what there is to say of a model (as description.load takes it); the robot, None when it cannot be read.
 
-    `ask_others` asks yourdfpy too, which takes a second.
+    `ask_others` asks yourdfpy too, which takes half a second. `title` is what to call a text.
 
     Raises:
         BadFile: there is no such file. UnknownName: no such shipped model.
     """
     try:
-        document = description.load(source, arguments, packages, all_meshes=False)
+        document = description.load(source, arguments, packages, all_meshes=False, title=title)
     except BadFile as error:
         findings.fail("model", error)
         return None
@@ -59,7 +64,7 @@ def check(
 
 
 def check_text(
-    xml: str, file: str, findings: Findings, ask_others: bool = True, packages: Packages | None = None
+    xml: str, file: str, findings: Findings, ask_others: bool = False, packages: Packages | None = None
 ) -> Model | None:
     """The same for plain URDF text; `file` is its name in findings, unless the text carries a note of its sources."""
     try:

@@ -98,7 +98,7 @@ def _document(model: str, arguments: dict[str, str], name: str | None, packages:
     source = _standard_input() if model == "-" else model
     if name and "namespace" not in arguments and "namespace" in description.declared_arguments(source, places):
         arguments = {**arguments, "namespace": f"/{name}"}
-    return description.load(source, arguments, places)
+    return description.load(source, arguments, places, title="<stdin>" if model == "-" else None)
 
 
 def _standard_input() -> str:

@@ -6,7 +6,7 @@ This is the client's side: it reads files, and evaluates what xacro evaluates. T
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from slidectl.description import models, xml_tree, xml_writer
@@ -34,15 +34,18 @@ def load(
     packages: Packages | None = None,
     *,
     all_meshes: bool = True,
+    title: str | None = None,
 ) -> Document:
     """The document of a model: a `.xacro` or `.urdf` path, a shipped model's name, `-` for stdin, or XML text.
 
-    Meshes that collide have to be there, unless `all_meshes` is false: then the parser may say so.
+    Meshes that collide have to be there, unless `all_meshes` is false: then the parser may say so. `title` is what to
+    call a text in messages.
 
     Raises:
         BadFile: missing, broken, or refused by xacro. UnknownName: no shipped model of that name.
     """
     model = models.read(source)
+    model = replace(model, file=title) if title is not None else model
     base = model.path.absolute().parent if model.path is not None else Path.cwd()
     packages = packages.starting_at(base) if packages is not None else Packages(start=base)
     root = xml_tree.read(model.text, model.file)

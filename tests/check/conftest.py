@@ -38,7 +38,7 @@ def model(write: Callable[[str, str], Path]) -> Check:
 
     def check_model(xml: str, controllers: str = "", name: str = "bot.urdf", **arguments: str) -> Lines:
         files = [write("control.yaml", controllers)] if controllers else []
-        return Lines(check([str(write(name, xml))], arguments, Packages(), files, ask_others=False))
+        return Lines(check([str(write(name, xml))], arguments, Packages(), files))
 
     return check_model
 

@@ -74,7 +74,7 @@ def spawned(source: Path | str) -> tuple[Simulation | None, list[tuple[object, .
 
 
 def check_agreement(source: Path | str) -> Findings:
-    findings = check([str(source)], {}, Packages(), ask_others=False)
+    findings = check([str(source)], {}, Packages())
     simulation, reported = spawned(source)
     assert bool(findings.broken) == (simulation is None)
     told = [(n.verdict, n.file, n.line, n.subject) for n in findings.sorted()]
@@ -125,7 +125,7 @@ def test_a_controller_with_nothing_wrong_can_be_loaded_and_no_other(name: str, t
     robot, parameters = tmp_path / "bot.urdf", tmp_path / "control.yaml"
     robot.write_text(driven_cart())
     parameters.write_text(f"bot:\n  c: {{{CONTROLLERS[name]}}}\n")
-    findings = check([str(robot)], {}, Packages(), [parameters], ask_others=False)
+    findings = check([str(robot)], {}, Packages(), [parameters])
     simulation, _ = spawned(robot)
     assert simulation is not None
     simulation.parameters.set("/bot/c", read(parameters)["bot"]["c"])

@@ -19,7 +19,7 @@ from slidectl.control import registry
 from slidectl.description import Packages, parse
 from slidectl.errors import BadFile, SlidectlError
 
-SOUND = check_text(driven_cart(), "bot.urdf", Findings(), ask_others=False)
+SOUND = check_text(driven_cart(), "bot.urdf", Findings())
 assert isinstance(SOUND, Model)
 
 NAMES = st.sampled_from([
@@ -80,7 +80,7 @@ def test_any_slip_of_the_pen_in_a_model_can_be_checked(start: int, length: int, 
     text = text[:start] + put + text[start + length :]
     findings = Findings()
     try:
-        check_text(text, "bot.urdf", findings, ask_others=False)
+        check_text(text, "bot.urdf", findings)
     except SlidectlError as error:
         findings.refuse(BadFile(error.message))
     assert all(notice.file == "bot.urdf" and notice.line for notice in findings.sorted())
@@ -99,7 +99,7 @@ def is_refused(text: str) -> bool:
 @given(start=st.sampled_from([b"", b"<robot>", b"<launch>", b"bot: ", b"\xef\xbb\xbf"]), text=st.binary(max_size=60))
 def test_any_bytes_can_be_checked(start: bytes, text: bytes) -> None:
     with contextlib.suppress(SlidectlError):
-        check(["<stdin>"], {}, Packages(), text=start + text, ask_others=False)
+        check(["<stdin>"], {}, Packages(), text=start + text)
 
 
 LAUNCH = """<launch>
@@ -138,4 +138,4 @@ LAUNCH_PIECES = [
 def test_any_slip_of_the_pen_in_a_launch_file_can_be_checked(start: int, length: int, put: str) -> None:
     text = (LAUNCH[:start] + put + LAUNCH[start + length :]).encode()
     with contextlib.suppress(SlidectlError):
-        check_launch(["bot.launch"], {}, Packages(), Findings(), text, ask_others=False)
+        check_launch(["bot.launch"], {}, Packages(), Findings(), text)

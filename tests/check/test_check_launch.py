@@ -35,13 +35,13 @@ def launch(write: Write) -> Launch:
         write("bot.urdf", driven_cart())
         write("control.yaml", controllers)
         path = write("bot.launch", "\n".join(["<launch>", *parts, "</launch>"]))
-        return Lines(check([str(path)], arguments, Packages(), ask_others=False))
+        return Lines(check([str(path)], arguments, Packages()))
 
     return check_launch
 
 
 def shipped(*words: str) -> Lines:
-    return Lines(check(words, {}, Packages(), ask_others=False))
+    return Lines(check(words, {}, Packages()))
 
 
 def test_a_sound_launch_is_all_used_with_its_robot_and_controllers(launch: Launch) -> None:

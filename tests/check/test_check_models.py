@@ -238,7 +238,7 @@ def test_a_reader_that_fails_is_a_remark_only(write: Check, monkeypatch: pytest.
         raise RuntimeError("no idea")
 
     monkeypatch.setattr(yourdfpy.URDF, "load", fail)
-    lines = Lines(check([str(write("bot.urdf", driven_cart()))], {}, Packages()))
+    lines = Lines(check([str(write("bot.urdf", driven_cart()))], {}, Packages(), ask_others=True))
     assert lines.of("wrong") == []
     assert lines.about("yourdfpy cannot read it: no idea")
 
