@@ -21,6 +21,7 @@ Tree = dict[str, Any]
 
 Pair = tuple[yaml.Node, yaml.Node]
 
+MOST_BYTES = 2 * 2**20
 MOST_VALUES = 200_000
 DEEPEST = 60
 NO_MAPPING = "expected names with values, as `name: value`"
@@ -115,7 +116,9 @@ class _Reader:
         return self.value(nodes[0], 1) if nodes else None
 
     def nodes(self, text: str | bytes) -> list[yaml.Node]:
-        """The documents that are not empty."""
+        """The documents that are not empty. Reading takes seconds for each MiB, so there is an end to it."""
+        if len(text) > MOST_BYTES:
+            raise BadFile(f"is larger than {MOST_BYTES // 2**20} MiB", self.file)
         return [node for node in self.documents(text) if not _is_empty(node)]
 
     def documents(self, text: str | bytes) -> list[yaml.Node]:
