@@ -10,7 +10,7 @@ from typing import Any
 from sim_robots import STATES, cart
 
 from slidectl.control.controller import Controller
-from slidectl.control.interfaces import EffortJointInterface
+from slidectl.control.interfaces import EffortJointInterface, PositionJointInterface
 from slidectl.control.node import NodeHandle
 from slidectl.control.registry import controller
 from slidectl.errors import SlidectlError
@@ -83,7 +83,7 @@ def usual() -> dict[str, dict[str, Any]]:
     }
 
 
-def driven(simulation: Simulation, name: str, interface: str, safety: bool = False, gains: bool = True) -> None:
+def add_driven(simulation: Simulation, name: str, interface: str, safety: bool = False, gains: bool = True) -> None:
     """A robot whose joints take positions or velocities, with PIDs of the hardware unless it has none."""
     for joint in ("joint1", "joint2", "joint3"):
         own = GAINS if gains else {}
@@ -171,6 +171,20 @@ class Swinger(Controller[EffortJointInterface]):
             self.joint.command += 0.25
 
 
+@controller("tests/Stepper")
+class Stepper(Controller[PositionJointInterface]):
+    """In Python only: a position that steps to and fro, from where the joint is."""
+
+    interface_type = PositionJointInterface
+
+    def init(self, interface: PositionJointInterface, node: NodeHandle) -> None:
+        self.joint = interface.get_handle(node.get_param("joint"))
+
+    def update(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
+        if time_ns % 50_000_000 == 0:
+            self.joint.command = self.joint.position + (0.3 if time_ns % 100_000_000 else -0.3)
+
+
 def mixed() -> dict[str, dict[str, Any]]:
     """A controller in Python between compiled ones."""
     return {
@@ -182,13 +196,14 @@ def mixed() -> dict[str, dict[str, Any]]:
 
 
 def at_random(seed: int) -> Scene:
-    """Three robots, and a hundred things that happen to them."""
+    """Four robots, and a hundred things that happen to them."""
 
     def scene(simulation: Simulation) -> None:
         dice = Random(seed)
         add(simulation, "a", arm(), usual())
         add(simulation, "b", arm(safety=dice.random() < 0.5), mixed())
         add(simulation, "c", cart(), {"effort": {"type": EFFORT, "joint": "joint1"}})
+        add_driven(simulation, "d", dice.choice(("Position", "Velocity")), safety=dice.random() < 0.5)
         for _ in range(100):
             happen(simulation, dice)
             simulation.step(dice.choice((1, 3, 17, 60, 300)))
@@ -198,7 +213,7 @@ def at_random(seed: int) -> Scene:
 
 def happen(simulation: Simulation, dice: Random) -> None:
     """One thing. What is refused is refused by both engines."""
-    robot = dice.choice("abc")
+    robot = dice.choice("abcd")
     things: list[Callable[[], object]] = [
         lambda: simulation.publish(dice.choice(_COMMANDS), {"data": dice.uniform(-3, 3)}, "std_msgs/Float64"),
         lambda: simulation.publish("/b/swing/target", {"data": dice.uniform(-1, 1)}, "std_msgs/Float64"),
@@ -225,17 +240,21 @@ _COMMANDS = (
     "/b/one/command",
     "/b/three/command",
     "/c/effort/command",
+    "/d/goal1/command",
+    "/d/goal2/command",
+    "/d/goal3/command",
 )
 _TOPICS = (
     "/a/joint_states",
     "/b/joint_states",
+    "/d/joint_states",
     "/a/one/state",
     "/a/three/state",
     "/b/one/state",
     "/b/swing/told",
     "/clock",
 )
-_NAMES = ("states", "one", "two", "three", "swing", "effort")
+_NAMES = ("states", "one", "two", "three", "swing", "effort", "goal1", "goal2")
 
 
 def _bump(simulation: Simulation) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from engine_scenes import EFFORT, GAINS, POSITION, Scene, add, arm, at_random, driven, mixed, play, switch, usual
+from engine_scenes import EFFORT, GAINS, POSITION, Scene, add, add_driven, arm, at_random, mixed, play, switch, usual
 from sim_robots import STATES, cart, logged, running_cart
 
 import slidectl
@@ -68,7 +68,7 @@ def test_every_compiled_controller_gives_the_same_bits(safety: bool, listened: b
 @pytest.mark.parametrize("interface", ["Position", "Velocity"])
 def test_positions_and_velocities_with_a_pid_of_the_hardware_give_the_same_bits(interface: str, safety: bool) -> None:
     def scene(simulation: Simulation) -> None:
-        driven(simulation, "a", interface, safety)
+        add_driven(simulation, "a", interface, safety)
         simulation.heard.listen("/a/joint_states")  # type: ignore[attr-defined]
         for k in range(8):
             for number, value in enumerate((2.0, -4.0, 5.0)):
@@ -82,6 +82,23 @@ def test_positions_and_velocities_with_a_pid_of_the_hardware_give_the_same_bits(
     simulation = assert_same(scene)
     times = count_plain_cycles(simulation, "a")
     simulation.step(1000)
+    assert times == []
+
+
+@needs_numba
+def test_a_controller_in_python_sends_positions_among_compiled_ones() -> None:
+    def scene(simulation: Simulation) -> None:
+        add_driven(simulation, "a", "Position")
+        switch(simulation, "a", stop=["goal2"])
+        simulation.parameters.set("/a/stepper", {"type": "tests/Stepper", "joint": "joint2"})
+        assert simulation.call("/a/controller_manager/load_controller", {"name": "stepper"})["ok"]
+        switch(simulation, "a", start=["stepper"])
+        simulation.publish("/a/goal1/command", {"data": 0.5})
+        simulation.step(700)
+
+    simulation = assert_same(scene)
+    times = count_plain_cycles(simulation, "a")
+    simulation.step(100)
     assert times == []
 
 
@@ -101,10 +118,10 @@ def test_a_joint_with_several_transmissions_gives_the_same_bits() -> None:
 @pytest.mark.parametrize("interface", ["Position", "Velocity"])
 def test_joints_with_motors_and_those_that_publish_their_pid_are_the_interpreters(interface: str) -> None:
     def scene(simulation: Simulation) -> None:
-        driven(simulation, "a", interface, gains=False)
+        add_driven(simulation, "a", interface, gains=False)
         add(simulation, "b", arm(), usual())
         simulation.parameters.set("/c/gazebo_ros_control/pid_gains/joint1/publish_state", True)
-        driven(simulation, "c", interface)
+        add_driven(simulation, "c", interface)
         for name in "ac":
             simulation.publish(f"/{name}/goal1/command", {"data": 0.5})
         simulation.step(300)
