@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from slidectl import description, names
+from slidectl import description, names, rotations
 from slidectl.description.packages import is_file
 from slidectl.errors import BadName, Refused, SlidectlError
 from slidectl.launch.options import Words, number, parse
@@ -199,17 +198,5 @@ def _act(run: Run, service: str, request: dict[str, Any], timeout: float | None 
 def _pose(words: Words) -> dict[str, Any]:
     """geometry_msgs/Pose: metres, and fixed-axis angles in radians, about x, then y, then z of the world."""
     x, y, z, roll, pitch, yaw = (words.number(option, 0.0) for option in ("-x", "-y", "-z", "-R", "-P", "-Y"))
-    return {"position": {"x": x, "y": y, "z": z}, "orientation": quaternion(roll, pitch, yaw)}
-
-
-def quaternion(roll: float, pitch: float, yaw: float) -> dict[str, float]:
-    """geometry_msgs/Quaternion of fixed-axis angles in rad."""
-    sr, cr = math.sin(roll / 2), math.cos(roll / 2)
-    sp, cp = math.sin(pitch / 2), math.cos(pitch / 2)
-    sy, cy = math.sin(yaw / 2), math.cos(yaw / 2)
-    return {
-        "x": sr * cp * cy - cr * sp * sy,
-        "y": cr * sp * cy + sr * cp * sy,
-        "z": cr * cp * sy - sr * sp * cy,
-        "w": cr * cp * cy + sr * sp * sy,
-    }
+    turn = rotations.from_rpy((roll, pitch, yaw))
+    return {"position": {"x": x, "y": y, "z": z}, "orientation": rotations.message(turn)}

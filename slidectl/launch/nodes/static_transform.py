@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from slidectl import rotations
 from slidectl.client import Client
 from slidectl.errors import BadFile
-from slidectl.launch.nodes.spawn_model import quaternion
 from slidectl.launch.options import number, parse
 from slidectl.launch.plan import Node, Plan
 from slidectl.launch.task import Run, Task
@@ -68,7 +68,9 @@ class StaticTransform(Task):
 
     def start(self, run: Run) -> str | None:
         x, y, z, *turn = self.numbers
-        rotation = dict(zip("xyzw", turn, strict=True)) if len(turn) == 4 else quaternion(turn[2], turn[1], turn[0])
+        rotation = rotations.message(rotations.from_rpy((turn[2], turn[1], turn[0])))
+        if len(turn) == 4:
+            rotation = dict(zip("xyzw", turn, strict=True))
         transform: dict[str, Any] = {
             "header": {"stamp": run.call("/rosapi/get_time")["time"], "frame_id": self.parent},
             "child_frame_id": self.child,
