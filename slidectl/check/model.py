@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from slidectl import description
-from slidectl.check import bodies, second_opinion, simulated
+from slidectl.check import bodies, second_opinion, simulated, unused
 from slidectl.check.findings import Findings
 from slidectl.check.joints import Joints
 from slidectl.check.repair import repair
@@ -141,8 +141,11 @@ def _subject(culprit: Element | None) -> str:
 
 
 def _tell_arguments(source: str | Path, arguments: Mapping[str, str], packages: Packages, findings: Findings) -> None:
-    """The xacro arguments that the model declares, with the values that they have now."""
+    """The xacro arguments that the model declares, with the values that they have now, and what nobody uses."""
     for name, element in description.declaring_elements(source, packages).items():
         default = element.get("default") or ""
         text = f"{arguments[name]!r}, as given" if name in arguments else f"{default!r}, by default"
         findings.add("used", f"argument {name}", text, element.file, element.line)
+    trees = description.written_trees(source, packages)
+    if trees is not None:
+        unused.tell(trees, findings)

@@ -74,7 +74,7 @@ def check(
 
     places = Packages({name: Path(path) for name, path in pairs(packages, "=", "check").items()})
     files = [configuration.find(file) for file in controllers]
-    text = sys.stdin.buffer.read() if source == "-" else None
+    text = _streamed(source)
     words = ["<stdin>" if source == "-" else _shipped_or_own(source)]
     words += [word for word in arguments if ":=" not in word]
     given = pairs([word for word in arguments if ":=" in word], ":=", "check")
@@ -84,6 +84,16 @@ def check(
         raise error
     if findings.count("wrong") or (strict and findings.count("ignored")):
         click_context.exit(EXIT_REFUSED)
+
+
+def _streamed(source: str) -> bytes | None:
+    """What comes from standard input or a pipe (`<(xacro robot.xacro)`) and can be read but once; None of files."""
+    if source == "-":
+        return sys.stdin.buffer.read()
+    try:
+        return Path(source).read_bytes() if Path(source).is_fifo() else None
+    except (OSError, ValueError):
+        return None
 
 
 def _shipped_or_own(source: str) -> str:

@@ -100,9 +100,25 @@ def declared_arguments(source: str | Path, packages: Packages | None = None) -> 
 
 def declaring_elements(source: str | Path, packages: Packages | None = None) -> dict[str, Element]:
     """The same `<xacro:arg>` as elements, which know where they were written."""
+    from slidectl.description import xacro_arguments
+
+    return xacro_arguments.declared(*_unexpanded(source, packages))
+
+
+def written_trees(source: str | Path, packages: Packages | None = None) -> list[Element] | None:
+    """A model and all that it includes as they are written; None when only xacro can tell what it includes.
+
+    Raises:
+        BadFile, UnknownName: as load.
+    """
+    from slidectl.description import xacro_arguments
+
+    return xacro_arguments.trees(*_unexpanded(source, packages))
+
+
+def _unexpanded(source: str | Path, packages: Packages | None) -> tuple[Element, Path, Packages]:
+    """The tree of a model, the folder that it is in, and where packages are."""
     model = models.read(source)
     base = model.path.absolute().parent if model.path is not None else Path.cwd()
     packages = packages.starting_at(base) if packages is not None else Packages(start=base)
-    from slidectl.description import xacro_arguments
-
-    return xacro_arguments.declared(xml_tree.read(model.text, model.file), base, packages)
+    return xml_tree.read(model.text, model.file), base, packages

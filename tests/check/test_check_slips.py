@@ -150,3 +150,34 @@ def test_of_a_controller_that_is_there_twice_only_the_last_one_counts(model: Che
     lines = model(driven_cart(), CONTROLLERS + again)
     assert lines.of("wrong") == ["wrong 6 slide_controller: is there twice, in line 2 too; the last one counts"]
     assert not lines.about("/pid/")
+
+
+XACRO = '<robot name="bot" xmlns:xacro="x">\n{}\n<link name="world"/></robot>'
+UNUSED = [
+    ('<xacro:property name="wide" value="1"/>', 'ignored 2 <xacro:property name="wide">: no expression uses it'),
+    ('<xacro:macro name="leg" params="a"/>', 'ignored 2 <xacro:macro name="leg">: is never called'),
+]
+
+
+@pytest.mark.parametrize(("part", "line"), UNUSED)
+def test_what_a_xacro_file_makes_and_nobody_uses_is_ignored(model: Check, part: str, line: str) -> None:
+    assert model(XACRO.format(part), name="bot.xacro").of("ignored") == [line]
+
+
+USED = [
+    '<xacro:property name="a" value="1"/><material name="m${a}"><color rgba="1 1 1 1"/></material>',
+    '<xacro:property name="a" value="1"/><xacro:property name="b" value="${a}"/><xacro:if value="${b == 2}"/>',
+    '<xacro:property name="a" value="1"/><xacro:macro name="m" params="a:=^"/><xacro:m/>',
+    '<xacro:property name="a"><link name="b"/></xacro:property><xacro:if value="0">'
+    '<xacro:insert_block name="a"/></xacro:if>',
+    '<xacro:macro name="m" params=""/><xacro:call macro="m"/>',
+    '<xacro:include filename="library.xacro"/><xacro:property name="own" value="1"/>',
+]
+
+
+@pytest.mark.parametrize("parts", USED)
+def test_what_is_used_anywhere_is_not_ignored(model: Check, write: Check, parts: str) -> None:
+    library = '<xacro:property name="unused" value="1"/><xacro:if value="${own == 2}"/>'
+    write("library.xacro", f'<robot xmlns:xacro="x">{library}</robot>')
+    lines = model(XACRO.format(parts), name="bot.xacro")
+    assert lines.of("ignored") == []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pty
+import shlex
 import subprocess
 from pathlib import Path
 
@@ -110,6 +111,15 @@ def test_a_model_may_come_on_stdin(slidectl: CommandLine) -> None:
     assert done.returncode == 1
     assert "<stdin>:7  wrong " in done.stdout
     assert "there is no link or joint 'crat'" in done.stdout
+
+
+@pytest.mark.parametrize("text", [SOUND, CONTROLLERS.replace("slyde", "slide"), "<launch/>"])
+def test_a_file_may_be_a_pipe_that_can_be_read_once(slidectl: CommandLine, tmp_path: Path, text: str) -> None:
+    (tmp_path / "text").write_text(text)
+    line = shlex.join(slidectl.argv("check")) + f" <(cat {shlex.quote(str(tmp_path / 'text'))})"
+    done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, env=slidectl.environment, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.endswith(" 0 wrong\n")
 
 
 def test_controllers_may_come_on_stdin(slidectl: CommandLine) -> None:
