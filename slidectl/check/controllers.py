@@ -19,6 +19,7 @@ from slidectl.check.model import Model
 from slidectl.check.parameter_file import ParameterFile, shown
 from slidectl.control import registry
 from slidectl.control.controller import ControllerBase
+from slidectl.control.interfaces import ResourceManager
 from slidectl.control.parameters import Parameter
 from slidectl.description.controllers_file import retarget
 from slidectl.description.models import read_file
@@ -91,6 +92,8 @@ class ControllerCheck:
         """True: whatever the file says, it is for the first robot."""
         self.found: dict[str, str] = {}
         """Full name and type of each controller."""
+        self.claims: dict[str, set[str]] = {}
+        """The joints that each controller of a known type has for itself while it runs."""
 
     def check(self, tree: Mapping[str, Any], path: str = "") -> None:
         """Go through a mapping: controllers, what hardware reads, namespaces with more of them, and strays."""
@@ -153,8 +156,14 @@ class ControllerCheck:
                 if name != "type":
                     self.source.unknown(f"{path}/{name}", "has no effect, as the controller's type is unknown", value)
             return
-        self.source.add("used", f"{path}/type", f"{type_name}; on {' and '.join(_interfaces(cls)) or 'no interface'}")
-        _Parameters(self.source, path, cls, self._model(path)).check(tree)
+        self.source.add(
+            "used",
+            f"{path}/type",
+            f"{type_name}; on {' and '.join(i.type_name for i in _interfaces(cls)) or 'no interface'}",
+        )
+        parameters = _Parameters(self.source, path, cls, self._model(path))
+        parameters.check(tree)
+        self.claims[self.source.full(path)] = parameters.claims(tree)
 
 
 class _Parameters:
@@ -178,6 +187,17 @@ class _Parameters:
             loss = "its entry is skipped" if "[]/" in parameter.name else "the controller cannot be loaded"
             text = f"is missing: {parameter.kind.words}, {parameter.meaning}; {loss}"
             self.source.add("wrong", f"{self.path}/{name}", text)
+
+    def claims(self, tree: Mapping[str, Any]) -> set[str]:
+        """The joints that nobody else may command while the controller runs."""
+        if not any(interface.claims for interface in _interfaces(self.cls)):
+            return set()
+        found: set[str] = set()
+        for name, value in self.declared.leaves(tree):
+            parameter = self.declared.find(name)
+            named = parameter.kind.convert(value) if parameter is not None and parameter.names_joints else None
+            found.update([named] if isinstance(named, str) else named or ())
+        return found
 
     def _judge_gains(self, values: Mapping[str, Any]) -> set[str]:
         """Findings on gains without effect; the names that need no others."""
@@ -225,7 +245,7 @@ class _Parameters:
             return f"the robot has no joint {joint!r}; {hint}joints: {listing(self.robot.joints)}"
         if joint not in self.driven:
             return f"no transmission drives joint {joint!r}, so controllers do not know it"
-        wanted = {name.rpartition("::")[2] for name in _interfaces(self.cls)}
+        wanted = {interface.type_name.rpartition("::")[2] for interface in _interfaces(self.cls)}
         offered = self.driven[joint].rpartition("/")[2]
         if wanted and not wanted & {offered, "JointStateInterface"}:
             return f"the transmission of joint {joint!r} offers {offered}, the controller needs {' or '.join(wanted)}"
@@ -236,11 +256,10 @@ def _is_controller(tree: Mapping[str, Any]) -> bool:
     return isinstance(tree.get("type"), str)
 
 
-def _interfaces(cls: type[ControllerBase]) -> list[str]:
+def _interfaces(cls: type[ControllerBase]) -> list[type[ResourceManager[Any]]]:
     """The hardware interfaces of a class of controllers."""
     one = getattr(cls, "interface_type", None)
-    several = [one] if one is not None else getattr(cls, "interface_types", ())
-    return [interface.type_name for interface in several]
+    return [one] if one is not None else list(getattr(cls, "interface_types", ()))
 
 
 def _likely_types(tree: Mapping[str, Any]) -> list[str]:

@@ -47,5 +47,5 @@ def check(
     source = ParameterFile(sources[0].shown, parameters.places, findings)
     controllers = ControllerCheck(source, [robot.model for robot in nodes.robots if robot.model], nodes.reader)
     controllers.check(parameters.tree)
-    nodes.tell(controllers.found, tags)
+    nodes.tell(controllers.found, controllers.claims, tags)
     tags.classify(plan, findings)

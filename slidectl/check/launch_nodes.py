@@ -110,13 +110,14 @@ class LaunchNodes:
 
     # --- what they look for -------------------------------------------------------------------------------------------
 
-    def tell(self, controllers: Mapping[str, str], tags: LaunchTags) -> None:
-        """Findings on what fits nothing. `controllers` are full names and types in the parameters."""
+    def tell(self, controllers: Mapping[str, str], claims: Mapping[str, set[str]], tags: LaunchTags) -> None:
+        """Findings on what fits nothing. `controllers` are full names and types in the parameters, `claims` joints."""
         self._tell_twins()
         self._tell_namespaces(controllers)
         for task in self.tasks:
             if isinstance(task, Spawner):
                 self._tell_spawner(task, controllers)
+                self._tell_rivals(task, claims)
             elif isinstance(task, RobotStatePublisher):
                 self._tell_joint_states(task, controllers, tags)
         self._tell_loaded_twice()
@@ -167,6 +168,16 @@ class LaunchNodes:
             name = names.join(task.namespace, word)
             if name not in controllers and not is_file(Path(word)) and self.parameters.is_complete:
                 self._add("wrong", task.node, self._unknown_controller(name, task.namespace, controllers))
+
+    def _tell_rivals(self, task: Spawner, claims: Mapping[str, set[str]]) -> None:
+        """Controllers that one spawner starts, and that want the same joint."""
+        holders: dict[str, str] = {}
+        for name in [] if task.words.has("--stopped") else _loaded(task):
+            for joint in sorted(claims.get(name, ())):
+                holder = holders.setdefault(joint, name)
+                if holder != name:
+                    text = f"cannot start {name} beside {holder}: both want joint {joint!r} for themselves"
+                    self._add("wrong", task.node, text)
 
     def _unknown_controller(self, name: str, namespace: str, controllers: Mapping[str, str]) -> str:
         inside = [other for other in controllers if names.is_under(other, namespace)]
