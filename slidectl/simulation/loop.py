@@ -75,6 +75,11 @@ class Loop:
         else:
             callback()
 
+    def settle(self) -> None:
+        """Somebody is about to look at handles and controllers that he holds: let them be what they should be."""
+        if self.engine.cycles is not None:
+            self.engine.cycles.release_all()
+
     def step(self, cycles: int = 1) -> int:
         """Run so many cycles. Returns how many: fewer only when the physics diverges and `driven`.
 
@@ -111,7 +116,7 @@ class Loop:
             if clock.cycles % CHECK_EVERY == 0:
                 self.world.check()
         except Diverged as trouble:
-            return done, trouble
+            return clock.cycles - before, trouble
         except EngineError as trouble:
             return clock.cycles - before, Refused(f"MuJoCo cannot go on: {trouble}")
         return done, None

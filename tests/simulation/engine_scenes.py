@@ -104,8 +104,9 @@ class Heard:
         self.messages: list[tuple[str, str]] = []
 
     def listen(self, topic: str) -> None:
-        """From now on."""
-        self._simulation.subscribe(topic, lambda message: self.messages.append((topic, repr(message))))
+        """From now on, as a client of the daemon does: it sees nothing but messages."""
+        topics = self._simulation.graph.topics
+        topics.subscribe(topic, None, "/listener", lambda message: self.messages.append((topic, repr(message))))
 
 
 def play(scene: Scene, engine: str, driven: bool = False) -> tuple[list[Any], Simulation]:

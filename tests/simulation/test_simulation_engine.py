@@ -150,7 +150,7 @@ def test_an_emergency_stop_of_driven_joints_gives_the_same_bits() -> None:
 def test_the_cycles_are_compiled_ones_while_listeners_are_served() -> None:
     _, simulation = play(lambda simulation: add(simulation, "a", arm(), usual()), "compiled")
     heard: list[Any] = []
-    simulation.subscribe("/a/one/state", heard.append)
+    simulation.graph.topics.subscribe("/a/one/state", None, "/listener", heard.append)
     times = count_plain_cycles(simulation, "a")
     simulation.step(1000)
     assert times == []
@@ -488,6 +488,17 @@ def test_the_interpreter_runs_the_cycles_until_the_code_is_there(compilation: Co
     assert simulation.cycles == 9
 
 
+def test_a_compiler_that_was_killed_is_named_by_what_killed_it(compilation: Compilation) -> None:
+    simulation = Simulation(engine="auto")
+    lines = logged(simulation)
+    simulation.driven = True
+    simulation.step(3)
+    compilation.code = -9
+    simulation.step(3)
+    assert str(simulation.engine) == "plain: the compiler was ended by SIGKILL"
+    assert ("warn", "cycles run in the interpreter: the compiler was ended by SIGKILL") in lines
+
+
 @pytest.mark.usefixtures("compilation")
 def test_code_that_is_no_code_leaves_the_interpreter(monkeypatch: pytest.MonkeyPatch) -> None:
     def broken() -> None:
@@ -547,3 +558,29 @@ def test_numba_is_imported_by_the_process_that_compiles_and_by_nothing_else() ->
     package = Path(slidectl.__file__).parent
     users = [path.name for path in package.rglob("*.py") if "import numba" in path.read_text(encoding="utf-8")]
     assert users == ["compiler.py"]
+
+
+@pytest.mark.parametrize("engine", ["plain", "compiled"])
+@pytest.mark.parametrize("place", ["timer", "subscriber"])
+def test_what_a_script_holds_is_true_in_its_callbacks(engine: str, place: str) -> None:
+    simulation = Simulation(ground=False, engine=engine)
+    if engine == "compiled":
+        simulation.engine.complete()
+    add(simulation, "a", arm(), usual())
+    robot = simulation.robots.get("a")
+    held, handle = robot.manager.get("one"), robot.hardware.driven()[0].handle
+    seen: list[bool] = []
+
+    def look(*_: object) -> None:
+        seen.append(handle.position == simulation.world.joint_state("a", handle.name)[0] or place == "subscriber")
+        held.set_command(1.0)
+
+    if place == "timer":
+        simulation.graph.timers.every(100_000_000, look)
+    else:
+        simulation.subscribe("/a/two/state", look)
+    simulation.publish("/a/one/command", {"data": 0.3})
+    simulation.step(1000)
+    assert held.set_point == 1.0
+    assert len(seen) >= 9
+    assert simulation.world.joint_state("a", "joint1")[0] > 0.9

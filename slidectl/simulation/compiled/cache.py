@@ -37,6 +37,8 @@ def folder() -> Path:
 
 def prepare() -> None:
     """See to it that the folder is there. Raises OSError: it cannot be made; NotOurs."""
+    if not folder().is_absolute():
+        raise FileNotFoundError("there is no home folder, and XDG_CACHE_HOME names none")
     folder().mkdir(mode=0o700, parents=True, exist_ok=True)
     if not _is_ours(folder().stat()):
         raise NotOurs(folder())
@@ -46,7 +48,8 @@ def holds(path: Path) -> bool:
     """True when the file is there and may be trusted."""
     try:
         found = os.lstat(path)
-        return stat.S_ISREG(found.st_mode) and _is_ours(found) and _is_ours(path.parent.stat())
+        is_ours = _is_ours(found) and _is_ours(path.parent.stat())
+        return is_ours and stat.S_ISREG(found.st_mode) and path.is_absolute()
     except OSError:
         return False
 
@@ -69,9 +72,13 @@ def write(path: Path, content: bytes) -> None:
     """Put the file there, at once or not at all. Raises OSError, also when the folder has gone meanwhile."""
     draft = path.with_name(f"{path.name}.{os.getpid()}")
     draft.unlink(missing_ok=True)
-    with open(os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600), "wb") as file:
-        file.write(_seal(content) + content)
-    draft.replace(path)
+    try:
+        with open(os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600), "wb") as file:
+            file.write(_seal(content) + content)
+        draft.replace(path)
+    except OSError:  # a full disk wants back what it gave
+        draft.unlink(missing_ok=True)
+        raise
 
 
 def _seal(content: bytes) -> bytes:

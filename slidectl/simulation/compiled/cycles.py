@@ -160,6 +160,8 @@ class CompiledCycles:
                 self.release_all()
         done = clock.cycles - before
         if clock.time_ns >= self._graph.timers.next_ns:
+            if not loop.driven:  # a script's own timers look at what the script holds
+                self.release_all()
             self._graph.timers.fire()
         return done
 

@@ -6,12 +6,16 @@ The interpreter runs the cycles until then.
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
 from typing import TYPE_CHECKING
 
 from slidectl.errors import Refused, UsageError
+from slidectl.paths import with_package
 from slidectl.simulation.compiled import cache, object_file
+from slidectl.simulation.graph import WORLD_NODE
 
 if TYPE_CHECKING:
     from slidectl.simulation.compiled.cycles import CompiledCycles
@@ -48,13 +52,15 @@ class Engine:
 
     def advance(self, cycles: int) -> None:
         """Before so many cycles: load the code if it is there, else see to it that somebody makes it."""
+        ended = None if self._compiling is None else self._compiling.poll()
+        if self._compiling is not None and ended is None:
+            return
         if object_file.is_there():
             self._load()
-        elif self._compiling is None:
-            if cycles >= WORTH_COMPILING or self._loop.driven:
-                self._begin()
-        elif self._compiling.poll() is not None and not object_file.is_there():
-            self._give_up(f"compiling failed, see {object_file.report()}")
+        elif ended is not None:
+            self._give_up(_what_failed(ended))
+        elif cycles >= WORTH_COMPILING or self._loop.driven:
+            self._begin()
 
     def _begin(self) -> None:
         try:
@@ -70,9 +76,9 @@ class Engine:
             raise Refused("the compiled engine needs numba", "install it: pip install 'slidectl[fast]'")
         for _ in range(2):  # what is there may turn out to be damaged
             if not object_file.is_there():
-                _begin_to_compile().wait()
-            if not object_file.is_there():
-                raise Refused(f"compiling failed, see {object_file.report()}")
+                code = _begin_to_compile().wait()
+                if not object_file.is_there():
+                    raise Refused(_what_failed(code))
             self._load()
             if self.cycles is not None:
                 return
@@ -96,18 +102,30 @@ class Engine:
     def _give_up(self, trouble: str) -> None:
         self.is_settled = True
         self._trouble = trouble
+        level = "error" if self._chosen == COMPILED else "warn"
+        self._loop.graph.log(level, WORLD_NODE, f"cycles run in the interpreter: {trouble}")
+
+
+def _what_failed(code: int) -> str:
+    if code < 0:
+        return f"the compiler was ended by {signal.Signals(-code).name}"
+    return f"compiling failed, see {object_file.report()}"
 
 
 def _begin_to_compile() -> subprocess.Popen[bytes]:
     """Raises Refused: no place for the result."""
     try:
         cache.prepare()
+        report = object_file.report().open("a", encoding="utf-8")
     except OSError as error:
         raise Refused(f"there is no place for compiled code: {error}") from error
-    return subprocess.Popen(
-        [sys.executable, "-m", "slidectl.simulation.compiled.compiler"],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
+    with report:
+        return subprocess.Popen(
+            # -P: a file of the user's that is called like a library must not be taken for it.
+            [sys.executable, "-P", "-m", "slidectl.simulation.compiled.compiler"],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=report,
+            env=with_package(os.environ),
+            start_new_session=True,
+        )
