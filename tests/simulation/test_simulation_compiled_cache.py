@@ -95,7 +95,7 @@ def test_code_that_is_tidied_away_under_an_engine_is_made_anew(folder: Path, mon
     monkeypatch.setattr(object_file, "load", gone)
     simulation = Simulation(engine="auto")
     simulation.step(3)
-    assert str(simulation.engine) == "auto: compiling, plain meanwhile"
+    assert str(simulation.engine) == "auto: plain so far"
 
 
 def test_the_files_that_were_used_last_stay(folder: Path) -> None:

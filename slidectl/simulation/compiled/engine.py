@@ -39,6 +39,7 @@ class Engine:
         self._chosen = chosen
         self._compiling: subprocess.Popen[bytes] | None = None
         self._trouble = ""
+        self._has_looked = False
         self.cycles: CompiledCycles | None = None
         self.is_settled = chosen == PLAIN or not object_file.is_possible()
         """True when nothing will change any more."""
@@ -48,12 +49,14 @@ class Engine:
             return COMPILED
         if self._trouble:
             return f"plain: {self._trouble}"
-        return PLAIN if self.is_settled else f"{self._chosen}: compiling, plain meanwhile"
+        if self.is_settled:
+            return PLAIN
+        return f"{self._chosen}: {'plain so far' if self._compiling is None else 'compiling, plain meanwhile'}"
 
     def advance(self, cycles: int) -> None:
         """Before so many cycles: load the code if it is there, else see to it that somebody makes it."""
         ended = None if self._compiling is None else self._compiling.poll()
-        if self._compiling is not None and ended is None:
+        if self._is_too_short(cycles) if self._compiling is None else ended is None:
             return
         if object_file.is_there():
             self._load()
@@ -61,6 +64,11 @@ class Engine:
             self._give_up(_what_failed(ended))
         elif cycles >= WORTH_COMPILING or self._loop.driven:
             self._begin()
+
+    def _is_too_short(self, cycles: int) -> bool:
+        """True for a few cycles of a script, which has looked for the code once: each look takes microseconds."""
+        looked, self._has_looked = self._has_looked, True
+        return looked and cycles < WORTH_COMPILING and not self._loop.driven
 
     def _begin(self) -> None:
         try:
