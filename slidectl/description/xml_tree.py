@@ -136,9 +136,11 @@ class _Reader:
         """What to do about the slips that are made most."""
         if code == _MISMATCH and self.open:
             return f"</{self.open[-1].tag}> is missing: its element begins in line {self.open[-1].line}"
-        if code == _INVALID and isinstance(source, bytes) and not _is_utf8(source):
+        if code != _INVALID:
+            return None
+        if isinstance(source, bytes) and not _is_utf8(source):
             return 'it is not UTF-8: save it as that, or begin with <?xml version="1.0" encoding="..."?>'
-        return None
+        return _slip(source.encode() if isinstance(source, str) else source, self.parser.ErrorByteIndex)
 
     def without_leading_blanks(self, source: str | bytes) -> str | bytes:
         """Blanks before `<?xml` (a here-document's first line) are no reason to refuse a robot."""
@@ -192,6 +194,19 @@ class _Reader:
 
     def skipped(self, name: str, _: bool) -> None:
         raise BadFile(f"uses the unknown XML entity {name!r}", self.file, self.line, "write its text in its place")
+
+
+def _slip(source: bytes, place: int) -> str | None:
+    """What was meant at the place (a byte, counted without leading blanks) where XML says no."""
+    text = source.lstrip(b"\xef\xbb\xbf \t\r\n")
+    before, here = text[:place], text[place : place + 1]
+    if before.rfind(b"<!--") > before.rfind(b"-->"):
+        return "a comment may not hold two hyphens in a row: --"
+    if here == b"<":
+        return "a < within a value is written &lt;"
+    if here == b"&" or before.endswith(b"&"):
+        return "an & is written &amp;, and && in an expression: and"
+    return None
 
 
 def _is_utf8(text: bytes) -> bool:

@@ -86,3 +86,10 @@ def test_joint_limits_are_all_declared() -> None:
 def test_an_unknown_type_is_refused_with_the_closest_known_one() -> None:
     with pytest.raises(registry.UnknownType, match="Did you mean 'effort_controllers/JointPositionController'"):
         registry.find("effort_controler/JointPositionController")
+
+
+def test_a_type_of_ros_controllers_that_is_not_here_is_no_slip_of_the_pen() -> None:
+    with pytest.raises(registry.UnknownType) as caught:
+        registry.create("effort_controllers/JointTrajectoryController")
+    assert "is not among those of slidectl\ncontroller types: effort_controllers/" in str(caught.value)
+    assert "Did you mean" not in str(caught.value)

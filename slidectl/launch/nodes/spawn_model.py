@@ -171,7 +171,7 @@ class SpawnModel(Task):
             elif notice["verdict"] == "ignored":
                 ignored += 1
         joints = " ".join(joint["name"] for joint in robot["joints"] if joint["type"] != "fixed") or "none"
-        more = f"; {ignored} tags without effect, -v shows them" if ignored else ""
+        more = f"; {ignored} {'tag' if ignored == 1 else 'tags'} without effect, -v shows them" if ignored else ""
         self.settled(run, f"{self.model} spawned in {robot['namespace']}, joints: {joints}{more}", robot=self.model)
 
     def stop(self, run: Run) -> None:

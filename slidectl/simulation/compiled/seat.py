@@ -70,13 +70,13 @@ class Seat:
         self.is_taken = True
 
     def release(self) -> None:
-        """From now on the objects are the truth again."""
+        """From now on the objects are the truth again. If a Ctrl-C comes in between it is done once more, whole."""
         if not self.is_taken:
             return
-        self.is_taken = False
         for row in self._changing:
             row.give()
         self._mark_plain()
+        self.is_taken = False
 
     @property
     def rows(self) -> int:
