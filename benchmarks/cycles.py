@@ -38,6 +38,7 @@ def measure() -> list[Row]:
         goal = COMPILED_GOAL if engine == "compiled" else PLAIN_GOAL
         for model, controllers in (("slider", SLIDER_CONTROLLERS), ("rrbot", RRBOT_CONTROLLERS)):
             rows += compared(f"{model}, {engine}", build(model, controllers, engine), goal)
+            rows += compared(f"{model}, its state topics heard, {engine}", heard(model, controllers, engine), None)
         rows += compared(f"rrbot and a watcher in Python, {engine}", watched(engine), None)
     if object_file.is_possible():
         for count in CROWDS:
@@ -83,6 +84,14 @@ class Watcher(Controller[JointStateInterface]):
     def update(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
         if self.joint.effort > self.largest:
             self.largest = self.joint.effort
+
+
+def heard(model: str, controllers: tuple[str, ...], engine: str) -> Simulation:
+    """A robot whose joint states (50 Hz) and controllers' states (100 Hz each) somebody takes, and throws away."""
+    simulation = build(model, controllers, engine)
+    for topic in ("joint_states", *(f"{name}/state" for name in controllers[1:])):
+        simulation.graph.topics.subscribe(f"/{model}/{topic}", None, "/listener", lambda _: None)
+    return simulation
 
 
 def watched(engine: str) -> Simulation:

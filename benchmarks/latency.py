@@ -6,18 +6,19 @@ joint, for which a second connection asks in a loop. The figure holds one round 
 
 from __future__ import annotations
 
+import resource
 import statistics
 import subprocess
 import time
 
-from benchmarks.harness import SLIDECTL, Daemon, Row, daemon, percentile, timed
+from benchmarks.harness import SLIDECTL, Daemon, Row, daemon, percentile, process_cpu_s, timed
 from slidectl import Client
 
 CALLS = 10_000
 IN_FLIGHT = 100
 EFFECTS = 300
 ROUNDS = 5
-LINES = 500
+LINES = 3000
 _PUSH = 0.01
 _MOVED = 1e-7
 _SERVICE = "/rosapi/get_time"
@@ -61,17 +62,49 @@ def _call_many(client: Client) -> None:
 
 
 def _lines(instance: Daemon) -> list[Row]:
-    """What a line of a script costs, without the start of the shell."""
-
-    def run(count: int) -> float:
-        script = "pub push/command 0.0\n" * count
-        words = [SLIDECTL, "shell"]
-        return timed(lambda: subprocess.run(words, input=script, text=True, env=instance.environment, check=True))
-
-    line_s = statistics.median((run(LINES) - run(1)) / (LINES - 1) for _ in range(ROUNDS))
-    return [
-        Row("slidectl shell: pub, a line", 1e3 * line_s, "ms", note="three round trips; the rest is click's parser")
+    """Lines of a script and documents of a pipe a second, without the start of the process that reads them."""
+    pub, everything = (
+        ["pub", "push/command", "--stdin"],
+        {
+            "pub, a line": (["shell"], "pub push/command 0.0\n"),
+            "service call, a line": (["shell"], "service call /rosapi/get_time\n"),
+            "param get, a line": (["shell"], "param get push/type\n"),
+            "param set, a line": (["shell"], "param set /speed 1.0\n"),
+        },
+    )
+    rows = [
+        _rate(instance, f"slidectl shell: {name}", words, line, 15_000) for name, (words, line) in everything.items()
     ]
+    rows.append(_rate(instance, "slidectl pub --stdin, a document", pub, '{"data": 0.0}\n', 15_000))
+    instance.run("sim", "pause")
+    rows.append(_rate(instance, "slidectl shell: sim step 1, a line", ["shell"], "sim step 1\n", None))
+    instance.run("sim", "resume")
+    return rows
+
+
+def _rate(instance: Daemon, name: str, words: list[str], line: str, goal: float | None) -> Row:
+    """Best of several rounds, with the processor time of both sides."""
+
+    def run(count: int) -> tuple[float, float, float]:
+        own, daemon = resource.getrusage(resource.RUSAGE_CHILDREN), process_cpu_s(pid)
+        took = timed(
+            lambda: subprocess.run(
+                [SLIDECTL, *words],
+                input=line * count,
+                text=True,
+                env=instance.environment,
+                check=True,
+                stdout=subprocess.DEVNULL,
+            )
+        )
+        now = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return took, now.ru_utime + now.ru_stime - own.ru_utime - own.ru_stime, process_cpu_s(pid) - daemon
+
+    pid = instance.status()["pid"]
+    rounds = [[(many - one) / (LINES - 1) for many, one in zip(run(LINES), run(1), strict=True)] for _ in range(ROUNDS)]
+    wall, client, daemon = min(rounds)
+    note = f"{1e6 * client:.0f} µs of processor here, {1e6 * daemon:.0f} µs in the daemon"
+    return Row(name, 1 / wall, "/s", goal, "higher", note)
 
 
 def _effects(client: Client, title: str, p50_goal: float | None, p99_goal: float | None) -> list[Row]:

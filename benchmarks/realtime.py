@@ -54,7 +54,7 @@ def _memory(engine: str, goal: float) -> Row:
     with daemon("--engine", engine) as instance:
         instance.spawn("rrbot", RRBOT_CONTROLLERS)
         limit = time.monotonic() + COMPILE_LIMIT_S
-        while not (status := instance.status())["engine"].startswith(engine):
+        while (status := instance.status())["engine"] != engine:
             if time.monotonic() > limit:
                 raise TimeoutError(f"the engine is {status['engine']!r}, not {engine!r}")
             time.sleep(0.1)

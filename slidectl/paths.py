@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from slidectl.errors import Refused, UsageError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
 DEFAULT_INSTANCE = "default"
@@ -154,6 +155,15 @@ def check_private(folder: str | Path) -> None:
         # Never advise to close a folder that may serve others too: /tmp, a home, the root.
         own = "put the socket into a folder of your own, made with: mkdir -m 700 FOLDER"
         raise Refused(f"{folder} is open to other users", f"chmod 700 {folder}" if _is_ours_to_name(folder) else own)
+
+
+def with_package(environment: Mapping[str, str]) -> dict[str, str]:
+    """An environment in which Python finds slidectl too when it runs from its checkout without being installed."""
+    root = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+    if os.path.basename(root) in ("site-packages", "dist-packages"):
+        return dict(environment)
+    path = os.pathsep.join(filter(None, [root, environment.get("PYTHONPATH")]))
+    return {**environment, "PYTHONPATH": path}
 
 
 def share(kind: str) -> Path:

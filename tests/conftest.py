@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -28,3 +30,23 @@ def pytest_unconfigure(config: pytest.Config) -> None:
     if _CACHE in config.stash:
         shutil.rmtree(os.environ["XDG_CACHE_HOME"], ignore_errors=True)
         config.stash[_CACHE].undo()
+
+
+@pytest.fixture
+def no_package_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The environment of whoever runs the tests finds no package for them."""
+    for variable in ("SLIDECTL_PACKAGE_PATH", "ROS_PACKAGE_PATH"):
+        monkeypatch.delenv(variable, raising=False)
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Callable[[str, str], Path]:
+    """Writes a text to a file below the test's own folder."""
+
+    def write_file(name: str, text: str) -> Path:
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, "utf-8")
+        return path
+
+    return write_file

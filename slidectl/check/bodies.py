@@ -9,17 +9,40 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from itertools import product
+from typing import TYPE_CHECKING
 
 from slidectl.check.findings import Findings
+from slidectl.check.repair import STAND_IN
 from slidectl.description.inertia import principal_moments
-from slidectl.description.robot import Box, Cylinder, Inertial, Link, Mesh, Pose, Robot, Shape, Sphere, Vector
+from slidectl.description.robot import (
+    Box,
+    Cylinder,
+    Inertial,
+    Link,
+    Mesh,
+    Pose,
+    Robot,
+    Shape,
+    Sphere,
+    Vector,
+    Verdict,
+)
 from slidectl.errors import BadFile
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 DENSEST = 22590.0
 """Osmium, kg/m³."""
 _SLACK = 1.001
 # Sensors of next to no weight are often given more inertia than they can have, for the solver's sake; this is a slip.
 _SLIP = 100.0
+AIR = 1.2
+"""kg/m³."""
+# The cameras of the tutorials, of next to no weight, are no slip.
+_THINNEST = AIR / 1000
+_FAR = 10.0
 
 Bounds = tuple[Vector, Vector]
 """Least and largest corner of a box, m."""
@@ -29,31 +52,68 @@ def tell(robot: Robot, findings: Findings) -> None:
     """Findings on every link with an inertia, and on meshes that cannot be read."""
     for link in robot.links.values():
         corners = list(_corners(link, findings))
-        if link.inertial is not None:
-            _tell_inertia(link, link.inertial, corners, findings)
+        if link.inertial is not None and link.inertial.line != STAND_IN:
+            _Body(link, link.inertial, corners, findings).tell()
 
 
-def _tell_inertia(link: Link, inertial: Inertial, corners: list[Vector], findings: Findings) -> None:
-    subject = f"link {link.name!r}/<inertial>"
-    line = inertial.line if inertial.line is not None else link.line
-    largest = principal_moments(inertial.inertia)[2]
-    least = smallest_possible(inertial.mass)
-    if largest * _SLACK < least:
-        text = f"moments of at most {largest:.3g} kg·m²: no matter is so dense that {inertial.mass:g} kg have less than"
-        findings.add("wrong", subject, f"{text} {least:.3g}", link.file or "", line)
-    if not corners:
-        return
-    reach = max(math.dist(inertial.origin.xyz, corner) for corner in corners)
-    times = largest / (inertial.mass * reach * reach) if reach > 0 else 0.0
-    if times > _SLACK:
-        text = f"{inertial.mass:g} kg within its shapes have moments of at most {inertial.mass * reach**2:.3g} kg·m²"
-        text = f"{text}; the largest here is {largest:.3g}, {times:.3g} times as much"
-        wrong = times > _SLIP
-        findings.add("wrong" if wrong else "used", subject, text if wrong else f"note: {text}", link.file or "", line)
-    if not _is_inside(inertial.origin.xyz, corners):
-        x, y, z = inertial.origin.xyz
-        text = f"note: the centre of mass, {x:g} {y:g} {z:g}, lies outside of its shapes"
-        findings.add("used", subject, text, link.file or "", line)
+class _Body:
+    """A link's mass and moments beside its shapes, of which `corners` are those of the boxes around them."""
+
+    def __init__(self, link: Link, inertial: Inertial, corners: list[Vector], findings: Findings) -> None:
+        self.link = link
+        self.inertial = inertial
+        self.mass = inertial.mass
+        self.largest = principal_moments(inertial.inertia)[2]
+        self.corners = corners
+        self.findings = findings
+
+    def tell(self) -> None:
+        """Findings on all that does not go together."""
+        least = smallest_possible(self.mass)
+        if self.largest * _SLACK < least:
+            text = f"moments of at most {self.largest:.3g} kg·m²: no matter is so dense that {self.mass:g} kg have less"
+            self._add("wrong", f"{text} than {least:.3g}")
+        if self.corners:
+            self._tell_moments()
+            self._tell_density()
+            self._tell_centre()
+        elif (reach := math.sqrt(self.largest / self.mass)) > _FAR:
+            text = f"{self.mass:g} kg with moments of {self.largest:.3g} kg·m² lie {reach:.3g} m away from their centre"
+            self._add("used", f"note: {text}")
+
+    def _tell_moments(self) -> None:
+        reach = max(math.dist(self.inertial.origin.xyz, corner) for corner in self.corners)
+        times = self.largest / (self.mass * reach * reach) if reach > 0 else 0.0
+        if times > _SLACK:
+            text = f"{self.mass:g} kg within its shapes have moments of at most {self.mass * reach**2:.3g} kg·m²"
+            text = f"{text}; the largest here is {self.largest:.3g}, {times:.3g} times as much"
+            self._remark(text, times > _SLIP)
+
+    def _tell_density(self) -> None:
+        """Masses in grams, and slips of the decimal point."""
+        volume = math.prod(high - low for low, high in _box_around(self.corners))
+        density = self.mass / volume if volume > 0 else DENSEST
+        if density > DENSEST:
+            text = f"{self.mass:g} kg in at most {volume:.3g} m³ are {density / DENSEST:.3g} times as dense as osmium"
+            self._remark(text, density > _SLIP * DENSEST)
+        elif density < _THINNEST:
+            text = f"{self.mass:g} kg in {volume:.3g} m³ are {AIR / density:.3g} times as thin as air"
+            self._add("used", f"note: {text}")
+
+    def _tell_centre(self) -> None:
+        bounds = _box_around(self.corners)
+        slack = 0.1 * math.dist(*zip(*bounds, strict=True))
+        centre = self.inertial.origin.xyz
+        if not all(low - slack <= value <= high + slack for value, (low, high) in zip(centre, bounds, strict=True)):
+            x, y, z = centre
+            self._add("used", f"note: the centre of mass, {x:g} {y:g} {z:g}, lies outside of its shapes")
+
+    def _remark(self, text: str, is_wrong: bool) -> None:
+        self._add("wrong" if is_wrong else "used", text if is_wrong else f"note: {text}")
+
+    def _add(self, verdict: Verdict, text: str) -> None:
+        line = self.inertial.line if self.inertial.line is not None else self.link.line
+        self.findings.add(verdict, f"link {self.link.name!r}/<inertial>", text, self.link.file or "", line)
 
 
 def smallest_possible(mass: float) -> float:
@@ -61,12 +121,9 @@ def smallest_possible(mass: float) -> float:
     return 0.4 * mass * math.pow(3 * mass / (4 * math.pi * DENSEST), 2 / 3)
 
 
-def _is_inside(point: Vector, corners: list[Vector]) -> bool:
-    """Whether a point is in the axis-aligned box around the corners, grown by a tenth of its diagonal."""
-    lows = [min(corner[axis] for corner in corners) for axis in range(3)]
-    highs = [max(corner[axis] for corner in corners) for axis in range(3)]
-    slack = 0.1 * math.dist(lows, highs)
-    return all(low - slack <= value <= high + slack for low, value, high in zip(lows, point, highs, strict=True))
+def _box_around(corners: list[Vector]) -> list[tuple[float, float]]:
+    """The bounds of the axis-aligned box around the corners, one pair an axis."""
+    return [(min(values), max(values)) for values in zip(*corners, strict=True)]
 
 
 def _corners(link: Link, findings: Findings) -> Iterator[Vector]:
@@ -101,14 +158,26 @@ def _mesh_bounds(link: Link, shape: Shape, mesh: Mesh, findings: Findings) -> Bo
     subject = f"link {link.name!r}/<{'collision' if collides else 'visual'}>/<mesh>"
     try:
         triangles = meshes.load(mesh.path, mesh.scale)
+        if collides and _is_flat(triangles.vertices):
+            raise BadFile("all of it lies in one plane, and what is flat cannot collide; a thin <box> can", mesh.path)
     except BadFile as error:
         findings.add("wrong", subject, str(error), shape.file or "", shape.line)
+        if collides:
+            findings.refuse(BadFile(f"{subject}: {error}", shape.file, shape.line))
         return None
     if collides:
         text = f"collides as its convex hull ({len(triangles.faces)} triangles as drawn)"
         findings.add("converted", subject, text, shape.file or "", shape.line)
     low, high = triangles.vertices.min(axis=0), triangles.vertices.max(axis=0)
     return (float(low[0]), float(low[1]), float(low[2])), (float(high[0]), float(high[1]), float(high[2]))
+
+
+def _is_flat(vertices: NDArray[np.float64]) -> bool:
+    """Whether points lie in a plane, but for the rounding of their numbers."""
+    import numpy as np
+
+    spans = np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)
+    return len(spans) < 3 or bool(spans[2] <= 1e-12 * spans[0])
 
 
 def _placed(pose: Pose, point: Vector) -> Vector:

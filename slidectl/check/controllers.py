@@ -5,6 +5,7 @@ Knows parameters from the controllers themselves, through the registry. Nothing 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,10 @@ from slidectl.check.declared import Declared
 from slidectl.check.findings import Findings
 from slidectl.check.joints import driven_joints
 from slidectl.check.model import Model
-from slidectl.check.parameter_file import ParameterFile
+from slidectl.check.parameter_file import ParameterFile, shown
 from slidectl.control import registry
 from slidectl.control.controller import ControllerBase
+from slidectl.control.interfaces import ResourceManager
 from slidectl.control.parameters import Parameter
 from slidectl.description.controllers_file import retarget
 from slidectl.description.models import read_file
@@ -25,6 +27,7 @@ from slidectl.errors import BadFile, closest, listing
 
 Tree = dict[str, Any]
 
+_UNSPACED = re.compile(r"^\w+:\S")
 # What is read by others than controllers, wherever it is.
 _OTHERS = {
     "robot_description": "the robot, for whoever draws or plans",
@@ -89,6 +92,8 @@ class ControllerCheck:
         """True: whatever the file says, it is for the first robot."""
         self.found: dict[str, str] = {}
         """Full name and type of each controller."""
+        self.claims: dict[str, set[str]] = {}
+        """The joints that each controller of a known type has for itself while it runs."""
 
     def check(self, tree: Mapping[str, Any], path: str = "") -> None:
         """Go through a mapping: controllers, what hardware reads, namespaces with more of them, and strays."""
@@ -99,20 +104,38 @@ class ControllerCheck:
             if isinstance(value, Mapping) and _is_controller(value):
                 self._controller(below, value)
             elif isinstance(value, Mapping) and key in hardware.PLACES:
-                hardware.check(self.source, key, below, value, self._model(below))
+                self._hardware(key, below, value)
+            elif key == hardware.GAINS_PLACE:
+                text = "no controller reads it; simulated hardware looks for gazebo_ros_control/pid_gains"
+                self.source.unknown(below, text, value)
             elif isinstance(value, Mapping) and value:
                 self._namespace(below, value)
             elif reason := _OTHERS.get(key) or self.reader(self.source.full(below)):
                 self.source.add("used", below, reason)
+            elif isinstance(value, str) and _UNSPACED.search(value):
+                text = f"{shown(value)!r} is one text: a blank follows each colon between a name and its value"
+                self.source.add("wrong", below, text)
             else:
                 self.source.unknown(below, "no controller reads it, nor does the simulated hardware", value)
+
+    def _hardware(self, place: str, path: str, tree: Mapping[str, Any]) -> None:
+        """What simulated hardware reads, if there is any in this namespace."""
+        model = self._model(path)
+        if model is None and self.models:
+            homes = listing({names.join(model.namespace, place) for model in self.models})
+            self.source.unknown(path, f"no robot lives here; simulated hardware reads {homes}", tree)
+        else:
+            hardware.check(self.source, place, path, tree, model)
 
     def _namespace(self, path: str, tree: Mapping[str, Any]) -> None:
         if candidates := _likely_types(tree):
             text = f"has no 'type' and cannot be loaded as a controller; its parameters are those of {candidates[0]}"
             self.source.add("wrong", path, text)
             return
-        self.source.add("used", path, f"namespace of {', '.join(map(str, tree))}")
+        if path.endswith("/ros__parameters"):
+            self.source.add("wrong", path, "is ROS 2's: controllers are to be directly below the robot's namespace")
+        else:
+            self.source.add("used", path, f"namespace of {', '.join(map(str, tree))}")
         self.check(tree, path)
 
     def _model(self, path: str) -> Model | None:
@@ -133,8 +156,14 @@ class ControllerCheck:
                 if name != "type":
                     self.source.unknown(f"{path}/{name}", "has no effect, as the controller's type is unknown", value)
             return
-        self.source.add("used", f"{path}/type", f"{type_name}; on {' and '.join(_interfaces(cls)) or 'no interface'}")
-        _Parameters(self.source, path, cls, self._model(path)).check(tree)
+        self.source.add(
+            "used",
+            f"{path}/type",
+            f"{type_name}; on {' and '.join(i.type_name for i in _interfaces(cls)) or 'no interface'}",
+        )
+        parameters = _Parameters(self.source, path, cls, self._model(path))
+        parameters.check(tree)
+        self.claims[self.source.full(path)] = parameters.claims(tree)
 
 
 class _Parameters:
@@ -158,6 +187,17 @@ class _Parameters:
             loss = "its entry is skipped" if "[]/" in parameter.name else "the controller cannot be loaded"
             text = f"is missing: {parameter.kind.words}, {parameter.meaning}; {loss}"
             self.source.add("wrong", f"{self.path}/{name}", text)
+
+    def claims(self, tree: Mapping[str, Any]) -> set[str]:
+        """The joints that nobody else may command while the controller runs."""
+        if not any(interface.claims for interface in _interfaces(self.cls)):
+            return set()
+        found: set[str] = set()
+        for name, value in self.declared.leaves(tree):
+            parameter = self.declared.find(name)
+            named = parameter.kind.convert(value) if parameter is not None and parameter.names_joints else None
+            found.update([named] if isinstance(named, str) else named or ())
+        return found
 
     def _judge_gains(self, values: Mapping[str, Any]) -> set[str]:
         """Findings on gains without effect; the names that need no others."""
@@ -205,7 +245,7 @@ class _Parameters:
             return f"the robot has no joint {joint!r}; {hint}joints: {listing(self.robot.joints)}"
         if joint not in self.driven:
             return f"no transmission drives joint {joint!r}, so controllers do not know it"
-        wanted = {name.rpartition("::")[2] for name in _interfaces(self.cls)}
+        wanted = {interface.type_name.rpartition("::")[2] for interface in _interfaces(self.cls)}
         offered = self.driven[joint].rpartition("/")[2]
         if wanted and not wanted & {offered, "JointStateInterface"}:
             return f"the transmission of joint {joint!r} offers {offered}, the controller needs {' or '.join(wanted)}"
@@ -216,11 +256,10 @@ def _is_controller(tree: Mapping[str, Any]) -> bool:
     return isinstance(tree.get("type"), str)
 
 
-def _interfaces(cls: type[ControllerBase]) -> list[str]:
+def _interfaces(cls: type[ControllerBase]) -> list[type[ResourceManager[Any]]]:
     """The hardware interfaces of a class of controllers."""
     one = getattr(cls, "interface_type", None)
-    several = [one] if one is not None else getattr(cls, "interface_types", ())
-    return [interface.type_name for interface in several]
+    return [one] if one is not None else list(getattr(cls, "interface_types", ()))
 
 
 def _likely_types(tree: Mapping[str, Any]) -> list[str]:

@@ -6,8 +6,10 @@ Only collects and counts. How it looks is for the command line.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import get_args
 
+from slidectl.description.report import one_line
 from slidectl.description.robot import Notice, Verdict
 from slidectl.errors import BadFile
 
@@ -29,12 +31,12 @@ class Findings:
 
     def add(self, verdict: Verdict, subject: str, text: str, file: str, line: int | None = None) -> None:
         """One finding about `subject`, at its place."""
-        self._notices.setdefault(Notice(verdict, subject, text, file, line))
+        self._notices.setdefault(Notice(verdict, subject, one_line(text), file, line))
 
     def extend(self, notices: Iterable[Notice]) -> None:
-        """Take notices over as they are."""
+        """Take notices over, each on one line."""
         for notice in notices:
-            self._notices.setdefault(notice)
+            self._notices.setdefault(replace(notice, text=one_line(notice.text)))
 
     def fail(self, subject: str, error: BadFile) -> None:
         """A file that cannot be used, and why.
@@ -44,9 +46,14 @@ class Findings:
         """
         if error.line is None:
             raise error
-        self.broken.append(error)
-        text = " ".join(part for part in (error.reason, error.hint) if part)
-        self.add("wrong", subject, text.replace("\n", "; "), error.file or "", error.line)
+        self.refuse(error)
+        text = "\n".join(part for part in (error.reason, error.hint) if part)
+        self.add("wrong", subject, text, error.file or "", error.line)
+
+    def refuse(self, error: BadFile) -> None:
+        """A file that cannot be used, for a reason that a finding tells already."""
+        if str(error) not in map(str, self.broken):
+            self.broken.append(error)
 
     def sorted(self, only: Sequence[str] = ()) -> list[Notice]:
         """All findings, or those of some verdicts: files in the order of their first mention, lines rising."""

@@ -18,7 +18,7 @@ from slidectl.control.live_pid import GAINS
 from slidectl.errors import closest, listing
 
 PLACES = ("joint_limits", "gazebo_ros_control")
-_GAINS = "pid_gains"
+GAINS_PLACE = "pid_gains"
 
 # A flag, and the values that it lets count.
 _GROUPS = {
@@ -41,7 +41,7 @@ def check(source: ParameterFile, place: str, path: str, tree: Mapping[str, Any],
         _Joints(source, Declared(LIMITS), model).check(path, tree)
         return
     for key, value in tree.items():
-        if key == _GAINS and isinstance(value, Mapping):
+        if key == GAINS_PLACE and isinstance(value, Mapping):
             _Joints(source, Declared(GAINS), model, are_gains=True).check(f"{path}/{key}", value)
         else:
             source.unknown(f"{path}/{key}", "simulated hardware does not read it", value)

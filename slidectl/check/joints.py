@@ -5,14 +5,16 @@ Speaks for `<limit>`, `<safety_controller>` and `<dynamics>`, one finding an att
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 from slidectl.check.findings import Findings
 from slidectl.check.traced import Trace, plain
-from slidectl.description.robot import Joint, Notice, Robot
+from slidectl.description.robot import Joint, Limit, Notice, Robot, Verdict
 from slidectl.description.xml_tree import Element
 
 _MOVING = ("revolute", "continuous", "prismatic")
+_SOFT = ("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity")
 _RANGES = ("lower", "upper", "soft_lower_limit", "soft_upper_limit")
 
 # attribute -> (unit of a joint that slides, unit of one that turns, what it does)
@@ -40,6 +42,12 @@ def driven_joints(robot: Robot) -> dict[str, str]:
     return found
 
 
+def _looks_like_degrees(limit: Limit) -> bool:
+    """Whole numbers of 15 degrees or more, and no more than some turns."""
+    bounds = (limit.lower, limit.upper)
+    return all(bound % 5 == 0 and abs(bound) <= 720 for bound in bounds) and max(map(abs, bounds)) >= 15
+
+
 class Joints:
     """The joints of one robot; `explain` speaks for the tags of their limits."""
 
@@ -61,16 +69,28 @@ class Joints:
             # What was said of the whole tag was said of its range.
             if name not in said and not (None in said and name in _RANGES):
                 subject = f"joint {joint.name!r}/<{element.tag}>, {name}"
-                yield Notice("used", subject, self._meaning(joint, name, value), element.file, element.line)
+                verdict, effect = self._effect(joint, name)
+                sliding, turning, _ = _MEANINGS[name]
+                text = f"{value.strip()} {sliding if joint.type == 'prismatic' else turning}; {effect}"
+                yield Notice(verdict, subject, text, element.file, element.line)
 
-    def _meaning(self, joint: Joint, name: str, value: str) -> str:
-        sliding, turning, effect = _MEANINGS[name]
-        if name in ("velocity", "effort") and joint.name not in self.driven:
-            effect = "bounds forces from outside only, as no transmission drives the joint"
-        return f"{value.strip()} {sliding if joint.type == 'prismatic' else turning}; {effect}"
+    def _effect(self, joint: Joint, name: str) -> tuple[Verdict, str]:
+        """What a limit does, which is for the interface to say that the joint takes commands by."""
+        interface = self.driven.get(joint.name, "").rpartition("/")[2]
+        if not interface and name in ("velocity", "effort"):
+            return "used", "bounds forces from outside only, as no transmission drives the joint"
+        if not interface and name in _SOFT:
+            return "ignored", "has no effect, as no transmission drives the joint"
+        if joint.type == "continuous" and name in _SOFT and name != "k_velocity":
+            return "ignored", "has no effect without position limits, which a continuous joint has not"
+        if interface == "PositionJointInterface" and name == "effort":
+            return "used", "counts only with gains in gazebo_ros_control/pid_gains"
+        if interface in ("PositionJointInterface", "VelocityJointInterface") and name == "k_velocity":
+            return "ignored", f"only an EffortJointInterface has a use for it, the joint's is a {interface}"
+        return "used", _MEANINGS[name][2]
 
     def tell(self, findings: Findings) -> None:
-        """What is missing: limits, transmissions."""
+        """What is missing, limits and transmissions, and limits that look like degrees."""
         for joint in self.robot.joints.values():
             if joint.type in _MOVING:
                 self._tell(joint, findings)
@@ -80,6 +100,9 @@ class Joints:
             findings.add("used", f"joint {joint.name!r}", f"note: {text}", joint.file or "", joint.line)
 
     def _missing(self, joint: Joint) -> Iterator[str]:
+        if joint.type == "revolute" and joint.limit is not None and _looks_like_degrees(joint.limit):
+            turns = (joint.limit.upper - joint.limit.lower) / math.tau
+            yield f"its limits are {turns:.3g} turns apart; angles are in rad: 90 degrees are 1.5708"
         if joint.limit is None:
             yield f"a {joint.type} joint without <limit>: neither its effort nor its velocity is bounded"
         if joint.mimic is not None and joint.name in self.driven:

@@ -27,7 +27,7 @@ def check(
     packages: Packages,
     findings: Findings,
     text: bytes | None = None,
-    ask_others: bool = True,
+    ask_others: bool = False,
 ) -> None:
     """Add what there is to say of launch files, which `words` mean as for `slidectl launch`; `text` is the file itself.
 
@@ -42,10 +42,10 @@ def check(
         findings.fail("launch file", error)
         return
     findings.begin_with(shown(file) for file in plan.files)
-    parameters = LaunchParameters(plan, tags, findings, ask_others)
+    parameters = LaunchParameters(plan, tags, packages, findings, ask_others)
     nodes = launch_nodes.LaunchNodes(plan, parameters, packages, findings)
     source = ParameterFile(sources[0].shown, parameters.places, findings)
     controllers = ControllerCheck(source, [robot.model for robot in nodes.robots if robot.model], nodes.reader)
     controllers.check(parameters.tree)
-    nodes.tell(controllers.found, tags)
+    nodes.tell(controllers.found, controllers.claims, tags)
     tags.classify(plan, findings)

@@ -110,16 +110,28 @@ class LaunchNodes:
 
     # --- what they look for -------------------------------------------------------------------------------------------
 
-    def tell(self, controllers: Mapping[str, str], tags: LaunchTags) -> None:
-        """Findings on what fits nothing. `controllers` are full names and types in the parameters."""
+    def tell(self, controllers: Mapping[str, str], claims: Mapping[str, set[str]], tags: LaunchTags) -> None:
+        """Findings on what fits nothing. `controllers` are full names and types in the parameters, `claims` joints."""
         self._tell_twins()
         self._tell_namespaces(controllers)
         for task in self.tasks:
             if isinstance(task, Spawner):
                 self._tell_spawner(task, controllers)
+                self._tell_rivals(task, claims)
             elif isinstance(task, RobotStatePublisher):
                 self._tell_joint_states(task, controllers, tags)
+        self._tell_loaded_twice()
         self._tell_remaps(tags)
+
+    def _tell_loaded_twice(self) -> None:
+        """Controllers that two spawners load: the second one is refused."""
+        seen: dict[str, Node] = {}
+        for task in self.tasks:
+            for name in _loaded(task):
+                other = seen.setdefault(name, task.node)
+                if other is not task.node:
+                    text = f"loads {name}, which the node at {other.place} loads too: whoever is second is refused"
+                    self._add("wrong", task.node, text)
 
     def _tell_twins(self) -> None:
         """Two robots of one name, or in one namespace."""
@@ -157,6 +169,16 @@ class LaunchNodes:
             if name not in controllers and not is_file(Path(word)) and self.parameters.is_complete:
                 self._add("wrong", task.node, self._unknown_controller(name, task.namespace, controllers))
 
+    def _tell_rivals(self, task: Spawner, claims: Mapping[str, set[str]]) -> None:
+        """Controllers that one spawner starts, and that want the same joint."""
+        holders: dict[str, str] = {}
+        for name in [] if task.words.has("--stopped") else _loaded(task):
+            for joint in sorted(claims.get(name, ())):
+                holder = holders.setdefault(joint, name)
+                if holder != name:
+                    text = f"cannot start {name} beside {holder}: both want joint {joint!r} for themselves"
+                    self._add("wrong", task.node, text)
+
     def _unknown_controller(self, name: str, namespace: str, controllers: Mapping[str, str]) -> str:
         inside = [other for other in controllers if names.is_under(other, namespace)]
         near = closest(name, inside or controllers)
@@ -168,7 +190,9 @@ class LaunchNodes:
         topic = task.node.resolve("joint_states")
         there = sorted({names.join(names.parent(name), "joint_states") for name in self._publishers(controllers)})
         if not there:
-            self._add("used", task.node, f"note: nothing in this launch publishes {topic}")
+            idle = next((name for name, kind in controllers.items() if kind == _JOINT_STATES), None)
+            hint = f"; {idle} would, and no spawner of this launch starts it" if idle is not None else ""
+            self._add("used", task.node, f"note: nothing in this launch publishes {topic}{hint}")
             return
         if topic in there:
             return
@@ -183,9 +207,7 @@ class LaunchNodes:
     def _publishers(self, controllers: Mapping[str, str]) -> Iterator[str]:
         """The joint state controllers that a spawner of the launch starts."""
         for task in self.tasks:
-            if isinstance(task, Spawner):
-                loaded = (names.join(task.namespace, word) for word in task.words.rest)
-                yield from (name for name in loaded if controllers.get(name) == _JOINT_STATES)
+            yield from (name for name in _loaded(task) if controllers.get(name) == _JOINT_STATES)
 
     def _tell_remaps(self, tags: LaunchTags) -> None:
         """Remaps that no node makes use of."""
@@ -206,6 +228,11 @@ class LaunchNodes:
         for remap in node.remaps:
             if isinstance(task, Process) or node.absolute(remap.source) in known:
                 yield remap
+
+
+def _loaded(task: Task) -> list[str]:
+    """The full names of the controllers that a spawner loads."""
+    return [names.join(task.namespace, word) for word in task.words.rest] if isinstance(task, Spawner) else []
 
 
 def _names_of(task: Task) -> list[str]:

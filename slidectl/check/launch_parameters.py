@@ -15,6 +15,7 @@ from slidectl.check.findings import Findings
 from slidectl.check.launch_tags import LaunchTags
 from slidectl.check.model import Model
 from slidectl.description.models import read_file
+from slidectl.description.packages import Packages
 from slidectl.errors import BadFile
 from slidectl.launch.files import shown
 from slidectl.launch.plan import Plan, Setting, leaves
@@ -25,9 +26,10 @@ Places = dict[str, tuple[str, int | None]]
 class LaunchParameters:
     """All parameters of a plan. `values` goes by full names; a later setting replaces an earlier one."""
 
-    def __init__(self, plan: Plan, tags: LaunchTags, findings: Findings, ask_others: bool) -> None:
+    def __init__(self, plan: Plan, tags: LaunchTags, packages: Packages, findings: Findings, ask_others: bool) -> None:
         self.plan = plan
         self.tags = tags
+        self.packages = packages
         self.findings = findings
         self.values: dict[str, Any] = {}
         self.places: Places = {}
@@ -105,7 +107,7 @@ class LaunchParameters:
                 setting = next(setting for setting in reversed(self.plan.settings) if setting.name == name)
                 file = shown(setting.source) if setting.source else f"parameter {name}"
                 own = Findings()
-                self.robots[name] = model.check_text(value, file, own, ask_others)
+                self.robots[name] = model.check_text(value, file, own, ask_others, self.packages)
                 self.findings.extend(replace(notice, file=shown(notice.file)) for notice in own.sorted())
                 self.findings.broken += own.broken
 

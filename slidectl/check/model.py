@@ -11,21 +11,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from slidectl import description
-from slidectl.check import bodies, second_opinion, simulated
+from slidectl.check import bodies, second_opinion, simulated, unused
 from slidectl.check.findings import Findings
 from slidectl.check.joints import Joints
+from slidectl.check.repair import repair
 from slidectl.check.tags import Tags
 from slidectl.check.traced import Trace, TracedElement, TracedReport, plain
 from slidectl.description import xml_tree
 from slidectl.description.mesh_files import MeshFiles
-from slidectl.description.packages import Packages
+from slidectl.description.packages import Packages, is_file
 from slidectl.description.parser import parse_tree
 from slidectl.description.robot import Robot
 from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile, BadName
 
-# Parts without which the rest of a robot can still be read.
-_SPARE = ("transmission", "gazebo")
 _MOST_FAULTS = 50
 
 
@@ -39,51 +38,66 @@ class Model:
 
 
 def check(
-    source: str | Path, arguments: Mapping[str, str], packages: Packages, findings: Findings, ask_others: bool = True
+    source: str | Path,
+    arguments: Mapping[str, str],
+    packages: Packages,
+    findings: Findings,
+    ask_others: bool = False,
+    title: str | None = None,
 ) -> Model | None:
     """Add what there is to say of a model (as description.load takes it); the robot, None when it cannot be read.
 
-    `ask_others` asks yourdfpy too, which takes a second.
+    `ask_others` asks yourdfpy too, which takes half a second. `title` is what to call a text.
 
     Raises:
         BadFile: there is no such file. UnknownName: no such shipped model.
     """
     try:
-        document = description.load(source, arguments, packages)
+        document = description.load(source, arguments, packages, all_meshes=False, title=title)
     except BadFile as error:
         findings.fail("model", error)
         return None
     if not (isinstance(source, str) and (source == "-" or source.lstrip().startswith("<"))):
         _tell_arguments(source, arguments, packages, findings)
     findings.extend(document.report)
-    return check_text(document.xml, document.file, findings, ask_others)
+    return check_text(document.xml, document.file, findings, ask_others, packages)
 
 
-def check_text(xml: str, file: str, findings: Findings, ask_others: bool = True) -> Model | None:
+def check_text(
+    xml: str, file: str, findings: Findings, ask_others: bool = False, packages: Packages | None = None
+) -> Model | None:
     """The same for plain URDF text; `file` is its name in findings, unless the text carries a note of its sources."""
     try:
         root = xml_tree.read(xml, file)
     except BadFile as error:
         findings.fail("model", error)
         return None
-    reading = _Reading(root, findings)
+    reading = _Reading(root, findings, _meshes(file, packages))
     robot = reading.robot()
     if robot is None:
         return None
     model = Model(robot, reading.namespace(robot), file)
     simulated.tell(robot, root, model.namespace, findings)
     bodies.tell(robot, findings)
-    if ask_others:
+    if ask_others and reading.is_whole:
         second_opinion.tell(xml, robot, root, findings)
     return model
 
 
-class _Reading:
-    """One robot read with a trace; what cannot be read is left out, if the rest stands without it."""
+def _meshes(file: str, packages: Packages | None) -> MeshFiles:
+    base = Path(file).absolute().parent if is_file(Path(file)) else None
+    packages = packages or Packages()
+    return MeshFiles(packages.starting_at(base) if base is not None else packages, base)
 
-    def __init__(self, root: Element, findings: Findings) -> None:
+
+class _Reading:
+    """One robot read with a trace; what cannot be read is left out or replaced, if the rest stands then."""
+
+    def __init__(self, root: Element, findings: Findings, meshes: MeshFiles) -> None:
         self.root = root
         self.findings = findings
+        self.meshes = meshes
+        self.is_whole = True
 
     def robot(self) -> Robot | None:
         """The robot, after a finding for each of its tags and faults; None when it is beyond repair."""
@@ -91,10 +105,11 @@ class _Reading:
             trace = Trace()
             traced, report = TracedElement(self.root, trace), TracedReport(trace)
             try:
-                robot = parse_tree(traced, MeshFiles(Packages(), None), report)
+                robot = parse_tree(traced, self.meshes, report)
             except BadFile as error:
+                self.is_whole = False
                 self.findings.fail(_subject(trace.culprit), error)
-                if not self._without(traced, trace.culprit):
+                if not repair(self.root, traced, trace.culprit):
                     self.findings.extend(notice for said in trace.said.values() for _, notice in said)
                     return None
             else:
@@ -102,15 +117,6 @@ class _Reading:
                 self._classify(traced, trace, robot)
                 return robot
         return None
-
-    def _without(self, traced: TracedElement, culprit: Element | None) -> bool:
-        """Take the part that holds the culprit out of the tree; False when nothing would be left to read."""
-        for index, part in enumerate(traced.children):
-            if part.tag in _SPARE and any(element is culprit for element in part.walk()):
-                spare = self.root.children[index]
-                self.root.content[:] = [node for node in self.root.content if node is not spare]
-                return True
-        return False
 
     def _classify(self, traced: TracedElement, trace: Trace, robot: Robot) -> None:
         kept = {(info.file, info.line) for info in robot.transmissions}
@@ -135,8 +141,11 @@ def _subject(culprit: Element | None) -> str:
 
 
 def _tell_arguments(source: str | Path, arguments: Mapping[str, str], packages: Packages, findings: Findings) -> None:
-    """The xacro arguments that the model declares, with the values that they have now."""
+    """The xacro arguments that the model declares, with the values that they have now, and what nobody uses."""
     for name, element in description.declaring_elements(source, packages).items():
         default = element.get("default") or ""
         text = f"{arguments[name]!r}, as given" if name in arguments else f"{default!r}, by default"
         findings.add("used", f"argument {name}", text, element.file, element.line)
+    trees = description.written_trees(source, packages)
+    if trees is not None:
+        unused.tell(trees, findings)

@@ -18,7 +18,7 @@ def check(
     packages: Packages,
     parameter_files: Sequence[Path] = (),
     text: bytes | None = None,
-    ask_others: bool = True,
+    ask_others: bool = False,
 ) -> Findings:
     """Everything that there is to say of a file.
 
@@ -47,7 +47,8 @@ def check(
         _refuse_arguments(source, arguments)
         controllers.check(source, None, findings, text)
         return findings
-    robot = model.check(_model(source, text), arguments, packages, findings, ask_others)
+    title = source if text is not None else None
+    robot = model.check(_model(source, text), arguments, packages, findings, ask_others, title)
     for path in parameter_files:
         controllers.check(path, robot, findings)
     return findings

@@ -11,9 +11,12 @@ from collections.abc import Iterator
 from slidectl.check.findings import Findings
 from slidectl.check.joints import driven_joints
 from slidectl.check.traced import plain
+from slidectl.description.gazebo_tags import SIM_TYPES
 from slidectl.description.report import Report
 from slidectl.description.robot import ControlPlugin, Link, Robot, TransmissionInfo
+from slidectl.description.transmissions import is_simulated
 from slidectl.description.xml_tree import Element
+from slidectl.errors import BadFile
 
 TIMESTEP = 0.001
 """The daemon's own, s."""
@@ -40,7 +43,24 @@ def tell(robot: Robot, root: Element, namespace: str, findings: Findings) -> Non
         link = robot.links[robot.root]
         text = "note: the root is free and falls to the ground; a root link called 'world', or --fixed, holds a robot"
         findings.add("used", f"link {link.name!r}", text, link.file or "", link.line)
+        if not any(link.collisions for link in robot.links.values()):
+            text = "note: no link has a <collision>: it falls through the ground"
+            findings.add("used", f"robot {robot.name!r}", text, root.file, root.line)
     _tell_plugin(robot, root, namespace, findings)
+    _tell_refusals(robot, findings)
+
+
+def _tell_refusals(robot: Robot, findings: Findings) -> None:
+    """What the parser lets pass with a remark, and the simulation does not let in."""
+    plugin = robot.plugin
+    if plugin is not None and plugin.robot_sim_type not in SIM_TYPES:
+        text = f"robotSimType {plugin.robot_sim_type} is unknown"
+        findings.refuse(BadFile(text, plugin.file, plugin.line, f"there is {SIM_TYPES[0]}"))
+    for transmission in robot.transmissions:
+        interface = transmission.joints[0].hardware_interfaces[0]
+        if len(transmission.joints) == 1 and not is_simulated(interface):
+            text = f"transmission {transmission.name!r}: {interface} is no interface of simulated joints"
+            findings.refuse(BadFile(text, transmission.file, transmission.line))
 
 
 def _tell_plugin(robot: Robot, root: Element, namespace: str, findings: Findings) -> None:

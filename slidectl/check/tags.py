@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator
 
 from slidectl.check.findings import Findings
+from slidectl.check.repair import STAND_IN
 from slidectl.check.traced import Trace, plain
 from slidectl.description.report import is_namespace
 from slidectl.description.robot import Notice, Verdict
@@ -37,12 +38,15 @@ class Tags:
         self._element(root, "", "")
 
     def _element(self, element: Element, above: str, owner: str) -> None:
+        if element.line == STAND_IN:
+            return
         said = self.trace.said.get(id(element), [])
         self.findings.extend(notice for _, notice in said)
         if any(attribute is None and notice.verdict == "ignored" for attribute, notice in said):
             return
         subject = _subject(element, above)
         if id(element) in self.dead:
+            self.findings.extend(notice for below in plain(element).walk() for notice in self._said(below))
             return
         if id(element) not in self.trace.read:
             if not any(attribute is None for attribute, _ in said):
@@ -54,6 +58,9 @@ class Tags:
         self._used(element, subject, owner)
         for child in plain(element).children:
             self._element(child, "" if element.tag in _ROOTS else subject, owner or _owner(child))
+
+    def _said(self, element: Element) -> Iterator[Notice]:
+        return (notice for _, notice in self.trace.said.get(id(element), []))
 
     def _is_left_out(self, element: Element) -> bool:
         """Whether nothing was read of it but its condition, in a launch file."""

@@ -47,6 +47,7 @@ _COLOURS = {"used": "green", "converted": "cyan", "ignored": "yellow", "wrong": 
 )
 @click.option("--strict", is_flag=True, help="Exit 1 when anything is ignored, too.")
 @click.option("--only", multiple=True, type=click.Choice(_VERDICTS), help="Print findings of this kind; may repeat.")
+@click.option("--second-opinion", is_flag=True, help="Ask yourdfpy about models, too; takes half a second more.")
 @click.option("--package", "packages", multiple=True, metavar="NAME=PATH", help="Where a ROS package is; may repeat.")
 @click.pass_context
 def check(
@@ -56,6 +57,7 @@ def check(
     controllers: tuple[str, ...],
     strict: bool,
     only: tuple[str, ...],
+    second_opinion: bool,
     packages: tuple[str, ...],
 ) -> None:
     """Check a model, a launch file or controllers, without a daemon.
@@ -72,16 +74,26 @@ def check(
 
     places = Packages({name: Path(path) for name, path in pairs(packages, "=", "check").items()})
     files = [configuration.find(file) for file in controllers]
-    text = sys.stdin.buffer.read() if source == "-" else None
+    text = _streamed(source)
     words = ["<stdin>" if source == "-" else _shipped_or_own(source)]
     words += [word for word in arguments if ":=" not in word]
     given = pairs([word for word in arguments if ":=" in word], ":=", "check")
-    findings = run(words, given, places, files, text)
+    findings = run(words, given, places, files, text, ask_others=second_opinion)
     _print(ctx, findings, only)
     for error in findings.broken[:1]:
         raise error
     if findings.count("wrong") or (strict and findings.count("ignored")):
         click_context.exit(EXIT_REFUSED)
+
+
+def _streamed(source: str) -> bytes | None:
+    """What comes from standard input or a pipe (`<(xacro robot.xacro)`) and can be read but once; None of files."""
+    if source == "-":
+        return sys.stdin.buffer.read()
+    try:
+        return Path(source).read_bytes() if Path(source).is_fifo() else None
+    except (OSError, ValueError):
+        return None
 
 
 def _shipped_or_own(source: str) -> str:

@@ -11,9 +11,7 @@ from typing import Any, NamedTuple
 
 from slidectl import names
 from slidectl.errors import AmbiguousName, Refused, UnknownName
-
-Vector = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
+from slidectl.rotations import IDENTITY, Quaternion, Vector, conjugate, multiply, normalized
 
 
 class Pose(NamedTuple):
@@ -39,7 +37,7 @@ class View(NamedTuple):
     time_ns: int | None
 
 
-IDENTITY = Pose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+ORIGIN = Pose((0.0, 0.0, 0.0), IDENTITY)
 
 
 class Frames:
@@ -118,7 +116,7 @@ class Frames:
 
     def _along(self, way: Iterable[str]) -> Pose:
         """The pose of the first frame of the way in the parent of the last one."""
-        pose = IDENTITY
+        pose = ORIGIN
         for name in way:
             pose = compose(self.edges[name].pose, pose)
         return pose
@@ -131,31 +129,12 @@ def _plain(frame: str) -> str:
 
 def _pose(transform: Mapping[str, Mapping[str, float]]) -> Pose:
     t, q = transform["translation"], transform["rotation"]
-    return Pose((t["x"], t["y"], t["z"]), normalised((q["x"], q["y"], q["z"], q["w"])))
-
-
-def normalised(q: Quaternion) -> Quaternion:
-    """The unit quaternion; all zeros mean no rotation."""
-    x, y, z, w = q
-    length = math.hypot(x, y, z, w)
-    return (x / length, y / length, z / length, w / length) if length > 0 else IDENTITY.rotation
-
-
-def product(a: Quaternion, b: Quaternion) -> Quaternion:
-    """Hamilton product: rotate by b, then by a."""
-    ax, ay, az, aw = a
-    bx, by, bz, bw = b
-    return (
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-        aw * bw - ax * bx - ay * by - az * bz,
-    )
+    return Pose((t["x"], t["y"], t["z"]), normalized((q["x"], q["y"], q["z"], q["w"])))
 
 
 def rotate(q: Quaternion, v: Vector) -> Vector:
     """The vector rotated by a unit quaternion."""
-    x, y, z, _ = product(product(q, (*v, 0.0)), (-q[0], -q[1], -q[2], q[3]))
+    x, y, z, _ = multiply(multiply(q, (*v, 0.0)), conjugate(q))
     return x, y, z
 
 
@@ -163,13 +142,12 @@ def compose(outer: Pose, inner: Pose) -> Pose:
     """The pose of `inner`'s frame where `outer` says how its parent stands."""
     ox, oy, oz = outer.translation
     x, y, z = rotate(outer.rotation, inner.translation)
-    return Pose((ox + x, oy + y, oz + z), product(outer.rotation, inner.rotation))
+    return Pose((ox + x, oy + y, oz + z), multiply(outer.rotation, inner.rotation))
 
 
 def inverse(pose: Pose) -> Pose:
     """The pose of the parent in the frame."""
-    x, y, z, w = pose.rotation
-    back = (-x, -y, -z, w)
+    back = conjugate(pose.rotation)
     tx, ty, tz = rotate(back, pose.translation)
     return Pose((-tx, -ty, -tz), back)
 

@@ -18,6 +18,7 @@ from slidectl.cli.commands import command
 from slidectl.cli.context import Context
 from slidectl.cli.options import positive_seconds
 from slidectl.errors import Refused, UsageError
+from slidectl.names import join
 
 if TYPE_CHECKING:
     from slidectl.description.packages import Packages
@@ -86,7 +87,12 @@ def launch(ctx: Context, /, words: tuple[str, ...], packages: tuple[str, ...], *
     _check_listings(given)
     sources = files.find(names, lookup)
     plan = loader.load(
-        sources, arguments, lookup, run_commands=not given["no_commands"], arguments_only=given["ros_args"]
+        sources,
+        arguments,
+        lookup,
+        run_commands=not given["no_commands"],
+        arguments_only=given["ros_args"],
+        namespace=join("/", os.environ.get("ROS_NAMESPACE", "").strip("/")),
     )
     if launch_tell.plan_only(ctx, plan, given):
         return
@@ -121,7 +127,7 @@ def _divided(words: Sequence[str]) -> tuple[list[str], dict[str, str]]:
         if sign and not name:
             raise UsageError(f"{word!r} is not ARG:=VALUE")
         if sign:
-            arguments[name] = value
+            arguments[name] = value.strip()
         else:
             names.append(word)
     return names, arguments
@@ -264,7 +270,7 @@ def _tell_running(session: Session, title: str, detach: bool, background: Any) -
     run = session.run
     status = run.call("/slidectl/status")
     what = f"{_count(len(session.begun), 'node')}, {_count(status['controllers_running'], 'controller')} running"
-    end = "Ctrl-C ends it"
+    end = "Ctrl-C ends it" if session.stays else "nothing is left to watch, so the launch ends"
     if detach:
         end = "slidectl daemon stop ends it" if run.owns_daemon or background is None else f"kill {os.getpid()} ends it"
         end += "" if background is None else f"; its log is {background.log}"

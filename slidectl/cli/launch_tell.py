@@ -36,9 +36,7 @@ def plan_only(ctx: Context, plan: Plan, given: dict[str, Any]) -> bool:
 
 def _parameters(ctx: Context, plan: Plan) -> None:
     if ctx.format == "text":
-        text = listing.parameters(plan)
-        if text:
-            output.write(text)
+        output.write(listing.parameters(plan))
     else:
         ctx.emit({name: value for name, (value, _) in sorted(plan.parameters().items())})
     _notices(ctx, plan)

@@ -68,7 +68,8 @@ def chosen(context: Context, wanted: str | None) -> list[Manager]:
         name = wanted.rstrip("/").removesuffix("controller_manager").rstrip("/") or "/"
         full = names.resolve(name, known, kind="controller manager", namespace=context.namespace)
         return [known[full]]
-    return [known[context.namespace]] if context.namespace in known else every
+    below_root = context.namespace != "/"  # which is also what `--ns` is when nobody gave it
+    return [known[context.namespace]] if below_root and context.namespace in known else every
 
 
 def owner(context: Context, wanted: str | None, controllers: Sequence[str]) -> tuple[Manager, list[str]]:

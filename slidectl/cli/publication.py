@@ -12,7 +12,9 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from slidectl import names
+from slidectl.cli.values import is_numeric
 from slidectl.errors import TimedOut
+from slidectl.msgs.fill import fields_from, fill
 
 if TYPE_CHECKING:
     from slidectl.cli.context import Context
@@ -32,14 +34,12 @@ class Publication:
     """Messages on one topic. Leaving its `with` tells what was published, and whether the rate was kept."""
 
     def __init__(self, ctx: Context, target: Target, rate: float | None, *, latch: bool, advertise: bool) -> None:
-        from slidectl.msgs.fill import fields_from
-
         self._ctx = ctx
         self._target = target
         self._rate = rate
         self._latch = latch
         self._type = target.type if advertise else None
-        self._fields_of = fields_from(target.typedefs)
+        self._fields_of = ctx.recall(("fields", target.type), lambda: fields_from(target.typedefs))
         self._began = self._latest = 0.0
         self._remarks: list[dict[str, Any]] = []
         self.published = 0
@@ -61,7 +61,9 @@ class Publication:
                 "subscribers": target.users,
             }
             self._ctx.emit(record, "")
-            self._ctx.detail(f"published {self.published} on {target.topic} to {', '.join(target.users) or 'nobody'}")
+            if self._ctx.verbose:
+                users = ", ".join(target.users) or "nobody"
+                self._ctx.detail(f"published {self.published} on {target.topic} to {users}")
 
     def _judge_rate(self, rate: float) -> None:
         seconds = self._latest - self._began
@@ -98,7 +100,7 @@ class Publication:
 
     def _template(self, values: Values) -> Template | None:
         """None for values without text: nothing in them can be an expression or stand for the time."""
-        if all(isinstance(value, bool | int | float) for value in _leaves(values)):
+        if is_numeric(values):
             return None
         from slidectl.cli.templates import Template
 
@@ -116,34 +118,23 @@ class Publication:
             next(self._ctx.client.events(left), None)
 
     def _send(self, values: Values, template: Template | None) -> None:
-        from slidectl.msgs.fill import fill
-
         client, target = self._ctx.client, self._target
         now = None
         if template is not None and template.needs_clock:
             time = client.call("/rosapi/get_time")["time"]
             now = (time["secs"], time["nsecs"])
         message = fill(self._fields_of, target.type, values, now)
-        client.publish(target.topic, message, self._type, self._latch)
-        client.flush()
+        client.deliver(target.topic, message, self._type, self._latch)
         self.published += 1
         self._latest = monotonic()
         self._pass_on_remarks()
 
     def _pass_on_remarks(self) -> None:
         """What a subscriber warned of on /rosout: a controller that is not running says that the command is lost."""
+        if not self._remarks:
+            return
         owner = names.parent(self._target.topic) + " "
         for line in self._remarks:
             if line["level"] == _WARN and line["msg"].startswith(owner):
                 self._ctx.warn(line["msg"])
         self._remarks.clear()
-
-
-def _leaves(value: Any) -> Iterable[Any]:
-    if isinstance(value, dict):
-        value = list(value.values())
-    if not isinstance(value, list):
-        yield value
-        return
-    for each in value:
-        yield from _leaves(each)

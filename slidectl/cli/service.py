@@ -11,7 +11,7 @@ from slidectl import names
 from slidectl.cli import live, output, servicecall
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
-from slidectl.cli.servicecall import argument_names, as_yaml, ask_each, request_typedefs, typedefs
+from slidectl.cli.servicecall import argument_names, ask_each, request_typedefs
 from slidectl.cli.topics import fitting
 from slidectl.errors import Refused, UsageError
 
@@ -108,6 +108,10 @@ def find(ctx: Context, type_name: str) -> None:
 
 def _typed(ctx: Context, name: str) -> tuple[str, str]:
     """The full name of a service, and its type: two round trips. Raises UnknownName, AmbiguousName."""
+    return ctx.recall(("service", name, ctx.namespace), lambda: _look_up(ctx, name))
+
+
+def _look_up(ctx: Context, name: str) -> tuple[str, str]:
     known = ctx.names("service")
     types = ask_each(ctx, "/rosapi/service_type", fitting(name, known, ctx.namespace), "type")
     full = names.resolve(name, known, kind="service", namespace=ctx.namespace)
@@ -137,14 +141,14 @@ def call(ctx: Context, name: str, given: tuple[str, ...], stdin: bool) -> None:
     waits for a minute at most, or for --timeout. With --json it prints the response as one object.
     """
     full, kind = _typed(ctx, name)
-    request_types, response_types = typedefs(ctx, kind)
-    if not given and not stdin and request_types[0]["fieldnames"]:
-        fields = ", ".join(request_types[0]["fieldnames"])
+    forms = servicecall.forms(ctx, kind)
+    if not given and not stdin and forms.request[0]["fieldnames"]:
+        fields = ", ".join(forms.request[0]["fieldnames"])
         raise UsageError(f"no VALUE given for {full} ({kind})", f"the request has the fields: {fields}")
     refusals = []
     for values in _requests(given, stdin):
-        answer = servicecall.call(ctx, full, _filled(ctx, request_types, values))
-        ctx.emit(answer.response, as_yaml(answer.response, response_types))
+        answer = servicecall.call(ctx, full, _filled(ctx, forms, values))
+        ctx.emit(answer.response, forms.printer(answer.response))
         for line in [] if answer.refusal else answer.logged:
             ctx.warn(line)
         refusals += answer.refusal
@@ -165,14 +169,19 @@ def _requests(given: Sequence[str], stdin: bool) -> Iterator[Sequence[Any]]:
     yield [read(word) if word else "" for word in given]
 
 
-def _filled(ctx: Context, typedefs: Sequence[dict[str, Any]], values: Sequence[Any]) -> dict[str, Any]:
+def _filled(ctx: Context, forms: servicecall.Forms, values: Sequence[Any]) -> dict[str, Any]:
+    from slidectl.cli.values import is_numeric
+    from slidectl.msgs.fill import fill
+
+    kind = str(forms.request[0]["type"])
+    if is_numeric(list(values)):
+        return fill(forms.fields_of, kind, values)
     from slidectl.cli.schema import from_typedefs
     from slidectl.cli.templates import Template
-    from slidectl.msgs.fill import fields_from, fill
 
-    template = Template(from_typedefs(typedefs), values)
+    template = Template(from_typedefs(forms.request), values)
     now = None
     if template.needs_clock:
         time = ctx.call("/rosapi/get_time")["time"]
         now = (time["secs"], time["nsecs"])
-    return fill(fields_from(typedefs), str(typedefs[0]["type"]), template.at(0, 0.0), now)
+    return fill(forms.fields_of, kind, template.at(0, 0.0), now)

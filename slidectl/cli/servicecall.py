@@ -5,11 +5,12 @@ Only service calls and text. What the words of a command line mean is for the co
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from slidectl.cli.context import Context
+    from slidectl.msgs.fill import FieldsOf
 
 CALL_TIMEOUT_S = 60.0
 _VERDICTS = ("ok", "success")
@@ -49,6 +50,26 @@ def request_typedefs(ctx: Context, kind: str) -> Typedefs:
     return list(ctx.call("/rosapi/service_request_details", {"type": kind})["typedefs"])
 
 
+class Forms(NamedTuple):
+    """A service type as `service call` needs it: the fields of a request, and what prints a response."""
+
+    request: Typedefs
+    fields_of: FieldsOf
+    printer: Callable[[dict[str, Any]], str]
+
+
+def forms(ctx: Context, kind: str) -> Forms:
+    """Those of a service type; two questions in one go."""
+    return ctx.recall(("forms", kind), lambda: _make_forms(ctx, kind))
+
+
+def _make_forms(ctx: Context, kind: str) -> Forms:
+    from slidectl.msgs.fill import fields_from
+
+    request, response = typedefs(ctx, kind)
+    return Forms(request, fields_from(request), _printer(response))
+
+
 def argument_names(request: Typedefs) -> list[str]:
     """The fields of a request, nested ones as `a.b`."""
     from slidectl.msgs.fill import field_paths, fields_from
@@ -58,11 +79,16 @@ def argument_names(request: Typedefs) -> list[str]:
 
 def as_yaml(message: dict[str, Any], parts: Typedefs) -> str:
     """A complete request or response as rosservice prints it, with its line end."""
+    return _printer(parts)(message)
+
+
+def _printer(parts: Typedefs) -> Callable[[dict[str, Any]], str]:
     from slidectl.cli.schema import from_typedefs
     from slidectl.cli.yamlform import YamlForm
 
     schema = from_typedefs(parts)
-    return YamlForm(schema).printer(schema.root)(message) + "\n"
+    text = YamlForm(schema).printer(schema.root)
+    return lambda message: text(message) + "\n"
 
 
 def call(ctx: Context, full: str, request: dict[str, Any]) -> Answer:

@@ -8,16 +8,20 @@ from __future__ import annotations
 import io
 import shlex
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Hashable, Iterable
+from typing import TypeVar
 
 import click
 
-from slidectl.cli import live, output
+from slidectl.cli import live, output, plainly
 from slidectl.cli.commands import command
 from slidectl.cli.context import DEFAULT_TIMEOUT_S, Context
 from slidectl.cli.failure import guard
 from slidectl.client import Client
+from slidectl.client.picture import Picture
 from slidectl.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_NO_DAEMON, BadFile, UsageError
+
+Found = TypeVar("Found")
 
 _LEAVE = ("exit", "quit")
 _DAEMON_CHANGES = frozenset(("daemon", "launch"))
@@ -28,8 +32,13 @@ class LineContext(Context):
 
     def __init__(self, shell: Shell) -> None:
         super().__init__()
-        options = shell.context
         self._shell = shell
+        self._shared: Client | None = None
+        self.begin()
+
+    def begin(self) -> None:
+        """Take over the options of the shell; those of the line are to come."""
+        options = self._shell.context
         self.instance, self.socket, self.namespace = options.instance, options.socket, options.namespace
         self.format, self.quiet, self.verbose = options.format, options.quiet, options.verbose
         self.timeout = options.timeout
@@ -37,20 +46,32 @@ class LineContext(Context):
     @property
     def client(self) -> Client:
         """The shell's connection, or one of its own when the line picks another daemon. Raises NoDaemon."""
-        shell = self._shell.context
-        if self._client is None and (self.instance, self.socket) == (shell.instance, shell.socket):
-            client = self._shell.client
+        if self._shared is not None:
+            return self._shared
+        shell = self._shell
+        if self._client is None and (self.instance, self.socket) == (shell.context.instance, shell.context.socket):
+            client = shell.client
             client.timeout = self.wait_limit(DEFAULT_TIMEOUT_S)
+            shell.picture.refresh()
+            self._shared = client
             return client
         return super().client
+
+    def recall(self, key: Hashable, find: Callable[[], Found]) -> Found:
+        """What an earlier line has found out, as long as nothing has changed."""
+        client = self.client
+        return self._shell.picture.recall(key, find) if client is self._shared else find()
 
 
 class Shell:
     """Runs lines. `context` has the options of the shell itself; `client` is made when the first line needs it."""
 
     def __init__(self, context: Context) -> None:
+        from slidectl.cli.main import root
+
         self.context = context
         self._client: Client | None = None
+        self._plans = plainly.plans(root)
 
     @property
     def client(self) -> Client:
@@ -58,6 +79,8 @@ class Shell:
         if self._client is None:
             context = self.context
             self._client = Client(context.instance, context.socket, timeout=context.wait_limit(DEFAULT_TIMEOUT_S))
+            self._client.keep_log()
+            self.picture = Picture(self._client)
         return self._client
 
     def run(self, line: str) -> int:
@@ -68,7 +91,7 @@ class Shell:
         def act() -> None:
             words.extend(_words(line))
             if words:
-                _invoke(words, context)
+                self._invoke(words, context)
 
         try:
             code = guard(act, context)
@@ -78,6 +101,20 @@ class Shell:
         if code in (EXIT_NO_DAEMON, EXIT_INTERRUPTED) or not _DAEMON_CHANGES.isdisjoint(words):
             self.close()  # it is gone, or may be in the middle of something
         return code
+
+    def _invoke(self, words: list[str], context: LineContext) -> None:
+        if words[0] == "shell":
+            raise UsageError("a shell within a shell", "run its lines here")
+        plan, rest = self._plans.find(words)
+        params = None if plan is None else plan.parse(rest, context)
+        if plan is not None and params is not None:
+            plan.run(params, context)
+            return
+        from slidectl.cli.main import root
+
+        context.begin()
+        with root.make_context("slidectl", words, obj=context) as click_context:
+            root.invoke(click_context)
 
     def close(self) -> None:
         """Let go of the connection; the next line makes a new one."""
@@ -89,19 +126,12 @@ class Shell:
 def _words(line: str) -> list[str]:
     """The words of a line, as a shell parts them; `slidectl` in front may be written. Raises UsageError."""
     try:
-        words = shlex.split(line, comments=True)
+        words = plainly.split(line)
+        if words is None:
+            words = shlex.split(line, comments=True)
     except ValueError as error:
         raise UsageError(f"cannot read the line: {error}") from None
     return words[1:] if words[:1] == ["slidectl"] else words
-
-
-def _invoke(words: list[str], context: Context) -> None:
-    from slidectl.cli.main import root
-
-    if words[0] == "shell":
-        raise UsageError("a shell within a shell", "run its lines here")
-    with root.make_context("slidectl", words, obj=context) as click_context:
-        root.invoke(click_context)
 
 
 @command(
@@ -118,8 +148,8 @@ def shell(click_context: click.Context, file: str | None, keep_going: bool) -> N
     """Run many commands in one process.
 
     One command a line, without 'slidectl' in front, from FILE or from stdin; '#' begins a comment. It stops at the
-    first command that fails, with its exit code. All lines share one connection, so each takes about a millisecond.
-    Options before 'shell' hold for every line.
+    first command that fails, with its exit code. All lines share one connection, so each takes about a tenth of a
+    millisecond. Options before 'shell' hold for every line.
 
     On a terminal there is a prompt with history and completion; 'exit' or Ctrl-D ends it.
     """

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slidectl import names
+from slidectl import names, rotations
 from slidectl.cli import configuration, live, robots
 from slidectl.cli.bringup import bring_up
 from slidectl.cli.commands import Variadic, command, looks_like_number
@@ -98,7 +98,7 @@ def _document(model: str, arguments: dict[str, str], name: str | None, packages:
     source = _standard_input() if model == "-" else model
     if name and "namespace" not in arguments and "namespace" in description.declared_arguments(source, places):
         arguments = {**arguments, "namespace": f"/{name}"}
-    return description.load(source, arguments, places)
+    return description.load(source, arguments, places, title="<stdin>" if model == "-" else None)
 
 
 def _standard_input() -> str:
@@ -122,20 +122,8 @@ def _pose(at: Sequence[float]) -> dict[str, Any]:
     if len(at) not in (0, 3, 6) or not all(map(math.isfinite, at)):
         raise UsageError(f"--at takes X Y Z or X Y Z R P Y, not {' '.join(f'{value:g}' for value in at)}")
     x, y, z, roll, pitch, yaw = (*at, *[0.0] * (6 - len(at)))
-    return {"position": {"x": x, "y": y, "z": z}, "orientation": quaternion(roll, pitch, yaw)}
-
-
-def quaternion(roll: float, pitch: float, yaw: float) -> dict[str, float]:
-    """geometry_msgs/Quaternion of fixed-axis angles in rad: about x, then y, then z of the world."""
-    sr, cr = math.sin(roll / 2), math.cos(roll / 2)
-    sp, cp = math.sin(pitch / 2), math.cos(pitch / 2)
-    sy, cy = math.sin(yaw / 2), math.cos(yaw / 2)
-    return {
-        "x": sr * cp * cy - cr * sp * sy,
-        "y": cr * sp * cy + sr * cp * sy,
-        "z": cr * cp * sy - sr * sp * cy,
-        "w": cr * cp * cy + sr * sp * sy,
-    }
+    turn = rotations.from_rpy((roll, pitch, yaw))
+    return {"position": {"x": x, "y": y, "z": z}, "orientation": rotations.message(turn)}
 
 
 def _identity(xml: str, document: Document, name: str | None) -> tuple[str, str]:

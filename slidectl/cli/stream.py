@@ -73,7 +73,7 @@ class Stream:
             self._ctx.warn(f"{dropped} messages were dropped: they came faster than they were read")
 
     def _follow(self, topic: str, take: Callable[[dict[str, Any]], None]) -> None:
-        subscription = self._client.subscribe(topic)
+        subscription = self._ctx.subscribe(topic)
         for _ in range(len(subscription)):
             take(subscription.get())
         subscription.put = take  # type: ignore[method-assign, assignment]

@@ -45,6 +45,15 @@ def read(text: str) -> Any:
     return read_yaml(text, shown(text))
 
 
+def is_numeric(value: Any) -> bool:
+    """True for numbers, booleans, and lists and mappings of these: nothing in them can be an expression or a time."""
+    if isinstance(value, dict):
+        value = list(value.values())
+    if isinstance(value, list):
+        return all(map(is_numeric, value))
+    return isinstance(value, bool | int | float)
+
+
 def shown(text: str) -> str:
     """How errors name a value that was typed."""
     return f"value {text if len(text) <= 60 else text[:57] + '...'!r}"

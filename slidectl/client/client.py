@@ -9,18 +9,23 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from typing import Any
 
 from slidectl import names, paths
+from slidectl.client.lines import encode
 from slidectl.client.link import Link, command
-from slidectl.client.subscription import LogLines, Subscription
+from slidectl.client.log import Listening, Log
+from slidectl.client.subscription import Subscription
 from slidectl.errors import MessageRefused, NoDaemon, Refused, SlidectlError, TimedOut, UnknownName
 
 Message = dict[str, Any]
 
 _WARN = 4  # rosgraph_msgs/Log
 _PROBE_S = 0.5
+_SYNCHRONIZE = "/rosapi/get_time"
+"""A service that changes nothing: its answer says that all that was sent before it has been taken in."""
+_SYNCHRONIZE_LINE = f'{{"op":"call_service","id":"%s","service":"{_SYNCHRONIZE}","args":{{}}}}\n'
 
 
 class Client:
@@ -46,6 +51,7 @@ class Client:
         self._subscriptions: dict[str, list[Subscription]] = {}
         self._advertised: set[tuple[str, str | None, bool]] = set()
         self._published = False
+        self._log = Log(self, self._next_id("subscribe"))
 
     # --- services -----------------------------------------------------------------------------------------------
 
@@ -61,18 +67,22 @@ class Client:
     def call_async(self, service: str, request: Message | None = None) -> str:
         """Send a call and return its id at once; `answer` waits for the response."""
         call_id = self._next_id("call")
-        self._waiting.add(call_id)
-        self._send(op="call_service", id=call_id, service=names.join("/", service), args=request or {})
+        self._write(self._call_line(call_id, service, request))
         return call_id
+
+    def _call_line(self, call_id: str, service: str, request: Message | None) -> bytes:
+        self._waiting.add(call_id)
+        return encode({"op": "call_service", "id": call_id, "service": names.join("/", service), "args": request or {}})
 
     def answer(self, call_id: str, *, timeout: float | None = None) -> Message:
         """The response to an earlier `call_async`. Raises as `call` does."""
+        answers = self._answers
         try:
-            if call_id not in self._answers:
-                self.wait_until(lambda: call_id in self._answers, timeout, "the service did not answer")
+            if call_id not in answers:
+                self.wait_until(lambda: call_id in answers, timeout, "the service did not answer")
         finally:
             self._waiting.discard(call_id)
-        answer = self._answers.pop(call_id)
+        answer = answers.pop(call_id)
         values = answer.get("values")
         if not answer.get("result", True):
             raise _refusal(Refused, str(values), answer)
@@ -81,6 +91,11 @@ class Client:
     def is_answered(self, call_id: str) -> bool:
         """True when the response to an earlier `call_async` is here: `answer` will not wait."""
         return call_id in self._answers
+
+    def forget(self, call_id: str) -> None:
+        """Nobody will ask for the response to an earlier `call_async`."""
+        self._waiting.discard(call_id)
+        self._answers.pop(call_id, None)
 
     # --- topics -------------------------------------------------------------------------------------------------
 
@@ -99,10 +114,22 @@ class Client:
 
     def publish(self, topic: str, message: Message, type: str | None = None, latch: bool = False) -> None:
         """Send one message. A topic that exists needs no type; `flush` says whether the message was taken."""
+        self._write(self._publish_line(topic, message, type, latch))
+        self._published = True
+
+    def _publish_line(self, topic: str, message: Message, type: str | None, latch: bool) -> bytes:
         if type is not None or latch:
             self.advertise(topic, type, latch)
-        self._send(op="publish", id=self._next_id("publish"), topic=names.join("/", topic), msg=message)
-        self._published = True
+        full, publish_id = names.join("/", topic), self._next_id("publish")
+        return encode({"op": "publish", "id": publish_id, "topic": full, "msg": message})
+
+    def deliver(self, topic: str, message: Message, type: str | None = None, latch: bool = False) -> None:
+        """`publish` and `flush` in one: they leave together, which takes the time of one call. Raises as `flush`."""
+        line = self._publish_line(topic, message, type, latch)
+        call_id = self._next_id("call")
+        self._waiting.add(call_id)
+        self._write(line + (_SYNCHRONIZE_LINE % call_id).encode("ascii"))
+        self._flushed(call_id, None)
 
     def flush(self, *, timeout: float | None = None) -> None:
         """Wait until all that was sent has been taken in and has reached the subscribers.
@@ -110,8 +137,11 @@ class Client:
         Raises:
             MessageRefused: the first of the refusals that came back, with its exit code; TimedOut, NoDaemon.
         """
+        self._flushed(self.call_async(_SYNCHRONIZE), timeout)
+
+    def _flushed(self, call_id: str, timeout: float | None) -> None:
         self._published = False
-        self.call("/rosapi/get_time", timeout=timeout)
+        self.answer(call_id, timeout=timeout)
         refusals, self._refusals = self._refusals, []
         if refusals:
             raise refusals[0]
@@ -131,10 +161,11 @@ class Client:
         """
         subscription = Subscription(self, names.join("/", topic), self._next_id("subscribe"), queue_length)
         options: Message = {"queue_length": queue_length, "throttle_rate": throttle_rate}
-        self._begin(subscription, options | ({} if type is None else {"type": type}))
+        self.begin(subscription, options | ({} if type is None else {"type": type}))
         return subscription
 
-    def _begin(self, subscription: Subscription, options: Message) -> None:
+    def begin(self, subscription: Subscription, options: Message) -> None:
+        """What `subscribe` does with a subscription of any kind. Raises as it does."""
         receivers = self._subscriptions.setdefault(subscription.topic, [])
         receivers.append(subscription)
         try:
@@ -153,13 +184,13 @@ class Client:
         with suppress(NoDaemon):  # a dead daemon has unsubscribed us already
             self._send(op="unsubscribe", id=subscription.id, topic=subscription.topic)
 
-    @contextmanager
-    def rosout(self, level: int = _WARN) -> Iterator[list[Message]]:
-        """Collect the /rosout messages of at least `level` that arrive while calls of this client wait."""
-        lines = LogLines(self, "/rosout", self._next_id("subscribe"), level)
-        with lines:
-            self._begin(lines, {"type": "rosgraph_msgs/Log"})
-            yield lines.collected
+    def rosout(self, level: int = _WARN) -> Listening:
+        """`with client.rosout() as lines` collects the /rosout messages of at least `level` that arrive meanwhile."""
+        return Listening(self._log, level)
+
+    def keep_log(self) -> None:
+        """Stay subscribed to /rosout from the next `rosout` on: only the first one takes a round trip then."""
+        self._log.keep = True
 
     # --- names --------------------------------------------------------------------------------------------------
 
@@ -198,6 +229,14 @@ class Client:
         while (message := self._link.receive(time.monotonic() + timeout)) is not None:
             self._sort(message)
             yield message
+
+    def take_in(self) -> bool:
+        """Sort what has arrived by now, without waiting. True if something has. Raises NoDaemon."""
+        arrived, now = False, time.monotonic()
+        while (message := self._link.receive(now)) is not None:
+            self._sort(message)
+            arrived = True
+        return arrived
 
     def wait_until(self, condition: Callable[[], bool], timeout: float | None, failure: str) -> None:
         """Take in what arrives until the condition is true. Raises TimedOut with the text of `failure`, NoDaemon."""
@@ -255,7 +294,10 @@ class Client:
         return self._link.fileno()
 
     def _send(self, **message: Any) -> None:
-        self._link.send(message, time.monotonic() + self.timeout)
+        self._write(encode(message))
+
+    def _write(self, lines: bytes) -> None:
+        self._link.send(lines, time.monotonic() + self.timeout)
 
     def _next_id(self, purpose: str) -> str:
         self._serial += 1

@@ -102,17 +102,12 @@ class LineBuffer:
 
     def feed(self, data: bytes) -> None:
         """Take in what was received. Raises BadLine when a line outgrows the limit; whole lines before it are kept."""
-        first, *others = data.split(b"\n")
-        self._rest += first
-        for following in others:
-            self._finish()
-            self._rest += following
+        *whole, rest = data.split(b"\n")
+        if whole and self._rest:
+            whole[0] = bytes(self._rest) + whole[0]
+            self._rest.clear()
+        self.lines.extend([line for line in whole if line and not line.isspace()])
+        self._rest += rest
         if len(self._rest) > self._longest:
             self._rest.clear()
             raise BadLine(f"a line longer than {self._longest} bytes")
-
-    def _finish(self) -> None:
-        line = bytes(self._rest)
-        self._rest.clear()
-        if line and not line.isspace():
-            self.lines.append(line)

@@ -15,7 +15,7 @@ import time
 from _socket import AF_UNIX, SO_PEERCRED, SOL_SOCKET, socket
 from typing import Any
 
-from slidectl.client.lines import LineBuffer, decode, encode
+from slidectl.client.lines import LineBuffer, decode
 from slidectl.errors import NoDaemon, Refused, TimedOut
 from slidectl.paths import DEFAULT_INSTANCE, InstancePaths, check_private
 
@@ -46,9 +46,11 @@ class Link:
     def __init__(self, paths: InstancePaths, deadline: float) -> None:
         self._paths = paths
         self._incoming = LineBuffer()
+        self._chunk = memoryview(bytearray(_CHUNK))  # made once: memory of this size is the kernel's to give and take
         self._closed = False
         self.farewell = ""
         self._socket = self._connect(deadline)
+        self._itself = (self._socket.fileno(),)
         self.daemon_pid, uid = peer(self._socket)
         if uid != os.geteuid():
             self.close()
@@ -81,12 +83,12 @@ class Link:
             return NoDaemon(f"no daemon answers on {self._paths.socket_text}", hint)
         return NoDaemon(f"no daemon answers on {self._paths.socket_text}: {error.strerror or error}", hint)
 
-    def send(self, message: dict[str, Any], deadline: float) -> None:
-        """Hand one line to the kernel; lines that arrive meanwhile are kept. Raises TimedOut, NoDaemon."""
-        rest = memoryview(encode(message))
+    def send(self, line: bytes, deadline: float) -> None:
+        """Hand one line or several to the kernel; lines that arrive meanwhile are kept. Raises TimedOut, NoDaemon."""
+        rest: bytes | memoryview = line
         while rest:
             try:
-                rest = rest[self._socket.send(rest) :]
+                rest = memoryview(rest)[self._socket.send(rest) :]
             except BlockingIOError:
                 self._until_writable(deadline)
             except OSError:
@@ -95,7 +97,8 @@ class Link:
 
     def _until_writable(self, deadline: float) -> None:
         # A daemon whose answers we do not take stops reading from us, so take them while we wait.
-        readable, writable, _ = select.select([self._socket], [self._socket], [], _remaining(deadline))
+        left = deadline - time.monotonic()
+        readable, writable, _ = select.select(self._itself, self._itself, (), _for_select(left))
         if not readable and not writable:
             raise TimedOut("the daemon does not read what is sent to it")
         if readable:
@@ -107,9 +110,8 @@ class Link:
         while not lines:
             if self._closed:
                 raise self.gone()
-            if time.monotonic() > deadline + _GRACE_S:
-                return None
-            if not select.select([self._socket], [], [], _remaining(deadline))[0]:
+            left = deadline - time.monotonic()
+            if left < -_GRACE_S or not select.select(self._itself, (), (), _for_select(left))[0]:
                 return None
             self._read()
         return decode(lines.popleft())
@@ -117,7 +119,7 @@ class Link:
     def _read(self) -> bool:
         """Take what has arrived; False when there is nothing, now or ever."""
         try:
-            data = self._socket.recv(_CHUNK)
+            data = bytes(self._chunk[: self._socket.recv_into(self._chunk)])
         except BlockingIOError:
             return False
         except OSError:
@@ -155,6 +157,5 @@ def _connect_patiently(connection: socket, path: str, deadline: float) -> None:
             select.select([], [], [], 0.005)
 
 
-def _remaining(deadline: float) -> float | None:
-    left = deadline - time.monotonic()
+def _for_select(left: float) -> float | None:
     return None if left > 1e6 else max(0.0, left)

@@ -66,16 +66,3 @@ class Subscription:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-class LogLines(Subscription):
-    """/rosout messages of at least `level`, collected in a list as they arrive."""
-
-    def __init__(self, client: Client, topic: str, subscription_id: str, level: int) -> None:
-        super().__init__(client, topic, subscription_id, 0)
-        self.collected: list[dict[str, Any]] = []
-        self._level = level
-
-    def put(self, message: dict[str, Any]) -> None:
-        if message["level"] >= self._level:
-            self.collected.append(message)

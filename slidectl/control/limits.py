@@ -1,6 +1,6 @@
 """Joint limit handles: each watches one joint and rewrites its command in place, once a step.
 
-The six handles of joint_limits_interface around the laws of `limit_laws.py`. Saturation handles clip to hard
+The six handles of joint_limits_interface around the laws of `limit_steps.py`. Saturation handles clip to hard
 limits; soft limit handles slow the joint down before it gets there.
 """
 
@@ -12,17 +12,21 @@ from typing import ClassVar
 
 from slidectl.control.handles import JointHandle
 from slidectl.control.joint_limits import JointLimits, SoftJointLimits
-from slidectl.control.laws import Columns, Compiled, law
-from slidectl.control.limit_laws import (
-    LARGEST,
-    bounded,
-    effort_saturation,
-    effort_soft_limits,
-    position_saturation,
-    position_soft_limits,
-    soft_velocity,
-    velocity_saturation,
-    velocity_soft_limits,
+from slidectl.control.laws import Columns
+from slidectl.control.limit_laws import LARGEST
+from slidectl.control.limit_steps import (
+    EFFORT_SATURATION,
+    EFFORT_SOFT,
+    POSITION_SATURATION,
+    POSITION_SOFT,
+    VELOCITY_SATURATION,
+    VELOCITY_SOFT,
+    saturate_effort,
+    saturate_position,
+    saturate_velocity,
+    slow_effort,
+    slow_position,
+    slow_velocity,
 )
 from slidectl.errors import Refused
 
@@ -34,39 +38,63 @@ class BadLimits(Refused):
         super().__init__(f"joint {joint!r} has no {missing} limit, which {handle} needs")
 
 
-@law
-def saturate_effort(limit: EffortJointSaturation, joint: JointHandle) -> None:
-    """Rewrite the command of the joint by `effort_saturation`."""
-    joint.command = effort_saturation(
-        joint.command,
-        joint.position,
-        joint.velocity,
-        limit.min_position,
-        limit.max_position,
-        limit.max_velocity,
-        limit.max_effort,
-    )
-
-
-@law
-def slow_effort(limit: EffortJointSoftLimits, joint: JointHandle) -> None:
-    """Rewrite the command of the joint by `effort_soft_limits`; soft limits count only beside hard ones."""
-    fastest = limit.max_velocity
-    low, high = -fastest, fastest
-    if limit.has_position_limits:
-        low = soft_velocity(joint.position, limit.min_position, limit.k_position, fastest)
-        high = soft_velocity(joint.position, limit.max_position, limit.k_position, fastest)
-    joint.command = effort_soft_limits(joint.command, joint.velocity, low, high, limit.k_velocity, limit.max_effort)
-
-
 class LimitHandle:
     """Base of the limit handles. `enforce` rewrites `handle.command`; `reset` forgets earlier commands."""
 
-    __slots__ = ("handle",)
-    compiled: ClassVar[Compiled | None] = None
+    __slots__ = (
+        "handle",
+        "has_acceleration_limits",
+        "has_position_limits",
+        "has_velocity_limits",
+        "k_position",
+        "k_velocity",
+        "max_acceleration",
+        "max_effort",
+        "max_position",
+        "max_velocity",
+        "min_position",
+        "previous",
+        "soft_lower",
+        "soft_upper",
+    )
+    kind: ClassVar[int]
+    needs: ClassVar[tuple[str, ...]] = ()
+    """The limits without which it cannot work, of `velocity` and `effort`."""
+    farthest: ClassVar[float] = inf
+    """The position limit where there is none."""
+    fresh: ClassVar[float] = 0.0
+    """The command before the first."""
+    columns = Columns(
+        changing="previous",
+        fixed="kind min_position max_position soft_lower soft_upper has_position_limits has_velocity_limits "
+        "has_acceleration_limits k_position k_velocity max_velocity max_acceleration max_effort",
+        places="joint",
+        whole="kind has_position_limits has_velocity_limits has_acceleration_limits joint",
+    )
 
-    def __init__(self, handle: JointHandle) -> None:
+    def __init__(self, handle: JointHandle, limits: JointLimits, soft: SoftJointLimits | None = None) -> None:
+        """Raises BadLimits: one of those that it needs is missing."""
         self.handle = handle
+        for missing in self.needs:
+            if not getattr(limits, f"has_{missing}_limits"):
+                raise BadLimits(type(self).__name__, handle.name, missing)
+        self._take_hard(limits)
+        self._take_soft(soft or SoftJointLimits())
+        self.reset()
+
+    def _take_hard(self, limits: JointLimits) -> None:
+        self.has_position_limits = limits.has_position_limits
+        self.has_velocity_limits = limits.has_velocity_limits
+        self.has_acceleration_limits = limits.has_acceleration_limits
+        self.min_position = limits.min_position if limits.has_position_limits else -self.farthest
+        self.max_position = limits.max_position if limits.has_position_limits else self.farthest
+        self.max_velocity = limits.max_velocity if limits.has_velocity_limits else LARGEST
+        self.max_acceleration = limits.max_acceleration
+        self.max_effort = limits.max_effort
+
+    def _take_soft(self, soft: SoftJointLimits) -> None:
+        self.soft_lower, self.soft_upper = soft.min_position, soft.max_position
+        self.k_position, self.k_velocity = soft.k_position, soft.k_velocity
 
     def enforce(self, period_s: float) -> None:
         """Put the command within the limits, given the seconds since the last call."""
@@ -74,29 +102,15 @@ class LimitHandle:
 
     def reset(self) -> None:
         """Be as on the first day."""
-
-    def _needs(self, missing: str, has: bool) -> None:
-        if not has:
-            raise BadLimits(type(self).__name__, self.handle.name, missing)
+        self.previous = self.fresh
 
 
 class EffortJointSaturation(LimitHandle):
     """Clips effort, and allows none that pushes further beyond a position or velocity limit."""
 
-    __slots__ = ("max_effort", "max_position", "max_velocity", "min_position")
-    compiled = Compiled(
-        "effort_saturation",
-        Columns(fixed="min_position max_position max_velocity max_effort", places="joint", whole="joint"),
-    )
-
-    def __init__(self, handle: JointHandle, limits: JointLimits) -> None:
-        super().__init__(handle)
-        self._needs("velocity", limits.has_velocity_limits)
-        self._needs("effort", limits.has_effort_limits)
-        self.min_position = limits.min_position if limits.has_position_limits else -inf
-        self.max_position = limits.max_position if limits.has_position_limits else inf
-        self.max_velocity = limits.max_velocity
-        self.max_effort = limits.max_effort
+    __slots__ = ()
+    kind = EFFORT_SATURATION
+    needs = ("velocity", "effort")
 
     def enforce(self, period_s: float) -> None:  # noqa: ARG002 - this law has no memory
         saturate_effort(self, self.handle)
@@ -105,33 +119,9 @@ class EffortJointSaturation(LimitHandle):
 class EffortJointSoftLimits(LimitHandle):
     """Effort that keeps the measured velocity within what the distance to the soft limits allows."""
 
-    __slots__ = (
-        "has_position_limits",
-        "k_position",
-        "k_velocity",
-        "max_effort",
-        "max_position",
-        "max_velocity",
-        "min_position",
-    )
-    compiled = Compiled(
-        "effort_soft_limits",
-        Columns(
-            fixed="has_position_limits min_position max_position k_position k_velocity max_velocity max_effort",
-            places="joint",
-            whole="joint has_position_limits",
-        ),
-    )
-
-    def __init__(self, handle: JointHandle, limits: JointLimits, soft: SoftJointLimits) -> None:
-        super().__init__(handle)
-        self._needs("velocity", limits.has_velocity_limits)
-        self._needs("effort", limits.has_effort_limits)
-        self.has_position_limits = limits.has_position_limits
-        self.min_position, self.max_position = soft.min_position, soft.max_position
-        self.k_position, self.k_velocity = soft.k_position, soft.k_velocity
-        self.max_velocity = limits.max_velocity
-        self.max_effort = limits.max_effort
+    __slots__ = ()
+    kind = EFFORT_SOFT
+    needs = ("velocity", "effort")
 
     def enforce(self, period_s: float) -> None:  # noqa: ARG002 - this law has no memory
         slow_effort(self, self.handle)
@@ -140,105 +130,46 @@ class EffortJointSoftLimits(LimitHandle):
 class PositionJointSaturation(LimitHandle):
     """Clips position, and with a velocity limit its change per step. The first step is from the measured position."""
 
-    __slots__ = ("_has_velocity_limits", "_max_position", "_max_velocity", "_min_position", "_previous")
-
-    def __init__(self, handle: JointHandle, limits: JointLimits) -> None:
-        super().__init__(handle)
-        self._min_position = limits.min_position if limits.has_position_limits else -LARGEST
-        self._max_position = limits.max_position if limits.has_position_limits else LARGEST
-        self._has_velocity_limits = limits.has_velocity_limits
-        self._max_velocity = limits.max_velocity
-        self._previous = nan
+    __slots__ = ()
+    kind = POSITION_SATURATION
+    farthest = LARGEST
+    fresh = nan
 
     def enforce(self, period_s: float) -> None:
-        handle, low, high = self.handle, self._min_position, self._max_position
-        previous = self._previous
-        if previous != previous:
-            previous = handle.position
-        if self._has_velocity_limits:
-            step = self._max_velocity * period_s
-            command = position_saturation(handle.command, previous, step, low, high)
-        else:
-            command = bounded(handle.command, low, high)
-        handle.command = self._previous = command
-
-    def reset(self) -> None:
-        self._previous = nan
+        saturate_position(self, self.handle, period_s)
 
 
 class PositionJointSoftLimits(LimitHandle):
     """Position that approaches its soft limits ever more slowly. The first step is from the measured position."""
 
-    __slots__ = ("_limits", "_max_position", "_min_position", "_previous", "_soft")
-
-    def __init__(self, handle: JointHandle, limits: JointLimits, soft: SoftJointLimits) -> None:
-        super().__init__(handle)
-        self._needs("velocity", limits.has_velocity_limits)
-        self._min_position = limits.min_position if limits.has_position_limits else -inf
-        self._max_position = limits.max_position if limits.has_position_limits else inf
-        self._limits = limits
-        self._soft = soft
-        self._previous = nan
+    __slots__ = ()
+    kind = POSITION_SOFT
+    needs = ("velocity",)
+    fresh = nan
 
     def enforce(self, period_s: float) -> None:
-        handle, limits = self.handle, self._limits
-        previous = self._previous
-        if previous != previous:
-            previous = handle.position
-        low, high = _soft_velocities(previous, limits, self._soft, limits.max_velocity)
-        handle.command = self._previous = position_soft_limits(
-            handle.command, previous, low, high, period_s, self._min_position, self._max_position
-        )
-
-    def reset(self) -> None:
-        self._previous = nan
+        slow_position(self, self.handle, period_s)
 
 
 class VelocityJointSaturation(LimitHandle):
     """Clips velocity, and its change per step when there is an acceleration limit. The first step is from 0."""
 
-    __slots__ = ("_has_acceleration_limits", "_max_acceleration", "_max_velocity", "_previous")
-
-    def __init__(self, handle: JointHandle, limits: JointLimits) -> None:
-        super().__init__(handle)
-        self._needs("velocity", limits.has_velocity_limits)
-        self._max_velocity = limits.max_velocity
-        self._has_acceleration_limits = limits.has_acceleration_limits
-        self._max_acceleration = limits.max_acceleration
-        self._previous = 0.0
+    __slots__ = ()
+    kind = VELOCITY_SATURATION
+    needs = ("velocity",)
 
     def enforce(self, period_s: float) -> None:
-        handle, fastest = self.handle, self._max_velocity
-        if self._has_acceleration_limits:
-            step = self._max_acceleration * period_s
-            command = velocity_saturation(handle.command, self._previous, step, fastest)
-        else:
-            command = bounded(handle.command, -fastest, fastest)
-        handle.command = self._previous = command
-
-    def reset(self) -> None:
-        self._previous = 0.0
+        saturate_velocity(self, self.handle, period_s)
 
 
 class VelocityJointSoftLimits(LimitHandle):
     """Velocity that the distance to the soft limits allows, from the measured position and velocity."""
 
-    __slots__ = ("_limits", "_max_velocity", "_soft")
-
-    def __init__(self, handle: JointHandle, limits: JointLimits, soft: SoftJointLimits) -> None:
-        super().__init__(handle)
-        self._limits = limits
-        self._soft = soft
-        self._max_velocity = limits.max_velocity if limits.has_velocity_limits else LARGEST
+    __slots__ = ()
+    kind = VELOCITY_SOFT
 
     def enforce(self, period_s: float) -> None:
-        handle, limits = self.handle, self._limits
-        low, high = _soft_velocities(handle.position, limits, self._soft, self._max_velocity)
-        if limits.has_acceleration_limits:
-            step = limits.max_acceleration * period_s
-            handle.command = velocity_soft_limits(handle.command, handle.velocity, step, low, high)
-        else:
-            handle.command = bounded(handle.command, low, high)
+        slow_velocity(self, self.handle, period_s)
 
 
 SATURATION: dict[str, type[EffortJointSaturation | PositionJointSaturation | VelocityJointSaturation]] = {
@@ -251,15 +182,6 @@ SOFT_LIMITS: dict[str, type[EffortJointSoftLimits | PositionJointSoftLimits | Ve
     "hardware_interface::PositionJointInterface": PositionJointSoftLimits,
     "hardware_interface::VelocityJointInterface": VelocityJointSoftLimits,
 }
-ORDER: tuple[type[LimitHandle], ...] = (
-    EffortJointSaturation,
-    EffortJointSoftLimits,
-    PositionJointSaturation,
-    PositionJointSoftLimits,
-    VelocityJointSaturation,
-    VelocityJointSoftLimits,
-)
-"""The order in which gazebo_ros_control enforces kinds of limits; within a kind the joints are alphabetical."""
 
 
 def limit_handle(
@@ -277,15 +199,4 @@ def limit_handle(
 
 def in_order(handles: Iterable[LimitHandle]) -> list[LimitHandle]:
     """The handles in the order in which they are to be enforced."""
-    return sorted(handles, key=lambda limit: (ORDER.index(type(limit)), limit.handle.name))
-
-
-def _soft_velocities(
-    position: float, limits: JointLimits, soft: SoftJointLimits, max_velocity: float
-) -> tuple[float, float]:
-    """The lowest and the highest velocity that a position allows; soft limits count only beside hard ones."""
-    if not limits.has_position_limits:
-        return -max_velocity, max_velocity
-    low = soft_velocity(position, soft.min_position, soft.k_position, max_velocity)
-    high = soft_velocity(position, soft.max_position, soft.k_position, max_velocity)
-    return low, high
+    return sorted(handles, key=lambda limit: (limit.kind, limit.handle.name))

@@ -85,6 +85,12 @@ class ControllerManager:
                 entry.start(time_ns)
         self._refresh()
 
+    def stop_running(self, time_ns: int) -> None:
+        """Stop every running controller, in load order, because the robot goes."""
+        for entry in self._running:
+            entry.stop(time_ns)
+        self._refresh()
+
     def _carry_on(self, position: int, failure: Exception, time_ns: int, period_s: float) -> None:
         """Abort the controller at this position and update those after it."""
         running = self._running

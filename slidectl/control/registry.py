@@ -17,6 +17,11 @@ from slidectl.errors import UnknownName
 C = TypeVar("C", bound=type[ControllerBase])
 
 BASE_CLASS = "controller_interface::ControllerBase"
+_ELSEWHERE = {
+    "AckermannSteeringController", "DiffDriveController", "ForceTorqueSensorController", "FourWheelSteeringController",
+    "GripperActionController", "ImuSensorController", "JointGroupEffortController", "JointGroupPositionController",
+    "JointGroupVelocityController", "JointTrajectoryController",
+}  # fmt: skip
 _known: dict[str, type[ControllerBase]] = {}
 
 
@@ -25,6 +30,8 @@ class UnknownType(UnknownName):
 
     def __init__(self, type_name: str, known: Sequence[str]) -> None:
         super().__init__("controller type", type_name, known)
+        if type_name.rpartition("/")[2] in _ELSEWHERE:  # no slip of the pen: a similar name is no help
+            self.message = f"the controller type {type_name!r} of ros_controllers is not among those of slidectl"
 
 
 class ControllerLoader(Protocol):

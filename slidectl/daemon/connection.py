@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from slidectl.client.lines import BadLine, LineBuffer
 from slidectl.daemon.loop import HANG_UP, ONCE, PEER_CLOSED, READ, WRITE, EventLoop
-from slidectl.daemon.outbox import Outbox, Share
+from slidectl.daemon.outbox import Content, Outbox, Share
 
 if TYPE_CHECKING:
     from slidectl.daemon.server import Busy
@@ -153,9 +153,16 @@ class Connection:
             return
         self._outbox.put(line)
         if not self._blocked:
+            # To the end of the row: answers leave in the order in which they were given, whoever they are for.
+            self._busy.with_output.pop(self, None)
             self._busy.with_output[self] = None
 
-    def post(self, share: Share, line: bytes) -> None:
+    @property
+    def is_blocked(self) -> bool:
+        """True while the client does not take what is sent: what is posted now waits, or makes room for newer."""
+        return self._blocked
+
+    def post(self, share: Share, line: Content) -> None:
         """A message of a subscription; older ones of its share make room when the client does not read."""
         if self._deaf:
             return

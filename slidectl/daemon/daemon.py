@@ -75,8 +75,7 @@ class Daemon:
             return self._pacer.turn()
         except Exception:
             self._unexpected("a control cycle failed")
-            self.simulation.run.paused = True
-            self.simulation.run.abandon_steps("a control cycle failed")
+            self.simulation.run.hold("a control cycle failed, see the log", "a control cycle failed")
             self.simulation.graph.log("fatal", NODE, "a control cycle failed; the simulation is paused, see the log")
             return 0.0
 

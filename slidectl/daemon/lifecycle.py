@@ -17,13 +17,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
-import slidectl
 from slidectl.client import Client
 from slidectl.client.link import command
 from slidectl.daemon.lock import holder
 from slidectl.daemon.options import DaemonOptions, parse
 from slidectl.errors import NoDaemon, Refused, SlidectlError, TimedOut
-from slidectl.paths import InstancePaths, make_private
+from slidectl.paths import InstancePaths, make_private, with_package
 
 _LAST_LINES = 8
 _PAUSE_S = 0.01
@@ -135,7 +134,7 @@ def run(paths: InstancePaths, options: DaemonOptions | None = None) -> NoReturn:
     """Become the daemon, in the foreground: the calling process is replaced, so signals reach it directly."""
     arguments = [*_interpreter(), *_arguments(paths, options or DaemonOptions()), "--foreground"]
     sys.stdout.flush()
-    os.execve(arguments[0], arguments, _environment())
+    os.execve(arguments[0], arguments, with_package(os.environ))
 
 
 def _ask_to_stop(paths: InstancePaths, timeout: float) -> bool:
@@ -198,7 +197,8 @@ class _Process:
         redirect = [(os.POSIX_SPAWN_OPEN, 0, os.devnull, os.O_RDONLY, 0)]
         redirect += [(os.POSIX_SPAWN_DUP2, log, 1), (os.POSIX_SPAWN_DUP2, log, 2)]  # type: ignore[list-item]
         try:
-            self._pid = os.posix_spawn(arguments[0], arguments, _environment(), file_actions=redirect, setsid=True)
+            environment = with_package(os.environ)
+            self._pid = os.posix_spawn(arguments[0], arguments, environment, file_actions=redirect, setsid=True)
         finally:
             os.close(write_end)
             os.close(log)
@@ -279,12 +279,3 @@ def _interpreter() -> list[str]:
 def _arguments(paths: InstancePaths, options: DaemonOptions) -> list[str]:
     where = f"--socket={paths.socket_text}" if paths.prefix else f"--instance={paths.name}"
     return [where, *options.arguments()]
-
-
-def _environment() -> dict[str, str]:
-    """Ours; a package that runs from its checkout without being installed is still found."""
-    environment = dict(os.environ)
-    root = Path(slidectl.__file__).parent.parent
-    if root.name not in ("site-packages", "dist-packages"):
-        environment["PYTHONPATH"] = os.pathsep.join(filter(None, [str(root), environment.get("PYTHONPATH")]))
-    return environment

@@ -13,7 +13,7 @@ from contextlib import suppress
 from slidectl.client.lines import encode
 from slidectl.client.link import peer
 from slidectl.daemon.connection import Connection
-from slidectl.daemon.feed import PublicationEncoder
+from slidectl.daemon.feed import Publications
 from slidectl.daemon.listener import refusal
 from slidectl.daemon.loop import READ, EventLoop
 from slidectl.daemon.session import Session
@@ -52,7 +52,7 @@ class Server:
         unexpected: Callable[[str], None],
     ) -> None:
         self.graph = graph
-        self.encoder = PublicationEncoder()
+        self.publications = Publications()
         self.unexpected = unexpected
         self.busy = Busy()
         self.sessions: dict[Connection, Session] = {}

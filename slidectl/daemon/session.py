@@ -12,7 +12,7 @@ from typing import Any, Protocol
 from slidectl import msgs, names
 from slidectl.client.lines import BadLine, decode, encode
 from slidectl.daemon.connection import Connection
-from slidectl.daemon.feed import Feed, PublicationEncoder
+from slidectl.daemon.feed import Feed, Publications
 from slidectl.daemon.outbox import Share
 from slidectl.errors import Refused, SlidectlError, UsageError, listing
 from slidectl.simulation.graph import Graph
@@ -28,7 +28,7 @@ class Surroundings(Protocol):
     """What all sessions share."""
 
     graph: Graph
-    encoder: PublicationEncoder
+    publications: Publications
 
     def unexpected(self, text: str) -> None:
         """Log the exception that is being handled: it is a fault of ours."""
@@ -168,9 +168,9 @@ class Session:
         kind = _text(message, "type", "") or None
         feed = self._feeds.get(topic)
         if feed is None:
-            feed = Feed(topic, self._connection, self._around.encoder)
+            feed = Feed(topic, self._connection, self._around.publications)
             feed.want(_id(message), throttle, int(queue))
-            feed.close = self._graph.topics.subscribe(topic, kind, self.node, feed.take).close
+            feed.subscription = self._graph.topics.subscribe(topic, kind, self.node, feed.take)
             self._feeds[topic] = feed
             return
         if kind is not None:  # complains when the type is another one

@@ -6,7 +6,7 @@ Heavy modules are imported by the functions that need them.
 
 from __future__ import annotations
 
-from slidectl.description.document import Document, declared_arguments, declaring_elements, load
+from slidectl.description.document import Document, declared_arguments, declaring_elements, load, written_trees
 from slidectl.description.namespaces import namespace_of
 from slidectl.description.packages import Packages, UnknownPackage
 from slidectl.description.parser import parse
@@ -26,4 +26,5 @@ __all__ = [
     "parse",
     "with_root_fixed",
     "with_root_free",
+    "written_trees",
 ]

@@ -6,7 +6,7 @@ This is the client's side: it reads files, and evaluates what xacro evaluates. T
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from slidectl.description import models, xml_tree, xml_writer
@@ -28,13 +28,24 @@ class Document:
     """What xacro warned of, and arguments without effect. What URDF tags became of is in the parsed robot's report."""
 
 
-def load(source: str | Path, arguments: Mapping[str, str] | None = None, packages: Packages | None = None) -> Document:
+def load(
+    source: str | Path,
+    arguments: Mapping[str, str] | None = None,
+    packages: Packages | None = None,
+    *,
+    all_meshes: bool = True,
+    title: str | None = None,
+) -> Document:
     """The document of a model: a `.xacro` or `.urdf` path, a shipped model's name, `-` for stdin, or XML text.
+
+    Meshes that collide have to be there, unless `all_meshes` is false: then the parser may say so. `title` is what to
+    call a text in messages.
 
     Raises:
         BadFile: missing, broken, or refused by xacro. UnknownName: no shipped model of that name.
     """
     model = models.read(source)
+    model = replace(model, file=title) if title is not None else model
     base = model.path.absolute().parent if model.path is not None else Path.cwd()
     packages = packages.starting_at(base) if packages is not None else Packages(start=base)
     root = xml_tree.read(model.text, model.file)
@@ -45,7 +56,7 @@ def load(source: str | Path, arguments: Mapping[str, str] | None = None, package
         root, notices = xacro_run.expand(root, model.path, arguments or {}, packages)
     else:
         notices = [_no_xacro(name, model.file) for name in arguments or {}]
-    _make_meshes_absolute(root, MeshFiles(packages, base))
+    _make_meshes_absolute(root, MeshFiles(packages, base), all_meshes)
     xml, source_map = xml_writer.write(root)
     return Document(xml, source_map, model.file, tuple(notices))
 
@@ -61,7 +72,7 @@ def _no_xacro(name: str, file: str) -> Notice:
     return Notice("ignored", f"{name}:=", "plain URDF takes no arguments", file, None)
 
 
-def _make_meshes_absolute(root: Element, meshes: MeshFiles) -> None:
+def _make_meshes_absolute(root: Element, meshes: MeshFiles, all_meshes: bool) -> None:
     """Turn the names of meshes into `file://` ones, so that whoever reads the text needs no package path.
 
     Raises:
@@ -73,7 +84,7 @@ def _make_meshes_absolute(root: Element, meshes: MeshFiles) -> None:
             path, why = meshes.locate(uri, element.file) if uri.strip() else (None, "")
             if path is not None:
                 element.attributes["filename"] = path.as_uri()
-            elif uri and shape.tag == "collision":
+            elif uri and shape.tag == "collision" and all_meshes:
                 raise element.error(f"mesh {uri!r}: {why}")
 
 
@@ -89,9 +100,25 @@ def declared_arguments(source: str | Path, packages: Packages | None = None) -> 
 
 def declaring_elements(source: str | Path, packages: Packages | None = None) -> dict[str, Element]:
     """The same `<xacro:arg>` as elements, which know where they were written."""
+    from slidectl.description import xacro_arguments
+
+    return xacro_arguments.declared(*_unexpanded(source, packages))
+
+
+def written_trees(source: str | Path, packages: Packages | None = None) -> list[Element] | None:
+    """A model and all that it includes as they are written; None when only xacro can tell what it includes.
+
+    Raises:
+        BadFile, UnknownName: as load.
+    """
+    from slidectl.description import xacro_arguments
+
+    return xacro_arguments.trees(*_unexpanded(source, packages))
+
+
+def _unexpanded(source: str | Path, packages: Packages | None) -> tuple[Element, Path, Packages]:
+    """The tree of a model, the folder that it is in, and where packages are."""
     model = models.read(source)
     base = model.path.absolute().parent if model.path is not None else Path.cwd()
     packages = packages.starting_at(base) if packages is not None else Packages(start=base)
-    from slidectl.description import xacro_arguments
-
-    return xacro_arguments.declared(xml_tree.read(model.text, model.file), base, packages)
+    return xml_tree.read(model.text, model.file), base, packages

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import replace
+from itertools import islice
 from typing import Any
 
 from slidectl import names
@@ -14,9 +15,13 @@ from slidectl.description import values
 from slidectl.description.report import Report
 from slidectl.description.robot import ControlPlugin, Surface
 from slidectl.description.xml_tree import Element
+from slidectl.errors import closest
 
 _CONTROL_PLUGIN = "libgazebo_ros_control"
 _SIM_TYPE = "gazebo_ros_control/DefaultRobotHWSim"
+SIM_TYPES = (_SIM_TYPE, "DefaultRobotHWSim")
+"""The hardware that there is, by its names."""
+_MOST_COMPARED = 1000
 _PARAMETERS = {"robotNamespace", "robotParam", "robotSimType", "controlPeriod", "eStopTopic", "legacyModeNS"}
 _YES = ("true", "yes", "1")
 _NO = ("false", "no", "0")
@@ -48,7 +53,12 @@ class GazeboReader:
         elif reference in self.joints:
             self._ignore_all(element, "tags of joints have no effect here")
         else:
-            self.report.wrong(element, f"there is no link or joint {reference!r}; the tag has no effect")
+            self._lost(element, reference)
+
+    def _lost(self, element: Element, reference: str) -> None:
+        near = closest(reference, islice((*self.links, *self.joints), _MOST_COMPARED))
+        hint = f"; did you mean {near!r}?" if near else ""
+        self.report.wrong(element, f"there is no link or joint {reference!r}; the tag has no effect{hint}")
 
     def _ignore_all(self, element: Element, why: str) -> None:
         for child in element.children:
@@ -65,20 +75,27 @@ class GazeboReader:
     def _plugin(self, element: Element) -> None:
         filename = (element.get("filename") or "").strip()
         place = f'<plugin name="{element.get("name") or ""}">'
-        if filename.rpartition("/")[2].removesuffix(".so") != _CONTROL_PLUGIN:
-            self.report.ignored(element, f"Gazebo plugins are not loaded: {filename or 'no filename'}", place)
+        if not _is_control(element):
+            self._no_control(element, filename, place)
         elif self.plugin is not None:
             self.report.ignored(element, f"only the first {_CONTROL_PLUGIN}.so counts, line {self.plugin.line}", place)
         else:
             self.plugin = self._control(element, place)
+
+    def _no_control(self, element: Element, filename: str, place: str) -> None:
+        """Another plugin: most are just not loaded; one that is nearly ours was meant to be."""
+        if _is_nearly_control(filename):
+            self.report.wrong(element, f"there is no plugin {filename}; did you mean {_CONTROL_PLUGIN}.so?", place)
+        else:
+            self.report.ignored(element, f"Gazebo plugins are not loaded: {filename or 'no filename'}", place)
 
     def _control(self, element: Element, place: str) -> ControlPlugin:
         self.report.unknown(element, {"name", "filename"}, _PARAMETERS, place)
         found = {tag: child for tag in _PARAMETERS if (child := self.report.only(element, tag)) is not None}
         texts = {tag: _text(child) for tag, child in found.items()}
         sim_type = texts.get("robotSimType", _SIM_TYPE)
-        if sim_type != _SIM_TYPE:
-            text = f"robotSimType {sim_type} is unknown; there is {_SIM_TYPE} only"
+        if sim_type not in SIM_TYPES:
+            text = f"robotSimType {sim_type} is unknown; there is {_SIM_TYPE} only, and no robot without"
             self.report.wrong(found["robotSimType"], text, place)
         if "legacyModeNS" in texts:
             self.report.ignored(found["legacyModeNS"], "legacyModeNS has no effect, as since ROS Melodic", place)
@@ -101,6 +118,8 @@ class GazeboReader:
             self._set(link, **{field: self._truth(child, place)})
         elif child.tag == "material":
             self._set(link, material=_text(child) or None)
+        elif child.tag == "plugin" and _is_control(child):
+            self.report.wrong(child, "has no effect in here: it belongs into a <gazebo> without a reference", place)
         else:
             self.report.ignored(child, "has no effect here", place)
 
@@ -118,6 +137,19 @@ class GazeboReader:
         if text not in _YES + _NO:
             self.report.wrong(child, f"{text!r} is neither true nor false and counts as false", place)
         return text in _YES
+
+
+def _is_control(plugin: Element) -> bool:
+    """Whether it is gazebo_ros_control's, with or without a folder and its suffix."""
+    filename = (plugin.get("filename") or "").strip()
+    return filename.rpartition("/")[2].removesuffix(".so") == _CONTROL_PLUGIN
+
+
+def _is_nearly_control(filename: str) -> bool:
+    """All plugins of gazebo_ros are called alike, so this is stricter than usual suggestions."""
+    from difflib import get_close_matches
+
+    return bool(get_close_matches(filename, [_CONTROL_PLUGIN + ".so"], cutoff=0.85))
 
 
 def _text(element: Element) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from slidectl.description import inertia, values
 from slidectl.description.materials import Materials
 from slidectl.description.mesh_files import SUFFIXES, MeshFiles, has_known_suffix
-from slidectl.description.report import Report
+from slidectl.description.report import Report, one_line
 from slidectl.description.robot import Box, Cylinder, Geometry, Inertial, Link, Mesh, Pose, Shape, Sphere
 from slidectl.description.xml_tree import Element
 
@@ -112,7 +112,7 @@ class LinkReader:
         if path is None and needed:
             raise shape.error(f"{owner}: mesh {uri!r}: {why}")
         if path is None:
-            self.report.wrong(shape, f"{owner} is not drawn: {why}")
+            self.report.wrong(shape, f"{owner} is not drawn: {one_line(why)}")
         return Mesh(uri, str(path) if path is not None else None, scale)
 
 

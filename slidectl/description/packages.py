@@ -18,7 +18,9 @@ from slidectl.errors import UnknownName
 _NAME = re.compile(r"<name\b[^>]*>\s*([^<\s]+)\s*</name>")
 _DEEPEST = 8
 _VARIABLES = ("SLIDECTL_PACKAGE_PATH", "ROS_PACKAGE_PATH")
-_LEAVE_OUT = ("CATKIN_IGNORE", "AMENT_IGNORE", "COLCON_IGNORE")
+_LEAVE_OUT = ("CATKIN_IGNORE", "AMENT_IGNORE", "COLCON_IGNORE", "rospack_nosubdirs")
+_MARKS = ("package.xml", "manifest.xml")
+"""Files that make a folder a package; the second one is of packages from before catkin."""
 
 
 class UnknownPackage(UnknownName):
@@ -135,14 +137,14 @@ def shown(path: Path) -> str:
 
 
 def _is_package(folder: Path) -> bool:
-    return is_file(folder / "package.xml")
+    return any(is_file(folder / mark) for mark in _MARKS)
 
 
 def _crawl(top: Path) -> Iterator[Path]:
     """The package folders below `top`; a package's own subfolders are not searched, as rospack does."""
     for folder, names, files in os.walk(top, followlinks=True):
         depth = len(Path(folder).relative_to(top).parts)
-        if "package.xml" in files:
+        if any(mark in files for mark in _MARKS):
             yield Path(folder)
             names.clear()
         elif depth >= _DEEPEST or any(mark in files for mark in _LEAVE_OUT):

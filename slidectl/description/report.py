@@ -9,8 +9,18 @@ from collections.abc import Collection
 
 from slidectl.description.robot import Notice, Verdict
 from slidectl.description.xml_tree import Element
+from slidectl.errors import closest
 
 MOST_NOTICES = 1000
+_MOST_COMPARED = 1000
+
+# Tags of neighbouring formats, with what does the same here.
+_FOREIGN = {
+    "ros2_control": "it is ROS 2's; here joints are driven by <transmission>s",
+    "plugin": "it belongs into a <gazebo> without a reference",
+    "sensor": "it belongs into a <gazebo>",
+    "model": "it is SDF's; here a robot is URDF",
+}
 
 
 class Report:
@@ -19,6 +29,7 @@ class Report:
     def __init__(self) -> None:
         self._notices: list[Notice] = []
         self._untold = 0
+        self._compared = 0
 
     def add(
         self,
@@ -57,10 +68,24 @@ class Report:
         place = owner or element.title
         for name in element.attributes:
             if name not in attributes and not is_namespace(name):
-                self.ignored(element, f"attribute {name!r} is unknown here and has no effect", place, name)
+                near = self._near(name, attributes)
+                hint = f"; did you mean {near!r}?" if near else ""
+                self.ignored(element, f"attribute {name!r} is unknown here and has no effect{hint}", place, name)
         for child in element.children:
             if child.tag not in children:
-                self.ignored(child, "is unknown here and has no effect", f"{place}/{child.title}")
+                self._unknown_child(child, children, place)
+
+    def _unknown_child(self, child: Element, children: Collection[str], place: str) -> None:
+        hint = _FOREIGN.get(child.tag)
+        if hint is None and (near := self._near(child.tag, children)):
+            hint = f"did you mean <{near}>?"
+        text = f"is unknown here and has no effect{f'; {hint}' if hint else ''}"
+        self.ignored(child, text, f"{place}/{child.title}")
+
+    def _near(self, name: str, known: Collection[str]) -> str | None:
+        """The known name nearest to one; comparing spellings takes its time, and is not done for ever."""
+        self._compared += 1
+        return closest(name, sorted(known)) if self._compared <= _MOST_COMPARED else None
 
     def only(self, element: Element, tag: str) -> Element | None:
         """The first child called `tag`, or None; each further one is reported as ignored, as urdfdom reads it."""
@@ -75,3 +100,11 @@ class Report:
 def is_namespace(attribute: str) -> bool:
     """True for the attribute that only names an XML namespace."""
     return attribute == "xmlns" or attribute.startswith("xmlns:")
+
+
+def one_line(text: str) -> str:
+    """A message and its hints on one line: a semicolon between what no full stop or question mark ends."""
+    first, *more = (line.strip() for line in text.splitlines() or [""])
+    for line in more:
+        first += line and (f" {line}" if first.endswith((".", "?", "!")) else f"; {line}")
+    return first

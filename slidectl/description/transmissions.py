@@ -14,8 +14,14 @@ from slidectl.errors import BadFile
 
 _SIMULATED = ("EffortJointInterface", "PositionJointInterface", "VelocityJointInterface")
 _PREFIX = "hardware_interface/"
+_TO_ADD = f"add <hardwareInterface>{_PREFIX}{_SIMULATED[0]}</hardwareInterface>"
 _JOINT_CHILDREN = {"role", "hardwareInterface", "offset", "mechanicalReduction"}
 _ACTUATOR_CHILDREN = {"role", "hardwareInterface", "mechanicalReduction"}
+
+
+def is_simulated(interface: str) -> bool:
+    """Whether simulated hardware has an interface, with or without its prefix."""
+    return interface.removeprefix(_PREFIX) in _SIMULATED
 
 
 class _DroppedError(Exception):
@@ -54,7 +60,7 @@ class TransmissionReader:
         self.report.unknown(element, {"name", "type"}, {"type", "joint", "actuator"})
         kind = self.report.only(element, "type")
         if kind is None or not kind.first_text:
-            raise self._drop(element, f"<type> is {'missing' if kind is None else _emptiness(kind)}")
+            raise self._drop(element, _typeless(element, kind))
         joints = self._joints(element)
         actuators = self._actuators(element)
         return TransmissionInfo(name, kind.first_text, joints, actuators, element.line, element.file)
@@ -77,7 +83,7 @@ class TransmissionReader:
         self.report.unknown(child, {"name"}, _JOINT_CHILDREN, place)
         interfaces = _interfaces(child)
         if not interfaces:
-            self.report.wrong(child, "is skipped: it has no <hardwareInterface> with a text", place)
+            self.report.wrong(child, f"is skipped: it has no <hardwareInterface> with a text; {_TO_ADD}", place)
             return None
         self._check_exists(child, name, element)
         reduction = self._number(child, "mechanicalReduction", place)
@@ -163,9 +169,10 @@ class TransmissionReader:
             self.report.ignored(other, f"of several hardware interfaces only the first counts, {first}", place)
         if first in _SIMULATED:
             self.report.converted(written, f"{first} is read as {_PREFIX}{first}", place)
-        elif first.removeprefix(_PREFIX) not in _SIMULATED:
-            known = ", ".join(_PREFIX + name for name in _SIMULATED)
-            self.report.wrong(written, f"{first} is no interface of simulated joints; known: {known}", place)
+        elif not is_simulated(first):
+            known = [_PREFIX + name for name in _SIMULATED]
+            text = f"{first} is no interface of simulated joints; known: {', '.join(known)}"
+            self.report.wrong(written, text, place)
 
 
 def _interfaces(element: Element) -> tuple[str, ...]:
@@ -183,6 +190,14 @@ def _interface_elements(transmission: Element, joint: str) -> list[Element]:
 def _role(element: Element) -> str:
     role = element.find("role")
     return role.first_text if role is not None else ""
+
+
+def _typeless(transmission: Element, kind: Element | None) -> str:
+    """Why a transmission has no type; the older files of PR2 had it as an attribute."""
+    if kind is not None:
+        return f"<type> is {_emptiness(kind)}"
+    hint = "; an attribute does not do" if "type" in transmission.attributes else ""
+    return f"<type> is missing{hint}; add <type>transmission_interface/SimpleTransmission</type>"
 
 
 def _emptiness(element: Element) -> str:

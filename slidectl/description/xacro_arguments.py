@@ -23,6 +23,26 @@ def declared(root: Element, base: Path, packages: Packages) -> dict[str, Element
     return found
 
 
+def trees(root: Element, base: Path, packages: Packages) -> list[Element] | None:
+    """The file and all that it includes, as they are written; None when it cannot be told what it includes."""
+    found = [root]
+    places = [base]
+    seen: set[Path] = set()
+    for tree, folder in zip(found, places, strict=False):  # both grow on the way
+        for element in (element for element in tree.walk() if element.tag == "xacro:include"):
+            path = _included(element.get("filename") or "$", folder, packages)
+            if path is None:
+                return None
+            if path not in seen:
+                seen.add(path)
+                try:
+                    found.append(xml_tree.read(path.read_bytes(), shown(path)))
+                except (OSError, SlidectlError):
+                    return None
+                places.append(path.parent)
+    return found
+
+
 def _collect(root: Element, base: Path, packages: Packages, found: dict[str, Element], seen: set[Path]) -> None:
     for element in root.walk():
         if element.tag == "xacro:arg" and (name := element.get("name")):

@@ -16,7 +16,7 @@ from xml.dom import minidom
 import xacro
 from xacro import substitution_args
 
-from slidectl.description import xml_tree
+from slidectl.description import xacro_prefix, xml_tree
 from slidectl.description.packages import Packages, shown
 from slidectl.description.robot import Notice
 from slidectl.description.xacro_dom import LocatedElement, to_document, to_element
@@ -60,11 +60,12 @@ class _Run:
         self.given = arguments
         self.arguments = _Arguments(arguments)
         self.packages = packages
+        self.bare_macros: set[str] = set()
+        self.notices: list[Notice] = xacro_prefix.give(root, self.bare_macros)
         self.document = to_document(root)
         self.top: Any = self.document.documentElement
         self.here: Any = self.top
         self.calls: list[LocatedElement] = []
-        self.notices: list[Notice] = []
 
     def expand(self) -> tuple[Element, list[Notice]]:
         try:
@@ -115,7 +116,9 @@ class _Run:
         return self.original["check_attrs"](node, required, optional)
 
     def handle_macro_call(self, node: Any, macros: Any, symbols: Any) -> Any:
-        if not node.tagName.startswith("xacro:"):
+        if node.tagName in self.bare_macros:
+            node.tagName = node.nodeName = f"{xacro_prefix.PREFIX}{node.tagName}"
+        if not node.tagName.startswith(xacro_prefix.PREFIX):
             return False
         before = self.here
         self.here = node
@@ -133,7 +136,9 @@ class _Run:
         except OSError as error:
             xacro.filestack.pop()
             raise xacro.XacroException(f"{error.strerror}: {filename}", exc=error) from None
-        return to_document(xml_tree.read(content, shown(Path(filename))))
+        root = xml_tree.read(content, shown(Path(filename)))
+        self.notices += xacro_prefix.give(root, self.bare_macros)
+        return to_document(root)
 
     def warning(self, *words: object, **_: object) -> None:
         text = " ".join(map(str, words)).replace("\n", " ")

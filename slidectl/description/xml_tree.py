@@ -17,6 +17,9 @@ MOST_BYTES = 16 * 1024 * 1024
 MOST_ELEMENTS = 200_000
 DEEPEST = 200
 
+_MISMATCH = expat.errors.codes[expat.errors.XML_ERROR_TAG_MISMATCH]
+_INVALID = expat.errors.codes[expat.errors.XML_ERROR_INVALID_TOKEN]
+
 TITLES = ("reference", "name", "filename")
 """The attributes by which elements of one tag are told from each other."""
 
@@ -120,13 +123,24 @@ class _Reader:
             self.parser.Parse(self.without_leading_blanks(source), True)
         except expat.ExpatError as error:
             line = error.lineno + self.skipped_lines
-            raise BadFile(f"not well-formed XML: {expat.ErrorString(error.code)}", self.file, line) from None
+            text = f"not well-formed XML: {expat.ErrorString(error.code)}"
+            raise BadFile(text, self.file, line, self.advice(error.code, source)) from None
         except (ValueError, LookupError) as error:
             raise BadFile(f"cannot be decoded: {error}", self.file) from None
         assert self.root is not None  # expat refuses a document without an element
         if self.note is not None:
             _place(self.root, self.note)
         return self.root
+
+    def advice(self, code: int, source: str | bytes) -> str | None:
+        """What to do about the slips that are made most."""
+        if code == _MISMATCH and self.open:
+            return f"</{self.open[-1].tag}> is missing: its element begins in line {self.open[-1].line}"
+        if code != _INVALID:
+            return None
+        if isinstance(source, bytes) and not _is_utf8(source):
+            return 'it is not UTF-8: save it as that, or begin with <?xml version="1.0" encoding="..."?>'
+        return _slip(source.encode() if isinstance(source, str) else source, self.parser.ErrorByteIndex)
 
     def without_leading_blanks(self, source: str | bytes) -> str | bytes:
         """Blanks before `<?xml` (a here-document's first line) are no reason to refuse a robot."""
@@ -180,6 +194,27 @@ class _Reader:
 
     def skipped(self, name: str, _: bool) -> None:
         raise BadFile(f"uses the unknown XML entity {name!r}", self.file, self.line, "write its text in its place")
+
+
+def _slip(source: bytes, place: int) -> str | None:
+    """What was meant at the place (a byte, counted without leading blanks) where XML says no."""
+    text = source.lstrip(b"\xef\xbb\xbf \t\r\n")
+    before, here = text[:place], text[place : place + 1]
+    if before.rfind(b"<!--") > before.rfind(b"-->"):
+        return "a comment may not hold two hyphens in a row: --"
+    if here == b"<":
+        return "a < within a value is written &lt;"
+    if here == b"&" or before.endswith(b"&"):
+        return "an & is written &amp;, and && in an expression: and"
+    return None
+
+
+def _is_utf8(text: bytes) -> bool:
+    try:
+        text.decode()
+    except UnicodeDecodeError:
+        return False
+    return True
 
 
 def _place(root: Element, places: source_note.Places) -> None:

@@ -20,6 +20,7 @@ Tree = dict[str, Any]
 
 Pair = tuple[yaml.Node, yaml.Node]
 
+MOST_BYTES = 2 * 2**20
 MOST_VALUES = 200_000
 DEEPEST = 60
 NO_MAPPING = "expected names with values, as `name: value`"
@@ -115,7 +116,9 @@ class _Reader:
         return self.value(nodes[0], 1) if nodes else None
 
     def nodes(self, text: str | bytes) -> list[yaml.Node]:
-        """The documents that are not empty."""
+        """The documents that are not empty. Reading takes seconds for each MiB, so there is an end to it."""
+        if len(text) > MOST_BYTES:
+            raise BadFile(f"is larger than {MOST_BYTES // 2**20} MiB", self.file)
         return [node for node in self.documents(text) if not _is_empty(node)]
 
     def documents(self, text: str | bytes) -> list[yaml.Node]:
@@ -125,7 +128,7 @@ class _Reader:
         except yaml.MarkedYAMLError as error:
             mark = error.problem_mark or error.context_mark
             problem = " ".join(part for part in (error.context, error.problem) if part)
-            raise BadFile(f"not YAML: {problem}", self.file, mark.line + 1 if mark else None) from None
+            raise BadFile(f"not YAML: {problem}", self.file, mark.line + 1 if mark else None, _advice(error)) from None
         except (yaml.YAMLError, ValueError) as error:
             raise BadFile(f"not YAML: {_problem(error)}", self.file) from None
         except RecursionError:
@@ -150,7 +153,7 @@ class _Reader:
         return self.scalar(node)
 
     def mapping(self, node: yaml.MappingNode, depth: int) -> Tree:
-        tree: Tree = {}
+        values: Tree = {}
         seen: dict[str, int] = {}
         for key_node, value_node in self.pairs(node):
             key = self.key(key_node)
@@ -158,10 +161,13 @@ class _Reader:
                 self.notice(key_node, key, f"is there twice, in line {seen[key]} too; the last one counts")
             seen[key] = _line(key_node)
             if _is_empty(value_node):
-                raise self.error(key_node, f"{key!r} has no value", "write one, or leave the name out")
+                raise self.error(key_node, f"{key!r} has no value", _missing(key))
             value = self.value(value_node, depth + 1)
             if not key.strip("/") and not isinstance(value, dict):
                 raise self.error(key_node, f"{key!r} is no name for a value")
+            values[key] = value
+        tree: Tree = {}
+        for key, value in values.items():
             merge(tree, self.nested(key, value))
         return tree
 
@@ -260,6 +266,22 @@ def merge(tree: Tree, more: Tree) -> None:
 
 def _is_empty(node: yaml.Node) -> bool:
     return isinstance(node, yaml.ScalarNode) and node.tag == "tag:yaml.org,2002:null"
+
+
+def _advice(error: yaml.MarkedYAMLError) -> str | None:
+    """What to do about the slips that are made most."""
+    problem = str(error.problem)
+    if "'\\t'" in problem:
+        return "a tab is no blank in YAML: use spaces"
+    if "expected <block end>" in problem or "mapping values are not allowed" in problem:
+        return "names that belong together begin in the same column, and a blank follows each colon"
+    return None
+
+
+def _missing(key: str) -> str:
+    if ":" in key:
+        return f"a blank follows the colon: {key.replace(':', ': ', 1)}"
+    return "write one, indent what belongs to it, or leave the name out"
 
 
 def _text(key: yaml.Node) -> str:

@@ -13,28 +13,17 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
+from slidectl.launch.functions import FUNCTIONS, METHODS, TAKE_KEYWORDS, WATCHED, check_length, formatted
 from slidectl.operators import ARITHMETIC, COMPARISONS, MATH, MOST_BITS
 
 LONGEST = 4000
 MOST_STEPS = 100_000
 """Steps of the walk, plus one for each value in every list that it makes."""
-MOST_LENGTH = 100_000
-"""Letters of a text."""
-_TEXT_METHODS = {
-    "capitalize", "count", "endswith", "find", "index", "isalnum", "isalpha", "isdigit", "join", "lower", "lstrip",
-    "partition", "removeprefix", "removesuffix", "replace", "rfind", "rpartition", "rsplit", "rstrip", "split",
-    "splitlines", "startswith", "strip", "swapcase", "title", "upper",
-}  # fmt: skip
 _OTHER_METHODS: dict[type[Any], set[str]] = {
     dict: {"get", "items", "keys", "values"},
     list: {"count", "index"},
     tuple: {"count", "index"},
 }
-
-BUILTINS: dict[str, Any] = {
-    "true": True, "false": False, "True": True, "False": False,
-    "list": list, "dict": dict, "map": map, "str": str, "float": float, "int": int,
-}  # fmt: skip
 
 
 class ExpressionError(ValueError):
@@ -42,7 +31,7 @@ class ExpressionError(ValueError):
 
 
 def evaluate(text: str, names: Mapping[str, Any]) -> Any:
-    """The value of an expression. It may use `names`, the math module's names, and list dict map str float int.
+    """The value of an expression. It may use `names`, the math module's names, and those of functions.py.
 
     Raises:
         ExpressionError: with the reason, without the place.
@@ -58,7 +47,7 @@ def evaluate(text: str, names: Mapping[str, Any]) -> Any:
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         raise ExpressionError(f"is not valid: {getattr(error, 'msg', None) or error or 'too deep'}") from None
     try:
-        return _Evaluation({**MATH, **BUILTINS, **names}).value(tree)
+        return _Evaluation({**MATH, **FUNCTIONS, **names}).value(tree)
     except ExpressionError:
         raise
     except (ArithmeticError, ValueError, TypeError, LookupError, RecursionError) as error:
@@ -126,6 +115,23 @@ class _Evaluation:
     def _listcomp(self, node: ast.ListComp) -> list[Any]:
         return list(self._each(node.elt, node.generators))
 
+    def _setcomp(self, node: ast.SetComp) -> set[Any]:
+        return set(self._each(node.elt, node.generators))
+
+    def _dictcomp(self, node: ast.DictComp) -> dict[Any, Any]:
+        return dict(self._each(ast.Tuple([node.key, node.value], ast.Load()), node.generators))
+
+    def _joinedstr(self, node: ast.JoinedStr) -> str:
+        text = "".join(str(self.value(part)) for part in node.values)
+        check_length(len(text))
+        return text
+
+    def _formattedvalue(self, node: ast.FormattedValue) -> str:
+        value = self.value(node.value)
+        if node.conversion >= 0:
+            value = repr(value) if chr(node.conversion) == "r" else str(value)
+        return formatted(value, self.value(node.format_spec) if node.format_spec else "")
+
     def _generatorexp(self, node: ast.GeneratorExp) -> list[Any]:
         return list(self._each(node.elt, node.generators))
 
@@ -134,12 +140,10 @@ class _Evaluation:
             yield self.value(element)
             return
         generator, *rest = generators
-        if not isinstance(generator.target, ast.Name) or generator.is_async:
-            raise ExpressionError("a comprehension here has one plain name after `for`")
         outer = self.names
         for item in list(self.value(generator.iter)):
             self.charged(item)
-            self.names = {**outer, generator.target.id: item}
+            self.names = {**outer, **_bound(generator.target, item)}
             if all(self.value(condition) for condition in generator.ifs):
                 yield from self._each(element, rest)
         self.names = outer
@@ -178,7 +182,7 @@ class _Evaluation:
     # --- calls, methods, elements ---------------------------------------------------------------------------------
 
     def _call(self, node: ast.Call) -> Any:
-        if node.keywords or any(isinstance(argument, ast.Starred) for argument in node.args):
+        if any(isinstance(argument, ast.Starred) for argument in node.args):
             raise ExpressionError("functions take plain arguments only")
         function = self._method(node.func) if isinstance(node.func, ast.Attribute) else self.value(node.func)
         if not callable(function):
@@ -186,17 +190,25 @@ class _Evaluation:
         arguments = [self.value(argument) for argument in node.args]
         if function is map:
             return [arguments[0](*items) for items in zip(*arguments[1:], strict=False)]
-        return function(*arguments)
+        return function(*arguments, **self._keywords(node, function))
+
+    def _keywords(self, node: ast.Call, function: Any) -> dict[str, Any]:
+        if node.keywords and not any(function is known for known in TAKE_KEYWORDS):
+            raise ExpressionError(f"{ast.unparse(node.func)} takes plain arguments only")
+        given = {word.arg: self.value(word.value) for word in node.keywords if word.arg is not None}
+        if len(given) < len(node.keywords):
+            raise ExpressionError("uses **, which expressions here do not have")
+        return given
 
     def _method(self, node: ast.Attribute) -> Callable[..., Any]:
         owner = self.value(node.value)
-        known = _TEXT_METHODS if isinstance(owner, str) else _OTHER_METHODS.get(type(owner), set())
+        known = METHODS if isinstance(owner, str) else _OTHER_METHODS.get(type(owner), set())
         if node.attr not in known:
             raise ExpressionError(f"{ast.unparse(node.value)} has no {node.attr!r} here")
+        if isinstance(owner, str) and node.attr in WATCHED:
+            return WATCHED[node.attr](owner)
         method: Callable[..., Any] = getattr(owner, node.attr)
-        if node.attr == "replace":
-            return _replace(owner)
-        return _join(owner) if node.attr == "join" else method
+        return method
 
     def _subscript(self, node: ast.Subscript) -> Any:
         owner = self.value(node.value)
@@ -206,45 +218,34 @@ class _Evaluation:
         return owner[slice(*[self.value(bound) if bound else None for bound in bounds])]
 
 
+def _bound(target: ast.expr, item: Any) -> dict[str, Any]:
+    """The names of a comprehension with what they stand for now."""
+    if isinstance(target, ast.Name):
+        return {target.id: item}
+    if not isinstance(target, ast.Tuple | ast.List):
+        raise ExpressionError("a comprehension here has names after `for`, and nothing else")
+    pairs = zip(target.elts, list(item), strict=True)
+    return {name: value for below, part in pairs for name, value in _bound(below, part).items()}
+
+
 def _known(names: Mapping[str, Any]) -> str:
-    own = sorted(name for name in names if name not in MATH and name not in BUILTINS)
+    own = sorted(name for name in names if name not in MATH and name not in FUNCTIONS)
     return f"there are {', '.join(own)}, and the names of the math module"
 
 
 def _sized(value: Any) -> Any:
     """The value, if it has a size that one can go on with."""
     if isinstance(value, str):
-        _check_length(len(value))
+        check_length(len(value))
     if isinstance(value, int) and value.bit_length() > MOST_BITS:
         raise ExpressionError("has a number that is too large")
     return value
 
 
-def _check_length(letters: int) -> None:
-    if letters > MOST_LENGTH:
-        raise ExpressionError("has a text or list that is too long")
-
-
-def _replace(text: str) -> Callable[[str, str], str]:
-    def replace(old: str, new: str) -> str:
-        _check_length(text.count(old) * len(new))
-        return text.replace(old, new)
-
-    return replace
-
-
-def _join(text: str) -> Callable[[Any], str]:
-    def join(parts: Any) -> str:
-        _check_length(sum(len(part) + len(text) for part in parts))
-        return text.join(parts)
-
-    return join
-
-
 def _product(left: Any, right: Any) -> Any:
     for count, text in ((left, right), (right, left)):
         if isinstance(count, int) and hasattr(text, "__len__"):
-            _check_length(count * len(text))
+            check_length(count * len(text))
     return left * right
 
 
@@ -253,14 +254,22 @@ def _remainder(left: Any, right: Any) -> Any:
     if isinstance(left, str):
         if re.search(r"[*]|\d{4}", left):
             raise ExpressionError("formats something with a width that is too large")
-        _check_length(left.count("%") * len(str(right)))
+        check_length(left.count("%") * len(str(right)))
     return left % right
+
+
+def _shifted(left: Any, right: Any) -> Any:
+    if isinstance(left, int) and isinstance(right, int) and left.bit_length() + right > MOST_BITS:
+        raise ExpressionError("has a number that is too large")
+    return left << right
 
 
 _BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     **ARITHMETIC,
     ast.Mult: _product,
     ast.Mod: _remainder,
+    ast.LShift: _shifted,
+    ast.RShift: operator.rshift,
     ast.BitAnd: operator.and_,
     ast.BitOr: operator.or_,
     ast.BitXor: operator.xor,

@@ -70,13 +70,17 @@ def find(words: Sequence[str], packages: Packages) -> list[Source]:
         raise UsageError("which launch file?", "slidectl launch FILE, or PACKAGE FILE, or the name of a shipped one")
     if list(words).count("-") > 1:
         raise UsageError("standard input ('-') can be read only once")
-    if len(words) == 2 and "-" not in words:
-        path = _in_package(words[0], words[1], packages)
-        if path is not None:
-            return [_source(path)]
-    if len(words) == 2 and not is_file(Path(words[0])) and words[0] != "-":
-        raise _neither(words[0], words[1], packages)
-    return [from_stdin() if word == "-" else _source(_single(word, packages)) for word in words]
+    first, *more = words
+    path = _in_package(first, more[0], packages) if more and "-" not in (first, more[0]) else None
+    if path is not None:
+        return [_source(path), *(_given(word, packages) for word in more[1:])]
+    if len(words) == 2 and not is_file(Path(first)) and first != "-":
+        raise _neither(first, more[0], packages)
+    return [_given(word, packages) for word in words]
+
+
+def _given(word: str, packages: Packages) -> Source:
+    return from_stdin() if word == "-" else _source(_single(word, packages))
 
 
 def _source(path: Path) -> Source:
@@ -87,10 +91,8 @@ def _source(path: Path) -> Source:
 def _in_package(package: str, file: str, packages: Packages) -> Path | None:
     """The file in the package, wherever in it; None when there is no such package or file."""
     for folder in packages.candidates(package) if "/" not in package else ():
-        for direct in (folder / file, folder / "launch" / file):
-            if is_file(direct):
-                return direct
-        found = [path for path in _below(folder) if path.name == file]
+        directs = (folder / file, folder / "launch" / file) if "/" in file else ()
+        found = [path for path in directs if is_file(path)][:1] or [p for p in _below(folder) if p.name == file]
         if len(found) > 1:
             places = ", ".join(str(path.relative_to(folder)) for path in found)
             raise UsageError(f"package {package} has several {file}: {places}", "give the path inside the package")

@@ -40,7 +40,7 @@ class Interrupts:
     def __enter__(self) -> Interrupts:
         self._previous_wakeup = signal.set_wakeup_fd(self._write, warn_on_full_buffer=False)
         self._previous_hook, sys.unraisablehook = sys.unraisablehook, self._unheard
-        self._previous = {number: signal.signal(number, self._take) for number in SIGNALS}
+        self._previous = {number: signal.signal(number, self._take) for number in SIGNALS if not _is_unwanted(number)}
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -97,3 +97,8 @@ class Interrupts:
     def _take(self, number: int, _frame: FrameType | None) -> None:
         self.received.append(number)
         self.check()
+
+
+def _is_unwanted(number: int) -> bool:
+    """Whether it is the end of the terminal, which `nohup` has us ignore."""
+    return number == signal.SIGHUP and signal.getsignal(number) is signal.SIG_IGN

@@ -34,11 +34,11 @@ def node(plan: Plan, name: str) -> Node:
 
 
 def parameters(plan: Plan) -> str:
-    """All of them as YAML, sorted by name. Raises BadFile."""
+    """All of them as YAML, sorted by name, letter for letter as `roslaunch --dump-params`. Raises BadFile."""
     import yaml
 
     values = {name: value for name, (value, _) in plan.parameters().items()}
-    return str(yaml.safe_dump(values, allow_unicode=True, default_flow_style=False)) if values else ""
+    return str(yaml.safe_dump(values, default_flow_style=False))
 
 
 def arguments(plan: Plan) -> str:
@@ -74,11 +74,11 @@ def steps(plan: Plan, tasks: Sequence[Task]) -> Iterator[dict[str, Any]]:
     Raises:
         BadFile: the value of a parameter cannot be had.
     """
-    for namespace, place in plan.clear:
-        yield _step("clear", f"delete the parameters in {namespace}", place)
     for command in plan.commands:
         into = f" into {command.file}" if command.file else ""
         yield _step(command.verb, f"{command.verb} the parameters of {command.name}{into}", command.place)
+    for namespace, place in plan.clear:
+        yield _step("clear", f"delete the parameters in {namespace}", place)
     for setting in plan.settings:
         if setting.runs_command:
             yield _step("parameter", f"{setting.name} = what the command prints", setting.place)

@@ -26,6 +26,7 @@ def load(
     *,
     run_commands: bool = True,
     arguments_only: bool = False,
+    namespace: str = "/",
     parse: Parse = xml_tree.read,
 ) -> Plan:
     """The plan of one or several launch files.
@@ -33,6 +34,7 @@ def load(
     Args:
         arguments: the `arg:=value` of the command line.
         run_commands: whether `<param command=...>` may run programs; our own xacro always may.
+        namespace: where the files' relative names are.
         arguments_only: find out which arguments there are, and be content when they have no values.
         parse: makes elements of the text of a file; `check` gives one whose elements note what is read of them.
 
@@ -42,7 +44,7 @@ def load(
     launch = Launch((packages or Packages()).starting_at(Path.cwd()), run_commands=run_commands, parse=parse)
     declared: set[str] = set()
     for source in sources:
-        scope = Scope(launch, source.path, given=dict(arguments))
+        scope = Scope(launch, source.path, namespace, given=dict(arguments))
         scope.nesting = ((source.path, ()),)
         try:
             (_read_arguments if arguments_only else _read)(source, scope)
@@ -70,11 +72,10 @@ def _root(source: Source, scope: Scope) -> Tag:
 def _read(source: Source, scope: Scope) -> None:
     scope.launch.plan.files.append(str(source.path))
     root = _root(source, scope)
-    root.knows(["deprecated"])
+    root.knows(["deprecated"], conditions=False)
     if (reason := root.element.get("deprecated")) is not None:
         root.notice("wrong", f"is deprecated: {reason}")
-    if root.applies:
-        _contents(root)
+    _contents(root)
 
 
 def _contents(parent: Tag) -> None:
@@ -112,7 +113,7 @@ def _value_or_default(tag: Tag) -> tuple[str | None, str | None]:
 
 
 def _read_arguments(source: Source, scope: Scope) -> None:
-    """Only the args of the file, whatever conditions they stand under."""
+    """Only the args of the file, in groups too, but for those whose own condition is known to be false."""
     scope.launch.plan.files.append(str(source.path))
     root = _root(source, scope)
     for element in root.element.walk():
@@ -121,9 +122,12 @@ def _read_arguments(source: Source, scope: Scope) -> None:
         tag = Tag(element, scope)
         name = str(element.get("name"))
         scope.everywhere.add(name)
-        default = _lenient_default(tag)
-        scope.arguments[name] = scope.given.get(name, default or "")
-        scope.launch.plan.arguments.setdefault(name, Argument(name, default, element.get("doc")))
+        if not _may_apply(tag):
+            continue
+        default = _as_far_as_known(tag, "default")
+        if name in scope.given or default is not None:
+            scope.arguments[name] = scope.given.get(name, str(default))
+        scope.launch.plan.arguments.setdefault(name, Argument(name, default, _as_far_as_known(tag, "doc")))
     included = {id(arg) for element in root.element.walk() if element.tag == "include" for arg in element.children}
     inside = {str(arg.get("name")) for arg in root.element.walk() if arg.tag == "arg" and id(arg) in included}
     own = {str(arg.get("name")) for arg in root.element.walk() if arg.tag == "arg" and id(arg) not in included}
@@ -131,12 +135,19 @@ def _read_arguments(source: Source, scope: Scope) -> None:
         scope.launch.plan.arguments.pop(name, None)
 
 
-def _lenient_default(tag: Tag) -> str | None:
-    """The default, as it is written when it cannot be worked out without the values of others."""
+def _may_apply(tag: Tag) -> bool:
     try:
-        return tag.get("default")
+        return tag.applies
     except BadFile:
-        return tag.element.get("default")
+        return True
+
+
+def _as_far_as_known(tag: Tag, attribute: str) -> str | None:
+    """The attribute, as it is written when it cannot be worked out without the values of others."""
+    try:
+        return tag.get(attribute)
+    except BadFile:
+        return tag.element.get(attribute)
 
 
 # --- groups and includes ---------------------------------------------------------------------------------------------

@@ -63,12 +63,22 @@ def _fits(text: str | None, kind: type[float], least: float = -math.inf) -> bool
 
 
 def _filled(tag: Tag, namespace: str, full_name: str) -> Scope:
-    """What a node has inside: its parameters go into the plan; remaps and environment are those of the scope."""
+    """What a node has inside: its parameters go into the plan; remaps and environment are those of the scope.
+
+    Of one name a `<param>` counts, wherever it stands, then one of the surroundings with `~`, then a `<rosparam>`.
+    """
     inner = tag.scope.group(namespace)
     if tag.clears:
         tag.plan.clear.append((full_name, tag.place))
-    tag.plan.settings += [replace(setting, name=tag.within(full_name, setting.name)) for setting in tag.scope.private]
+    settings = tag.plan.settings
+    before = len(settings)
     _inside(Tag(tag.element, inner), inner, full_name)
+    own = settings[before:]
+    settings[before:] = [
+        *(setting for setting in own if not setting.is_whole),
+        *(replace(setting, name=tag.within(full_name, setting.name)) for setting in tag.scope.private),
+        *(setting for setting in own if setting.is_whole),
+    ]
     return inner
 
 

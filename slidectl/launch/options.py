@@ -88,5 +88,6 @@ def _unknown(node: Node, name: str, known: Sequence[str]) -> Exception:
     near = closest(name, known)
     suggestion = f"; did you mean {near}?" if near else ""
     return node.place.error(
-        f"{node.full_name}: {node.kind} has no option {name!r} here{suggestion}", f"options: {', '.join(known)}"
+        f"{node.full_name}: {node.kind} has no option {name!r} here{suggestion}",
+        f"options: {', '.join(known)}" if known else "it takes no options",
     )

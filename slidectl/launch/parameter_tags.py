@@ -57,22 +57,23 @@ def _setting(tag: Tag) -> Setting:
 
 def _source(tag: Tag, source: str, kind: str) -> tuple[Callable[[], Any], bool]:
     """What computes the value, and whether that runs a program."""
+    angles = tag.scope.launch.knows_angles
     if source == "value":
-        value = _converted(tag, (tag.get("value") or "").strip(), kind)
+        value = _converted(tag, (tag.get("value") or "").strip(), kind, angles)
         return lambda: value, False
     if source == "command":
         command = commands.Command(tag)
-        return lambda: _converted(tag, command.output(), kind), not command.is_xacro
+        return lambda: _converted(tag, command.output(), kind, angles), not command.is_xacro
     path = tag.required(source)
     if source == "binfile":
         tag.notice("converted", "binary parameters are base64 text here")
         return lambda: base64.b64encode(_bytes(tag, path)).decode("ascii"), False
-    return lambda: _converted(tag, _text(tag, path), kind), False
+    return lambda: _converted(tag, _text(tag, path), kind, angles), False
 
 
-def _converted(tag: Tag, text: str, kind: str) -> Any:
+def _converted(tag: Tag, text: str, kind: str, angles: bool) -> Any:
     try:
-        value = convert(text, kind, tag.place.file)
+        value = convert(text, kind, tag.place.file, angles)
     except BadFile as error:
         raise tag.error(f"its value is {error.reason}") from None
     except ValueError as error:
@@ -127,6 +128,7 @@ def _load(tag: Tag, name: str) -> None:
     if file and tag.text.strip():
         tag.notice("wrong", "has a file and a text: the text has no effect")
     substitution = tag.scope.substitution if tag.flag("subst_value") else None
+    tag.scope.launch.knows_angles = True
 
     def compute() -> Any:
         text = _text(tag, file) if file else tag.text

@@ -40,16 +40,9 @@ class Launch:
     plan: Plan = field(default_factory=Plan)
     machines: set[str] = field(default_factory=set)
     """Names that launch files give to this machine."""
-    _anonymous: dict[str, str] = field(default_factory=dict)
+    knows_angles: bool = False
+    """Whether `deg(90)` is a number in `<param type="yaml">`: in roslaunch it is, after the first `<rosparam>`."""
     _tags: int = 0
-
-    def anonymous(self, identifier: str) -> str:
-        """`identifier` with host, process and a random number behind it; the same again for the same identifier."""
-        if identifier not in self._anonymous:
-            host = "".join(letter if letter.isalnum() and letter.isascii() else "_" for letter in os.uname().nodename)
-            number = int.from_bytes(os.urandom(6), "big")
-            self._anonymous[identifier] = f"{identifier}_{host}_{os.getpid()}_{number}"
-        return self._anonymous[identifier]
 
     def count(self, tag: Tag) -> None:
         """One more tag is read. Raises BadFile when there are more than any launch has."""
@@ -69,6 +62,7 @@ class Surroundings:
 
     launch: Launch
     packages: Packages
+    anonymous_names: dict[str, str]
 
     @property
     def environment(self) -> Mapping[str, str]:
@@ -86,8 +80,12 @@ class Surroundings:
         return str(built) if is_there else None
 
     def anonymous(self, identifier: str) -> str:
-        """See Launch."""
-        return self.launch.anonymous(identifier)
+        """`identifier` with host, process and a random number behind it; the same again for the same identifier."""
+        if identifier not in self.anonymous_names:
+            host = "".join(letter if letter.isalnum() and letter.isascii() else "_" for letter in os.uname().nodename)
+            number = int.from_bytes(os.urandom(6), "big")
+            self.anonymous_names[identifier] = f"{identifier}_{host}_{os.getpid()}_{number}"
+        return self.anonymous_names[identifier]
 
 
 @dataclass
@@ -111,6 +109,8 @@ class Scope:
     environment: tuple[tuple[str, str], ...] = ()
     private: tuple[Setting, ...] = ()
     """Parameters that every later node gets as its own; names without `~`."""
+    anonymous_names: dict[str, str] = field(default_factory=dict)
+    """What `anon` has given in this file; each include begins anew."""
     trail: tuple[Place, ...] = ()
     """The includes that led here, outermost first."""
     nesting: tuple[tuple[Path, tuple[tuple[str, str], ...]], ...] = ()
@@ -124,7 +124,8 @@ class Scope:
     @property
     def substitution(self) -> Substitution:
         """What `$(...)` means here and now: args that are declared later are not in it."""
-        return Substitution(Surroundings(self.launch, self.packages), dict(self.arguments), str(self.file.parent))
+        surroundings = Surroundings(self.launch, self.packages, self.anonymous_names)
+        return Substitution(surroundings, dict(self.arguments), str(self.file.parent))
 
     def group(self, namespace: str) -> Scope:
         """A scope inside this one, of the same file."""
@@ -147,6 +148,7 @@ class Scope:
             lenient=lenient,
             declared=set(),
             everywhere=set(),
+            anonymous_names={},
             trail=(*self.trail, tag.place),
             nesting=(*self.nesting, here),
         )

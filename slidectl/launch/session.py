@@ -171,7 +171,7 @@ class Session:
         """
         if self.run.console.is_live:
             self._show_status()
-        while not self._over and self._anything_left():
+        while not self._over and self.stays:
             self._turn(_LOOK_SELDOM_S if self._waiting else None)
             if self._waiting:
                 self._look_again()
@@ -192,8 +192,9 @@ class Session:
         for text in self.run.heard():
             self.run.console.warn(text)
 
-    def _anything_left(self) -> bool:
-        """A daemon of one's own is something to stay for."""
+    @property
+    def stays(self) -> bool:
+        """Whether there is something to watch. A daemon of one's own is something to stay for."""
         return self.run.owns_daemon or bool(self._running()) or bool(self._waiting)
 
     def _running(self) -> list[Task]:

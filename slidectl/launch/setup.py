@@ -1,4 +1,4 @@
-"""What comes before the first node: namespaces cleared, rosparam's commands, and all parameters in one batch."""
+"""What comes before the first node: rosparam's commands, namespaces cleared, and all parameters in one batch."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from slidectl.launch.task import Run
 def prepare(run: Run, parameters: Mapping[str, Leaf]) -> None:
     """Raises Refused with the place of what cannot be done."""
     _tell_notices(run)
-    for namespace, place in run.plan.clear:
-        _clear(run, namespace, place)
     for command in run.plan.commands:
         _carry_out(run, command)
+    for namespace, place in run.plan.clear:
+        _clear(run, namespace, place)
     _set(run, parameters)
     if parameters:
         plural = "" if len(parameters) == 1 else "s"

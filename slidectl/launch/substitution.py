@@ -1,7 +1,8 @@
 """`$(...)` in a text: `env V`, `optenv V words`, `find PKG`, `anon ID`, `arg A`, `dirname` and `eval EXPRESSION`.
 
-Texts in, texts out: what is found is put in as it is and not looked through again. Paths come out protected
-(see protected.py). Knows no tags and no places; who has a place adds it to the error.
+Texts in, texts out: what is found is put in as it is, and looked through again for `find` only, as roslaunch does it:
+`model:='$(find my_robot)/model.urdf'` on a command line is understood. Paths come out protected (see protected.py).
+Knows no tags and no places; who has a place adds it to the error.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 from slidectl.errors import SlidectlError, closest, listing
-from slidectl.launch.evaluator import BUILTINS, ExpressionError, evaluate
+from slidectl.launch.evaluator import ExpressionError, evaluate
 from slidectl.launch.protected import plain, protect
 from slidectl.launch.typed import automatic
 from slidectl.operators import MATH
@@ -57,31 +58,37 @@ class Substitution:
             return text
         if text.startswith(_EVAL) and text.endswith(")"):
             return self._eval(text[len(_EVAL) : -1])
+        return self._pass(self._pass(text, finds=False), finds=True)
+
+    def _pass(self, text: str, finds: bool) -> str:
+        """The text with `find` put in, or with everything but `find`."""
         pieces = []
         rest = text
         while (start := rest.find(OPEN)) >= 0:
-            inside, rest_after = _inside(rest, start)
-            found, rest_after = self._command(inside, rest_after)
+            inside, after = _inside(rest, start)
+            command, *words = [word for word in inside.split(" ") if word] or [""]
+            if command not in COMMANDS:
+                raise _unknown(command, inside)
+            if finds is not (command == "find"):
+                found = f"{OPEN}{inside})"
+            elif finds:
+                found, after = self._find(_one(command, words), after)
+            else:
+                found = self._command(command, words)
             pieces += [rest[:start], found]
-            rest = rest_after
+            rest = after
         return "".join([*pieces, rest])
 
-    def _command(self, inside: str, after: str) -> tuple[str, str]:
-        """What the text in brackets stands for, and what is left of the text after it."""
-        command, *words = [word for word in inside.split(" ") if word] or [""]
-        if command == "find":
-            return self._find(_one(command, words), after)
-        if command == "optenv":
-            return self._optional(words), after
+    def _command(self, command: str, words: list[str]) -> str:
+        """What the text in brackets stands for."""
         commands: dict[str, Callable[[], str]] = {
+            "optenv": lambda: self._optional(words),
             "env": lambda: self._environment(_one(command, words)),
             "anon": lambda: self.surroundings.anonymous(_one(command, words)),
             "arg": lambda: self._argument(_one(command, words)),
             "dirname": lambda: protect(self._dirname(words)),
         }
-        if command not in commands:
-            raise _unknown(command, inside)
-        return commands[command](), after
+        return commands[command]()
 
     def _find(self, package: str, after: str) -> tuple[str, str]:
         """The package's folder joined with the path that follows, up to a blank, with or without a slash before it.
@@ -133,16 +140,35 @@ class Substitution:
             "anon": self.surroundings.anonymous,
             "dirname": lambda: protect(self.folder),
         }
-        taken = {**MATH, **BUILTINS, **functions}
+        taken = {*MATH, *functions, "true", "false"}
         values = {
             name: automatic(value)
             for name, value in self.arguments.items()
             if name not in taken and _IDENTIFIER.match(name)
         }
         try:
-            return str(evaluate(expression, {**values, **functions}))
+            named = {name: _of_names(name, function) for name, function in functions.items()}
+            return _text(evaluate(expression, {**values, **named}))
         except ExpressionError as error:
             raise SubstitutionError(f"$(eval {plain(expression)}) {error}") from None
+
+
+def _of_names(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function, which takes nothing but texts."""
+
+    def checked(*values: Any) -> Any:
+        for value in values:
+            if not isinstance(value, str):
+                raise ExpressionError(f"{name}() takes names, in quotes, and not {value!r}")
+        return function(*values)
+
+    return checked
+
+
+def _text(value: Any) -> str:
+    if callable(value):
+        raise ExpressionError("gives a function: its arguments are missing")
+    return str(value)
 
 
 def _inside(text: str, start: int) -> tuple[str, str]:

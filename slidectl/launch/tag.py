@@ -141,9 +141,9 @@ class Tag:
         """The text of the tag, without its comments."""
         return "".join(part for part in self.element.content if isinstance(part, str) and not isinstance(part, Comment))
 
-    def knows(self, attributes: Collection[str]) -> None:
-        """Point out attributes that are not among these."""
-        known = [*attributes, *CONDITIONS]
+    def knows(self, attributes: Collection[str], conditions: bool = True) -> None:
+        """Point out attributes that are not among these; `conditions`: whether it can have an `if`."""
+        known = [*attributes, *(CONDITIONS if conditions else ())]
         for name in self.element.attributes:
             if name not in known and not name.startswith("xmlns"):
                 near = closest(name, known)

@@ -40,8 +40,8 @@ def flag(text: str) -> bool:
     return text.lower() == "true"
 
 
-def convert(text: str, type_name: str, file: str) -> Any:
-    """The value of a text as a type of TYPES. `file` is its name in messages about YAML.
+def convert(text: str, type_name: str, file: str, angles: bool = False) -> Any:
+    """The value of a text as a type of TYPES. `file` is its name in messages about YAML; with `angles` it has deg().
 
     Raises:
         ValueError: it cannot be one. BadFile: not YAML.
@@ -55,7 +55,7 @@ def convert(text: str, type_name: str, file: str) -> Any:
     if type_name == "yaml":
         from slidectl.description.yaml_tree import read_value  # takes as long to import as all of this room
 
-        return read_value(text, file, angles=False)
+        return read_value(text, file, angles=angles)
     return text
 
 

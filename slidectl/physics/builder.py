@@ -13,9 +13,10 @@ import mujoco
 from slidectl.description.robot import Joint, Link, Robot
 from slidectl.physics.inertia import BadInertia, put_inertia
 from slidectl.physics.parts import BadPart
-from slidectl.physics.rotation import Pose, Vector, from_rpy, perpendicular, unit, wxyz
+from slidectl.physics.rotation import Pose, perpendicular, unit, wxyz
 from slidectl.physics.selfcollision import pairs_apart
 from slidectl.physics.solids import put_shapes
+from slidectl.rotations import Vector, from_rpy
 
 UNDAMPED = 1e-200
 """Damping of a joint that has none, N·s/m or N·m·s/rad. It vanishes in every sum, but with any damping at all MuJoCo's

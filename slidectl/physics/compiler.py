@@ -16,8 +16,8 @@ from slidectl.errors import SlidectlError
 from slidectl.physics import engine
 from slidectl.physics.body import Body
 from slidectl.physics.builder import RobotBuilder
-from slidectl.physics.rotation import Vector
 from slidectl.physics.solids import mesh_names
+from slidectl.rotations import Vector
 
 GROUND = "ground_plane"
 

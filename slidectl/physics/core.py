@@ -22,8 +22,9 @@ from slidectl.physics.compiler import Settings, WorldSpec
 from slidectl.physics.divergence import check_divergence
 from slidectl.physics.loads import Loads
 from slidectl.physics.observer import Observer
-from slidectl.physics.rotation import ORIGIN, Pose, Vector, normalized
+from slidectl.physics.rotation import ORIGIN, Pose
 from slidectl.physics.views import Views
+from slidectl.rotations import Vector, normalized
 
 GRAVITY: Vector = (0.0, 0.0, -9.8)
 """m/s², the default of SDF and so of Gazebo."""

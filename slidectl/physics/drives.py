@@ -6,12 +6,14 @@ A drive reads its handle and puts a force, a position or a motor into the world.
 from __future__ import annotations
 
 from slidectl.control.angles import distance_with_limits, shortest_angular_distance
+from slidectl.control.handles import JointHandle
 from slidectl.control.interfaces import EffortJointInterface, PositionJointInterface
+from slidectl.control.laws import Columns, law
 from slidectl.control.limit_laws import bounded
 from slidectl.control.live_pid import LivePid
 from slidectl.control.node import NodeHandle
 from slidectl.control.params import BadParameter
-from slidectl.control.pid import Pid
+from slidectl.control.pid import Pid, next_command
 from slidectl.physics.body import Body
 from slidectl.physics.effort import EffortTruncation
 from slidectl.physics.hw_joint import HardwareJoint
@@ -23,11 +25,41 @@ REACH = 1.01
 """A position command at most this many times the velocity limit away (per step) is moved to, else it is set."""
 
 
+MOTOR, EFFORT, VELOCITY, LENGTH, REVOLVING, TURNING = range(6)
+"""What a drive makes of a command: the velocity of a motor, an effort, or an effort by a PID on the difference of two
+velocities, lengths, angles between limits, or angles on the circle."""
+
+
+@law
+def drive_error(drive: Drive, joint: JointHandle) -> float:
+    """Command minus what was measured at the last read. For angles the shortest turn, within the limits if any."""
+    if drive.kind == VELOCITY:
+        return joint.command - joint.velocity
+    if drive.kind == REVOLVING:
+        return distance_with_limits(joint.position, joint.command, drive.lower, drive.upper)
+    if drive.kind == TURNING:
+        return shortest_angular_distance(joint.position, joint.command)
+    return joint.command - joint.position
+
+
+@law
+def drive_effort(drive: Drive, pid: Pid, joint: JointHandle, period_s: float) -> float:
+    """The effort for the joint's command, before the joint's bounds cut it."""
+    if drive.kind == EFFORT:
+        return joint.command
+    return bounded(next_command(pid, drive_error(drive, joint), period_s), -drive.limit, drive.limit)
+
+
 class Drive:
     """Base: `apply` once a step; `stopped` is the emergency stop."""
 
+    kind = MOTOR
+    pid: Pid | None = None
+    columns = Columns(fixed="kind lower upper limit", places="pid joint", whole="kind pid joint")
+
     def __init__(self, joint: HardwareJoint, world: World, body: Body) -> None:
         self.joint = joint
+        self.lower, self.upper, self.limit = joint.bounds.lower, joint.bounds.upper, joint.bounds.effort
         self.handle = joint.handle
         self.world = world
         self.body = body
@@ -53,6 +85,8 @@ class Drive:
 class EffortDrive(Drive):
     """The command is the effort."""
 
+    kind = EFFORT
+
     def apply(self, period_s: float, stopped: bool) -> None:  # noqa: ARG002 - this drive has no memory
         if not stopped:
             self.push(self.handle.command)
@@ -62,7 +96,7 @@ class VelocityDrive(Drive):
     """A motor brings the joint to the commanded velocity in one step, with no more than the joint's effort limit."""
 
     def apply(self, period_s: float, stopped: bool) -> None:  # noqa: ARG002 - this drive has no memory
-        self.turn(0.0 if stopped else self.handle.command, self.joint.bounds.effort)
+        self.turn(0.0 if stopped else self.handle.command, self.limit)
 
 
 class PositionDrive(Drive):
@@ -86,39 +120,23 @@ class PositionDrive(Drive):
 class PidDrive(Drive):
     """A PID makes an effort of the error, within the joint's effort limit. Its gains can be changed while it runs."""
 
-    def __init__(self, joint: HardwareJoint, world: World, body: Body, pid: Pid) -> None:
+    pid: Pid
+
+    def __init__(self, joint: HardwareJoint, world: World, body: Body, pid: Pid, kind: int) -> None:
         super().__init__(joint, world, body)
         self.pid = pid
+        self.kind = kind
 
     def apply(self, period_s: float, stopped: bool) -> None:
-        limit = self.joint.bounds.effort
-        self.push(bounded(self.pid.compute_command(self.error(stopped), period_s), -limit, limit))
+        """Stopped, no velocity is asked for; the hardware holds the commands of positions then."""
+        error = -self.handle.velocity if stopped and self.kind == VELOCITY else drive_error(self, self.handle)
+        self.push(bounded(self.pid.compute_command(error, period_s), -self.limit, self.limit))
 
     def reset(self) -> None:
         self.pid.reset()
 
-    def error(self, stopped: bool) -> float:
-        """Command minus what was measured at the last read."""
-        raise NotImplementedError
 
-
-class PositionPidDrive(PidDrive):
-    """The error is a length for sliding joints, and the shortest turn (within the limits, if any) for others."""
-
-    def error(self, stopped: bool) -> float:  # noqa: ARG002 - the hardware holds the command then
-        handle, bounds = self.handle, self.joint.bounds
-        if self.joint.joint.type == "revolute":
-            return distance_with_limits(handle.position, handle.command, bounds.lower, bounds.upper)
-        if self.joint.joint.type == "continuous":
-            return shortest_angular_distance(handle.position, handle.command)
-        return handle.command - handle.position
-
-
-class VelocityPidDrive(PidDrive):
-    """The error is a velocity; stopping means that none is asked for."""
-
-    def error(self, stopped: bool) -> float:
-        return -self.handle.velocity if stopped else self.handle.command - self.handle.velocity
+_POSITION_KINDS = {"revolute": REVOLVING, "continuous": TURNING}
 
 
 def drive_for(joint: HardwareJoint, world: World, body: Body, node: NodeHandle) -> Drive:
@@ -129,7 +147,7 @@ def drive_for(joint: HardwareJoint, world: World, body: Body, node: NodeHandle) 
     is_position = joint.interface is PositionJointInterface
     if pid is None:
         return (PositionDrive if is_position else VelocityDrive)(joint, world, body)
-    return (PositionPidDrive if is_position else VelocityPidDrive)(joint, world, body, pid)
+    return PidDrive(joint, world, body, pid, _POSITION_KINDS.get(joint.joint.type, LENGTH) if is_position else VELOCITY)
 
 
 def _pid_of(joint: HardwareJoint, node: NodeHandle) -> Pid | None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from slidectl.physics.effort import EffortTruncation
-from slidectl.physics.rotation import Vector
+from slidectl.rotations import Vector
 
 if TYPE_CHECKING:
     from slidectl.physics.body import Body

@@ -5,25 +5,8 @@ Plain Python on `rotation`'s types; a pose is (position in m, attitude x y z w).
 
 from __future__ import annotations
 
-from slidectl.physics.rotation import Pose, Quaternion, Vector, cross
-
-
-def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
-    """The rotation that does `b` first, then `a` (Hamilton's product)."""
-    ax, ay, az, aw = a
-    bx, by, bz, bw = b
-    return (
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-        aw * bw - ax * bx - ay * by - az * bz,
-    )
-
-
-def conjugate(quaternion: Quaternion) -> Quaternion:
-    """The inverse of a unit quaternion."""
-    x, y, z, w = quaternion
-    return (-x, -y, -z, w)
+from slidectl.physics.rotation import Pose, cross
+from slidectl.rotations import Quaternion, Vector, conjugate, multiply
 
 
 def rotate(quaternion: Quaternion, vector: Vector) -> Vector:

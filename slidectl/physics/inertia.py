@@ -13,7 +13,8 @@ import numpy as np
 from slidectl.description.inertia import why_impossible
 from slidectl.description.robot import Inertial, Link
 from slidectl.physics.parts import BadPart
-from slidectl.physics.rotation import from_rpy, matrix, wxyz
+from slidectl.physics.rotation import matrix, wxyz
+from slidectl.rotations import from_rpy
 
 
 class BadInertia(BadPart):

@@ -24,11 +24,12 @@ class Moment:
     def __init__(self, model: Any, data: Any) -> None:
         self.model, self.data = model, data
         self.inertia = _full_inertia(model, data)
-        self.jacobian = np.zeros((data.nefc, model.nv))
-        if data.nefc:
+        self.has_constraints = data.nefc > 0
+        if self.has_constraints:
+            self.jacobian = np.zeros((data.nefc, model.nv))
             rows = (data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind.ravel())
             mujoco.mju_sparse2dense(self.jacobian, data.efc_J.ravel(), *rows)
-        self.pushing = _pushing(data)
+            self.pushing = _pushing(data)
 
 
 class RobotMotors:
@@ -62,17 +63,26 @@ class RobotMotors:
         part, model, data = self._part, moment.model, moment.data
         step = model.opt.timestep
         mass = np.ascontiguousarray(moment.inertia[part, part])
-        stepping = step * np.linalg.solve(mass + step * np.diag(model.dof_damping[part]), mass)
-        coasting = data.qvel[part] + stepping @ data.qacc[part]
-        response = stepping @ np.linalg.inv(mass + self._stiffness(moment))
-        return coasting[self._own], response[np.ix_(self._own, self._own)]
+        damped = mass.copy()
+        damped.flat[:: len(mass) + 1] += step * model.dof_damping[part]
+        response = step * np.linalg.inv(damped)
+        coasting = data.qvel[part] + response @ (mass @ data.qacc[part])
+        stiffness = self._stiffness(moment)
+        if stiffness is not None:
+            response = response @ mass @ np.linalg.inv(mass + stiffness)
+        return coasting[self._own], response[self._own][:, self._own]
 
-    def _stiffness(self, moment: Moment) -> Array:
-        """Jᵀ W J over the constraints of this robot that push back."""
+    def _stiffness(self, moment: Moment) -> Array | None:
+        """Jᵀ W J over the constraints of this robot that push back; None when none does."""
+        self.is_constrained = False
+        if not moment.has_constraints:
+            return None
         rows = np.ascontiguousarray(moment.jacobian[:, self._part])
         own = rows.any(axis=1)
         self.is_constrained = bool(own.any())
         pushing = own & moment.pushing
+        if not pushing.any():
+            return None
         rows = rows[pushing]
         stiffness: Array = (rows.T * moment.data.efc_D[pushing]) @ rows
         return stiffness
@@ -83,6 +93,9 @@ def bounded_solution(response: Array, change: Array, bounds: Array) -> Array:
 
     Those that would be beyond are set to their bound, and the rest is solved for again.
     """
+    forces: Array = np.linalg.solve(response, change)
+    if (np.abs(forces) <= bounds).all():
+        return forces
     forces, free = np.zeros(len(bounds)), np.ones(len(bounds), dtype=bool)
     while free.any():
         rest = change[free] - response[np.ix_(free, ~free)] @ forces[~free]

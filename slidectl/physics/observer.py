@@ -11,7 +11,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from slidectl.physics.rotation import Pose, Vector, xyzw
+from slidectl.physics.rotation import Pose, xyzw
+from slidectl.rotations import Vector
 
 Twist = tuple[Vector, Vector]
 """Linear (m/s) and angular (rad/s) velocity, in the world's axes."""

@@ -39,12 +39,16 @@ _Pushed = tuple[JointHandle, int, float, float]
 
 
 class DrivenJoint(NamedTuple):
-    """A joint that its command pushes: indices into qpos and into qvel and forces, whether it is an angle, bounds."""
+    """A joint with a transmission: indices into qpos and into qvel and forces, and whether it is an angle.
+
+    `is_pushed`: its command is the effort, within the bounds. Else a drive makes efforts of it.
+    """
 
     handle: JointHandle
     qpos: int
     dof: int
     turns: bool
+    is_pushed: bool
     max_effort: float
     max_velocity: float
 
@@ -118,23 +122,19 @@ class MujocoRobotHW(RobotHW):
             self._held = None
 
     @property
-    def is_special(self) -> bool:
-        """True while `write` does more than push joints by their commands."""
-        return self._is_special
-
-    @property
-    def has_drives(self) -> bool:
-        """True when there are joints that are not simply pushed."""
-        return bool(self._drives)
+    def drives(self) -> tuple[Drive, ...]:
+        """What drives the joints that are not simply pushed, in the order in which `write` asks them."""
+        return self._drives
 
     def driven(self) -> list[DrivenJoint]:
-        """The joints that are simply pushed, and where they are in the world until it is rebuilt."""
-        angles = {id(handle) for handle, _, _ in self._turning}
-        places = {id(handle): place for handle, place, _ in (*self._sliding, *self._turning)}
-        return [
-            DrivenJoint(handle, places[id(handle)], dof, id(handle) in angles, max_effort, max_velocity)
-            for handle, dof, max_effort, max_velocity in self._pushed
-        ]
+        """All joints that have a command, and where they are in the world until it is rebuilt."""
+        return [self._driven_joint(joint) for joint in self._joints]
+
+    def _driven_joint(self, joint: HardwareJoint) -> DrivenJoint:
+        place, bounds = self._body.place(joint.name), EffortTruncation.of(joint.joint)
+        is_pushed = self._is_pushed(joint)
+        turns = joint.joint.type != "prismatic"
+        return DrivenJoint(joint.handle, place.qpos, place.dof, turns, is_pushed, bounds.effort, bounds.velocity)
 
     def limits(self) -> list[LimitHandle]:
         """The limit handles in the order in which `write` enforces them."""

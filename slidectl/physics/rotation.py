@@ -1,4 +1,4 @@
-"""Rotations in plain Python: fixed-axis roll pitch yaw, quaternions, matrices.
+"""Rotations as physics needs them beside `slidectl.rotations`: MuJoCo's order, matrices, axes, poses.
 
 `Quaternion` is x y z w as on messages; `wxyz` turns it for MuJoCo, whose quaternions begin with w.
 """
@@ -7,27 +7,13 @@ from __future__ import annotations
 
 import math
 
-Vector = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
+from slidectl.rotations import IDENTITY, Quaternion, Vector
+
 Matrix = tuple[Vector, Vector, Vector]
 Pose = tuple[Vector, Quaternion]
 """Position in m, attitude x y z w."""
 
-IDENTITY: Quaternion = (0.0, 0.0, 0.0, 1.0)
 ORIGIN: Pose = ((0.0, 0.0, 0.0), IDENTITY)
-
-
-def from_rpy(rpy: Vector) -> Quaternion:
-    """The attitude after turning about the fixed x, then y, then z axis by roll, pitch, yaw (rad); URDF's `rpy`."""
-    if rpy == (0.0, 0.0, 0.0):
-        return IDENTITY
-    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(angle / 2), math.sin(angle / 2)) for angle in rpy)
-    return (
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-        cr * cp * cy + sr * sp * sy,
-    )
 
 
 def wxyz(quaternion: Quaternion) -> tuple[float, float, float, float]:
@@ -39,15 +25,6 @@ def wxyz(quaternion: Quaternion) -> tuple[float, float, float, float]:
 def xyzw(quaternion: Quaternion) -> Quaternion:
     """The order of messages, from MuJoCo's."""
     w, x, y, z = quaternion
-    return (x, y, z, w)
-
-
-def normalized(quaternion: Quaternion) -> Quaternion:
-    """The quaternion at length one; all zeros mean no rotation, as in messages that leave it out."""
-    length = math.hypot(*quaternion)
-    if length == 0.0:
-        return IDENTITY
-    x, y, z, w = (part / length for part in quaternion)
     return (x, y, z, w)
 
 

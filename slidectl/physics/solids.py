@@ -14,7 +14,8 @@ import mujoco
 from slidectl.description.robot import Box, Cylinder, Link, Mesh, Robot, Shape, Sphere, Surface
 from slidectl.errors import SlidectlError
 from slidectl.physics.parts import BadPart, place
-from slidectl.physics.rotation import from_rpy, wxyz
+from slidectl.physics.rotation import wxyz
+from slidectl.rotations import from_rpy
 
 GAZEBO_FRICTION = 1.0
 """Gazebo's mu of a surface that says nothing, and MuJoCo's sliding friction too."""

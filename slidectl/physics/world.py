@@ -16,7 +16,8 @@ from slidectl.physics.core import WorldCore, finite, finite4, number
 from slidectl.physics.forces import JointForce, Wrench
 from slidectl.physics.motors import Asked
 from slidectl.physics.observer import Twist
-from slidectl.physics.rotation import Pose, Vector, normalized
+from slidectl.physics.rotation import Pose
+from slidectl.rotations import Vector, normalized
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from slidectl import names
 from slidectl.control.duration import from_seconds
 from slidectl.control.manager import ControllerManager
 from slidectl.control.node import Message
+from slidectl.description.gazebo_tags import SIM_TYPES
 from slidectl.description.robot import ControlPlugin, Robot
 from slidectl.errors import BadFile
 from slidectl.physics import World
@@ -30,7 +31,6 @@ Pose = tuple[tuple[float, float, float], tuple[float, float, float, float]]
 """Position in m, and quaternion x y z w."""
 ORIGIN: Pose = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 DESCRIPTION = "robot_description"
-_HARDWARE = ("gazebo_ros_control/DefaultRobotHWSim", "DefaultRobotHWSim")
 _SEVERITIES = {"wrong": "warn", "ignored": "warn", "converted": "info"}
 
 
@@ -141,9 +141,9 @@ def _put_description(robot: SpawnedRobot, loop: Loop, stack: ExitStack) -> None:
 
 
 def _check_hardware_type(plugin: ControlPlugin) -> None:
-    if plugin.robot_sim_type not in _HARDWARE:
+    if plugin.robot_sim_type not in SIM_TYPES:
         raise BadFile(
-            f"<robotSimType> {plugin.robot_sim_type!r} is no simulated hardware; there is {_HARDWARE[0]}",
+            f"<robotSimType> {plugin.robot_sim_type!r} is no simulated hardware; there is {SIM_TYPES[0]}",
             DESCRIPTION,
             plugin.line,
         )

@@ -75,6 +75,11 @@ class Loop:
         else:
             callback()
 
+    def settle(self) -> None:
+        """Somebody is about to look at handles and controllers that he holds: let them be what they should be."""
+        if self.engine.cycles is not None:
+            self.engine.cycles.release_all()
+
     def step(self, cycles: int = 1) -> int:
         """Run so many cycles. Returns how many: fewer only when the physics diverges and `driven`.
 
@@ -111,15 +116,14 @@ class Loop:
             if clock.cycles % CHECK_EVERY == 0:
                 self.world.check()
         except Diverged as trouble:
-            return done, trouble
+            return clock.cycles - before, trouble
         except EngineError as trouble:
             return clock.cycles - before, Refused(f"MuJoCo cannot go on: {trouble}")
         return done, None
 
     def _give_up(self, trouble: SlidectlError) -> None:
         """Hold the world; whoever drives it is told by the log, whoever calls it directly by the error."""
-        self.run.paused = True
-        self.run.abandon_steps("the simulation diverged")
+        self.run.hold(trouble.message, "the simulation diverged")
         self.graph.log("fatal", WORLD_NODE, str(trouble))
         if not self.driven:
             raise trouble

@@ -38,6 +38,7 @@ def _set_clock(simulation: Simulation, time_ns: int) -> None:
 def _reset_robots(simulation: Simulation) -> None:
     simulation.robots.settle_switches()
     simulation.world.reset()
+    simulation.run.trouble = ""
     for robot in simulation.robots:
         _restart(robot, simulation.time_ns)
 

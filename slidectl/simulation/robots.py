@@ -14,6 +14,9 @@ from slidectl.physics import World
 from slidectl.simulation.assembly import ORIGIN, Companion, Pose, SpawnedRobot, assemble, report
 from slidectl.simulation.loop import Loop
 
+RESERVED = ("world", "map")
+"""What gazebo_ros takes for the world wherever it could be a model: such a robot could not be told from it."""
+
 
 class Robots:
     """All robots by name, in the order of their spawning."""
@@ -64,9 +67,10 @@ class Robots:
         return robot
 
     def delete(self, name: str) -> None:
-        """Take the robot and all that belongs to it out of the world. Raises UnknownName."""
+        """Stop its controllers, and take all that belongs to the robot out of the world. Raises UnknownName."""
         self._loop.between_cycles("delete a robot")
         robot = self.get(name)
+        robot.manager.stop_running(robot.node.now_ns())
         del self._robots[name]
         self._tell_loop()
         robot.taken.close()
@@ -81,6 +85,11 @@ class Robots:
 
     def _check_name(self, name: str) -> None:
         names.check_robot(name)
+        if name in RESERVED:
+            raise Refused(
+                f"no robot can be named {name!r}: where a frame of reference is asked for, that is the world itself",
+                "choose another name (-n)",
+            )
         if name in self._robots:
             raise Refused(
                 f"there is a robot {name!r} already, in {self._robots[name].namespace}",

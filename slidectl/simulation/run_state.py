@@ -30,6 +30,8 @@ class RunState:
     def __init__(self) -> None:
         self.paused = False
         self.speed = 1.0
+        self.trouble = ""
+        """What holds the world, when nobody asked for that."""
         self.on_halt: Callable[[], None] = _nothing
         """Called when the world comes to a stand: by `pause`, after the last step, or when nobody waits for steps."""
         self._requests: deque[StepRequest] = deque()
@@ -43,6 +45,17 @@ class RunState:
         """Hold the world; steps that somebody waits for are given up."""
         self.paused = True
         self.abandon_steps("paused")
+
+    def resume(self) -> None:
+        """Let the world go on."""
+        self.paused = False
+        self.trouble = ""
+
+    def hold(self, trouble: str, reason: str) -> None:
+        """Something went wrong: pause. Who waits for steps is told the short `reason`."""
+        self.paused = True
+        self.trouble = trouble
+        self.abandon_steps(reason)
 
     def allowed(self, most: int) -> int:
         """How many cycles, at most `most`, may run now."""

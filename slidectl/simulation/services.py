@@ -11,21 +11,27 @@ from typing import Any
 from slidectl import msgs, names
 from slidectl.control.node import Message
 from slidectl.errors import Refused, SlidectlError, UnknownName
+from slidectl.simulation.changes import nobody
 from slidectl.simulation.pending import Pending
 
 Handler = Callable[[Message], Message | Pending]
 
 
 class Service:
-    """One service and its provider. `open` holds the calls not answered yet, each with the handler's side."""
+    """One service and its provider. `open` holds the calls not answered yet, each with the handler's side.
 
-    __slots__ = ("_on_close", "handler", "name", "node", "open", "type")
+    Raises UnknownName: no such service type.
+    """
+
+    __slots__ = ("_on_close", "handler", "name", "node", "open", "request_type", "response_type", "type")
 
     def __init__(
         self, name: str, type_name: str, node: str, handler: Handler, on_close: Callable[[Service], None]
     ) -> None:
         self.name = name
         self.type = type_name
+        self.request_type = msgs.request_type(type_name)
+        self.response_type = msgs.response_type(type_name)
         self.node = node
         self.handler = handler
         self.open: dict[Pending, Pending] = {}
@@ -43,8 +49,9 @@ class Service:
 class Services:
     """All services."""
 
-    def __init__(self) -> None:
+    def __init__(self, changed: Callable[[], None] = nobody) -> None:
         self._services: dict[str, Service] = {}
+        self._changed = changed
 
     def advertise(self, name: str, type_name: str, node: str, handler: Handler) -> Service:
         """Provide a service. The handler raises SlidectlError to fail a call, or gives a Pending to answer later.
@@ -56,18 +63,18 @@ class Services:
             raise Refused(f"{name!r} is not an absolute service name", f"write /{name}")
         if name in self._services:
             raise Refused(f"service {name} is already provided by {self._services[name].node}")
-        msgs.request_type(type_name)  # raises UnknownName
         service = self._services[name] = Service(name, type_name, node, handler, self._forget)
+        self._changed()
         return service
 
     def call(self, name: str, request: Any = None) -> Pending:
         """Ask. Failures are in the answer, which is settled already unless it needs simulated time."""
         try:
             service = self._known(name)
-            checked = msgs.check(msgs.request_type(service.type), {} if request is None else request)
+            checked = msgs.check(service.request_type, {} if request is None else request)
             answer = service.handler(checked)
             if not isinstance(answer, Pending):
-                answer = msgs.check(msgs.response_type(service.type), answer)
+                answer = msgs.check(service.response_type, answer)
         except SlidectlError as error:
             pending = Pending()
             pending.reject(error)
@@ -111,11 +118,11 @@ class Services:
     def _forget(self, service: Service) -> None:
         if self._services.get(service.name) is service:
             del self._services[service.name]
+            self._changed()
 
 
 def _follow(service: Service, inner: Pending) -> Pending:
     """The caller's side of an answer: checked against the type; fails when the provider goes, ends with the caller."""
-    response_type = msgs.response_type(service.type)
 
     def gone() -> None:
         service.open.pop(outer, None)
@@ -124,7 +131,7 @@ def _follow(service: Service, inner: Pending) -> Pending:
     def settle(answered: Pending) -> None:
         service.open.pop(outer, None)
         try:
-            response = msgs.check(response_type, answered.result())
+            response = msgs.check(service.response_type, answered.result())
         except SlidectlError as error:
             outer.reject(error)
             return

@@ -104,8 +104,7 @@ class Simulation:
     @driven.setter
     def driven(self, value: bool) -> None:
         self.loop.driven = value
-        if self.engine.cycles is not None:
-            self.engine.cycles.release_all()
+        self.loop.settle()
 
     def step(self, cycles: int = 1) -> int:
         """Run so many cycles. Returns how many: fewer only when the physics diverges and `driven`.
@@ -143,7 +142,13 @@ class Simulation:
 
     def subscribe(self, topic: str, callback: MessageCallback, type_name: str | None = None) -> Subscription:
         """Call back for each message. Raises UnknownName when the topic does not exist and no type is given."""
-        return self.graph.topics.subscribe(topic, type_name, SCRIPT_NODE, callback)
+
+        def take(message: Message) -> None:
+            if not self.driven:
+                self.loop.settle()
+            callback(message)
+
+        return self.graph.topics.subscribe(topic, type_name, SCRIPT_NODE, take)
 
     def pause(self) -> None:
         """Hold the world. Steps that somebody waits for are given up; switches that wait for a cycle are finished."""
@@ -151,14 +156,15 @@ class Simulation:
 
     def resume(self) -> None:
         """Let the world go on."""
-        self.run.paused = False
+        self.run.resume()
 
     def set_speed(self, factor: float) -> None:
         """Real-time factor, 0 for as fast as possible. Raises Refused for anything else."""
         self.run.set_speed(factor)
 
     def set_timestep(self, seconds: float) -> None:
-        """Another length for the cycles to come, s. Raises Refused for what is not above 0."""
+        """Another length for the cycles to come, s. Raises Refused for what is not above 0, and inside a cycle."""
+        self.loop.between_cycles("change the time step")
         step_ns = from_seconds(seconds)
         if step_ns <= 0:
             raise Refused(f"a time step is above 0 s, not {seconds:g}")

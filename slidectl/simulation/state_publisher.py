@@ -14,7 +14,8 @@ from slidectl import names
 from slidectl.control.node import Message
 from slidectl.description.robot import Joint
 from slidectl.physics.frames import compose, relative
-from slidectl.physics.rotation import IDENTITY, Pose, from_rpy
+from slidectl.physics.rotation import Pose
+from slidectl.rotations import IDENTITY, from_rpy
 from slidectl.simulation.assembly import SpawnedRobot
 from slidectl.simulation.clock import SECOND, stamp
 from slidectl.simulation.periodic import PeriodicTopic

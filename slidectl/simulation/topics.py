@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 from slidectl import msgs, names
 from slidectl.control.node import Message, MessageCallback
 from slidectl.errors import Refused, SlidectlError, UnknownName
+from slidectl.simulation.changes import nobody
 
 
 class TypeConflict(Refused):
@@ -101,7 +102,7 @@ class Subscription:
 class Topic:
     """A name, its type, and those who use it. `callbacks` is a tuple: it may be replaced during a delivery."""
 
-    __slots__ = ("callbacks", "has_header", "name", "publishers", "subscriptions", "type")
+    __slots__ = ("callbacks", "has_header", "is_inside", "name", "publishers", "subscriptions", "type")
 
     def __init__(self, name: str, type_name: str) -> None:
         self.name = name
@@ -109,6 +110,8 @@ class Topic:
         self.publishers: list[TopicPublisher] = []
         self.subscriptions: list[Subscription] = []
         self.callbacks: tuple[MessageCallback, ...] = ()
+        self.is_inside = True
+        """No client publishes it."""
         first = msgs.fields(type_name)[:1]
         self.has_header = any(field.name == "header" and field.type == "std_msgs/Header" for field in first)
 
@@ -123,6 +126,7 @@ class Topic:
     def update(self) -> None:
         """After somebody came or went."""
         self.callbacks = tuple(subscription.callback for subscription in self.subscriptions)
+        self.is_inside = all(isinstance(publisher, NodePublisher) for publisher in self.publishers)
         for publisher in self.publishers:
             publisher.wanted = publisher.latch or bool(self.callbacks)
 
@@ -130,8 +134,9 @@ class Topic:
 class Topics:
     """All topics. One exists as long as somebody publishes or subscribes it."""
 
-    def __init__(self) -> None:
+    def __init__(self, changed: Callable[[], None] = nobody) -> None:
         self._topics: dict[str, Topic] = {}
+        self._changed = changed
         self.changes = 0
         """How often a publisher or a subscriber came or went: while it stays, so does `wanted` of every publisher."""
 
@@ -255,6 +260,7 @@ class Topics:
     def _update(self, topic: Topic) -> None:
         self.changes += 1
         topic.update()
+        self._changed()
 
     def _tidy(self, topic: Topic) -> None:
         self._update(topic)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from urdf_parts import INERTIAL, LIMIT
+
 from slidectl.check import Findings
 
 Check = Callable[..., "Lines"]
@@ -24,12 +26,7 @@ class Lines:
         return [line for line in self.all if all(word in line for word in words)]
 
 
-INERTIAL = (
-    '<inertial><origin xyz="0 0 0"/><mass value="1"/>'
-    '<inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>'
-)
 BALL = '<collision><geometry><sphere radius="0.2"/></geometry></collision>'
-LIMIT = '<limit lower="-1" upper="1" effort="10" velocity="2"/>'
 PLUGIN = (
     '<gazebo><plugin name="c" filename="libgazebo_ros_control.so">'
     "<robotNamespace>/bot</robotNamespace></plugin></gazebo>"

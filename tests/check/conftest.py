@@ -13,23 +13,8 @@ from slidectl.description import Packages
 
 
 @pytest.fixture(autouse=True)
-def _no_package_path(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The environment of whoever runs the tests finds no package for them."""
-    for variable in ("SLIDECTL_PACKAGE_PATH", "ROS_PACKAGE_PATH"):
-        monkeypatch.delenv(variable, raising=False)
-
-
-@pytest.fixture
-def write(tmp_path: Path) -> Callable[[str, str], Path]:
-    """Writes a text to a file below the test's own folder."""
-
-    def write_file(name: str, text: str) -> Path:
-        path = tmp_path / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, "utf-8")
-        return path
-
-    return write_file
+def _alone(no_package_path: None) -> None:
+    """Packages are those of the tests."""
 
 
 @pytest.fixture
@@ -38,7 +23,7 @@ def model(write: Callable[[str, str], Path]) -> Check:
 
     def check_model(xml: str, controllers: str = "", name: str = "bot.urdf", **arguments: str) -> Lines:
         files = [write("control.yaml", controllers)] if controllers else []
-        return Lines(check([str(write(name, xml))], arguments, Packages(), files, ask_others=False))
+        return Lines(check([str(write(name, xml))], arguments, Packages(), files))
 
     return check_model
 

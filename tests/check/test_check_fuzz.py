@@ -14,11 +14,12 @@ from slidectl.check import Findings
 from slidectl.check.controllers import check as check_controllers
 from slidectl.check.launch import check as check_launch
 from slidectl.check.model import Model, check_text
+from slidectl.check.run import check
 from slidectl.control import registry
-from slidectl.description import Packages
-from slidectl.errors import SlidectlError
+from slidectl.description import Packages, parse
+from slidectl.errors import BadFile, SlidectlError
 
-SOUND = check_text(driven_cart(), "bot.urdf", Findings(), ask_others=False)
+SOUND = check_text(driven_cart(), "bot.urdf", Findings())
 assert isinstance(SOUND, Model)
 
 NAMES = st.sampled_from([
@@ -75,11 +76,30 @@ PIECES = [
 @settings(max_examples=200, deadline=None, derandomize=True)
 @given(start=st.integers(0, 900), length=st.integers(0, 30), put=st.sampled_from(PIECES))
 def test_any_slip_of_the_pen_in_a_model_can_be_checked(start: int, length: int, put: str) -> None:
-    text = driven_cart(f'<gazebo reference="cart"><mu1>{1}</mu1><mu2>2</mu2></gazebo>')
+    text = driven_cart('<gazebo reference="cart"><mu1>1</mu1><mu2>2</mu2></gazebo>')
+    text = text[:start] + put + text[start + length :]
     findings = Findings()
+    try:
+        check_text(text, "bot.urdf", findings)
+    except SlidectlError as error:
+        findings.refuse(BadFile(error.message))
+    assert all(notice.file == "bot.urdf" and notice.line for notice in findings.sorted())
+    assert bool(findings.broken) >= is_refused(text)
+
+
+def is_refused(text: str) -> bool:
+    try:
+        parse(text)
+    except SlidectlError:
+        return True
+    return False
+
+
+@settings(max_examples=150, deadline=None, derandomize=True)
+@given(start=st.sampled_from([b"", b"<robot>", b"<launch>", b"bot: ", b"\xef\xbb\xbf"]), text=st.binary(max_size=60))
+def test_any_bytes_can_be_checked(start: bytes, text: bytes) -> None:
     with contextlib.suppress(SlidectlError):
-        check_text(text[:start] + put + text[start + length :], "bot.urdf", findings, ask_others=False)
-    assert all(notice.file == "bot.urdf" for notice in findings.sorted())
+        check(["<stdin>"], {}, Packages(), text=start + text)
 
 
 LAUNCH = """<launch>
@@ -118,4 +138,4 @@ LAUNCH_PIECES = [
 def test_any_slip_of_the_pen_in_a_launch_file_can_be_checked(start: int, length: int, put: str) -> None:
     text = (LAUNCH[:start] + put + LAUNCH[start + length :]).encode()
     with contextlib.suppress(SlidectlError):
-        check_launch(["bot.launch"], {}, Packages(), Findings(), text, ask_others=False)
+        check_launch(["bot.launch"], {}, Packages(), Findings(), text)

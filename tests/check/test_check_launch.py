@@ -35,13 +35,13 @@ def launch(write: Write) -> Launch:
         write("bot.urdf", driven_cart())
         write("control.yaml", controllers)
         path = write("bot.launch", "\n".join(["<launch>", *parts, "</launch>"]))
-        return Lines(check([str(path)], arguments, Packages(), ask_others=False))
+        return Lines(check([str(path)], arguments, Packages()))
 
     return check_launch
 
 
 def shipped(*words: str) -> Lines:
-    return Lines(check(words, {}, Packages(), ask_others=False))
+    return Lines(check(words, {}, Packages()))
 
 
 def test_a_sound_launch_is_all_used_with_its_robot_and_controllers(launch: Launch) -> None:
@@ -217,3 +217,27 @@ def test_names_that_nothing_has_are_errors() -> None:
         shipped("my_slidr")
     with pytest.raises(UnknownName, match=r"no launch file 'nope\.launch'"):
         shipped("my_slider", "nope.launch")
+
+
+RIVALS = CONTROLLERS + STATES + "  push: {type: effort_controllers/JointEffortController, joint: slide}\n"
+BOTH = START.replace("states", "push")
+
+
+def test_controllers_that_want_the_same_joint_cannot_be_started_by_one_spawner(launch: Launch) -> None:
+    lines = launch(ROBOT, SPAWN, LOAD, BOTH, controllers=RIVALS)
+    (line,) = lines.of("wrong")
+    assert line.endswith("cannot start /bot/push beside /bot/slide_controller: both want joint 'slide' for themselves")
+    stopped = BOTH.replace('args="', 'args="--stopped ')
+    assert launch(ROBOT, SPAWN, LOAD, stopped, controllers=RIVALS).of("wrong") == []
+    assert launch(ROBOT, SPAWN, LOAD, START, controllers=RIVALS).of("wrong") == []
+
+
+def test_a_controller_that_two_spawners_load_is_wrong(launch: Launch) -> None:
+    again = '<node name="again" pkg="controller_manager" type="spawner" args="--namespace /bot states"/>'
+    (line,) = launch(ROBOT, SPAWN, LOAD, START, again).of("wrong")
+    assert "loads /bot/states, which the node at" in line
+
+
+def test_joint_states_that_nobody_starts_are_a_note_that_names_who_would(launch: Launch) -> None:
+    lines = launch(ROBOT, SPAWN, LOAD, START.replace(" states", ""), FRAMES)
+    assert lines.about("note: nothing in this launch publishes /bot/joint_states; /bot/states would")

@@ -183,7 +183,8 @@ def test_a_model_that_is_no_robot_has_one_finding_and_cannot_be_used(model: Chec
 def test_a_dropped_transmission_is_wrong_and_nothing_in_it_is_used(model: Check) -> None:
     lines = model(cart(transmission().replace("<type>transmission_interface/SimpleTransmission</type>", ""), PLUGIN))
     assert lines.of("wrong") == [
-        'wrong 5 <transmission name="t_slide">: the transmission is dropped: <type> is missing'
+        'wrong 5 <transmission name="t_slide">: the transmission is dropped: <type> is missing; '
+        "add <type>transmission_interface/SimpleTransmission</type>"
     ]
     assert not lines.about("mechanicalReduction")
 
@@ -207,11 +208,10 @@ def test_arguments_of_the_model_are_listed_with_their_values(model: Check) -> No
 
 
 def test_a_mesh_that_cannot_be_read_is_wrong_and_one_that_collides_is_its_hull(model: Check, write: Check) -> None:
-    corners = "vertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0"
-    write("good.stl", f"solid a\nfacet normal 0 0 1\nouter loop\n{corners}\nendloop\nendfacet\nendsolid")
+    write("good.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n")
     write("bad.stl", "no mesh")
     seen = '<visual><geometry><mesh filename="bad.stl"/></geometry></visual>'
-    touched = '<collision><geometry><mesh filename="good.stl"/></geometry></collision>'
+    touched = '<collision><geometry><mesh filename="good.obj"/></geometry></collision>'
     lines = model(driven_cart(link=INERTIAL + seen + touched))
     assert [line for line in lines.of("wrong") if "<visual>/<mesh>" in line and "bad.stl" in line]
     assert [line for line in lines.of("converted") if "collides as its convex hull" in line]
@@ -238,7 +238,7 @@ def test_a_reader_that_fails_is_a_remark_only(write: Check, monkeypatch: pytest.
         raise RuntimeError("no idea")
 
     monkeypatch.setattr(yourdfpy.URDF, "load", fail)
-    lines = Lines(check([str(write("bot.urdf", driven_cart()))], {}, Packages()))
+    lines = Lines(check([str(write("bot.urdf", driven_cart()))], {}, Packages(), ask_others=True))
     assert lines.of("wrong") == []
     assert lines.about("yourdfpy cannot read it: no idea")
 

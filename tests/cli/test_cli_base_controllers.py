@@ -244,3 +244,15 @@ def test_waiting_for_a_robot_that_does_not_come_times_out(world: CommandLine) ->
 
 def test_an_integral_gain_without_effect_is_pointed_out(slider: CommandLine) -> None:
     assert "i = 0.01 has no effect without i_clamp" in slider("controller", "load", POSITION).stderr
+
+
+def test_a_robot_in_the_root_namespace_does_not_hide_the_others(slider: CommandLine) -> None:
+    slider.ok("spawn", "slider", "namespace:=/", "-n", "bare", "--at", "3", "0", "0")
+    root = {"/joint_state_controller/type": '"joint_state_controller/JointStateController"'}
+    with slider.client() as client:
+        for name, value in {**root, "/joint_state_controller/publish_rate": "50"}.items():
+            client.call("/rosapi/set_param", {"name": name, "value": value})
+    slider.ok("controller", "spawn", STATES, "--cm", "/")
+    slider.ok("controller", "spawn", STATES, "--cm", "/slider")
+    assert states(slider) == {f"/ {STATES}": "running", f"/slider {STATES}": "running"}
+    assert states(slider, "--cm", "/") == {f"/ {STATES}": "running"}

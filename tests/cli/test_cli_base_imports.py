@@ -145,6 +145,12 @@ def test_a_command_of_the_tutorial_imports_only_what_is_allowed(
     assert not {name for name in loaded if name.startswith(("slidectl.description", "slidectl.daemon"))}
 
 
+@pytest.mark.parametrize("model", ["rrbot", "slider"])
+def test_a_check_imports_no_physics_and_no_other_reader(slidectl: CommandLine, tmp_path: Path, model: str) -> None:
+    loaded = modules(slidectl, tmp_path, "check", model, "--controllers", f"config/{model}_control.yaml")
+    assert not {"mujoco", "numpy", "trimesh", "yourdfpy", "scipy", "rosbags"} & loaded
+
+
 def test_the_help_imports_no_command_and_no_client(slidectl: CommandLine, tmp_path: Path) -> None:
     loaded = modules(slidectl, tmp_path, "--help")
     assert not {f"slidectl.cli.{entry.module}" for entry in COMMANDS.values()} & loaded

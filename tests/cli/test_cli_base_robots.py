@@ -11,7 +11,6 @@ import pytest
 from command_line import CommandLine
 
 from slidectl.cli import configuration
-from slidectl.cli.spawn import quaternion
 
 CONTROLLERS = "config/slider_control.yaml"
 BOX = """<?xml version="1.0"?>
@@ -103,13 +102,6 @@ def test_at_takes_three_or_six_numbers(world: CommandLine, tmp_path: Path) -> No
     assert robot(world, "box")["pose"] == pytest.approx([1, 2, 3, 0, 0, math.sqrt(0.5), math.sqrt(0.5)])
     for words in (["1", "2"], ["1", "2", "3", "4"], ["1", "2", "nan"]):
         assert world("spawn", "slider", "--at", *words).returncode == 2
-
-
-def test_a_quaternion_turns_about_x_then_y_then_z() -> None:
-    half = math.sqrt(0.5)
-    assert quaternion(math.pi / 2, 0, 0) == pytest.approx({"x": half, "y": 0, "z": 0, "w": half})
-    assert quaternion(0, math.pi / 2, 0) == pytest.approx({"x": 0, "y": half, "z": 0, "w": half})
-    assert quaternion(math.pi / 2, math.pi / 2, math.pi / 2) == pytest.approx({"x": 0, "y": half, "z": 0, "w": half})
 
 
 def test_a_root_is_free_unless_it_is_called_world_or_fixed(world: CommandLine, tmp_path: Path) -> None:

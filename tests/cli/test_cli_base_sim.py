@@ -48,13 +48,26 @@ def status(slidectl: CommandLine) -> dict[str, object]:
 
 def test_status_has_all_its_keys(slidectl: CommandLine) -> None:
     assert set(status(slidectl)) == {
-        "version", "pid", "instance", "time", "cycles", "paused", "speed", "speed_reached", "timestep", "engine",
-        "cycle_mean", "cycle_p99", "cycle_worst", "lateness_p50", "lateness_p99", "overruns", "robots", "controllers",
-        "controllers_running", "connections", "memory", "uptime", "log",
+        "version", "pid", "instance", "time", "cycles", "paused", "trouble", "speed", "speed_reached", "timestep",
+        "engine", "cycle_mean", "cycle_p99", "cycle_worst", "lateness_p50", "lateness_p99", "overruns", "robots",
+        "controllers", "controllers_running", "connections", "memory", "uptime", "log",
     }  # fmt: skip
     text = slidectl.ok("sim", "status")
     assert "state:       paused" in text
     assert "max asked" in text
+
+
+def test_status_tells_of_a_pause_that_nobody_asked_for(slidectl: CommandLine) -> None:
+    slidectl.ok("spawn", "rrbot")
+    push = '{joint_name: "rrbot::joint1", effort: 1.0e+100, duration: {secs: -1}}'
+    slidectl.ok("service", "call", "/gazebo/apply_joint_effort", push)
+    assert slidectl("sim", "step", "1000").returncode == 1
+    trouble = "the simulation of robot 'rrbot' diverged: its state is not finite or huge"
+    assert f"state:       paused: {trouble}\n" in slidectl.ok("sim", "status")
+    assert status(slidectl)["trouble"] == trouble
+    slidectl.ok("service", "call", "/gazebo/clear_joint_forces", "rrbot::joint1")
+    slidectl.ok("sim", "reset")
+    assert "state:       paused\n" in slidectl.ok("sim", "status")
 
 
 def test_step_does_exactly_so_much(slidectl: CommandLine) -> None:

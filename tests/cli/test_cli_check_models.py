@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pty
+import shlex
 import subprocess
 from pathlib import Path
 
@@ -108,7 +109,17 @@ def test_nothing_to_print_leaves_the_summary(slidectl: CommandLine, robot: Path)
 def test_a_model_may_come_on_stdin(slidectl: CommandLine) -> None:
     done = slidectl("check", "-", stdin=WITH_WRONG)
     assert done.returncode == 1
+    assert "<stdin>:7  wrong " in done.stdout
     assert "there is no link or joint 'crat'" in done.stdout
+
+
+@pytest.mark.parametrize("text", [SOUND, CONTROLLERS.replace("slyde", "slide"), "<launch/>"])
+def test_a_file_may_be_a_pipe_that_can_be_read_once(slidectl: CommandLine, tmp_path: Path, text: str) -> None:
+    (tmp_path / "text").write_text(text)
+    line = shlex.join(slidectl.argv("check")) + f" <(cat {shlex.quote(str(tmp_path / 'text'))})"
+    done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, env=slidectl.environment, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.endswith(" 0 wrong\n")
 
 
 def test_controllers_may_come_on_stdin(slidectl: CommandLine) -> None:
@@ -137,6 +148,18 @@ def test_packages_are_found_as_everywhere(slidectl: CommandLine, tmp_path: Path)
     assert slidectl("check", str(tmp_path / "b.xacro")).returncode == 2
     done = slidectl("check", str(tmp_path / "b.xacro"), "--package", f"pkg={package}")
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_another_reader_is_asked_on_demand_only(slidectl: CommandLine, robot: Path) -> None:
+    assert "yourdfpy" not in slidectl.ok("check", str(robot))
+    assert "note: yourdfpy reads the same tree" in slidectl.ok("check", str(robot), "--second-opinion")
+
+
+def test_all_faults_of_a_model_are_told_in_one_run(slidectl: CommandLine, robot: Path) -> None:
+    robot.write_text(BROKEN.replace('mass value="1"', 'mass value="0"').replace('effort="10"', ""))
+    done = slidectl("check", str(robot), "--only", "wrong", "--json")
+    assert done.returncode == 2
+    assert [json.loads(line)["line"] for line in done.stdout.splitlines()] == [3, 6, 7]
 
 
 WRONG_USAGE = [

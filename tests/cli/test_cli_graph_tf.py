@@ -14,8 +14,9 @@ from daemon_fixture import running_daemon
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slidectl.cli.frames import Frames, Pose, Quaternion, compose, inverse, normalised, roll_pitch_yaw
+from slidectl.cli.frames import Frames, Pose, compose, inverse, roll_pitch_yaw
 from slidectl.errors import AmbiguousName, Refused, UnknownName
+from slidectl.rotations import Quaternion, normalized
 
 TURN = (0.0, 0.0, math.sin(math.pi / 12), math.cos(math.pi / 12))
 
@@ -93,7 +94,7 @@ def test_a_ring_of_frames_ends(frames: Frames) -> None:
 
 numbers = st.floats(-10, 10, allow_subnormal=False)
 poses = st.builds(
-    lambda t, q: Pose(t, normalised(q)),
+    lambda t, q: Pose(t, normalized(q)),
     st.tuples(numbers, numbers, numbers),
     st.tuples(numbers, numbers, numbers, numbers),
 )

@@ -48,7 +48,7 @@ class Last:
     def __del__(self):
         os.kill(os.getpid(), signal.SIGINT)
 import slidectl.cli.main
-def run(argv):
+def run(*_):
     last = Last()
     del last
     select.select([], [], [], 30)

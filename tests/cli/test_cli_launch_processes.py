@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -64,19 +65,33 @@ def test_output_is_shown_with_the_name_of_the_node(daemon: CommandLine, package:
 def test_a_program_gets_arguments_remaps_its_name_its_namespace_and_its_environment(
     daemon: CommandLine, package: Package
 ) -> None:
-    package.script("show", 'printf "<%s>" "$@"; echo; echo "ns=$ROS_NAMESPACE X=$X instance=$SLIDECTL_INSTANCE"')
+    show = 'printf "<%s>" "$@"; echo; echo "ns=${ROS_NAMESPACE-none} X=$X instance=$SLIDECTL_INSTANCE"'
+    package.script("show", show)
     text = """
       <group ns="left">
         <remap from="pos" to="position"/>
         <env name="X" value="the group's"/>
         <node pkg="demo" type="show" name="a" args="one 'two words' --three"/>
         <node pkg="demo" type="show" name="b" ns="inner"><env name="X" value="its own"/><remap from="q" to="/r"/></node>
-      </group>"""
+      </group>
+      <node pkg="demo" type="show" name="c"/>"""
     done = daemon("launch", package.launch(text))
-    assert "[left/a] <one><two words><--three><pos:=position><__name:=a>\n" in done.stdout
+    assert "[left/a] <one><two words><--three><pos:=position><__name:=a><__log:=" in done.stdout
     assert "[left/a] ns=/left X=the group's instance=default\n" in done.stdout
-    assert "[left/inner/b] <pos:=position><q:=/r><__name:=b>\n" in done.stdout
+    assert re.search(
+        r"\[left/inner/b\] <pos:=position><q:=/r><__name:=b><__log:=/.*/left-inner-b-2\.log>\n", done.stdout
+    )
     assert "[left/inner/b] ns=/left/inner X=its own instance=default\n" in done.stdout
+    assert "[c] ns=none X= instance=default\n" in done.stdout
+
+
+def test_everything_is_below_the_namespace_of_the_environment(daemon: CommandLine, package: Package) -> None:
+    package.script("show", 'echo "ns=$ROS_NAMESPACE"')
+    text = '<node pkg="demo" type="show" name="a"><param name="p" value="1"/></node><param name="/q" value="2"/>'
+    file = package.launch(text)
+    assert daemon("launch", "--nodes", file, ROS_NAMESPACE="left").stdout == "/left/a\n"
+    assert daemon("launch", "--dump-params", file, ROS_NAMESPACE="/left").stdout == "/left/a/p: 1\n/q: 2\n"
+    assert "[left/a] ns=/left\n" in daemon("launch", file, ROS_NAMESPACE="left").stdout
 
 
 def test_a_program_reaches_the_launchs_daemon_and_sees_its_private_parameters(
@@ -276,11 +291,38 @@ def test_json_is_one_object_a_line_for_steps_and_output(daemon: CommandLine, pac
 
 
 def test_what_left_its_process_group_ends_with_the_launch_too(slidectl: CommandLine, package: Package) -> None:
-    package.script("escape", "setsid sleep 600 &\n(setsid sleep 600 &)\ntrap '' INT TERM\necho away\nwait; wait")
+    away = "setsid sh -c 'echo away; exec sleep 600'"
+    package.script("escape", f"{away} &\n({away} &)\ntrap '' INT TERM\nwait; wait")
     path = package.launch('<node pkg="demo" type="escape" name="e"/>')
     launched = Launched(slidectl, path, "--sigint-timeout", "0.2", "--sigterm-timeout", "0.2")
-    launched.until("[e] away")
+    launched.until("[e] away", 2)
     launched.up()
     assert launched.interrupt() == 130
     assert launched.text.count("(sleep) was left behind by a node; it is ended") == 2
+    nothing_is_left(slidectl.runtime)
+
+
+def test_a_launch_that_has_nothing_to_watch_says_so(daemon: CommandLine, package: Package) -> None:
+    done = daemon("launch", package.launch('<param name="x" value="1"/>'))
+    assert done.returncode == 0
+    assert (
+        "everything runs (0 nodes, 0 controllers running); nothing is left to watch, so the launch ends" in done.stdout
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("#!/no/such/python\r\nprint()", r"there is no such program as its first line names, '#!/no/such/python\r'"),
+        ("print()", "a script begins with a line such as #!/usr/bin/env python3"),
+    ],
+)
+def test_a_script_that_the_system_cannot_run_is_told_of_its_first_line(
+    slidectl: CommandLine, package: Package, text: str, reason: str
+) -> None:
+    package.script("odd", "").write_text(text, newline="")
+    done = slidectl("launch", package.launch('<node pkg="demo" type="odd" name="o"/>'))
+    assert done.returncode == 1
+    assert "node /o (demo/odd): cannot run" in done.stderr
+    assert reason in done.stderr
     nothing_is_left(slidectl.runtime)

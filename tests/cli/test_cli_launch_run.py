@@ -285,7 +285,7 @@ def test_wait_waits_for_a_daemon_and_starts_none(slidectl: CommandLine) -> None:
     assert "no daemon within 0.2 s" in done.stderr
 
 
-def test_parameters_are_cleared_deleted_dumped_and_set_in_this_order(slidectl: CommandLine, tmp_path: Path) -> None:
+def test_parameters_are_deleted_and_dumped_then_cleared_then_set(slidectl: CommandLine, tmp_path: Path) -> None:
     slidectl.ok("daemon", "start")
     for name in ("/c/old", "/zap", "/keep"):
         slidectl.ok("param", "set", name, "1")
@@ -300,6 +300,7 @@ def test_parameters_are_cleared_deleted_dumped_and_set_in_this_order(slidectl: C
     assert slidectl("param", "get", "/zap").returncode == 1
     dumped = (tmp_path / "d.yaml").read_text()
     assert "keep: 1" in dumped
+    assert "old: 1" in dumped
     assert "zap" not in dumped
     slidectl.ok("daemon", "stop")
 

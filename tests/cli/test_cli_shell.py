@@ -122,6 +122,142 @@ def test_a_script_may_start_restart_and_stop_the_daemon(slidectl: CommandLine) -
     assert [json.loads(line)["cycles"] for line in done.stdout.splitlines() if line.startswith("{")] == [5, 0]
 
 
+# --- what a line knows of the lines before it, and of others --------------------------------------------------------
+
+SECOND = (
+    "spawn slider -n second namespace:=/second --at 0 5 0 --controllers config/slider_control.yaml --start "
+    "joint1_position_controller"
+)
+
+
+def remove_second(slider: CommandLine) -> None:
+    """Its parameters would stay, as with ROS."""
+    slider("delete", "second")
+    slider.ok("param", "delete", "/second")
+
+
+def test_a_robot_of_the_line_before_makes_a_short_name_ambiguous(slider: CommandLine) -> None:
+    script = f"pub command 0.1\n{SECOND}\npub command 0.2\ndelete second\npub command 0.3\n"
+    try:
+        done = slider("-q", "shell", "--keep-going", stdin=script)
+    finally:
+        remove_second(slider)
+    assert done.returncode == 2
+    assert done.stderr.count("error:") == 1
+    assert "/second/joint1_position_controller/command" in done.stderr
+
+
+class Feeding:
+    """A shell that gets its lines one by one, as if somebody typed them."""
+
+    def __init__(self, slidectl: CommandLine, *options: str) -> None:
+        pipe = subprocess.PIPE
+        argv = slidectl.argv(*options, "shell", "--keep-going")
+        env = slidectl.environment
+        self.process = subprocess.Popen(argv, stdin=pipe, stdout=pipe, stderr=pipe, text=True, env=env, cwd=ROOT)
+
+    def say(self, line: str) -> tuple[str, list[str]]:
+        """What the line wrote to standard output and to standard error."""
+        assert self.process.stdin is not None
+        print(line, "version", "no_such_command", sep="\n", file=self.process.stdin, flush=True)
+        output = "".join(iter(self._line, "version"))
+        return output, list(iter(self._complaint, "no command 'no_such_command'."))
+
+    def _line(self) -> str:
+        assert self.process.stdout is not None
+        line = self.process.stdout.readline()
+        return "version" if line.startswith(("slidectl ", '{"slidectl"')) else line
+
+    def _complaint(self) -> str:
+        assert self.process.stderr is not None
+        line = self.process.stderr.readline().strip().removeprefix("error: ")
+        if not line.startswith("no command"):
+            return line
+        while "line" not in self.process.stderr.readline():
+            pass
+        return "no command 'no_such_command'."
+
+
+@pytest.fixture
+def feeding(slider: CommandLine) -> Iterator[Feeding]:
+    shell = Feeding(slider, "--json")
+    yield shell
+    shell.process.kill()
+    shell.process.communicate()
+
+
+def test_what_others_do_between_two_lines_counts_for_the_second(slider: CommandLine, feeding: Feeding) -> None:
+    line = "pub command 0.1"
+    assert json.loads(feeding.say(line)[0])["topic"] == "/slider/joint1_position_controller/command"
+    slider.ok(*SECOND.split())
+    try:
+        output, complaint = feeding.say(line)
+        assert output == ""
+        assert "/second/joint1_position_controller/command" in " ".join(complaint)
+    finally:
+        remove_second(slider)
+    assert json.loads(feeding.say(line)[0])["topic"] == "/slider/joint1_position_controller/command"
+    slider.ok("controller", "unspawn", "joint1_position_controller")
+    try:
+        output, complaint = feeding.say(line)
+        assert (output, bool(complaint)) == ("", True)
+    finally:
+        slider.ok("controller", "spawn", "joint1_position_controller")
+    assert feeding.say(line)[1] == []
+
+
+def test_subscribers_in_the_output_are_those_of_now(slider: CommandLine, feeding: Feeding) -> None:
+    line = "pub /slider/joint1_position_controller/command 0.1"
+    nodes = json.loads(feeding.say(line)[0])["subscribers"]
+    with slider.client() as other, other.subscribe("/slider/joint1_position_controller/command"):
+        assert len(json.loads(feeding.say(line)[0])["subscribers"]) == len(nodes) + 1
+    slider.ok("sim", "status")
+    assert json.loads(feeding.say(line)[0])["subscribers"] == nodes
+
+
+def test_services_and_parameters_of_others_are_found_at_once(slider: CommandLine, feeding: Feeding) -> None:
+    assert "value" not in feeding.say("param get fresh/x")[0]
+    slider.ok("param", "set", "/some/fresh/x", "1")
+    assert json.loads(feeding.say("param get fresh/x")[0])["parameter"] == "/some/fresh/x"
+    slider.ok("param", "set", "/some/fresh/x", "2")
+    assert json.loads(feeding.say("param get fresh/x")[0])["value"] == 2
+    slider.ok("param", "set", "/other/fresh/x", "1")
+    assert "/other/fresh/x" in " ".join(feeding.say("param get fresh/x")[1])
+    with slider.client() as other:
+        assert "error" not in feeding.say("service call list_controllers")[1]
+        other._send(op="advertise_service", service="/mine/list_controllers", type="std_srvs/Empty")
+        other.flush()
+        assert "/mine/list_controllers" in " ".join(feeding.say("service call list_controllers")[1])
+
+
+def test_a_warning_of_the_log_belongs_to_its_line(slider: CommandLine, feeding: Feeding) -> None:
+    slider.ok("controller", "stop", "joint1_position_controller")
+    try:
+        for _ in range(2):
+            assert "is not running" in " ".join(feeding.say("pub command 0.1")[1])
+            feeding.say("sim step 2000")  # it is not said more often than that
+    finally:
+        slider.ok("controller", "start", "joint1_position_controller")
+    with slider.client() as other:
+        owner = "/slider/joint1_position_controller"
+        other.deliver("/rosout", {"level": 4, "name": owner, "msg": f"{owner} says something in between"})
+    assert feeding.say("pub command 0.1")[1] == []
+
+
+def test_a_daemon_that_was_replaced_is_told_once(slidectl: CommandLine) -> None:
+    slidectl.ok("daemon", "start", "--paused")
+    shell = Feeding(slidectl, "--json")
+    try:
+        assert json.loads(shell.say("param get /use_sim_time --default 5")[0])
+        slidectl.ok("daemon", "restart", "--paused")
+        assert "the daemon went away" in " ".join(shell.say("param get /nothing --default 5")[1])
+        assert json.loads(shell.say("param get /nothing --default 5")[0])["value"] == 5
+    finally:
+        shell.process.kill()
+        shell.process.communicate()
+        slidectl("daemon", "stop")
+
+
 # --- at a terminal --------------------------------------------------------------------------------------------------
 
 

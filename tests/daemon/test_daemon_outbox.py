@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -56,6 +57,44 @@ def test_large_messages_are_bounded_by_their_bytes_and_the_newest_is_kept() -> N
     outbox.put_in(share, b"y" * (MOST_BYTES + 1))
     assert (len(share.lines), share.dropped) == (1, 5)
     assert outbox.take(1) == b"<5 of t>" + b"y" * (MOST_BYTES + 1)
+
+
+class Lines:
+    """Makes lines, and counts how many were made."""
+
+    def __init__(self, length: int = 4) -> None:
+        self.length = length
+        self.made = 0
+
+    def __call__(self, number: int) -> Callable[[], bytes]:
+        def make() -> bytes:
+            self.made += 1
+            return b"%d" % number + b" " * (self.length - len(b"%d" % number))
+
+        return make
+
+
+def test_lines_that_are_given_up_are_not_made() -> None:
+    outbox, share, lines = Outbox(report), Share("t", 10), Lines()
+    for number in range(1600):
+        outbox.put_in(share, lines(number))
+    assert lines.made == 100
+    assert outbox.take(1000) == b"<1590 of t>" + b"".join(b"%d" % number for number in range(1590, 1600))
+    assert lines.made < 111
+
+
+def test_lines_that_are_not_made_are_bounded_by_the_memory_that_they_take() -> None:
+    outbox, share, lines = Outbox(report), Share("t", 1000), Lines(10_000)
+    for number in range(1000):
+        outbox.put_in(share, lines(number))
+    assert len(share.lines) < MOST_BYTES / (2 * lines.length)
+    lines.length = MOST_BYTES // 4
+    for number in range(40):
+        outbox.put_in(share, lines(number))
+    assert len(share.lines) == 1
+    sent = outbox.take(1)
+    assert sent.endswith(b"39" + b" " * (lines.length - 2))
+    assert share.size == 0
 
 
 def test_a_forgotten_share_sends_nothing_more() -> None:

@@ -71,3 +71,12 @@ def test_a_circle_of_links_in_the_search_path_does_no_harm(workspace: Path, monk
     (workspace / "group" / "again").symlink_to(workspace)
     monkeypatch.setenv("ROS_PACKAGE_PATH", str(workspace))
     assert Packages().find("beta").name == "folder_of_beta"
+
+
+def test_packages_from_before_catkin_are_found_by_their_manifest(
+    workspace: Path, write: Write, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write("src/stack/old_arm/manifest.xml", "<package/>")
+    write("src/stack/old_arm/rospack_nosubdirs", "")
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(workspace))
+    assert Packages().find("old_arm") == workspace / "stack" / "old_arm"

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import pytest
 from description_urdf_text import INERTIAL, LIMIT, cart, joint, link, robot
 
+from slidectl.description import parse, yaml_tree
 from slidectl.errors import EXIT_USAGE, BadFile
 
 Refuse = Callable[[str], BadFile]
@@ -177,6 +178,10 @@ def test_a_mimic_of_a_fixed_joint_is_refused(refuse: Refuse) -> None:
         ("just text", "not well-formed"),
         ("<robot", "unclosed token"),
         ("<robot name='a'><link></robot>", "mismatched tag"),
+        ("<robot name='a'>\n<link>\n</robot>", "</link> is missing: its element begins in line 2"),
+        ("<robot name='a'>\n<link name='${a < b}'/></robot>", "a < within a value is written &lt;"),
+        ("\n<robot name='a'><link name='${a && b}'/></robot>", "an & is written &amp;"),
+        ("<robot name='a'><!-- wheels -- and so on --></robot>", "may not hold two hyphens in a row"),
         ("<sdf/>", "the outermost element is <sdf>, expected <robot>"),
         ("<robot/>", "lacks the attribute 'name'"),
         ("<robot name='a'>\x00</robot>", "not well-formed"),
@@ -214,3 +219,13 @@ def test_an_entity_from_a_file_is_refused(refuse: Refuse) -> None:
 def test_an_entity_of_a_document_type_elsewhere_is_refused_and_nothing_fetched(refuse: Refuse) -> None:
     error = refuse('<!DOCTYPE robot SYSTEM "http://127.0.0.1:9/robot.dtd"><robot name="a">&x;</robot>')
     assert "unknown XML entity 'x'" in str(error)
+
+
+def test_a_file_that_is_not_in_utf8_is_refused_with_what_to_do() -> None:
+    with pytest.raises(BadFile, match="it is not UTF-8: save it as that"):
+        parse("<robot name='café'/>".encode("latin-1"))
+
+
+def test_a_file_of_parameters_that_would_take_minutes_is_refused() -> None:
+    with pytest.raises(BadFile, match="is larger than 2 MiB"):
+        yaml_tree.read(b"a: 1\n" * 1_000_000, "control.yaml")

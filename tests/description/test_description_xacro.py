@@ -213,3 +213,31 @@ def test_comments_stay_only_where_they_hide_a_text(write: Write) -> None:
     xml = load(path).xml
     assert "a word" not in xml
     assert "<x><!-- hidden -->text</x>" in xml
+
+
+def test_tags_without_their_prefix_are_taken_as_until_kinetic_with_a_notice(write: Write) -> None:
+    write(
+        "parts.xacro",
+        '<robot><property name="size" value="2"/><macro name="bar" params="name *place"><link name="${name}">'
+        '<inertial><insert_block name="place"/><mass value="${size}"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0"'
+        ' izz="1"/></inertial></link></macro></robot>',
+    )
+    path = write(
+        "old.xacro",
+        model(
+            '<include filename="parts.xacro"/>',
+            "<link name='world'/>",
+            '<bar name="arm"><origin xyz="0 0 1"/></bar>',
+            '<if value="0"><link name="never"/></if><unless value="0">' + joint(child="arm") + "</unless>",
+            '<gazebo><plugin name="p" filename="f"><property name="kept" value="1"/></plugin></gazebo>',
+        ),
+    )
+    document = load(path)
+    assert [link.name for link in parse(document.xml).links.values()] == ["world", "arm"]
+    assert '<property name="kept" value="1"' in document.xml
+    assert [str(notice) for notice in document.report] == [
+        f"{path}:2: xacro: <if>, <include>, <unless> without the prefix are taken as <xacro:...>;"
+        " xacro itself does so only until ROS Kinetic",
+        f"{path.parent / 'parts.xacro'}:1: xacro: <insert_block>, <macro>, <property> without the prefix are taken as"
+        " <xacro:...>; xacro itself does so only until ROS Kinetic",
+    ]

@@ -49,6 +49,19 @@ def test_a_file_is_found_wherever_it_is_in_its_package(workspace: Workspace) -> 
         UsageError, match=r"package demo has several b.launch: else/where/b.launch, some/where/b.launch"
     ):
         found(workspace, "demo", "b.launch")
+    assert found(workspace, "demo", "some/where/b.launch") == [deep]
+
+
+def test_a_name_that_is_in_the_launch_folder_and_elsewhere_is_not_guessed_at(workspace: Workspace) -> None:
+    workspace.launch_file("", "c.launch")
+    workspace.write("test/c.launch", "<launch/>")
+    with pytest.raises(UsageError, match=r"has several c\.launch"):
+        found(workspace, "demo", "c.launch")
+
+
+def test_more_files_may_follow_one_of_a_package(workspace: Workspace) -> None:
+    first, second = workspace.launch_file("", "a.launch"), workspace.launch_file("", "b.launch")
+    assert found(workspace, "demo", "a.launch", str(second)) == [first, second]
 
 
 def test_a_package_of_the_users_goes_before_one_that_is_shipped(workspace: Workspace) -> None:

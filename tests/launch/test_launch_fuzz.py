@@ -75,6 +75,21 @@ def test_tags_in_any_order_with_any_attributes(elements: list[str]) -> None:
     plan_or_error(f"<launch>{''.join(elements)}</launch>")
 
 
+word = st.one_of(
+    st.sampled_from(["-urdf", "-model", "m", "-param", "d", "-x", "1", "-J", "nan", "--stopped", "--timeout", "-b",
+                     "-1", "--namespace", "a:=b", "list", "load", "switch", "worlds/empty.world", "-e", "--wait-for",
+                     "/t", "--timeout=x", "=", "-", "--", "''", "spawn", "0", "1e400"]),
+    st.text(string.printable, max_size=5),
+)  # fmt: skip
+
+
+@settings(max_examples=200)
+@given(st.sampled_from(kinds.counterparts()), st.lists(word, max_size=10))
+def test_any_arguments_of_a_node_that_has_a_counterpart(kind: tuple[str, str], words: list[str]) -> None:
+    given_attributes = {"pkg": kind[0], "type": kind[1], "name": "n", "args": " ".join(words)}
+    plan_or_error(f"<launch>{tag('node', given_attributes, '')}</launch>")
+
+
 @settings(max_examples=150)
 @given(st.binary(max_size=200))
 def test_bytes_that_are_no_launch_file(data: bytes) -> None:

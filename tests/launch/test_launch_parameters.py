@@ -154,6 +154,12 @@ def test_names_and_values_in_a_rosparam(workspace: Workspace, content: str, expe
     assert workspace.values('<rosparam ns="n" file="$(find demo)/p.yaml"/>') == expected
 
 
+def test_angles_are_known_to_params_after_the_first_rosparam(workspace: Workspace) -> None:
+    angle = '<param name="{}" value="deg(180)" type="yaml"/>'
+    found = workspace.values(angle.format("before") + "<rosparam/>" + angle.format("after"))
+    assert found == {"/before": "deg(180)", "/after": pytest.approx(3.14159265)}
+
+
 def test_the_text_of_a_rosparam_can_be_one_expression(workspace: Workspace) -> None:
     assert workspace.values('\n<rosparam subst_value="true">$(eval {"a": 1 + 1})</rosparam>') == {"/a": 2}
 
@@ -182,6 +188,22 @@ def test_a_nodes_own_parameters_are_below_it(workspace: Workspace) -> None:
       <rosparam param="d" ns="e">4</rosparam><rosparam>f: 5</rosparam></node></group>"""
     values = {f"/g/n/{key}": value for key, value in {"a": 1, "b": 2, "c": 3, "e/d": 4, "f": 5}.items()}
     assert workspace.values(content) == values
+
+
+@pytest.mark.parametrize(
+    ("around", "inside", "expected"),
+    [
+        ("", '<param name="q" value="1"/><rosparam>q: 2</rosparam>', 1),
+        ("", '<rosparam>q: 2</rosparam><param name="q" value="1"/>', 1),
+        ('<param name="~q" value="0"/>', "<rosparam>q: 2</rosparam>", 0),
+        ('<param name="~q" value="0"/>', '<param name="q" value="1"/><rosparam>q: 2</rosparam>', 1),
+        ('<param name="n/q" value="3"/>', "<rosparam>q: 2</rosparam>", 2),
+    ],
+)
+def test_in_a_node_a_param_counts_more_than_one_from_around_and_that_more_than_a_rosparam(
+    workspace: Workspace, around: str, inside: str, expected: int
+) -> None:
+    assert workspace.values(f'{around}<node pkg="rviz" type="rviz" name="n">{inside}</node>') == {"/n/q": expected}
 
 
 def test_rosparam_commands_are_kept_for_before_the_parameters(workspace: Workspace) -> None:

@@ -69,6 +69,19 @@ def test_an_included_file_has_its_own_folder_and_its_own_neighbours(workspace: W
     assert found == {"/d": str(other), "/n": str(neighbour), "/own": str(workspace.package)}
 
 
+def test_find_is_understood_in_what_another_substitution_gives_and_nothing_else_is(
+    workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MODEL", "$(find demo)/m.urdf")
+    assert workspace.value("$(arg model)", model="$(find demo)/urdf/m.urdf") == f"{workspace.package}/urdf/m.urdf"
+    assert workspace.value("$(env MODEL)") == f"{workspace.package}/m.urdf"
+    assert workspace.value("$(find demo)/$(arg a)", a="/abs") == "/abs"
+    assert workspace.value("$(arg a)", a="$(dirname)") == "$(dirname)"
+    assert workspace.value("$(eval a)", a="$(find demo)") == "$(find demo)"
+    with pytest.raises(BadFile, match="unknown substitution"):
+        workspace.value("$(arg a)", a="$(foo)")
+
+
 def test_anon_gives_one_name_for_one_identifier_and_different_ones_for_others(workspace: Workspace) -> None:
     plan = workspace.plan(
         '<node pkg="rviz" type="rviz" name="$(anon view)"/><node pkg="rviz" type="rviz" name="$(anon other)"/>'
@@ -82,6 +95,12 @@ def test_anon_gives_one_name_for_one_identifier_and_different_ones_for_others(wo
     assert again.name != first
 
 
+def test_each_include_has_anonymous_names_of_its_own(workspace: Workspace) -> None:
+    workspace.launch_file('<node pkg="rviz" type="rviz" name="$(anon view)"/>', "inner.launch")
+    plan = workspace.plan('<include file="$(dirname)/inner.launch"/><include file="$(dirname)/inner.launch"/>')
+    assert len({node.name for node in plan.nodes}) == 2
+
+
 @pytest.mark.parametrize(
     ("expression", "expected"),
     [
@@ -93,7 +112,7 @@ def test_anon_gives_one_name_for_one_identifier_and_different_ones_for_others(wo
         ("'yes' if on else 'no'", "yes"),
         ("sin(pi / 2)", 1.0),
         ("env('HERE') + optenv('NOT_SET', '!')", "home!"),
-        ("len", None),
+        ("max", None),
         ("'/'.join(['a', 'b'])", "a/b"),
         ("[x * 2 for x in [1, 2, 3] if x > 1][0]", 4),
         ("dict([['k', 'v']])['k']", "v"),
@@ -103,6 +122,14 @@ def test_anon_gives_one_name_for_one_identifier_and_different_ones_for_others(wo
         ("1e3", 1000.0),
         ("'010'", 10),
         ("a[0:2]", "on"),
+        ("len(a) + max(1, b) + abs(-1) + round(2.5) + int('f', base=16)", 23),
+        ("'{}-{:02d}'.format(a, b)", "one-02"),
+        ("f'{a!r}{b:.1f}'", "'one'2.0"),
+        ("sorted([3, b, 1], reverse=True)[0]", 3),
+        ("dict(k=1)['k'] << 3", 8),
+        ("sum([x * y for x, y in zip(range(3), [4, 5, 6])])", 17),
+        ("{x: 1 for x in 'ab'}['b']", 1),
+        ("a.zfill(5)", "00one"),
     ],
 )
 def test_eval_computes_and_the_result_is_typed_again(
@@ -110,12 +137,17 @@ def test_eval_computes_and_the_result_is_typed_again(
 ) -> None:
     monkeypatch.setenv("HERE", "home")
     if expected is None:
-        with pytest.raises(BadFile, match="there is no name 'len'"):
+        with pytest.raises(BadFile, match="gives a function"):
             workspace.value(f"$(eval {expression})", a="one", b="2", on="true")
         return
     found = workspace.value(f"$(eval {expression})", a="one", b="2", on="true")
     assert found == expected
     assert type(found) is type(expected)
+
+
+def test_an_arg_goes_before_a_function_of_its_name_but_not_before_a_constant(workspace: Workspace) -> None:
+    assert workspace.value("$(eval max + 1)", max="5") == 6
+    assert workspace.value("$(eval pi < 4)", pi="5") is True
 
 
 def test_eval_finds_packages_and_folders_too(workspace: Workspace) -> None:
@@ -134,7 +166,16 @@ def test_eval_finds_packages_and_folders_too(workspace: Workspace) -> None:
         ("open('/etc/passwd')", "there is no name 'open'"),
         ("eval('1')", "there is no name 'eval'"),
         ("(1).real", "uses Attribute"),
-        ("'a'.format(1)", "has no 'format' here"),
+        ("'{0.real}'.format(1)", "is not the number of a value"),
+        ("'{:999999999}'.format(1)", "too large"),
+        ("'{:{}}'.format(1, 999999999)", "too large"),
+        ("f'{1:{10 ** 9}}'", "too large"),
+        ("'a'.zfill(10 ** 9)", "too long"),
+        ("range(10 ** 9)", "too long"),
+        ("1 << 10 ** 9", "too large"),
+        ("round(1, -(10 ** 9))", "too many digits"),
+        ("sum([[1]], [])", "adds numbers only"),
+        ("str(**{})", "takes plain arguments only"),
         ("lambda: 1", "uses Lambda"),
         ("x := 1", "not valid"),
         ("9 ** 9 ** 9", "too large"),
@@ -207,3 +248,9 @@ def test_an_argument_that_is_declared_later_is_not_known_earlier(workspace: Work
     with pytest.raises(BadFile, match="there is no argument 'a' here"):
         plan.parameters()
     assert notices(plan) == []
+
+
+@pytest.mark.parametrize("call", ["arg(5)", "arg(a)", "find(1.5)", "env(true)", "optenv('NOPE', 3)", "anon([])"])
+def test_a_function_of_an_expression_wants_names_in_quotes(workspace: Workspace, call: str) -> None:
+    with pytest.raises(BadFile, match=r"takes names, in quotes, and not "):
+        workspace.value(f"$(eval {call})", a="5")

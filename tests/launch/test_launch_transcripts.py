@@ -172,6 +172,13 @@ def test_arguments_without_a_default_are_required(workspace: Workspace) -> None:
     path = workspace.launch_file('<arg name="must" doc="give me"/><param name="x" value="$(arg must)"/>')
     only = loader.load(files.find([str(path)], workspace.packages), {}, arguments_only=True)
     assert listing.arguments(only) == "Required Arguments:\n  must: give me"
+    content = (
+        '<arg name="a"/><arg name="b" default="$(arg a)/x" doc="$(eval 1 + 1)"/><arg name="c" default="1" if="0"/>'
+    )
+    lacking = loader.load(
+        files.find([str(workspace.launch_file(content))], workspace.packages), {}, arguments_only=True
+    )
+    assert listing.arguments(lacking).splitlines()[-1] == '  b (default "$(arg a)/x"): 2'
     none = loader.load(files.find([str(workspace.launch_file(""))], workspace.packages), {}, arguments_only=True)
     assert listing.arguments(none) == "No arguments."
 
@@ -253,6 +260,10 @@ def test_what_the_real_one_warns_of_is_pointed_out_with_the_place(workspace: Wor
         "demo/launch/test.launch:3: <frobnicate>: is unknown in <launch> and has no effect",
         'demo/launch/test.launch:4: <parm name="y">: is unknown in <launch> and has no effect; did you mean <param>?',
     ]
+    path = workspace.write("launch/test.launch", '<launch if="false"><param name="x" value="1"/></launch>')
+    plan = workspace.load(path)
+    assert list(plan.parameters()) == ["/x"]
+    assert "attribute 'if' is unknown" in notices(plan)[0]
     path = workspace.write("launch/test.launch", '<launch deprecated="use all.launch"/>')
     assert "is deprecated: use all.launch" in notices(workspace.load(path))[0]
     assert "is not run" in notices(workspace.plan('<test test-name="t" pkg="a" type="b"/>'))[0]

@@ -10,7 +10,7 @@ from typing import Any
 from sim_robots import STATES, cart
 
 from slidectl.control.controller import Controller
-from slidectl.control.interfaces import EffortJointInterface
+from slidectl.control.interfaces import EffortJointInterface, PositionJointInterface
 from slidectl.control.node import NodeHandle
 from slidectl.control.registry import controller
 from slidectl.errors import SlidectlError
@@ -27,10 +27,14 @@ Scene = Callable[[Simulation], None]
 
 
 def arm(
-    kinds: tuple[str, ...] = ("prismatic", "revolute", "continuous"), safety: bool = False, plugin: str = ""
+    kinds: tuple[str, ...] = ("prismatic", "revolute", "continuous"),
+    safety: bool = False,
+    plugin: str = "",
+    interface: str = "Effort",
 ) -> str:
     """Joints of several kinds, each between the world and a link of its own; nothing touches anything."""
     parts = "".join(_joint(number + 1, kind, safety) for number, kind in enumerate(kinds))
+    parts = parts.replace("EffortJointInterface", f"{interface}JointInterface")
     block = f'<gazebo><plugin name="c" filename="libgazebo_ros_control.so">{plugin}</plugin></gazebo>'
     return f'<robot name="arm"><link name="world"/>{parts}{block}</robot>'
 
@@ -79,6 +83,19 @@ def usual() -> dict[str, dict[str, Any]]:
     }
 
 
+def add_driven(simulation: Simulation, name: str, interface: str, safety: bool = False, gains: bool = True) -> None:
+    """A robot whose joints take positions or velocities, with PIDs of the hardware unless it has none."""
+    for joint in ("joint1", "joint2", "joint3"):
+        own = GAINS if gains else {}
+        simulation.parameters.set(f"/{name}/gazebo_ros_control/pid_gains/{joint}", own)
+        simulation.parameters.set(f"/{name}/joint_limits/{joint}", {"has_acceleration_limits": joint != "joint1"})
+        simulation.parameters.set(f"/{name}/joint_limits/{joint}/max_acceleration", 20.0)
+    kind = f"{interface.lower()}_controllers/Joint{interface}Controller"
+    goals = {f"goal{k}": {"type": kind, "joint": f"joint{k}"} for k in (1, 2, 3)}
+    states = {"states": {"type": STATES, "publish_rate": 100}}
+    add(simulation, name, arm(safety=safety, interface=interface), states | goals)
+
+
 class Heard:
     """All messages on topics, in the order of their coming."""
 
@@ -87,8 +104,9 @@ class Heard:
         self.messages: list[tuple[str, str]] = []
 
     def listen(self, topic: str) -> None:
-        """From now on."""
-        self._simulation.subscribe(topic, lambda message: self.messages.append((topic, repr(message))))
+        """From now on, as a client of the daemon does: it sees nothing but messages."""
+        topics = self._simulation.graph.topics
+        topics.subscribe(topic, None, "/listener", lambda message: self.messages.append((topic, repr(message))))
 
 
 def play(scene: Scene, engine: str, driven: bool = False) -> tuple[list[Any], Simulation]:
@@ -154,6 +172,20 @@ class Swinger(Controller[EffortJointInterface]):
             self.joint.command += 0.25
 
 
+@controller("tests/Stepper")
+class Stepper(Controller[PositionJointInterface]):
+    """In Python only: a position that steps to and fro, from where the joint is."""
+
+    interface_type = PositionJointInterface
+
+    def init(self, interface: PositionJointInterface, node: NodeHandle) -> None:
+        self.joint = interface.get_handle(node.get_param("joint"))
+
+    def update(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
+        if time_ns % 50_000_000 == 0:
+            self.joint.command = self.joint.position + (0.3 if time_ns % 100_000_000 else -0.3)
+
+
 def mixed() -> dict[str, dict[str, Any]]:
     """A controller in Python between compiled ones."""
     return {
@@ -165,13 +197,14 @@ def mixed() -> dict[str, dict[str, Any]]:
 
 
 def at_random(seed: int) -> Scene:
-    """Three robots, and a hundred things that happen to them."""
+    """Four robots, and a hundred things that happen to them."""
 
     def scene(simulation: Simulation) -> None:
         dice = Random(seed)
         add(simulation, "a", arm(), usual())
         add(simulation, "b", arm(safety=dice.random() < 0.5), mixed())
         add(simulation, "c", cart(), {"effort": {"type": EFFORT, "joint": "joint1"}})
+        add_driven(simulation, "d", dice.choice(("Position", "Velocity")), safety=dice.random() < 0.5)
         for _ in range(100):
             happen(simulation, dice)
             simulation.step(dice.choice((1, 3, 17, 60, 300)))
@@ -181,7 +214,7 @@ def at_random(seed: int) -> Scene:
 
 def happen(simulation: Simulation, dice: Random) -> None:
     """One thing. What is refused is refused by both engines."""
-    robot = dice.choice("abc")
+    robot = dice.choice("abcd")
     things: list[Callable[[], object]] = [
         lambda: simulation.publish(dice.choice(_COMMANDS), {"data": dice.uniform(-3, 3)}, "std_msgs/Float64"),
         lambda: simulation.publish("/b/swing/target", {"data": dice.uniform(-1, 1)}, "std_msgs/Float64"),
@@ -208,17 +241,21 @@ _COMMANDS = (
     "/b/one/command",
     "/b/three/command",
     "/c/effort/command",
+    "/d/goal1/command",
+    "/d/goal2/command",
+    "/d/goal3/command",
 )
 _TOPICS = (
     "/a/joint_states",
     "/b/joint_states",
+    "/d/joint_states",
     "/a/one/state",
     "/a/three/state",
     "/b/one/state",
     "/b/swing/told",
     "/clock",
 )
-_NAMES = ("states", "one", "two", "three", "swing", "effort")
+_NAMES = ("states", "one", "two", "three", "swing", "effort", "goal1", "goal2")
 
 
 def _bump(simulation: Simulation) -> None:

@@ -95,7 +95,7 @@ def test_code_that_is_tidied_away_under_an_engine_is_made_anew(folder: Path, mon
     monkeypatch.setattr(object_file, "load", gone)
     simulation = Simulation(engine="auto")
     simulation.step(3)
-    assert str(simulation.engine) == "auto: compiling, plain meanwhile"
+    assert str(simulation.engine) == "auto: plain so far"
 
 
 def test_the_files_that_were_used_last_stay(folder: Path) -> None:
@@ -135,3 +135,92 @@ def test_a_compiler_whose_folder_is_gone_leaves_nothing_behind(monkeypatch: pyte
     done = subprocess.run([sys.executable, "-m", "slidectl.simulation.compiled.compiler"], env=dict(os.environ))
     assert done.returncode == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_is_not_what_was_written_is_thrown_away(folder: Path) -> None:
+    file = folder / "cycle-now.o"
+    for damaged in (b"", b"short", b"\0" * 9000):
+        file.write_bytes(damaged)
+        file.chmod(0o600)
+        with pytest.raises(cache.Damaged):
+            cache.read(file)
+        assert not file.exists()
+
+
+@needs_numba
+def test_damaged_code_is_made_anew_and_ends_nobody(tmp_path: Path) -> None:
+    program = (
+        "from slidectl.simulation import Simulation\n"
+        "from slidectl.simulation.compiled import cache, object_file\n"
+        "cache.prepare()\n"
+        "object_file.place().write_bytes(b'half of what was ' * 100)\n"
+        "object_file.place().chmod(0o600)\n"
+        "simulation = Simulation(engine='compiled')\n"
+        "simulation.engine.complete()\n"
+        "simulation.step(10)\n"
+        "print(simulation.engine, simulation.cycles)\n"
+    )
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
+    assert (done.stdout, done.stderr, done.returncode) == ("compiled 10\n", "", 0)
+
+
+def run_in(folder: Path, program: str, **environment: str) -> str:
+    """What a program prints that is started in this folder, with code of its own."""
+    changed = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache"), **environment}
+    done = subprocess.run([sys.executable, "-c", program], cwd=folder, env=changed, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@needs_numba
+def test_the_compiler_takes_no_file_of_the_users_for_a_library(tmp_path: Path) -> None:
+    (tmp_path / "random.py").write_text("raise SystemExit('this is not the library')\n")
+    program = (
+        "import sys; sys.path.pop(0)\n"
+        "from slidectl.simulation import Simulation\n"
+        "simulation = Simulation(engine='compiled')\n"
+        "simulation.engine.complete()\n"
+        "print(simulation.engine)\n"
+    )
+    assert run_in(tmp_path, program) == "compiled\n"
+
+
+def test_a_folder_that_is_called_numba_is_no_compiler(tmp_path: Path) -> None:
+    program = (
+        "import importlib.util as util\n"
+        "find = util.find_spec\n"
+        "def find_spec(name, *rest):\n"
+        "    found = find(name, *rest)\n"
+        "    if name == 'numba' and found is not None: found.origin = None\n"
+        "    return found\n"
+        "util.find_spec = find_spec\n"
+        "from slidectl.errors import Refused\n"
+        "from slidectl.simulation import Simulation\n"
+        "simulation = Simulation(engine='auto')\n"
+        "print(simulation.step(20000), simulation.engine)\n"
+        "try: Simulation(engine='compiled')\n"
+        "except Refused as refusal: print(refusal.message)\n"
+    )
+    assert run_in(tmp_path, program) == "20000 plain\nthe compiled engine needs numba\n"
+
+
+@needs_numba
+def test_a_compiler_that_breaks_says_why_in_the_report_and_the_log(tmp_path: Path) -> None:
+    (tmp_path / "sitecustomize.py").write_text("import sys; sys.modules['llvmlite.ir'] = None\n")
+    program = (
+        "from slidectl.errors import Refused\n"
+        "from slidectl.simulation import Simulation\n"
+        "from slidectl.simulation.compiled import object_file\n"
+        "simulation = Simulation(engine='compiled')\n"
+        "lines = []\n"
+        "simulation.subscribe('/rosout', lines.append)\n"
+        "simulation.driven = True\n"
+        "while not simulation.engine.is_settled: simulation.step(1)\n"
+        "print(simulation.engine, lines[-1]['msg'], lines[-1]['level'], sep='\\n')\n"
+        "print(object_file.report().read_text())\n"
+    )
+    status, logged, level, *report = run_in(tmp_path, program, PYTHONPATH=str(tmp_path)).splitlines()
+    assert status == f"plain: compiling failed, see {tmp_path}/cache/slidectl/compiling.log"
+    assert (logged, level) == (f"cycles run in the interpreter: {status.removeprefix('plain: ')}", "8")
+    assert "llvmlite.ir" in "".join(report)

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import random
 import struct
+from collections import Counter
 from collections.abc import Callable
 from inspect import signature
 from math import inf, nan
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,13 +18,16 @@ import pytest
 
 numba = pytest.importorskip("numba")
 
-from slidectl.control import angles, limit_laws  # noqa: E402
+from slidectl.control import angles, limit_laws, limit_steps  # noqa: E402
+from slidectl.control import limits as limit_handles  # noqa: E402
 from slidectl.control.duration import from_seconds, to_seconds  # noqa: E402
 from slidectl.control.handles import JointHandle  # noqa: E402
 from slidectl.control.joint_limits import JointLimits, SoftJointLimits  # noqa: E402
 from slidectl.control.laws import Columns  # noqa: E402
-from slidectl.control.limits import EffortJointSaturation, EffortJointSoftLimits, saturate_effort, slow_effort  # noqa: E402
+from slidectl.control.limits import LimitHandle  # noqa: E402
 from slidectl.control.pid import Pid, next_command, next_command_from, pid_law  # noqa: E402
+from slidectl.physics import drives  # noqa: E402
+from slidectl.physics.drives import Drive  # noqa: E402
 from slidectl.physics.effort import truncated  # noqa: E402
 from slidectl.simulation.compiled import rows  # noqa: E402
 from slidectl.simulation.compiled.compiler import column_type, teach_laws  # noqa: E402
@@ -87,11 +92,9 @@ class Rows:
         self._columns.give(self._memory, 0, self._source)
 
 
-def compiled(law: Callable[..., Any], rows_in_front: int) -> Callable[..., Any]:
-    """The law with tables in the place of its first arguments, of which it takes the first row."""
-    if rows_in_front == 1:
-        return numba.njit(lambda one, *rest: law(one[0], *rest))  # type: ignore[no-any-return]
-    return numba.njit(lambda one, two: law(one[0], two[0]))  # type: ignore[no-any-return]
+def compiled(law: Callable[..., Any]) -> Callable[..., Any]:
+    """The law with a table in the place of its first argument, of which it takes the first row."""
+    return numba.njit(lambda one, *rest: law(one[0], *rest))  # type: ignore[no-any-return]
 
 
 def recorded(name: str) -> list[dict[str, Any]]:
@@ -100,8 +103,8 @@ def recorded(name: str) -> list[dict[str, Any]]:
 
 
 def test_every_recorded_pid_comes_out_of_the_compiled_law() -> None:
-    laws = {"error": compiled(next_command, 1)}
-    other = compiled(next_command_from, 1)
+    laws = {"error": compiled(next_command)}
+    other = compiled(next_command_from)
     for case in recorded("pid_vectors.json"):
         gains = {key: float(value) for key, value in case["gains"].items() if key != "antiwindup"}
         pid = Pid(**gains, antiwindup=bool(case["gains"]["antiwindup"]))
@@ -125,29 +128,40 @@ def _set_gains(pid: Pid, gains: tuple[float, ...]) -> None:
     pid.antiwindup = bool(gains[5])
 
 
-def test_every_recorded_effort_limit_comes_out_of_the_compiled_law() -> None:
-    saturate, slow = compiled(saturate_effort, 2), compiled(slow_effort, 2)
-    seen = 0
+def test_every_recorded_limit_comes_out_of_the_compiled_law() -> None:
+    machine = numba.njit(lambda limit, joint, period_s: limit_steps.enforce(limit[0], joint[0], period_s))
+    seen: Counter[str] = Counter()
     for case in recorded("joint_limits_vectors.json"):
-        if not case["handle"].startswith("Effort"):
-            continue
-        seen += 1
         joint = JointHandle("joint")
         limits = JointLimits(**{k: v if isinstance(v, bool) else float(v) for k, v in case["limits"].items()})
-        soft = "Soft" in case["handle"]
-        handle: Any = EffortJointSaturation(joint, limits)
-        if soft:
-            bounds = SoftJointLimits(**{key: float(value) for key, value in case["soft_limits"].items()})
-            handle = EffortJointSoftLimits(joint, limits, bounds)
-        limit_row, joint_row = Rows(type(handle).compiled.columns, handle), Rows(rows.JOINT, joint)
-        for step, output in zip(case["steps"], case["outputs"], strict=True):
+        soft = SoftJointLimits(**{key: float(value) for key, value in case.get("soft_limits", {}).items()})
+        handle: Any = getattr(limit_handles, case["handle"].removesuffix("Handle"))(joint, limits, soft)
+        limit_row, joint_row = Rows(LimitHandle.columns, handle), Rows(rows.JOINT, joint)
+        for k, (step, output) in enumerate(zip(case["steps"], case["outputs"], strict=True)):
+            if k in case["resets"]:
+                handle.reset()
+                limit_row.fill()
             joint.position, joint.velocity, joint.effort, joint.command, period_s = map(float, step)
-            assert to_seconds(from_seconds(period_s)) >= 0.0
             joint_row.fill()
-            (slow if soft else saturate)(limit_row.array, joint_row.array)
+            machine(limit_row.array, joint_row.array, to_seconds(from_seconds(period_s)))
             joint_row.give()
-            assert bits(joint.command) == bits(float(output))
-    assert seen > 10
+            assert bits(joint.command) == bits(float(output)), case["handle"]
+        seen[case["handle"]] += 1
+    assert len(seen) == len(limit_steps.KINDS)
+
+
+@pytest.mark.parametrize("kind", [drives.EFFORT, drives.VELOCITY, drives.LENGTH, drives.REVOLVING, drives.TURNING])
+def test_what_a_drive_makes_of_a_command_is_the_same_to_the_bit(kind: int) -> None:
+    machine = numba.njit(lambda drive, pid, joint, dt: drives.drive_effort(drive[0], pid[0], joint[0], dt))
+    dice = random.Random(kind)
+    drive: Any = SimpleNamespace(kind=kind, lower=-2.0, upper=1.5, limit=7.0)
+    pid, joint = Pid(p=5.0, i=2.0, d=0.5, i_max=3.0, i_min=-1.0), JointHandle("joint")
+    drive_row, pid_row, joint_row = Rows(Drive.columns, drive), Rows(Pid.columns, pid), Rows(rows.JOINT, joint)
+    for _ in range(500):
+        joint.position, joint.velocity, joint.command = (dice.uniform(-4, 4) for _ in range(3))
+        joint_row.fill()
+        computed = machine(drive_row.array, pid_row.array, joint_row.array, 0.001)
+        assert bits(computed) == bits(drives.drive_effort(drive, pid, joint, 0.001))
 
 
 @pytest.mark.parametrize("law", SCALAR_LAWS, ids=lambda law: law.__name__)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from engine_scenes import GAINS, POSITION, Scene, add, arm, at_random, mixed, play, switch, usual
+from engine_scenes import EFFORT, GAINS, POSITION, Scene, add, add_driven, arm, at_random, mixed, play, switch, usual
 from sim_robots import STATES, cart, logged, running_cart
 
 import slidectl
@@ -64,10 +64,93 @@ def test_every_compiled_controller_gives_the_same_bits(safety: bool, listened: b
 
 
 @needs_numba
+@pytest.mark.parametrize("safety", [False, True])
+@pytest.mark.parametrize("interface", ["Position", "Velocity"])
+def test_positions_and_velocities_with_a_pid_of_the_hardware_give_the_same_bits(interface: str, safety: bool) -> None:
+    def scene(simulation: Simulation) -> None:
+        add_driven(simulation, "a", interface, safety)
+        simulation.heard.listen("/a/joint_states")  # type: ignore[attr-defined]
+        for k in range(8):
+            for number, value in enumerate((2.0, -4.0, 5.0)):
+                simulation.publish(f"/a/goal{number + 1}/command", {"data": value * (-1) ** k})
+            simulation.step(300)
+            if k == 3:
+                simulation.parameters.set("/a/gazebo_ros_control/pid_gains/joint2/p", 11.0)
+            if k == 5:
+                simulation.reset_world()
+
+    simulation = assert_same(scene)
+    times = count_plain_cycles(simulation, "a")
+    simulation.step(1000)
+    assert times == []
+
+
+@needs_numba
+def test_a_controller_in_python_sends_positions_among_compiled_ones() -> None:
+    def scene(simulation: Simulation) -> None:
+        add_driven(simulation, "a", "Position")
+        switch(simulation, "a", stop=["goal2"])
+        simulation.parameters.set("/a/stepper", {"type": "tests/Stepper", "joint": "joint2"})
+        assert simulation.call("/a/controller_manager/load_controller", {"name": "stepper"})["ok"]
+        switch(simulation, "a", start=["stepper"])
+        simulation.publish("/a/goal1/command", {"data": 0.5})
+        simulation.step(700)
+
+    simulation = assert_same(scene)
+    times = count_plain_cycles(simulation, "a")
+    simulation.step(100)
+    assert times == []
+
+
+@needs_numba
+def test_a_joint_with_several_transmissions_gives_the_same_bits() -> None:
+    def scene(simulation: Simulation) -> None:
+        xml = arm(("prismatic", "revolute")).replace('<joint name="joint2"><hardware', '<joint name="joint1"><hardware')
+        own = {f"e{k}": {"type": EFFORT, "joint": "joint1"} for k in (1,)}
+        add(simulation, "a", xml, own)
+        simulation.publish("/a/e1/command", {"data": 7.0})
+        simulation.step(500)
+
+    assert_same(scene)
+
+
+@needs_numba
+@pytest.mark.parametrize("interface", ["Position", "Velocity"])
+def test_joints_with_motors_and_those_that_publish_their_pid_are_the_interpreters(interface: str) -> None:
+    def scene(simulation: Simulation) -> None:
+        add_driven(simulation, "a", interface, gains=False)
+        add(simulation, "b", arm(), usual())
+        simulation.parameters.set("/c/gazebo_ros_control/pid_gains/joint1/publish_state", True)
+        add_driven(simulation, "c", interface)
+        for name in "ac":
+            simulation.publish(f"/{name}/goal1/command", {"data": 0.5})
+        simulation.step(300)
+
+    assert_same(scene)
+
+
+@needs_numba
+def test_an_emergency_stop_of_driven_joints_gives_the_same_bits() -> None:
+    def scene(simulation: Simulation) -> None:
+        plugin = "<eStopTopic>/stop</eStopTopic>"
+        for name, interface in (("a", "Position"), ("b", "Velocity")):
+            simulation.parameters.set(f"/{name}/gazebo_ros_control/pid_gains", {"joint1": GAINS, "joint2": GAINS})
+            kind = f"{interface.lower()}_controllers/Joint{interface}Controller"
+            xml = arm(("prismatic", "revolute"), plugin=plugin, interface=interface)
+            add(simulation, name, xml, {"goal": {"type": kind, "joint": "joint2"}})
+            simulation.publish(f"/{name}/goal/command", {"data": 0.8})
+        for stopped in (False, True, False):
+            simulation.publish("/stop", {"data": stopped}, "std_msgs/Bool")
+            simulation.step(200)
+
+    assert_same(scene)
+
+
+@needs_numba
 def test_the_cycles_are_compiled_ones_while_listeners_are_served() -> None:
     _, simulation = play(lambda simulation: add(simulation, "a", arm(), usual()), "compiled")
     heard: list[Any] = []
-    simulation.subscribe("/a/one/state", heard.append)
+    simulation.graph.topics.subscribe("/a/one/state", None, "/listener", heard.append)
     times = count_plain_cycles(simulation, "a")
     simulation.step(1000)
     assert times == []
@@ -405,6 +488,17 @@ def test_the_interpreter_runs_the_cycles_until_the_code_is_there(compilation: Co
     assert simulation.cycles == 9
 
 
+def test_a_compiler_that_was_killed_is_named_by_what_killed_it(compilation: Compilation) -> None:
+    simulation = Simulation(engine="auto")
+    lines = logged(simulation)
+    simulation.driven = True
+    simulation.step(3)
+    compilation.code = -9
+    simulation.step(3)
+    assert str(simulation.engine) == "plain: the compiler was ended by SIGKILL"
+    assert ("warn", "cycles run in the interpreter: the compiler was ended by SIGKILL") in lines
+
+
 @pytest.mark.usefixtures("compilation")
 def test_code_that_is_no_code_leaves_the_interpreter(monkeypatch: pytest.MonkeyPatch) -> None:
     def broken() -> None:
@@ -464,3 +558,29 @@ def test_numba_is_imported_by_the_process_that_compiles_and_by_nothing_else() ->
     package = Path(slidectl.__file__).parent
     users = [path.name for path in package.rglob("*.py") if "import numba" in path.read_text(encoding="utf-8")]
     assert users == ["compiler.py"]
+
+
+@pytest.mark.parametrize("engine", ["plain", "compiled"])
+@pytest.mark.parametrize("place", ["timer", "subscriber"])
+def test_what_a_script_holds_is_true_in_its_callbacks(engine: str, place: str) -> None:
+    simulation = Simulation(ground=False, engine=engine)
+    if engine == "compiled":
+        simulation.engine.complete()
+    add(simulation, "a", arm(), usual())
+    robot = simulation.robots.get("a")
+    held, handle = robot.manager.get("one"), robot.hardware.driven()[0].handle
+    seen: list[bool] = []
+
+    def look(*_: object) -> None:
+        seen.append(handle.position == simulation.world.joint_state("a", handle.name)[0] or place == "subscriber")
+        held.set_command(1.0)
+
+    if place == "timer":
+        simulation.graph.timers.every(100_000_000, look)
+    else:
+        simulation.subscribe("/a/two/state", look)
+    simulation.publish("/a/one/command", {"data": 0.3})
+    simulation.step(1000)
+    assert held.set_point == 1.0
+    assert len(seen) >= 9
+    assert simulation.world.joint_state("a", "joint1")[0] > 0.9

@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from sim_robots import cart, command, drive_up, logged, running_cart, state, switch
+from sim_robots import cart, command, drive_up, logged, put_probe, running_cart, state, switch
 
 from slidectl.errors import BadFile, BadName, Refused, SlidectlError, UnknownName
 from slidectl.simulation import Simulation
+from slidectl.simulation.simulation import SCRIPT_NODE
 
 
 @pytest.fixture
@@ -181,3 +182,50 @@ def test_a_running_robot_can_be_deleted(simulation: Simulation) -> None:
     assert switch(simulation, stop=["position1"])
     simulation.delete("cart")
     assert simulation.step(5) == 5
+
+
+@pytest.mark.parametrize("engine", ["plain", "auto"])
+def test_the_controllers_of_a_robot_that_goes_are_stopped_first(engine: str) -> None:
+    simulation = running_cart(engine=engine)
+    simulation.delete("cart")
+    robot = simulation.spawn(cart(joints=2), "cart")
+    probe, idle = put_probe(simulation, robot), put_probe(simulation, robot, "idle", "joint2")
+    assert switch(simulation, start=["probe"])
+    simulation.step(20)
+    probe.calls.clear()
+    simulation.delete("cart")
+    assert probe.calls == [("stopping", simulation.time_ns)]
+    assert idle.calls == []
+
+
+def test_a_controller_that_fails_to_stop_is_told_of_and_the_robot_goes_all_the_same(simulation: Simulation) -> None:
+    robot = simulation.spawn(cart(), "cart")
+    put_probe(simulation, robot)
+    assert switch(simulation, start=["probe"])
+    lines = logged(simulation)
+    controller: Any = robot.manager.get("probe")
+    controller.stopping = lambda _: 1 / 0
+    simulation.delete("cart")
+    assert any("ZeroDivisionError" in text for severity, text in lines if severity == "fatal")
+    assert simulation.robots.names() == simulation.world.names() == []
+
+
+@pytest.mark.parametrize("name", ["world", "map"])
+def test_no_robot_can_have_a_name_of_the_worlds(simulation: Simulation, name: str) -> None:
+    with pytest.raises(Refused, match=f"no robot can be named '{name}': .*the world itself\nchoose another name"):
+        simulation.spawn(cart(), name)
+    assert simulation.robots.names() == []
+
+
+@pytest.mark.parametrize("name", ["gazebo", "rosapi", "slidectl", "clock", "tf"])
+def test_a_robot_may_share_a_name_with_what_is_built_in(simulation: Simulation, name: str) -> None:
+    before = traces(simulation)
+    simulation.spawn(cart(), name)
+    drive_up(simulation, f"/{name}")
+    command(simulation, 0.5, f"/{name}/position1/command")
+    simulation.step(2000)
+    assert state(simulation, name)[0] == pytest.approx(0.5, abs=0.05)
+    simulation.delete(name)
+    simulation.graph.close_node(SCRIPT_NODE)
+    simulation.parameters.delete(f"/{name}")
+    assert traces(simulation) == before

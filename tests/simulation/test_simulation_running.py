@@ -207,8 +207,10 @@ def test_when_the_physics_diverges_the_world_is_held_and_the_robot_is_named(driv
     assert not step.result()["success"]
     (fatal,) = [text for severity, text in lines if severity == "fatal"]
     assert "'bad'" in fatal
+    assert "'bad' diverged" in driven.call("/slidectl/status")["trouble"]
     driven.delete("bad")
     driven.resume()
+    assert driven.call("/slidectl/status")["trouble"] == ""
     assert driven.step(10) == 10
 
 
@@ -271,3 +273,36 @@ def test_a_time_step_must_be_above_0(simulation: Simulation) -> None:
 def test_an_unknown_service_is_named(simulation: Simulation) -> None:
     with pytest.raises(UnknownName, match="Did you mean '/slidectl/step'"):
         simulation.call("/slidectl/stepp")
+
+
+def test_a_divergence_in_the_middle_of_a_step_is_told_like_any_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    simulation = running_cart(engine="plain")
+    step = simulation.world.step
+
+    def fails() -> None:
+        if simulation.time_ns == 5_000_000:
+            raise Diverged("cart")
+        step()
+
+    monkeypatch.setattr(simulation.world, "step", fails)
+    with pytest.raises(Diverged, match="'cart' diverged"):
+        simulation.step(10)
+    assert simulation.cycles == 5
+    assert simulation.run.paused
+
+
+@pytest.mark.parametrize("engine", ["plain", "auto"])
+def test_the_time_step_does_not_change_inside_a_cycle(engine: str) -> None:
+    simulation = running_cart(engine=engine)
+    refusals: list[str] = []
+
+    def change(_: object) -> None:
+        try:
+            simulation.set_timestep(0.002)
+        except Refused as refusal:
+            refusals.append(refusal.message)
+
+    simulation.subscribe("/cart/joint_states", change)
+    simulation.step(100)
+    assert set(refusals) == {"cannot change the time step in the middle of a control cycle"}
+    assert (simulation.time_ns, simulation.world.data.time) == (100_000_000, pytest.approx(0.1))

@@ -56,7 +56,8 @@ class ManagerScript(Task):
         self.goes_on = False
         if self.command not in COMMANDS:
             error = UnknownName("command", command, sorted(COMMANDS), "of controller_manager")
-            raise node.place.error(f"{node.full_name}: {error.message}", error.hint)
+            message = error.message if command else "controller_manager needs a command in its args"
+            raise node.place.error(f"{node.full_name}: {message}", error.hint)
         if not self.controllers and self.command not in _NAMELESS:
             raise node.place.error(f"{node.full_name}: {self.command} needs the names of controllers")
 
@@ -177,6 +178,8 @@ class GroupScript(Task):
 
     def _groups(self, run: Run) -> dict[str, list[str]]:
         groups = run.parameter(self._parameter)
+        if groups is None:
+            raise Refused(f"the parameter {self._parameter} is not set", "it maps groups to lists of controllers")
         is_right = isinstance(groups, dict) and all(isinstance(members, list) for members in groups.values())
         if not is_right:
             raise Refused(f"the parameter {self._parameter} is no mapping of groups to lists of controllers")

@@ -5,6 +5,7 @@ Its end is orderly: SIGINT, after a while SIGTERM, then SIGKILL, for it and all 
 
 from __future__ import annotations
 
+import errno
 import os
 import shlex
 import signal
@@ -23,6 +24,7 @@ from slidectl.launch.task import Run, Task
 
 _RESPAWN_PAUSE_S = 0.1
 """The least time between an end and the next start."""
+_LONGEST_FIRST_LINE = 256
 _POLITE_S = 0.5
 """How long the next one waits for this one to end before it is asked to end itself."""
 
@@ -64,11 +66,12 @@ class Process(Task):
 
     def _begin(self, run: Run) -> None:
         Process._serial += 1
-        log = self._log(run, Process._serial) if self._output(run) == "log" else None
+        path = self._log_path(run, Process._serial)
+        log = self._log(run, f"{path}-stdout.log") if self._output(run) == "log" else None
         try:
             with run.interrupts.held():
                 self.child = Child(
-                    self.command,
+                    [*self.command, f"__log:={path}.log"],
                     run.watch,
                     lambda stream, line: run.console.output(self._label, stream, line),
                     lambda code: self._ended(run, code),
@@ -77,9 +80,9 @@ class Process(Task):
                     subprocess.PIPE if log is None else log,
                 )
         except OSError as error:
-            missing = error.filename or self.command[0]
+            missing = str(error.filename or self.command[0])
             hint = f"command: {shlex.join(self.command)}"
-            raise Refused(f"cannot run {missing}: {error.strerror}", hint) from None
+            raise Refused(f"cannot run {missing}: {_why(error, missing)}", hint) from None
         finally:
             if log is not None:
                 os.close(log)
@@ -89,10 +92,13 @@ class Process(Task):
     def _output(self, run: Run) -> str:
         return run.options.output or self.node.output or "screen"
 
-    def _log(self, run: Run, number: int) -> int:
+    def _log_path(self, run: Run, number: int) -> str:
+        """Where the program may write a log of its own, without the suffix; the folder is there."""
         folder = os.environ.get("ROS_LOG_DIR") or run.folder
         os.makedirs(folder, mode=0o700, exist_ok=True)
-        path = os.path.join(folder, f"{self._label.replace('/', '-')}-{number}-stdout.log")
+        return os.path.join(folder, f"{self._label.replace('/', '-')}-{number}")
+
+    def _log(self, run: Run, path: str) -> int:
         self.settled(run, f"its standard output goes to {path}", log=path)
         return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
 
@@ -106,6 +112,8 @@ class Process(Task):
     def _environment(self, run: Run) -> dict[str, str]:
         """Ours; its namespace; the way to the daemon; and what the launch file says. Python's output comes at once."""
         ours = {"PYTHONUNBUFFERED": "1", **os.environ, "ROS_NAMESPACE": self.node.namespace}
+        if self.node.namespace == "/":
+            del ours["ROS_NAMESPACE"]
         return {**ours, **run.environment, **dict(self.node.environment)}
 
     # --- its end ------------------------------------------------------------------------------------------------
@@ -159,6 +167,17 @@ class Process(Task):
         if self.child is not None:
             self.child.release()
             self.child = None
+
+
+def _why(error: OSError, program: str) -> str:
+    """The system's reason; when it is about the interpreter of a script, the script's first line too."""
+    if error.errno not in (errno.ENOENT, errno.ENOEXEC, errno.EACCES) or not os.path.isfile(program):
+        return str(error.strerror)
+    with open(program, "rb") as file:
+        first = file.readline(_LONGEST_FIRST_LINE).rstrip(b"\n").decode("utf-8", "backslashreplace")
+    if not first.startswith("#!"):
+        return f"{error.strerror}; a script begins with a line such as #!/usr/bin/env python3"
+    return f"{error.strerror}: there is no such program as its first line names, {first!r}"
 
 
 def reason(code: int) -> str:

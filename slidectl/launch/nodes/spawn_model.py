@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from slidectl import description, names
+from slidectl import description, names, rotations
 from slidectl.description.packages import is_file
 from slidectl.errors import BadName, Refused, SlidectlError
 from slidectl.launch.options import Words, number, parse
@@ -172,7 +171,7 @@ class SpawnModel(Task):
             elif notice["verdict"] == "ignored":
                 ignored += 1
         joints = " ".join(joint["name"] for joint in robot["joints"] if joint["type"] != "fixed") or "none"
-        more = f"; {ignored} tags without effect, -v shows them" if ignored else ""
+        more = f"; {ignored} {'tag' if ignored == 1 else 'tags'} without effect, -v shows them" if ignored else ""
         self.settled(run, f"{self.model} spawned in {robot['namespace']}, joints: {joints}{more}", robot=self.model)
 
     def stop(self, run: Run) -> None:
@@ -193,23 +192,11 @@ def _act(run: Run, service: str, request: dict[str, Any], timeout: float | None 
     answer = run.call(service, request, timeout)
     if not answer["success"]:
         first, _, rest = answer["status_message"].partition("\n")
-        raise Refused(first, rest or None)
+        raise Refused(first, rest.replace("(-n)", "(-model)") or None)
 
 
 def _pose(words: Words) -> dict[str, Any]:
     """geometry_msgs/Pose: metres, and fixed-axis angles in radians, about x, then y, then z of the world."""
     x, y, z, roll, pitch, yaw = (words.number(option, 0.0) for option in ("-x", "-y", "-z", "-R", "-P", "-Y"))
-    return {"position": {"x": x, "y": y, "z": z}, "orientation": quaternion(roll, pitch, yaw)}
-
-
-def quaternion(roll: float, pitch: float, yaw: float) -> dict[str, float]:
-    """geometry_msgs/Quaternion of fixed-axis angles in rad."""
-    sr, cr = math.sin(roll / 2), math.cos(roll / 2)
-    sp, cp = math.sin(pitch / 2), math.cos(pitch / 2)
-    sy, cy = math.sin(yaw / 2), math.cos(yaw / 2)
-    return {
-        "x": sr * cp * cy - cr * sp * sy,
-        "y": cr * sp * cy + sr * cp * sy,
-        "z": cr * cp * sy - sr * sp * cy,
-        "w": cr * cp * cy + sr * sp * sy,
-    }
+    turn = rotations.from_rpy((roll, pitch, yaw))
+    return {"position": {"x": x, "y": y, "z": z}, "orientation": rotations.message(turn)}

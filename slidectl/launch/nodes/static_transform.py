@@ -5,18 +5,34 @@ tf's own sends it on /tf again and again; whoever listens knows the same.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
+from slidectl import rotations
 from slidectl.client import Client
-from slidectl.launch.nodes.spawn_model import quaternion
+from slidectl.errors import BadFile
 from slidectl.launch.options import number, parse
 from slidectl.launch.plan import Node, Plan
 from slidectl.launch.task import Run, Task
 
+_WITH_QUATERNION = 7
+_TOLERANCE = 10e-3
+"""Of the square of a quaternion's length, as in tf2."""
 _USAGE = {
     "tf": "x y z yaw pitch roll (or qx qy qz qw) FRAME CHILD PERIOD_MS",
     "tf2_ros": "x y z yaw pitch roll (or qx qy qz qw) FRAME CHILD",
 }
+
+
+def _unit(node: Node, quaternion: list[float]) -> list[float]:
+    """The quaternion with its last digits put right. Raises BadFile for one that tf refuses as no rotation."""
+    length = math.sqrt(sum(part * part for part in quaternion))
+    if abs(length * length - 1.0) > _TOLERANCE:
+        raise node.place.error(
+            f"{node.full_name}: the quaternion has the length {length:g}, and a rotation has 1",
+            "tf drops such a transform; give qx qy qz qw of length 1, or yaw pitch roll",
+        )
+    return [part / length for part in quaternion]
 
 
 class StaticTransform(Task):
@@ -28,16 +44,22 @@ class StaticTransform(Task):
     def __init__(self, node: Node, plan: Plan) -> None:
         super().__init__(node, plan)
         words = parse(node, {}).rest
-        if node.package == "tf" and len(words) in (9, 10):
-            number(node, "the period", words.pop())
-        if len(words) not in (8, 9):
-            raise node.place.error(
-                f"{node.full_name}: {len(words)} arguments are too {'few' if len(words) < 8 else 'many'}",
-                f"{node.type} takes: {_USAGE[node.package]}",
-            )
-        *values, parent, child = words
-        self.numbers = [number(node, "each of the values", value) for value in values]
+        try:
+            if node.package == "tf" and len(words) in (9, 10):
+                number(node, "the period", words.pop())
+            if len(words) not in (8, 9):
+                few = "few" if len(words) < 8 else "many"
+                raise node.place.error(f"{node.full_name}: {len(words)} arguments are too {few}")
+            *values, parent, child = words
+            self.numbers = [number(node, "each of the values", value) for value in values]
+        except BadFile as error:
+            error.hint = f"{node.type} takes: {_USAGE[node.package]}"
+            raise
         self.parent, self.child = parent.lstrip("/"), child.lstrip("/")
+        if self.parent == self.child:
+            raise node.place.error(f"{node.full_name}: {self.child} is its own parent", "the two frames must differ")
+        if len(self.numbers) == _WITH_QUATERNION:
+            self.numbers[3:] = _unit(node, self.numbers[3:])
         self._client: Client | None = None
 
     @property
@@ -46,7 +68,9 @@ class StaticTransform(Task):
 
     def start(self, run: Run) -> str | None:
         x, y, z, *turn = self.numbers
-        rotation = dict(zip("xyzw", turn, strict=True)) if len(turn) == 4 else quaternion(turn[2], turn[1], turn[0])
+        rotation = rotations.message(rotations.from_rpy((turn[2], turn[1], turn[0])))
+        if len(turn) == 4:
+            rotation = dict(zip("xyzw", turn, strict=True))
         transform: dict[str, Any] = {
             "header": {"stamp": run.call("/rosapi/get_time")["time"], "frame_id": self.parent},
             "child_frame_id": self.child,

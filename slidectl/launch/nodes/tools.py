@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import sys
-from pathlib import Path
 
-import slidectl
 from slidectl.description.packages import Packages
 from slidectl.launch.nodes.process import Process
 from slidectl.launch.task import Run
+from slidectl.paths import with_package
 
 
 class Tool(Process):
@@ -31,7 +29,4 @@ class Tool(Process):
         return f"run {' '.join([self.node.type, *self.node.words])}"
 
     def _environment(self, run: Run) -> dict[str, str]:
-        environment = super()._environment(run)
-        root = str(Path(slidectl.__file__).parent.parent)
-        environment["PYTHONPATH"] = os.pathsep.join(filter(None, [root, environment.get("PYTHONPATH")]))
-        return environment
+        return with_package(super()._environment(run))

@@ -1,10 +1,12 @@
 """The folder in which compiled code is kept between runs: what goes in, what comes out, and what is thrown away.
 
-It is machine code, so only a file that nobody but the user could have written is taken. Knows no compiler.
+It is machine code, so only a whole file that nobody but the user could have written is taken: what a crash of the
+machine or a full disk left of one would end the process without a word. Knows no compiler.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
 import stat
 from contextlib import suppress
@@ -12,6 +14,7 @@ from pathlib import Path
 
 KEPT = 8
 """Files that stay: those that were used last. Each version of anything that the code is made from has its own."""
+_SEAL_BYTES = 32
 _FOREIGN_WRITERS = stat.S_IWGRP | stat.S_IWOTH
 
 
@@ -22,6 +25,10 @@ class NotOurs(PermissionError):
         super().__init__(f"{path} belongs to somebody else, or others may write to it; move it away or chmod go-w it")
 
 
+class Damaged(FileNotFoundError):
+    """A file that is not what was written. It has been removed, so that it is made anew."""
+
+
 def folder() -> Path:
     """Where the code is kept, below XDG_CACHE_HOME or ~/.cache."""
     base = os.environ.get("XDG_CACHE_HOME", "")
@@ -30,6 +37,8 @@ def folder() -> Path:
 
 def prepare() -> None:
     """See to it that the folder is there. Raises OSError: it cannot be made; NotOurs."""
+    if not folder().is_absolute():
+        raise FileNotFoundError("there is no home folder, and XDG_CACHE_HOME names none")
     folder().mkdir(mode=0o700, parents=True, exist_ok=True)
     if not _is_ours(folder().stat()):
         raise NotOurs(folder())
@@ -39,28 +48,41 @@ def holds(path: Path) -> bool:
     """True when the file is there and may be trusted."""
     try:
         found = os.lstat(path)
-        return stat.S_ISREG(found.st_mode) and _is_ours(found) and _is_ours(path.parent.stat())
+        is_ours = _is_ours(found) and _is_ours(path.parent.stat())
+        return is_ours and stat.S_ISREG(found.st_mode) and path.is_absolute()
     except OSError:
         return False
 
 
 def read(path: Path) -> bytes:
-    """The file's content; it counts as used now. Raises OSError: not there; NotOurs."""
+    """The file's content; it counts as used now. Raises OSError: not there; NotOurs; Damaged."""
     with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC), "rb") as file:
         if not (_is_ours(os.fstat(file.fileno())) and _is_ours(path.parent.stat())):
             raise NotOurs(path)
         with suppress(OSError):  # a file system that can only be read
             os.utime(path)
-        return file.read()
+        seal, content = file.read(_SEAL_BYTES), file.read()
+    if seal != _seal(content):
+        path.unlink(missing_ok=True)
+        raise Damaged(path)
+    return content
 
 
 def write(path: Path, content: bytes) -> None:
     """Put the file there, at once or not at all. Raises OSError, also when the folder has gone meanwhile."""
     draft = path.with_name(f"{path.name}.{os.getpid()}")
     draft.unlink(missing_ok=True)
-    with open(os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600), "wb") as file:
-        file.write(content)
-    draft.replace(path)
+    try:
+        with open(os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600), "wb") as file:
+            file.write(_seal(content) + content)
+        draft.replace(path)
+    except OSError:  # a full disk wants back what it gave
+        draft.unlink(missing_ok=True)
+        raise
+
+
+def _seal(content: bytes) -> bytes:
+    return hashlib.sha256(content).digest()
 
 
 def tidy() -> None:

@@ -86,14 +86,14 @@ class CompiledCycles:
         if seat.is_taken:
             if self._acting is not None and self._acting.seat is seat:  # its commands are newer than the rows
                 self._acting.take_commands()
-            seat.release()
             self._released.append(seat)
+            seat.release()
 
     def _prepare(self) -> Tables:
         if self._is_new or any(seat.is_outdated() for seat in self._released):
             self._seat_robots()
         for seat in self._released:
-            if seat.fits():
+            if not seat.is_taken and seat.fits():
                 seat.take()
         self._released = [seat for seat in self._released if not seat.is_taken]
         if self._topic_changes != self._graph.topics.changes:
@@ -160,6 +160,8 @@ class CompiledCycles:
                 self.release_all()
         done = clock.cycles - before
         if clock.time_ns >= self._graph.timers.next_ns:
+            if not loop.driven:  # a script's own timers look at what the script holds
+                self.release_all()
             self._graph.timers.fire()
         return done
 

@@ -6,12 +6,16 @@ The interpreter runs the cycles until then.
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
 from typing import TYPE_CHECKING
 
 from slidectl.errors import Refused, UsageError
+from slidectl.paths import with_package
 from slidectl.simulation.compiled import cache, object_file
+from slidectl.simulation.graph import WORLD_NODE
 
 if TYPE_CHECKING:
     from slidectl.simulation.compiled.cycles import CompiledCycles
@@ -35,6 +39,7 @@ class Engine:
         self._chosen = chosen
         self._compiling: subprocess.Popen[bytes] | None = None
         self._trouble = ""
+        self._has_looked = False
         self.cycles: CompiledCycles | None = None
         self.is_settled = chosen == PLAIN or not object_file.is_possible()
         """True when nothing will change any more."""
@@ -44,17 +49,26 @@ class Engine:
             return COMPILED
         if self._trouble:
             return f"plain: {self._trouble}"
-        return PLAIN if self.is_settled else f"{self._chosen}: compiling, plain meanwhile"
+        if self.is_settled:
+            return PLAIN
+        return f"{self._chosen}: {'plain so far' if self._compiling is None else 'compiling, plain meanwhile'}"
 
     def advance(self, cycles: int) -> None:
         """Before so many cycles: load the code if it is there, else see to it that somebody makes it."""
+        ended = None if self._compiling is None else self._compiling.poll()
+        if self._is_too_short(cycles) if self._compiling is None else ended is None:
+            return
         if object_file.is_there():
             self._load()
-        elif self._compiling is None:
-            if cycles >= WORTH_COMPILING or self._loop.driven:
-                self._begin()
-        elif self._compiling.poll() is not None and not object_file.is_there():
-            self._give_up(f"compiling failed, see {object_file.report()}")
+        elif ended is not None:
+            self._give_up(_what_failed(ended))
+        elif cycles >= WORTH_COMPILING or self._loop.driven:
+            self._begin()
+
+    def _is_too_short(self, cycles: int) -> bool:
+        """True for a few cycles of a script, which has looked for the code once: each look takes microseconds."""
+        looked, self._has_looked = self._has_looked, True
+        return looked and cycles < WORTH_COMPILING and not self._loop.driven
 
     def _begin(self) -> None:
         try:
@@ -68,20 +82,22 @@ class Engine:
             return
         if not object_file.is_possible():
             raise Refused("the compiled engine needs numba", "install it: pip install 'slidectl[fast]'")
-        if not object_file.is_there():
-            _begin_to_compile().wait()
-        if not object_file.is_there():
-            raise Refused(f"compiling failed, see {object_file.report()}")
-        self._load()
-        if self.cycles is None:
-            raise Refused(self._trouble or "the compiled code has gone again")
+        for _ in range(2):  # what is there may turn out to be damaged
+            if not object_file.is_there():
+                code = _begin_to_compile().wait()
+                if not object_file.is_there():
+                    raise Refused(_what_failed(code))
+            self._load()
+            if self.cycles is not None:
+                return
+        raise Refused(self._trouble or "the compiled code has gone again")
 
     def _load(self) -> None:
         from slidectl.simulation.compiled.cycles import CompiledCycles
 
         try:
             code = object_file.load()
-        except FileNotFoundError:  # another version's compiler has just tidied up
+        except FileNotFoundError:  # another version's compiler has just tidied up, or it was damaged
             self._compiling = None
             return
         except (OSError, RuntimeError, ImportError) as error:
@@ -94,18 +110,30 @@ class Engine:
     def _give_up(self, trouble: str) -> None:
         self.is_settled = True
         self._trouble = trouble
+        level = "error" if self._chosen == COMPILED else "warn"
+        self._loop.graph.log(level, WORLD_NODE, f"cycles run in the interpreter: {trouble}")
+
+
+def _what_failed(code: int) -> str:
+    if code < 0:
+        return f"the compiler was ended by {signal.Signals(-code).name}"
+    return f"compiling failed, see {object_file.report()}"
 
 
 def _begin_to_compile() -> subprocess.Popen[bytes]:
     """Raises Refused: no place for the result."""
     try:
         cache.prepare()
+        report = object_file.report().open("a", encoding="utf-8")
     except OSError as error:
         raise Refused(f"there is no place for compiled code: {error}") from error
-    return subprocess.Popen(
-        [sys.executable, "-m", "slidectl.simulation.compiled.compiler"],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
+    with report:
+        return subprocess.Popen(
+            # -P: a file of the user's that is called like a library must not be taken for it.
+            [sys.executable, "-P", "-m", "slidectl.simulation.compiled.compiler"],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=report,
+            env=with_package(os.environ),
+            start_new_session=True,
+        )

@@ -14,9 +14,10 @@ from slidectl.control.controllers.joint_position import track_position
 from slidectl.control.controllers.joint_state import states_are_due
 from slidectl.control.controllers.joint_velocity import track_velocity
 from slidectl.control.laws import law
-from slidectl.control.limits import saturate_effort, slow_effort
+from slidectl.control.limit_steps import enforce
 from slidectl.control.pid_controller import state_is_due
 from slidectl.physics.divergence import HUGE
+from slidectl.physics.drives import drive_effort
 from slidectl.physics.effort import truncated
 from slidectl.simulation.compiled.rows import (
     CHECK_EVERY,
@@ -63,15 +64,21 @@ def add_outside_efforts(robot: Any, joints: Table, outside: Any) -> None:
 
 
 @law
-def write(robot: Any, joints: Table, saturations: Table, softs: Table, qvel: Any, forces: Any) -> None:
+def write(
+    robot: Any, period_s: float, joints: Table, limits: Table, drives: Table, pids: Table, qvel: Any, forces: Any
+) -> None:
     """MujocoRobotHW.write."""
-    for k in range(robot.first_saturation, robot.first_saturation + robot.saturations):
-        saturate_effort(saturations[k], joints[saturations[k].joint])
-    for k in range(robot.first_soft, robot.first_soft + robot.softs):
-        slow_effort(softs[k], joints[softs[k].joint])
+    for k in range(robot.first_limit, robot.first_limit + robot.limits):
+        enforce(limits[k], joints[limits[k].joint], period_s)
     for k in range(robot.first_joint, robot.first_joint + robot.joints):
         joint = joints[k]
-        forces[joint.dof] = truncated(joint.command, qvel[joint.dof], joint.max_effort, joint.max_velocity)
+        forces[joint.dof] = 0.0
+        if joint.is_pushed:
+            forces[joint.dof] = truncated(joint.command, qvel[joint.dof], joint.max_effort, joint.max_velocity)
+    for k in range(robot.first_drive, robot.first_drive + robot.drives):
+        joint = joints[drives[k].joint]
+        effort = drive_effort(drives[k], pids[drives[k].pid], joint, period_s)
+        forces[joint.dof] += truncated(effort, qvel[joint.dof], joint.max_effort, joint.max_velocity)
 
 
 @law
@@ -120,8 +127,8 @@ def run(
     robots: Table,
     joints: Table,
     controllers: Table,
-    saturations: Table,
-    softs: Table,
+    limits: Table,
+    drives: Table,
     pids: Table,
     forwards: Table,
     positions: Table,
@@ -158,8 +165,8 @@ def run(
                 )
                 if turn != DONE:
                     return turn
-            begin_to_write(robot, time_ns)
-            write(robot, joints, saturations, softs, qvel, forces)
+            period_s = begin_to_write(robot, time_ns)
+            write(robot, period_s, joints, limits, drives, pids, qvel, forces)
             progress.controller = 0
             progress.robot += 1
         if progress.step == 0:

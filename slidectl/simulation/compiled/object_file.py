@@ -19,19 +19,43 @@ from typing import Any, NamedTuple
 import slidectl
 from slidectl.simulation.compiled import cache, guard
 
-_SOURCES = ("control", "physics/effort.py", "physics/divergence.py", "simulation/cycle.py", "simulation/compiled")
+_SOURCES = (
+    "control",
+    "physics/effort.py",
+    "physics/drives.py",
+    "physics/divergence.py",
+    "simulation/cycle.py",
+    "simulation/compiled",
+)
+
+
+@functools.cache
+def compilers() -> tuple[str, ...]:
+    """The versions of numba and llvmlite; empty when one of them is not installed, or only in part."""
+    try:
+        return tuple(_version(name) for name in ("numba", "llvmlite"))
+    except ImportError:
+        return ()
+
+
+def _version(name: str) -> str:
+    """Raises ImportError. A mere folder of that name on the path is no library."""
+    found = importlib.util.find_spec(name)
+    if found is None or found.origin is None:
+        raise ImportError(name)
+    return metadata.version(name)
 
 
 def is_possible() -> bool:
     """True when numba is installed."""
-    return importlib.util.find_spec("numba") is not None
+    return bool(compilers())
 
 
 @functools.cache
 def place() -> Path:
     """The file of the code for this program on this machine, whether it is there or not."""
     made_from = hashlib.sha256()
-    for text in (sys.version, platform.machine(), metadata.version("numba"), metadata.version("llvmlite")):
+    for text in (sys.version, platform.machine(), *compilers()):
         made_from.update(text.encode())
     root = Path(slidectl.__file__).parent
     for source in _SOURCES:

@@ -12,22 +12,24 @@ from slidectl.control.controllers.joint_position import JointPositionController
 from slidectl.control.controllers.joint_state import JointStateController
 from slidectl.control.controllers.joint_velocity import JointVelocityController
 from slidectl.control.laws import Columns
-from slidectl.control.limits import EffortJointSaturation, EffortJointSoftLimits
+from slidectl.control.limits import LimitHandle
 from slidectl.control.pid import Pid
+from slidectl.physics.drives import Drive
 
 JOINT = Columns(
     changing="position velocity effort command",
-    places="qpos dof turns max_effort max_velocity",
-    whole="qpos dof turns",
+    places="qpos dof turns is_pushed max_effort max_velocity",
+    whole="qpos dof turns is_pushed",
 )
-"""`qpos` and `dof` are indices into MuJoCo's arrays, `turns` is true for angles; the bounds are Gazebo's."""
+"""`qpos` and `dof` are indices into MuJoCo's arrays, `turns` is true for angles; the bounds are Gazebo's.
+`is_pushed`: the command is the effort, else a drive makes one of it."""
 
 ROBOT = Columns(
     changing="last_update_ns last_write_ns period_ns write_period_ns period_s write_period_s",
     fixed="control_period_ns",
-    places="is_plain first_joint joints first_controller controllers first_saturation saturations first_soft softs",
+    places="is_plain first_joint joints first_controller controllers first_limit limits first_drive drives",
     whole="last_update_ns last_write_ns period_ns write_period_ns control_period_ns "
-    "is_plain first_joint joints first_controller controllers first_saturation saturations first_soft softs",
+    "is_plain first_joint joints first_controller controllers first_limit limits first_drive drives",
 )
 """A ControlCycle, and where the robot's rows are in the other tables. `is_plain`: the interpreter has the robot."""
 
@@ -43,14 +45,12 @@ CONTROLLER_KINDS = {
 }
 """What a controller's class that declares `compiled` is in CONTROLLER.kind."""
 
-LIMIT_TABLES = {EffortJointSaturation: "saturations", EffortJointSoftLimits: "softs"}
-
 TABLES: dict[str, Columns] = {
     "robots": ROBOT,
     "joints": JOINT,
     "controllers": CONTROLLER,
-    "saturations": EffortJointSaturation.compiled.columns,
-    "softs": EffortJointSoftLimits.compiled.columns,
+    "limits": LimitHandle.columns,
+    "drives": Drive.columns,
     "pids": Pid.columns,
     "forwards": ForwardController.compiled.columns,
     "positions": JointPositionController.compiled.columns,
@@ -58,9 +58,11 @@ TABLES: dict[str, Columns] = {
     "states": JointStateController.compiled.columns,
 }
 """The tables in the order of the cycle's arguments; MuJoCo's arrays follow."""
-CONSTANT = {"controllers", "saturations", "softs"}
+CONSTANT = {"controllers", "drives"}
 """Tables of what never changes while it exists."""
 KIND_TABLES = {FORWARD: "forwards", JOINT_POSITION: "positions", JOINT_VELOCITY: "velocities", JOINT_STATE: "states"}
+RANGES = ("joints", "controllers", "limits", "drives")
+"""Tables of which each robot has a range of rows, as ROBOT has it."""
 ARRAYS = ("qpos", "qvel", "forces", "outside")
 
 DONE, ROBOT_IN_PYTHON, CONTROLLER_IN_PYTHON, PUBLICATION, STEP_IN_PYTHON, DIVERGED, FAILED = range(7)

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from slidectl.control.controller import ControllerBase
 from slidectl.control.laws import Parts
+from slidectl.control.pid import Pid
 from slidectl.physics import MujocoRobotHW
+from slidectl.physics.drives import MOTOR, Drive
 from slidectl.simulation.assembly import SpawnedRobot
 from slidectl.simulation.compiled import rows
 from slidectl.simulation.compiled.row import FLAG, NUMBER, Guest, Row, Speaker, Update, show
@@ -48,7 +50,7 @@ class Seat:
     def fits(self) -> bool:
         """Is the robot still as it was when the tables were made, and does it do nothing that rows cannot?"""
         cycle, hardware, manager = self.parts.cycle, self.parts.hardware, self.parts.manager
-        special = hardware.is_special or cycle.is_stopped or manager.switching
+        special = hardware.estop or cycle.is_stopped or manager.switching
         return self.is_possible and not special and not self.is_outdated()
 
     def is_outdated(self) -> bool:
@@ -68,13 +70,13 @@ class Seat:
         self.is_taken = True
 
     def release(self) -> None:
-        """From now on the objects are the truth again."""
+        """From now on the objects are the truth again. If a Ctrl-C comes in between it is done once more, whole."""
         if not self.is_taken:
             return
-        self.is_taken = False
         for row in self._changing:
             row.give()
         self._mark_plain()
+        self.is_taken = False
 
     @property
     def rows(self) -> int:
@@ -100,13 +102,12 @@ class Seat:
     def settle(self, tables: Tables) -> None:
         """Reserve rows for everything that the robot consists of, or one alone that says that it is plain."""
         self._tables = tables.content
-        starts = [tables.count(name) for name in ("joints", "controllers", "saturations", "softs")]
-        limits = self.parts.hardware.limits()
+        starts = [tables.count(name) for name in rows.RANGES]
+        limits, drives = self.parts.hardware.limits(), self.parts.hardware.drives
         compiled = [_form(update) for update in self.updates]
         self.is_possible = (
             type(self.parts.hardware) is MujocoRobotHW
-            and not self.parts.hardware.has_drives
-            and all(type(limit) in rows.LIMIT_TABLES for limit in limits)
+            and all(_is_law(drive) for drive in drives)
             and (not compiled or any(form is not None for form in compiled))
         )
         if self.is_possible:
@@ -114,8 +115,11 @@ class Seat:
             for position, form in enumerate(compiled):
                 self._settle_controller(tables, position, form, places)
             for limit in limits:
-                self._settle_row(tables, rows.LIMIT_TABLES[type(limit)], limit, places[id(limit.handle)])
-        counts = [tables.count(name) for name in ("joints", "controllers", "saturations", "softs")]
+                self._settle_row(tables, "limits", limit, places[id(limit.handle)])
+            for drive in drives:
+                pid = self._settle_pid(tables, drive.pid)
+                self._settle_row(tables, "drives", drive, pid, places[id(drive.handle)])
+        counts = [tables.count(name) for name in rows.RANGES]
         ranges = [part for start, end in zip(starts, counts, strict=True) for part in (start, end - start)]
         self._settle_row(tables, "robots", self.parts.cycle, False, *ranges)
         for row in self._constant:
@@ -139,8 +143,7 @@ class Seat:
         controller, kind, parts = form
         own: list[float] = []
         if parts.pid is not None:
-            own.append(tables.count("pids"))
-            self._settle_row(tables, "pids", parts.pid)
+            own.append(self._settle_pid(tables, parts.pid))
         if parts.joint is not None:
             own.append(places[id(parts.joint)])
         if parts.publisher is not None:
@@ -151,6 +154,14 @@ class Seat:
         if parts.publisher is not None:
             shown = [(handle, places[id(handle)] * rows.JOINT.size) for handle in parts.shown]
             self.speakers[position] = Speaker(controller, parts, row, shown)
+
+    def _settle_pid(self, tables: Tables, pid: Pid | None) -> int:
+        """Its row number; 0, which nobody looks at, without one."""
+        if pid is None:
+            return 0
+        number = tables.count("pids")
+        self._settle_row(tables, "pids", pid)
+        return number
 
     def _seat_guest(self, position: int) -> None:
         update = self.updates[position]
@@ -168,6 +179,11 @@ class Seat:
         if columns.changing:
             self._changing.append(row)
         return row
+
+
+def _is_law(drive: Drive) -> bool:
+    """Motors are none, and a PID that publishes each step speaks in the interpreter."""
+    return drive.kind != MOTOR and (drive.pid is None or drive.pid.observer is None)
 
 
 Form = tuple[ControllerBase, int, Parts]

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 from slidectl.control.node import Message
 from slidectl.physics.frames import add, compose, rotate, subtract
-from slidectl.physics.rotation import IDENTITY, Vector, cross
+from slidectl.physics.rotation import cross
+from slidectl.rotations import IDENTITY, Vector
 from slidectl.simulation.clock import SECOND
 from slidectl.simulation.gazebo.answers import Answer, provide
 from slidectl.simulation.gazebo.entities import WORLD_FRAMES, find, frame

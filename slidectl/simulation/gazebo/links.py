@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from slidectl.control.node import Message
 from slidectl.errors import Refused
-from slidectl.physics.rotation import from_rpy
+from slidectl.rotations import from_rpy
 from slidectl.simulation.gazebo.answers import Answer, provide
 from slidectl.simulation.gazebo.entities import find, frame, link_frame
 from slidectl.simulation.gazebo.models import set_state

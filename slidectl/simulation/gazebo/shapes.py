@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from slidectl.control.node import Message
-from slidectl.physics.frames import add, compose, conjugate, relative, rotate, subtract
+from slidectl.physics.frames import add, compose, relative, rotate, subtract
 from slidectl.physics.observer import Twist
-from slidectl.physics.rotation import Pose, Vector, cross, normalized
+from slidectl.physics.rotation import Pose, cross
+from slidectl.rotations import Vector, conjugate, normalized
 from slidectl.simulation.gazebo.entities import Frame
 
 
