@@ -13,6 +13,7 @@ from slidectl.errors import AmbiguousName, BadName, UnknownName
 
 _LEGAL = r"(?a)[A-Za-z/~][\w/]*\Z"
 _COMPONENT = r"(?a)[A-Za-z]\w*\Z"
+_PARAMETER = r"(?=.)/?(?:[^\s\x00-\x1f\x7f/~][^\s\x00-\x1f\x7f/]*(?:/(?!\Z)|\Z))*\Z"
 
 
 def is_legal(name: str) -> bool:
@@ -24,6 +25,13 @@ def check(name: str) -> str:
     """The name itself. Raises BadName when it is not legal."""
     if not is_legal(name):
         raise BadName(name)
+    return name
+
+
+def check_parameter(name: str) -> str:
+    """The name itself. Raises BadName when no parameter can have it: they may be `joint-1.2`, but hold no blanks."""
+    if not re.match(_PARAMETER, name):
+        raise BadName(name, "name of a parameter: parts without blanks, with a '/' between and no '~' in front")
     return name
 
 

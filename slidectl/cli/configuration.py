@@ -74,9 +74,12 @@ def placements(tree: Tree, namespaces: Sequence[str]) -> tuple[Tree, str | None,
 
 
 def leaves(tree: Tree, namespace: str = "/") -> Iterator[tuple[str, Any]]:
-    """Full name and value of every parameter in a tree. Lists and empty mappings are values."""
+    """Full name and value of every parameter in a tree. Lists and empty mappings are values.
+
+    A key that begins with a slash leaves the namespace, as with rosparam.
+    """
     for key, value in tree.items():
-        name = names.check(names.join(namespace, key.strip("/")))
+        name = names.check_parameter(names.join(namespace, key.rstrip("/")))
         if isinstance(value, dict) and value:
             yield from leaves(value, name)
         else:

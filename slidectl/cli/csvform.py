@@ -37,9 +37,19 @@ class CsvForm:
 
     def row(self, value: Any, type_name: str, depth: int, time_ns: int) -> Row:
         """The row of a value that is wrapped in `depth` lists; `time_ns` is its time in nanoseconds."""
-        cells = list(self._cells(value, type_name, depth, "field"))
+        cells = list(self._chosen(value, type_name, depth))
         names = ",".join(name for name, _ in cells)
         return Row(f"%time,{names}", f"{time_ns - self.offset_ns}," + ",".join(text for _, text in cells))
+
+    def _chosen(self, value: Any, type_name: str, depth: int) -> Iterator[tuple[str, str]]:
+        """What was asked for by itself is there, be it a list or text; options are for what is in it."""
+        if depth == 0 and type_name == "string":
+            yield "field", self._text(value, type_name)
+        for index, element in enumerate(value if depth and type_name not in BYTES else ()):
+            for name, text in self._chosen(element, type_name, depth - 1):
+                yield f"field{index}{name.removeprefix('field')}", text
+        if depth == 0 and type_name != "string":
+            yield from self._cells(value, type_name, depth, "field")
 
     def _cells(self, value: Any, type_name: str, depth: int, name: str) -> Iterator[tuple[str, str]]:
         if depth:

@@ -35,8 +35,8 @@ class Look(NamedTuple):
     width: int | None
     clear: bool
     offset: bool
-    arrival: bool = False
-    """The time of a CSV line is when the message came, whatever its header says."""
+    from_bag: bool = False
+    """The time of a CSV line is when the message came, whatever its header says; a chosen field is there in full."""
 
 
 @command(
@@ -128,7 +128,7 @@ def writer(ctx: Context, schema: Schema, selection: Selection, look: Look) -> Wr
     if look.form == "csv":
         return _csv_writer(ctx, schema, selection, look)
     form = YamlForm(schema, look.width, look.arrays, look.strings)
-    text = form.printer(selection.type, selection.depth)
+    text = form.printer(selection.type, selection.depth, full=look.from_bag)
     start = _CLEAR if look.clear else ""
 
     def write(event: Event) -> None:
@@ -162,7 +162,7 @@ def _csv_writer(ctx: Context, schema: Schema, selection: Selection, look: Look) 
     from slidectl.cli.csvform import CsvForm
 
     form = CsvForm(schema, look.arrays, look.strings)
-    stamped = schema.has_header and not look.arrival
+    stamped = schema.has_header and not look.from_bag
     header = ""
 
     def write(event: Event) -> None:

@@ -32,7 +32,12 @@ _FUNCTIONS: dict[str, Callable[..., Any]] = {name: value for name, value in MATH
     "float": float,
     "bool": bool,
     "sum": sum,
+    "any": any,
+    "all": all,
+    "str": str,
 }
+_TEXT_METHODS = ("startswith", "endswith", "lower", "upper", "strip", "find", "count", "isdigit")
+_LIST_METHODS = ("index", "count")
 
 
 class ExpressionError(UsageError):
@@ -164,12 +169,23 @@ class Expression:
         if isinstance(node.func, ast.Attribute) and node.func.attr in _TIME_METHODS and not node.args:
             inner, convert = self._plain(node.func.value), _TIME_METHODS[node.func.attr]
             return lambda names: convert(inner(names)), _ANYTHING
-        if not isinstance(node.func, ast.Name) or node.func.id not in _FUNCTIONS:
-            raise self._refusal(f"there is no function {ast.unparse(node.func)!r}", node)
-        function, arguments = _FUNCTIONS[node.func.id], [self._plain(argument) for argument in node.args]
-        return lambda names: function(*[argument(names) for argument in arguments]), _ANYTHING
+        arguments = [self._plain(argument) for argument in node.args]
+        function = self._function(node.func)
+        return lambda names: function(names)(*[argument(names) for argument in arguments]), _ANYTHING
+
+    def _function(self, node: ast.expr) -> Callable[[Names], Callable[..., Any]]:
+        """`sin` or `math.sin`, `abs` and its like; a method of a text or of a list."""
+        name = _of_math(node) or (node.id if isinstance(node, ast.Name) else None)
+        if name in _FUNCTIONS:
+            return lambda _names: _FUNCTIONS[name]
+        if isinstance(node, ast.Attribute) and node.attr in (*_TEXT_METHODS, *_LIST_METHODS) and name is None:
+            inner, method = self._plain(node.value), node.attr
+            return lambda names: _method(inner(names), method)
+        raise self._refusal(f"there is no function {ast.unparse(node)!r}", node)
 
     def _attribute(self, node: ast.Attribute) -> tuple[Compute, _Kind]:
+        if (constant := _of_math(node)) in _CONSTANTS:
+            return lambda _names: _CONSTANTS[constant], _ANYTHING
         inner, kind = self._compile(node.value)
         name = node.attr
         if kind.type is None or kind.depth or self._schema is None:
@@ -202,6 +218,20 @@ def _parsed(text: str) -> ast.expr:
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         reason = getattr(error, "msg", None) or str(error) or "too deep"
         raise ExpressionError(f"{text!r} is not a valid expression: {reason}") from None
+
+
+def _of_math(node: ast.expr) -> str | None:
+    """`pi` of `math.pi`."""
+    is_math = isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "math"
+    return node.attr if is_math and isinstance(node, ast.Attribute) else None
+
+
+def _method(value: Any, name: str) -> Callable[..., Any]:
+    methods = _TEXT_METHODS if isinstance(value, str) else _LIST_METHODS if isinstance(value, list) else ()
+    if name not in methods:
+        raise TypeError(f"{value!r} has no {name}()")
+    function: Callable[..., Any] = getattr(value, name)
+    return function
 
 
 def _nothing(_names: Names) -> None:
@@ -246,6 +276,8 @@ _BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     **ARITHMETIC,
     ast.Mult: _product,
     ast.Mod: operator.mod,
+    ast.BitAnd: operator.and_,
+    ast.BitOr: operator.or_,
 }
 _TIME_METHODS: dict[str, Callable[[Mapping[str, int]], Any]] = {
     "to_sec": lambda time: time["secs"] + 1e-9 * time["nsecs"],

@@ -133,7 +133,7 @@ def _name_to_set(ctx: Context, name: str) -> str:
     try:
         return _resolved(ctx, name)
     except UnknownName:
-        return names.check(names.join(ctx.namespace, name))
+        return names.check_parameter(names.join(ctx.namespace, name))
 
 
 @param.command("delete", examples=["slidectl param delete /limit", "slidectl param delete /slider"])
@@ -167,7 +167,7 @@ def load(ctx: Context, file: str, namespace: str | None) -> None:
     from slidectl.cli.documents import text_of
 
     shown = "stdin" if file == "-" else file
-    inside = names.check(names.join(ctx.namespace, (namespace or "").rstrip("/") or ctx.namespace))
+    inside = names.check_parameter(names.join(ctx.namespace, (namespace or "").rstrip("/") or ctx.namespace))
     tree = parameters.tree(ctx, text_of(file), shown, namespace is not None)
     chosen = dict(leaves(tree, inside)) if isinstance(tree, dict) else {inside: tree}
     store(ctx, chosen)

@@ -11,7 +11,6 @@ from slidectl.errors import BadFile, UsageError
 if TYPE_CHECKING:
     from slidectl.cli.context import Context
 
-_ANGLE = re.compile(r"(?P<unit>deg|rad)\((?P<expression>.*)\)\Z", re.DOTALL)
 _PLAIN_NUMBER = re.compile(r"-?\d+(\.\d+)?\Z")
 _BEGINS_AS_LIST = re.compile(r"(\s*(#.*)?\n)*\s*(-\s|\[)")
 
@@ -22,31 +21,14 @@ def get(ctx: Context, full: str) -> Any:
 
 
 def typed(text: str) -> Any:
-    """What was typed: YAML, angles in radians, empty text for no text. Raises UsageError; BadFile in tagged YAML."""
-    if "!degrees" in text or "!radians" in text:
-        from slidectl.description import yaml_tree
+    """What was typed: YAML, angles in radians, empty text for no text. Raises UsageError."""
+    from slidectl.cli import values
 
-        return yaml_tree.read_value(text, "value")
-    from slidectl.cli.values import read
+    if "deg" not in text and "rad" not in text:
+        return "" if text == "" else values.read(text)
+    from slidectl.description import angles
 
-    return "" if text == "" else with_angles(read(text))
-
-
-def with_angles(value: Any) -> Any:
-    """The value with `deg(90)` and `rad(pi/2)` in it as numbers. Raises UsageError."""
-    if isinstance(value, dict):
-        return {key: with_angles(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [with_angles(item) for item in value]
-    match = _ANGLE.match(value) if isinstance(value, str) else None
-    if match is None:
-        return value
-    from math import radians
-
-    from slidectl.cli.expressions import Expression
-
-    angle = float(Expression(match["expression"])())
-    return radians(angle) if match["unit"] == "deg" else angle
+    return values.read_yaml(text, values.shown(text), angles=True) if angles.may_be_in(text) else values.read(text)
 
 
 def tree(ctx: Context, text: str, file: str, may_be_list: bool) -> Any:
@@ -57,7 +39,7 @@ def tree(ctx: Context, text: str, file: str, may_be_list: bool) -> Any:
         return yaml_tree.read_value(text, file)
     notices: list[Any] = []
     try:
-        content = yaml_tree.read(text, file, notices)
+        content = yaml_tree.read(text, file, notices, rooted=True)
     except BadFile:
         bare = _bare(text, file) if may_be_list else None
         if bare is None:
@@ -86,7 +68,11 @@ def dumped(value: Any) -> str:
         return f"{text}\n...\n"
     import yaml
 
-    return str(yaml.safe_dump(value, default_flow_style=False))
+    from slidectl.description import angles
+
+    dumper: Any = type("Dumper", (yaml.SafeDumper,), {})
+    angles.add_to(dumper)
+    return str(yaml.dump(value, Dumper=dumper, default_flow_style=False))
 
 
 def _scalar(value: Any) -> str | None:

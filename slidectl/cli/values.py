@@ -42,7 +42,7 @@ def read(text: str) -> Any:
         value = attempt(stripped)
         if value is not _UNKNOWN:
             return value
-    return read_yaml(text, f"value {text if len(text) <= 60 else text[:57] + '...'!r}")
+    return read_yaml(text, shown(text))
 
 
 def is_numeric(value: Any) -> bool:
@@ -54,15 +54,23 @@ def is_numeric(value: Any) -> bool:
     return isinstance(value, bool | int | float)
 
 
-def read_yaml(text: str, what: str = "value") -> Any:
-    """The value of one YAML document. Raises UsageError as `read` does; `what` names the text in it."""
-    documents = list(read_documents(text, what))
+def shown(text: str) -> str:
+    """How errors name a value that was typed."""
+    return f"value {text if len(text) <= 60 else text[:57] + '...'!r}"
+
+
+def read_yaml(text: str, what: str = "value", *, angles: bool = False) -> Any:
+    """The value of one YAML document; `angles`: whether deg(90) is one.
+
+    Raises UsageError as `read` does; `what` names the text in it.
+    """
+    documents = list(read_documents(text, what, angles=angles))
     if len(documents) > 1:
         raise UsageError(f"the {what} holds {len(documents)} YAML documents where one was expected")
     return documents[0] if documents else None
 
 
-def read_documents(text: str, what: str, file: str | None = None) -> Iterator[Any]:
+def read_documents(text: str, what: str, file: str | None = None, *, angles: bool = False) -> Iterator[Any]:
     """The values of all YAML documents in a text, in order.
 
     Raises UsageError as `read` does; what is no YAML in a `file` is BadFile with the line.
@@ -70,13 +78,13 @@ def read_documents(text: str, what: str, file: str | None = None) -> Iterator[An
     import yaml
 
     try:
-        for value in yaml.load_all(text, _loader(len(text))):
+        for value in yaml.load_all(text, _loader(len(text), angles)):
             yield _Checker(what).checked(value)
     except yaml.YAMLError as error:
         if file is not None:
             raise BadFile(*_located(error, file)) from None
         raise UsageError(f"the {what} is not valid YAML: {_explained(error)}") from None
-    except (ValueError, RecursionError) as error:
+    except (ValueError, ArithmeticError, RecursionError) as error:
         raise UsageError(f"the {what} cannot be read: {error}") from None
 
 
@@ -123,7 +131,7 @@ def _no_json(text: str) -> Any:
     raise ValueError(text)
 
 
-def _loader(length: int) -> Any:
+def _loader(length: int, angles: bool) -> Any:
     import yaml
 
     # libyaml is faster, and wrong by a line about where an error is.
@@ -131,7 +139,22 @@ def _loader(length: int) -> Any:
     base = fast if length > _SHORT else yaml.SafeLoader
     loader: Any = type("Loader", (base,), {})
     loader.add_implicit_resolver("tag:yaml.org,2002:float", re.compile(_FLOAT_WITHOUT_POINT), list("-+0123456789."))
+    if angles:
+        from slidectl.description.angles import DEGREES, RADIANS, add_to
+
+        add_to(loader)
+        for tag in (DEGREES, RADIANS):
+            loader.add_constructor(tag, _angle)
     return loader
+
+
+def _angle(loader: Any, node: Any) -> float:
+    from slidectl.description.angles import angle
+
+    try:
+        return angle(loader.construct_scalar(node), node.tag)
+    except (ValueError, ArithmeticError, RecursionError) as error:
+        raise ValueError(f"{node.value.strip()!r} is no angle: {error}") from None
 
 
 def _located(error: Any, file: str) -> tuple[str, str, int | None]:
@@ -163,7 +186,7 @@ class _Checker:
             raise UsageError(f"the {self.what} unfolds to more than {_MOST_NODES} values")
         if isinstance(value, dict):
             return {self._key(key): self.checked(item) for key, item in value.items()}
-        if isinstance(value, list):
+        if isinstance(value, list | tuple):
             return [self.checked(item) for item in value]
         if value is None or isinstance(value, bool | int | float | str):
             return value

@@ -11,7 +11,7 @@ from binascii import a2b_base64
 from collections.abc import Callable
 from typing import Any
 
-from slidectl.cli.schema import BYTES, FLOATS, INTEGERS, TIMES, Schema
+from slidectl.cli.schema import BYTES, FLOATS, INTEGERS, TIMES, Field, Schema
 
 Printer = Callable[[Any], str]
 
@@ -71,7 +71,8 @@ def byte_values(value: Any) -> list[int]:
 class YamlForm:
     """Prints values of the types of one schema.
 
-    `width`: characters of a number (`rostopic echo -w`). `arrays` and `strings` False: only their type and length.
+    `width`: characters of a number (`rostopic echo -w`). `arrays` and `strings` False: only their type and length. As
+    with rostopic what is in a list that is printed is in full.
     `offset_ns` is subtracted from every time; set it before each message.
     """
 
@@ -81,16 +82,23 @@ class YamlForm:
         self.arrays = arrays
         self.strings = strings
         self.offset_ns = 0
-        self._printers: dict[tuple[str, int, str], Printer] = {}
+        self._printers: dict[tuple[str, int, str, bool], Printer] = {}
 
-    def printer(self, type_name: str, depth: int = 0, indent: str = "") -> Printer:
-        """The printer of a value of this type, wrapped in `depth` lists. The text has no `---` and no last newline."""
-        key = (type_name, depth, indent)
+    def printer(self, type_name: str, depth: int = 0, full: bool = False) -> Printer:
+        """The printer of a value of this type, wrapped in `depth` lists. The text has no `---` and no last newline.
+
+        `full`: a list or text by itself is printed, whatever `arrays` and `strings` say.
+        """
+        return self._printer(type_name, depth, "", full and (depth > 0 or type_name == "string"))
+
+    def _printer(self, type_name: str, depth: int, indent: str, full: bool) -> Printer:
+        key = (type_name, depth, indent, full)
         if key not in self._printers:
-            self._printers[key] = self._list(type_name, depth, indent) if depth else self._single(type_name, indent)
+            make = self._list if depth else self._single
+            self._printers[key] = make(type_name, depth, indent, full)
         return self._printers[key]
 
-    def _single(self, type_name: str, indent: str) -> Printer:
+    def _single(self, type_name: str, _depth: int, indent: str, full: bool) -> Printer:
         if type_name in FLOATS:
             return self._fixed_float if self.width is not None else _float
         if type_name in INTEGERS:
@@ -98,8 +106,8 @@ class YamlForm:
         if type_name in TIMES:
             return self._time(type_name, indent)
         if type_name == "string":
-            return quoted if self.strings else _string_length
-        return str if type_name == "bool" else self._message(type_name, indent)
+            return quoted if self.strings or full else _string_length
+        return str if type_name == "bool" else self._message(type_name, indent, full)
 
     def _fixed_float(self, value: float | None) -> str:
         width = self.width or 0
@@ -118,9 +126,9 @@ class YamlForm:
 
         return text
 
-    def _message(self, type_name: str, indent: str) -> Printer:
+    def _message(self, type_name: str, indent: str, full: bool) -> Printer:
         parts = [
-            (field.name, f"{indent}{field.name}: ", self.printer(field.type, int(field.array >= 0), indent + "  "))
+            (field.name, f"{indent}{field.name}: ", self._field(field, indent + "  ", full))
             for field in self.schema.fields(type_name)
         ]
         start = "\n" if indent else ""
@@ -130,18 +138,23 @@ class YamlForm:
 
         return text
 
-    def _list(self, type_name: str, depth: int, indent: str) -> Printer:
-        if depth == 1 and (not self.arrays or (type_name == "string" and not self.strings)):
-            return lambda values: f'"<array type: {type_name}, length: {len(_elements(type_name, values))}>"'
+    def _field(self, field: Field, indent: str, full: bool) -> Printer:
+        if field.array > 0 and not (self.arrays or full):
+            return _length_of(f"{field.type}[{field.array}", field.type)  # sic: rostopic shows one bracket
+        return self._printer(field.type, int(field.array >= 0), indent, full)
+
+    def _list(self, type_name: str, depth: int, indent: str, full: bool) -> Printer:
+        if not full and (not self.arrays or (type_name == "string" and not self.strings)):
+            return _length_of(type_name, type_name)
         if depth == 1 and type_name == "string":
             return lambda texts: "".join([f"\n{indent}{line}" for line in _block(texts)]) or "[]"
         if depth == 1 and (type_name in FLOATS or type_name in INTEGERS or type_name == "bool"):
             return self._inline(type_name)
-        inner = self.printer(type_name, depth - 1, indent + "  ")
+        inner = self._printer(type_name, depth - 1, indent + "  ", True)
         return lambda values: "".join([f"\n{indent}- {inner(value)}" for value in values]) or "[]"
 
     def _inline(self, type_name: str) -> Printer:
-        inner = self._single(type_name, "")
+        inner = self._single(type_name, 0, "", True)
         return lambda values: f"[{', '.join([inner(value) for value in _elements(type_name, values)])}]"
 
 
@@ -156,6 +169,10 @@ def _number(value: float | None) -> float:
 
 def _elements(type_name: str, values: Any) -> Any:
     return byte_values(values) if type_name in BYTES else values
+
+
+def _length_of(shown: str, type_name: str) -> Printer:
+    return lambda values: f'"<array type: {shown}, length: {len(_elements(type_name, values))}>"'
 
 
 def _string_length(text: str) -> str:

@@ -6,13 +6,12 @@ refused; what reads differently from what it looks like is a notice. yaml is imp
 
 from __future__ import annotations
 
-import math
 import re
 from typing import Any
 
 import yaml
 
-from slidectl.description.arithmetic import arithmetic
+from slidectl.description.angles import DEGREES, RADIANS, add_to, angle
 from slidectl.description.robot import Notice
 from slidectl.errors import BadFile
 
@@ -36,17 +35,18 @@ class _Loader(yaml.SafeLoader):
     """PyYAML's safe loader that also knows angles, without touching the one that others use."""
 
 
-for _tag, _word in (("!degrees", "deg"), ("!radians", "rad")):
-    _Loader.add_implicit_resolver(_tag, re.compile(rf"^{_word}\((?:[^()]|\([^()]*\))*\)$"), [_word[0]])
+add_to(_Loader)
 
 
-def read(text: str | bytes, file: str, notices: list[Notice] | None = None) -> Tree:
+def read(text: str | bytes, file: str, notices: list[Notice] | None = None, *, rooted: bool = False) -> Tree:
     """The parameters of all documents in `text`, later ones over earlier ones. `file` is its name in messages.
+
+    `rooted`: of a name that begins with a slash the slash is kept, as it leaves the namespace.
 
     Raises:
         BadFile: not YAML, no mapping of names, or a value that no parameter can have.
     """
-    return _Reader(file, notices if notices is not None else []).read(text)
+    return _Reader(file, notices if notices is not None else [], rooted=rooted).read(text)
 
 
 def read_value(text: str, file: str = "<value>", *, angles: bool = True) -> Any:
@@ -106,7 +106,7 @@ class _Reader:
                 raise self.error(node, NO_MAPPING)
             document = self.mapping(node, 1)
             namespace = document.pop("_ns", "")
-            merge(tree, nest(str(namespace), document))
+            merge(tree, self.nested(str(namespace), document))
         return tree
 
     def value_of(self, text: str) -> Any:
@@ -225,7 +225,7 @@ class _Reader:
         return str(node.value)
 
     def scalar(self, node: yaml.ScalarNode) -> Any:
-        if node.tag in ("!degrees", "!radians"):
+        if node.tag in (DEGREES, RADIANS):
             return self.angle(node)
         try:
             value = self.loader.construct_object(node)
@@ -239,13 +239,10 @@ class _Reader:
         return value
 
     def angle(self, node: yaml.ScalarNode) -> float:
-        text = node.value.strip()
-        inside = text[4:-1] if text[:4] in ("deg(", "rad(") and text.endswith(")") else text
         try:
-            value = arithmetic(inside)
+            return angle(node.value, node.tag)
         except (ValueError, ArithmeticError, RecursionError) as error:
-            raise self.error(node, f"{text!r} is no angle: {error}") from None
-        return math.radians(value) if node.tag == "!degrees" else value
+            raise self.error(node, f"{node.value.strip()!r} is no angle: {error}") from None
 
     def notice(self, node: yaml.Node, subject: str, text: str) -> None:
         self.notices.append(Notice("wrong", subject, text, self.file, _line(node)))

@@ -67,7 +67,7 @@ class Parameters:
             BadName: a name or a key that cannot be one. UsageError: a value that no parameter can have, or a root that
             is no mapping.
         """
-        path = _path(names.check(name))
+        path = _path(names.check_parameter(name))
         checked = _checked(value, name)
         if not path and not isinstance(checked, dict):
             raise UsageError("the root of the parameters is a mapping", "give a name")

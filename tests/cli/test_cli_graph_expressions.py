@@ -32,6 +32,7 @@ MESSAGE = {
         ("0 < t < 1 and not i == 4", True),
         ("round(e, 2)", 2.72),
         ("10 ** 20", 10**20),
+        ("math.floor(math.pi)", 3),
     ],
 )
 def test_numbers_are_computed_with_the_names_of_the_math_module(text: str, value: float) -> None:
@@ -52,6 +53,11 @@ def test_numbers_are_computed_with_the_names_of_the_math_module(text: str, value
         ("sum(m.effort[0:1]) == 1.5", True),
         ("m.header.frame_id[0] == 'b'", True),
         ("min([1, 2]) in (1, 3)", True),
+        ("math.isnan(m.position[1])", True),
+        ("(m.position[0] > 0) & (m.header.seq == 8)", False),
+        ("any([m.position[0] > 1, m.header.seq == 7])", True),
+        ("m.name[0].startswith('sl') and m.header.frame_id.upper() == 'BASE'", True),
+        ("m.position[m.name.index('slide')] == 0.4", True),
     ],
 )
 def test_a_filter_sees_the_fields_of_the_message(text: str, value: bool) -> None:
@@ -76,6 +82,8 @@ def test_bytes_are_numbers_in_a_filter() -> None:
         ("(lambda: 1)()", "there is no function"),
         ("[x for x in m.name]", "there is no ListComp"),
         ("open('/etc/passwd')", "there is no function 'open'"),
+        ("m.name.append('x')", "there is no function 'm.name.append'"),
+        ("m.name[0].format(1)", "there is no function"),
         ("f'{m}'", "there is no JoinedStr"),
         ("abs(*m.effort)", "plain arguments only"),
         ("1 << 2", "no operator LShift"),
@@ -104,6 +112,8 @@ def test_what_expressions_do_not_have_is_refused_before_the_start(text: str, rea
         ("exp(1000)", {"i": 1}),
         ("[1][2]", {"i": 1}),
         ("len(i)", {"i": 1}),
+        ("i.lower()", {"i": 1}),
+        ("i.lower()", {"i": ["A"]}),
     ],
 )
 def test_what_cannot_be_computed_says_so(text: str, names: dict[str, Any]) -> None:

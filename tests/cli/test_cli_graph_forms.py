@@ -159,6 +159,24 @@ def test_noarr_names_the_type_of_the_elements() -> None:
     assert yaml_of("std_msgs/UInt8MultiArray", RAW, arrays=False).endswith('data: "<array type: uint8, length: 3>"')
 
 
+def test_an_array_of_fixed_length_is_named_as_rostopic_does_with_one_bracket() -> None:
+    pose = {"pose": {"position": {}, "orientation": IDENTITY}, "covariance": [0.0] * 36}
+    text = yaml_of("geometry_msgs/PoseWithCovariance", pose, arrays=False)
+    assert text.endswith('covariance: "<array type: float64[36, length: 36>"')
+
+
+def test_what_is_in_a_list_that_is_printed_is_there_in_full() -> None:
+    layout = {"dim": [{"label": "rows", "size": 2, "stride": 6}], "data_offset": 0}
+    printed = yaml_of("std_msgs/UInt8MultiArray", {"layout": layout, "data": ""}, strings=False)
+    assert '      label: "rows"' in printed
+
+
+@pytest.mark.parametrize(("path", "cells"), [("name", "slide,latch"), ("name[1]", "latch"), ("header/frame_id", "")])
+def test_options_of_csv_are_for_what_is_in_the_chosen_field(path: str, cells: str) -> None:
+    _, line = csv_of(JOINT_STATE, JOINTS, path, arrays=False, strings=False)
+    assert line == f"1795219463550504922,{cells}"
+
+
 def test_an_offset_makes_times_relative() -> None:
     types = schema("std_msgs/Header")
     form = YamlForm(types)
@@ -177,7 +195,7 @@ def test_any_string_is_written_as_pyyaml_writes_it(text: str) -> None:
 def test_any_list_of_strings_is_written_as_pyyaml_writes_it(texts: list[str]) -> None:
     form = YamlForm(schema(JOINT_STATE))
     lines = yaml.dump(texts).rstrip("\n").splitlines()
-    assert form.printer("string", 1, "  ")(texts) == "".join(f"\n  {line}" for line in lines)
+    assert form.printer("string", 1)(texts) == "".join(f"\n{line}" for line in lines)
 
 
 @given(st.builds(dict, data=st.text()))

@@ -157,7 +157,7 @@ def test_dump_writes_a_file_that_load_reads_back(world: World, tmp_path: Path) -
         (["set", "/x", "{1: 2}"], 2, "the key 1"),
         (["set", "/x", "a: [1"], 2, "not valid YAML"),
         (["set", "/x", ".inf"], 2, "parameters hold finite numbers"),
-        (["set", "/x", "deg(banana)"], 2, "no name 'banana'"),
+        (["set", "/x", "deg(banana)"], 2, "'deg(banana)' is no angle: expected one number of degrees"),
         (["set", "/bad name", "1"], 2, "is not a legal name"),
         (["set", "/x"], 2, "give a VALUE or -t FILE"),
         (["set", "/x", "-t", "/no/file"], 2, "/no/file: No such file"),

@@ -61,6 +61,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
             bag.write(positions, time, store.serialize_ros1(number, "std_msgs/msg/Float64"))
         foo = types["my_pkg/msg/Foo"](np.array([0, 255], np.uint8), True, [types["geometry_msgs/msg/Point"](1, 2, 3)])
         bag.write(foos, START_NS + 10**9, store.serialize_ros1(foo, "my_pkg/msg/Foo"))
+        times = bag.add_connection("/late", "std_msgs/msg/Time", typestore=store)
+        late = types["std_msgs/msg/Time"](types["builtin_interfaces/msg/Time"](-1, 0))
+        bag.write(times, START_NS + 10**9, store.serialize_ros1(late, "std_msgs/msg/Time"))
     (folder / "no.bag").write_text("no bag at all\n")
     (folder / "binary.bag").write_bytes(bytes(range(255, 0, -1)) * 10)
     for compression in Writer.CompressionFormat:
@@ -86,7 +89,7 @@ def typed(shell: Shell, folder: Path, line: str) -> str:
 
 
 def test_the_topics_of_a_bag(shell: Shell, folder: Path) -> None:
-    assert typed(shell, folder, "rostopic list -b run.bag") == "/foo\n/slide/joint_states\n/slide/position\n"
+    assert typed(shell, folder, "rostopic list -b run.bag") == "/slide/joint_states\n/slide/position\n/foo\n/late\n"
     assert typed(shell, folder, "rostopic list -b run.bag /slide/position") == (
         "3 message(s) from 21 Nov 2026 00:25:35 to 21 Nov 2026 00:25:35\n"
     )
@@ -108,6 +111,19 @@ def test_messages_of_a_bag_are_printed_as_live_ones_are(shell: Shell, folder: Pa
 def test_the_time_of_a_csv_line_is_when_the_message_was_recorded(shell: Shell, folder: Path) -> None:
     assert typed(shell, folder, "rostopic echo -b run.bag -n 1 -p /slide/joint_states") == (
         f"{HEADER}{START_NS},1,{STAMP_NS},,slide,latch,-0.25,0.25,0.5,0.0,1.5,-2.0\n"
+    )
+
+
+def test_a_field_of_a_bag_is_printed_in_full_when_it_was_chosen(shell: Shell, folder: Path) -> None:
+    line = "rostopic echo -b run.bag -n 1 --noarr --nostr /slide/joint_states"
+    assert '\nposition: "<array type: float64, length: 2>"\n' in typed(shell, folder, line)
+    assert typed(shell, folder, f"{line}/position") == "[-0.25, 0.25]\n---\n"
+    assert typed(shell, folder, f"{line}/name") == "\n- slide\n- latch\n---\n"
+
+
+def test_times_go_on_until_2106(shell: Shell, folder: Path) -> None:
+    assert typed(shell, folder, "rostopic echo -b run.bag /late") == (
+        "data: \n  secs: 4294967295\n  nsecs:         0\n---\n"
     )
 
 
@@ -138,7 +154,7 @@ BROKEN = [
     ("rostopic list -b no.bag", "ERROR: unable to use bag file: This does not appear to be a bag file\n"),
     (
         "rostopic echo -b run.bag /nope",
-        "ERROR: no topic [/nope] in run.bag; topics: /foo, /slide/joint_states, /slide/position\n",
+        "ERROR: no topic [/nope] in run.bag; topics: /slide/joint_states, /slide/position, /foo, /late\n",
     ),
 ]
 

@@ -52,7 +52,9 @@ SET, GET, DELETE = (
 NO_NAME = "invalid arguments. Please specify a parameter name"
 MANY = "too many arguments"
 
-ILLEGAL = "ERROR: '{}' is not a legal name: letters, digits, '_' and '/', and the first is a letter, '/' or '~'\n"
+ILLEGAL = (
+    "ERROR: '{}' is not a legal name of a parameter: parts without blanks, with a '/' between and no '~' in front\n"
+)
 GREEN = 'grün ☃\n"gr\\xFCn \\u2603"\n\n'
 
 TAGS = "a: 3.141592653589793\nb:\n- 1.5707963267948966\n\n"
@@ -81,6 +83,34 @@ SESSIONS = [
     Session('rosparam set /deg "deg(90)"'),
     Session('rosparam set /rad "rad(pi/2)"'),
     Session("rosparam set /sci2 1.0e-3"),
+    # numbers in other notations may be negative
+    Session("rosparam set /n -0x10; rosparam set /m -1:30; rosparam get /n; rosparam get /m", "-16\n-90\n"),
+    Session("rosparam delete /n; rosparam delete /m"),
+    # deg takes one number, rad a sum without brackets; in quotes, or with brackets, it is text and is shown as such
+    Session("rosparam set /g 'deg(1.5)'; rosparam get /g", "0.02617993877991494\n"),
+    Session(
+        "rosparam set /g '[deg(3), rad(-pi/2)]'; rosparam get /g", "- 0.05235987755982988\n- -1.5707963267948966\n\n"
+    ),
+    Session("rosparam set /g '\"deg(90)\"'; rosparam get /g", "'deg(90)'\n\n"),
+    Session("rosparam set /g 'rad((pi+1)/2)'; rosparam get /g", "rad((pi+1)/2)\n"),
+    Session(
+        "rosparam set /g 'deg(180/2)'",
+        "",
+        "ERROR: the value 'deg(180/2)' cannot be read: 'deg(180/2)' is no angle:"
+        " expected one number of degrees; rad(...) takes a sum\n",
+        1,
+    ),
+    Session("rosparam delete /g"),
+    # a key that begins with a slash leaves the namespace, and -v tells what is set
+    Session("rosparam set -v /k '{/k2: 1, l: {m: 2}}'", "set parameter [/k2] to [1]\nset parameter [/k/l/m] to [2]\n"),
+    Session("rosparam load -v - /k", "reading parameters from [-]\n/k2=3\n/k/l/m=4\n", stdin="/k2: 3\nl: {m: 4}\n"),
+    Session("rosparam get /k2; rosparam get /k; rosparam delete /k2; rosparam delete /k", "3\nl:\n  m: 4\n\n"),
+    Session(
+        "rosparam set /k '{a: ~}'",
+        "",
+        "ERROR: parameter /k/a: null is no value\na parameter is a bool, a number, a string, a list or a mapping\n",
+        1,
+    ),
     Session("rosparam set /tags '{a: !degrees 180, b: [!radians pi/2]}'; rosparam get /tags", TAGS),
     Session("rosparam delete /tags"),
     Session(
@@ -90,6 +120,8 @@ SESSIONS = [
         1,
     ),
     Session("rosparam set ~x 1"),
+    Session("ROS_NAMESPACE=/ns rosparam set -v ~x 2", "set parameter [/ns/rosparam/x] to [2]\n"),
+    Session("rosparam delete /ns"),
     Session("rosparam set rel 1"),
     Session("ROS_NAMESPACE=/ns rosparam set rel 2"),
     Session("rosparam set /a/b 1"),
@@ -104,7 +136,9 @@ SESSIONS = [
     Session("rosparam list | head -n 1; echo ${PIPESTATUS[@]}", "/a/b\n0 0\n"),
     Session("rosparam dump | head -n 2; echo ${PIPESTATUS[@]}", "a:\n  b: 1\n0 0\n"),
     Session("rosparam get /bin | base64 -d", "data: 3.25\n"),
-    Session("rosparam set /grüße 'grün'", "", ILLEGAL.format("/grüße"), 2),
+    Session("rosparam set /grüße 'grün'; rosparam get /grüße; rosparam delete /grüße", '"gr\\xFCn"\n\n'),
+    Session("rosparam set /joint-1.2 1; rosparam set //joint-1.2//x/ 2; rosparam get /joint-1.2", "x: 2\n\n"),
+    Session("rosparam delete -v /joint-1.2/", "deleted parameter [/joint-1.2/]\n"),
     Session("rosparam set '/bad name' 1", "", ILLEGAL.format("/bad name"), 2),
     Session("rosparam set /text 'grün ☃'; rosparam get -p /text; rosparam get /text", GREEN),
     Session("rosparam get /neg", "-0.5\n"),
@@ -189,12 +223,18 @@ SESSIONS = [
         "rosparam dump out.yaml /slide/controller/joint; rosparam load -v out.yaml /copy; rosparam get /copy",
         "reading parameters from [out.yaml]\nslide\nslide\n",
     ),
+    Session(
+        "rosparam dump -v out.yaml slide/nope",
+        "dumping namespace [slide/nope] to file [out.yaml]\n",
+        "ERROR: Parameter [/slide/nope] is not set\n",
+        1,
+    ),
     Session("rosparam dump out.yaml /nope", "", "ERROR: Parameter [/nope] is not set\n", 1),
     Session("rosparam load -", stdin="k: 1\n"),
     Session("rosparam load - /ns2", stdin="k: 1\n"),
     Session("rosparam get /ns2", "k: 1\n\n"),
     Session("rosparam get /k", "1\n"),
-    Session("rosparam delete /; rosparam list; rosparam get /", "\n{}\n\n"),
+    Session("rosparam delete -v /; rosparam list; rosparam get /", "deleted ENTIRE parameter server\n\n{}\n\n"),
 ]
 
 

@@ -49,6 +49,13 @@ SESSIONS = [
     Session("rosmsg list | head -3", "actionlib/TestAction\nactionlib/TestActionFeedback\nactionlib/TestActionGoal\n"),
     Session("rosmsg package sensor_msgs | head -2", "sensor_msgs/BatteryState\nsensor_msgs/CameraInfo\n"),
     usage("rosmsg show a b", SHOW, "you may only specify one message type"),
+    Session(
+        "rosmsg show /std_msgs/Bool",
+        "",
+        f"Unable to load msg [/std_msgs/Bool]: invalid name [/std_msgs/Bool]\n{PLEASE}\n",
+        1,
+    ),
+    Session("rosmsg md5 a/b/c", "", f"Invalid type: 'invalid name [a/b/c]'\n{PLEASE}\n", 64),
     usage("rosmsg show std_msgs.msg.Float64", SHOW, f"invalid message type 'std_msgs.msg.Float64'.\n{PLEASE}"),
     usage(
         "rosmsg show std_msgs::Float64",

@@ -42,6 +42,11 @@ IsValue = Callable[[str, Sequence[str]], bool]
 """Whether a word that begins with `-` is a value; the second argument holds the positionals before it."""
 
 
+def begins_as_number(token: str) -> bool:
+    """True for `-5`, `-.5`, and for `-0x10` and `-1:30`, which YAML knows."""
+    return looks_like_number(token) or (token[:1] == "-" and token[1:2].isdigit())
+
+
 class Parser:
     """Reads the words of one verb. `tool` is the program's name in errors, `usage` what follows `Usage: `.
 
@@ -86,7 +91,7 @@ class Parser:
         return token.startswith("-") and token != "-" and not self._is_value(token, before)
 
     def _is_number(self, token: str, _before: Sequence[str]) -> bool:
-        return looks_like_number(token) and not any(token in option.names for option in self.options)
+        return begins_as_number(token) and not any(token in option.names for option in self.options)
 
     def _long(self, token: str, rest: list[str], arguments: Arguments) -> None:
         name, equals, value = token.partition("=")

@@ -51,8 +51,8 @@ class Bag:
 
     @property
     def topics(self) -> list[str]:
-        """All topics, sorted."""
-        return sorted(self.schemas)
+        """All topics in the order in which the bag met them."""
+        return list(self.schemas)
 
     def messages(self, topics: set[str]) -> Iterator[Event]:
         """The messages of these topics in the order of their recording; `time_ns` is when that was."""
@@ -126,7 +126,8 @@ def _schema(root: str, texts: Mapping[str, str]) -> Schema:
 
 def _plain(schema: Schema, type_name: str, value: Any) -> Any:
     if type_name in TIMES:
-        return {"secs": value.sec, "nsecs": value.nanosec}
+        secs = value.sec if type_name == "duration" else value.sec % 2**32  # rosbags reads both as signed
+        return {"secs": secs, "nsecs": value.nanosec}
     if not schema.fields(type_name):
         return value if not hasattr(value, "item") else value.item()
     return {field.name: _field(schema, field, getattr(value, field.name)) for field in schema.fields(type_name)}

@@ -21,10 +21,11 @@ _NODE_ARGUMENT = re.compile(r"__(name|ns|log|ip|hostname|master):=")
 
 
 def resolve(ctx: Context, name: str, tool: str) -> str:
-    """The absolute name: below ROS_NAMESPACE (or `--ns`), and below the tool's own name for `~private`."""
+    """The absolute name: below ROS_NAMESPACE (or `--ns`), and there below the tool's own name for `~private`."""
+    namespace = os.environ.get("ROS_NAMESPACE") or ctx.namespace
     if name.startswith("~"):
-        return names.join(names.join("/", tool), name[1:].lstrip("/"))
-    return names.join(os.environ.get("ROS_NAMESPACE") or ctx.namespace, name)
+        return names.join(names.join(namespace, tool), name[1:])
+    return names.join(namespace, name)
 
 
 def without_remappings(words: Sequence[str], payload_from: int | None = None) -> list[str]:

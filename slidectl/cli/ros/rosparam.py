@@ -16,7 +16,7 @@ from slidectl.cli.ros.arguments import Option, Parser
 from slidectl.cli.ros.failure import Failure
 from slidectl.cli.ros.naming import resolve
 from slidectl.cli.ros.verbs import Tool, Verb
-from slidectl.errors import BadFile, UsageError
+from slidectl.errors import BadFile, Refused, UsageError
 
 TOOL = Tool(
     "rosparam",
@@ -47,8 +47,14 @@ def _parser(usage: str, *options: Option) -> Parser:
     return Parser("rosparam", f"rosparam {usage}", [*options, _VERBOSE])
 
 
+def _shown(ctx: Context, name: str) -> str:
+    """The name as -v shows it."""
+    return resolve(ctx, name, "rosparam")
+
+
 def _full(ctx: Context, name: str) -> str:
-    return resolve(ctx, name, "rosparam").rstrip("/") or "/"
+    parts = _shown(ctx, name).split("/")
+    return "/" + "/".join(part for part in parts if part)
 
 
 # --- set --------------------------------------------------------------------------------------------------------------
@@ -70,10 +76,12 @@ def set_parameter(ctx: Context, argv: Sequence[str]) -> None:
     if len(given.words) > (2 if file is None else 1):
         parser.error(_TOO_MANY)
     content = _typed(given.words[1]) if file is None else _content(parser, file, binary=given.textfile is None)
-    full = names.check(_full(ctx, given.words[0]))
-    _store(ctx, content, full)
+    full = names.check_parameter(_full(ctx, given.words[0]))
+    chosen = _store(ctx, content, full)
     if given.verbose:
-        output.write(f"set parameter [{full}] to [{content}]")
+        if not isinstance(content, dict):
+            chosen = {_shown(ctx, given.words[0]): content}
+        output.write("\n".join(f"set parameter [{name}] to [{value}]" for name, value in chosen.items()))
 
 
 def _typed(text: str) -> Any:
@@ -83,8 +91,6 @@ def _typed(text: str) -> Any:
         keys = "YAML dictionaries must have string keys. Invalid dictionary is:"
         if "is not text" in error.message:
             raise Failure(f"ERROR: {keys}\n{_python(text)}") from None
-        raise Failure(f"ERROR: {error}") from None
-    except BadFile as error:
         raise Failure(f"ERROR: {error}") from None
 
 
@@ -108,8 +114,8 @@ def _content(parser: Parser, file: str, binary: bool) -> str:
     return content.decode("utf-8", "replace")
 
 
-def _store(ctx: Context, content: Any, full: str) -> None:
-    """Set it; a mapping is merged. Raises Failure for what a parameter server cannot hold."""
+def _store(ctx: Context, content: Any, full: str) -> dict[str, Any]:
+    """Set it; a mapping is merged. The names and values that were set. Raises Failure for what cannot be set."""
     from slidectl.cli.configuration import store
 
     try:
@@ -117,8 +123,9 @@ def _store(ctx: Context, content: Any, full: str) -> None:
         for name, value in chosen.items():
             _check_integers(name, value)
         store(ctx, chosen)
-    except UsageError as error:
+    except (UsageError, Refused) as error:
         raise Failure(f"ERROR: {error}") from None
+    return chosen
 
 
 def _check_integers(name: str, value: Any) -> None:
@@ -147,7 +154,7 @@ def get(ctx: Context, argv: Sequence[str]) -> None:
     given = parser.parse(argv)
     full = _full(ctx, _one_name(parser, given.words))
     if given.verbose:
-        output.write(f"getting parameter [{full}]")
+        output.write(f"getting parameter [{_shown(ctx, given.words[0])}]")
     value = _value(ctx, full)
     output.write(pretty(value) + "\n" if given.pretty and isinstance(value, str | dict) else printed(value))
 
@@ -192,7 +199,8 @@ def delete(ctx: Context, argv: Sequence[str]) -> None:
         raise Failure(f"ERROR: parameter [{full}] is not set")
     ctx.call("/rosapi/delete_param", {"name": full})
     if given.verbose:
-        output.write(f"deleted parameter [{full}]")
+        everything = f"parameter [{_shown(ctx, given.words[0])}]" if full != "/" else "ENTIRE parameter server"
+        output.write(f"deleted {everything}")
 
 
 def list_parameters(ctx: Context, argv: Sequence[str]) -> None:
@@ -255,11 +263,11 @@ def dump(ctx: Context, argv: Sequence[str]) -> None:
     given = parser.parse(argv)
     file, namespace = parser.at_most(given, 2, _TOO_MANY)
     inside = "/" if namespace is None else _full(ctx, namespace)
+    if given.verbose and file not in (None, "-"):
+        output.write(f"dumping namespace [{namespace or inside}] to file [{file}]")
     value = _value(ctx, inside)
     if file is None or file == "-":
         return output.write(parameters.dumped(value))
-    if given.verbose:
-        output.write(f"dumping namespace [{inside}] to file [{file}]")
     try:
         with open(file, "w", encoding="utf-8") as target:
             target.write(parameters.dumped(value))

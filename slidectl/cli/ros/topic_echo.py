@@ -76,7 +76,7 @@ def _look(given: Arguments) -> Look:
     if width is not None and width < 2:
         _PARSER.error("Fixed width for numeric values must be at least 2")
     form = "csv" if given.plot else "text"
-    return Look(form, not given.noarr, not given.nostr, width, given.clear, given.offset, arrival=bool(given.bag))
+    return Look(form, not given.noarr, not given.nostr, width, given.clear, given.offset, from_bag=bool(given.bag))
 
 
 def wait_for_topic(ctx: Context, full: str) -> Target:

@@ -14,7 +14,7 @@ from slidectl.cli import output
 from slidectl.cli.context import Context
 from slidectl.cli.publication import Publication
 from slidectl.cli.ros import genpy, yamltext
-from slidectl.cli.ros.arguments import Arguments, Option, Parser
+from slidectl.cli.ros.arguments import Arguments, Option, Parser, begins_as_number
 from slidectl.cli.ros.failure import Failure
 from slidectl.cli.ros.naming import resolve, without_remappings
 from slidectl.cli.topics import SUBSCRIBERS, Target, Unused, details, look_up, users_of
@@ -27,9 +27,7 @@ _Message = dict[str, Any]
 
 def _is_value(token: str, before: Sequence[str]) -> bool:
     """A number is one; `-1` behind TYPE may be, which only the number of fields can tell."""
-    from slidectl.cli.commands import looks_like_number
-
-    return looks_like_number(token) and (token != _ONCE or len(before) >= 2)
+    return begins_as_number(token) and (token != _ONCE or len(before) >= 2)
 
 
 _PARSER = Parser(

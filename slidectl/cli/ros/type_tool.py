@@ -78,19 +78,21 @@ class Types:
             parser.error(f"no {self._noun} type given, and none on stdin")
         if "::" in wanted:
             parser.error(f"{self.name} does not understand C++-style namespaces (i.e. '::').\n{_PLEASE}")
-        if "." in wanted or wanted.count("/") > 1:
+        if "." in wanted:
             parser.error(f"invalid {self._noun} type '{wanted}'.\n{_PLEASE}")
         return wanted
 
     def _found(self, kind: Kind, wanted: str) -> list[str]:
         """The types that are meant: one, or those of every package for a bare name. Raises Failure."""
+        trouble = "Unable to load msg" if self._suffix == "msg" else "Unknown srv type"
+        if _is_invalid(wanted):
+            raise Failure(f"{trouble} [{wanted}]: invalid name [{wanted}]\n{_PLEASE}")
         if "/" in wanted and _exists(kind, wanted):
             return [wanted]
         known = kind.names()
         if "/" not in wanted:
             found = [each for each in known if each.endswith("/" + wanted)]
             return found or _fail(f"Could not find {self._suffix} '{wanted}'{_suggestion(wanted, known)}")
-        trouble = "Unable to load msg" if self._suffix == "msg" else "Unknown srv type"
         raise Failure(f"{trouble} [{wanted}]: {self._not_located(wanted)}{_suggestion(wanted, known)}")
 
     def _not_located(self, wanted: str) -> str:
@@ -113,6 +115,8 @@ class Types:
         parser = Parser(self.name, f"{self.name} md5 <{self._noun} type>")
         given = parser.parse(argv)
         wanted = self._wanted(parser, given)
+        if _is_invalid(wanted):
+            raise Failure(f"Invalid type: 'invalid name [{wanted}]'\n{_PLEASE}", NO_SUCH_VERB)
         kind = self._kind()
         try:
             found = self._found(kind, wanted)
@@ -140,6 +144,10 @@ class Types:
         given = parser.parse(argv)
         known = sorted({name.partition("/")[0] for name in self._kind().names()})
         output.write((" " if given.single_line else "\n").join(known))
+
+
+def _is_invalid(wanted: str) -> bool:
+    return wanted.count("/") > 1 or wanted.startswith("/") or wanted.endswith("/")
 
 
 def _exists(kind: Kind, wanted: str) -> bool:

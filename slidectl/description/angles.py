@@ -1,0 +1,44 @@
+"""Angles in YAML, as rosparam reads them: `deg(90)` and `rad(pi/2)` without quotes, and the tags !degrees and !radians.
+
+`deg` takes one number, `rad` a small sum; what has brackets within its brackets is text.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any
+
+DEGREES, RADIANS = "!degrees", "!radians"
+PATTERNS = ((DEGREES, re.compile(r"^deg\([^()]*\)$"), ["d"]), (RADIANS, re.compile(r"^rad\([^()]*\)$"), ["r"]))
+"""Tag, form without it, and the letters that this begins with: what add_implicit_resolver takes."""
+
+_MAY_BE = re.compile(r"!degrees|!radians|(?:deg|rad)\(")
+
+
+def add_to(loader_or_dumper: Any) -> None:
+    """Make a class of PyYAML know the forms. A dumper with them puts a text that looks like an angle in quotes."""
+    for tag, pattern, first in PATTERNS:
+        loader_or_dumper.add_implicit_resolver(tag, pattern, first)
+
+
+def may_be_in(text: str) -> bool:
+    """Whether a text may hold an angle."""
+    return _MAY_BE.search(text) is not None
+
+
+def angle(text: str, tag: str) -> float:
+    """The angle in rad. Raises ValueError or ArithmeticError when it is none."""
+    if tag == DEGREES:
+        try:
+            return float(_inside(text, "deg")) * math.pi / 180.0
+        except ValueError:
+            raise ValueError("expected one number of degrees; rad(...) takes a sum") from None
+    from slidectl.description.arithmetic import arithmetic
+
+    return arithmetic(_inside(text, "rad"))
+
+
+def _inside(text: str, word: str) -> str:
+    stripped = text.strip()
+    return stripped[4:-1] if stripped.startswith(f"{word}(") and stripped.endswith(")") else stripped
