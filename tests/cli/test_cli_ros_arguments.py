@@ -107,7 +107,8 @@ def test_any_words_are_read_or_refused(words: list[str]) -> None:
         ("/ns", "rel", "/ns/rel"),
         ("ns/", "rel", "/ns/rel"),
         ("/ns", "/abs", "/abs"),
-        ("/ns", "~x", "/rosparam/x"),
+        ("", "~x", "/rosparam/x"),
+        ("/ns", "~x", "/ns/rosparam/x"),
     ],
 )
 def test_names_are_resolved_as_in_ros(monkeypatch: pytest.MonkeyPatch, namespace: str, name: str, full: str) -> None:
