@@ -25,9 +25,13 @@ BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
 
 
 def main(arguments: list[str]) -> int:
-    """Run the named measurements, or all of them."""
+    """Run the named measurements, or all of them. The exit code: 2 for a word that is no name."""
     write = "--no-write" not in arguments
-    names = [word for word in arguments if not word.startswith("-")] or list(NAMES)
+    chosen = [word for word in arguments if word != "--no-write"]
+    if not set(chosen) <= set(NAMES):
+        print(f"python -m benchmarks [NAME ...] [--no-write]\nnames: {', '.join(NAMES)}", file=sys.stderr)
+        return 0 if {"-h", "--help"} & set(chosen) else 2
+    names = chosen or list(NAMES)
     results: dict[str, list[Row]] = {}
     for name in names:
         print(f"measuring {name} ...", file=sys.stderr, flush=True)

@@ -27,6 +27,7 @@ from slidectl.simulation.compiled import object_file
 ROUNDS = 15
 ROUND_S = 0.15
 CROWDS = (1, 10, 100, 200)
+JOINTS = (1, 6, 30)
 COMPILED_GOAL, CROWD_GOAL, PLAIN_GOAL = 0.90, 0.85, 0.25
 SPACING_M = 5.0
 
@@ -41,6 +42,8 @@ def measure() -> list[Row]:
             rows += compared(f"{model}, its state topics heard, {engine}", heard(model, controllers, engine), None)
         rows += compared(f"rrbot and a watcher in Python, {engine}", watched(engine), None)
     if object_file.is_possible():
+        for joints in JOINTS:
+            rows += compared(f"one robot of {joints} joints, compiled", comb(joints), None, joints, "a joint")
         for count in CROWDS:
             crowd = build("rrbot", RRBOT_CONTROLLERS, "compiled", count)
             rows += compared(f"{count} RRBots, compiled", crowd, CROWD_GOAL if count >= 100 else None, count)
@@ -102,7 +105,33 @@ def watched(engine: str) -> Simulation:
     return simulation
 
 
-def compared(name: str, simulation: Simulation, goal: float | None, robots: int = 1) -> list[Row]:
+def comb(joints: int) -> Simulation:
+    """One robot with so many hinges side by side, each with a position controller."""
+    simulation = Simulation(ground=False, engine="compiled")
+    simulation.engine.complete()
+    law = {"type": "effort_controllers/JointPositionController", "pid": {"p": 10.0, "i": 0.0, "d": 1.0}}
+    names = [f"joint{number}" for number in range(joints)]
+    states: dict[str, Any] = {"type": "joint_state_controller/JointStateController", "publish_rate": 50}
+    simulation.parameters.set("/comb", {"states": states, **{f"of_{name}": {**law, "joint": name} for name in names}})
+    simulation.spawn(f"<robot name='comb'><link name='world'/>{''.join(map(_hinge, names))}</robot>", "comb", "/comb")
+    start(simulation, "comb", ("states", *(f"of_{name}" for name in names)))
+    return simulation
+
+
+def _hinge(name: str) -> str:
+    return f"""
+    <link name='{name}_link'><inertial><origin xyz='0.1 0 0'/><mass value='1'/>
+      <inertia ixx='0.01' iyy='0.01' izz='0.01' ixy='0' ixz='0' iyz='0'/></inertial></link>
+    <joint name='{name}' type='revolute'><parent link='world'/><child link='{name}_link'/><axis xyz='0 1 0'/>
+      <limit lower='-3' upper='3' effort='50' velocity='10'/></joint>
+    <transmission name='of_{name}'><type>transmission_interface/SimpleTransmission</type>
+      <joint name='{name}'><hardwareInterface>hardware_interface/EffortJointInterface</hardwareInterface></joint>
+      <actuator name='motor_{name}'><mechanicalReduction>1</mechanicalReduction></actuator></transmission>"""
+
+
+def compared(
+    name: str, simulation: Simulation, goal: float | None, parts: int = 1, of_what: str = "a robot"
+) -> list[Row]:
     """The rows of one simulation, run as a daemon runs it."""
     simulation.driven = True
     model, cycles = copy.copy(simulation.world.model), _cycles_of_a_round(simulation)
@@ -113,7 +142,7 @@ def compared(name: str, simulation: Simulation, goal: float | None, robots: int 
         ours.append(_cpu_s(lambda: simulation.step(cycles)) / cycles)
         ratios.append(bare[-1] / ours[-1])
     mine, theirs = statistics.median(ours), statistics.median(bare)
-    each = f", {1e6 * mine / robots:.3g} us a robot" if robots > 1 else ""
+    each = f", {1e6 * mine / parts:.3g} us {of_what}" if parts > 1 else ""
     note = f"{1e6 * mine:.3g} us a cycle{each}; bare {1e6 * theirs:.3g} us"
     return [Row(f"{name}: ratio to bare mj_step", statistics.median(ratios), "", goal, better="higher", note=note)]
 

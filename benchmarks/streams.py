@@ -49,7 +49,7 @@ class Reader:
 
 
 def measure() -> list[Row]:
-    """So many readers, then fifty beside one that does not read."""
+    """So many readers, then ten beside one that does not read."""
     rows = []
     with daemon("--rtf", "1.0") as instance:
         instance.spawn("rrbot", ())

@@ -27,6 +27,8 @@ from slidectl.simulation.simulation import Simulation
 
 NODE = "/slidectl"
 _TIDY_EVERY_S = 1.0
+_FIRST_COMMANDS_S = 1.0
+"""Compiled code takes 50 ms to load: not while those who have started the daemon send their first commands."""
 _YOUNG_OBJECTS = 2000
 _PR_SET_TIMERSLACK = 29
 
@@ -45,6 +47,7 @@ class Daemon:
         options = start.options
         self.simulation = Simulation(options.timestep, options.gravity, options.ground, options.engine)
         self.simulation.driven = True
+        self.simulation.engine.is_welcome = False
         self.simulation.run.paused = options.paused
         self.simulation.run.speed = options.rtf
         self.simulation.monitor = self._status
@@ -80,11 +83,12 @@ class Daemon:
             return 0.0
 
     def _tidy(self, wait_s: float | None) -> None:
-        """Collect garbage now and then: the process runs without the collector, which would choose any moment."""
+        """Now and then: collect garbage (the process runs without the collector, which would choose any moment)."""
         now = time.monotonic()
         if now < self._next_tidy_s and wait_s is not None:
             return
         self._next_tidy_s = now + _TIDY_EVERY_S
+        self.simulation.engine.is_welcome = now - self._began_s > _FIRST_COMMANDS_S
         self._collect_garbage()
         given_up = self._pacer.given_up_s
         if given_up > max(self._given_up_s + 1.0, 2.0 * self._given_up_s):  # ever rarer, or it would fill the log

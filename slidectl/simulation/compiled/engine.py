@@ -41,6 +41,8 @@ class Engine:
         self._trouble = ""
         self._has_looked = False
         self.cycles: CompiledCycles | None = None
+        self.is_welcome = True
+        """False while a driver has more urgent things to do than to wait for code to be loaded."""
         self.is_settled = chosen == PLAIN or not object_file.is_possible()
         """True when nothing will change any more."""
 
@@ -55,6 +57,8 @@ class Engine:
 
     def advance(self, cycles: int) -> None:
         """Before so many cycles: load the code if it is there, else see to it that somebody makes it."""
+        if not self.is_welcome:
+            return
         ended = None if self._compiling is None else self._compiling.poll()
         if self._is_too_short(cycles) if self._compiling is None else ended is None:
             return

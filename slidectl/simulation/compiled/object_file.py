@@ -43,7 +43,10 @@ def _version(name: str) -> str:
     found = importlib.util.find_spec(name)
     if found is None or found.origin is None:
         raise ImportError(name)
-    return metadata.version(name)
+    version: str | None = metadata.version(name)  # None for what is left of one that was half removed
+    if version is None:
+        raise ImportError(name)
+    return version
 
 
 def is_possible() -> bool:
