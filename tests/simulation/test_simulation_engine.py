@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -182,12 +183,36 @@ class Reversed(JointVelocityController):
         self._joint.command = -self._joint.command
 
 
+@controller("tests/Wandering")
+class Wandering(JointVelocityController):
+    """Inherits how it updates, but not where to."""
+
+    @property
+    def set_point(self) -> float:
+        return math.sin(3.0 * self._joint.position) + 1.0
+
+    @set_point.setter
+    def set_point(self, value: float) -> None:
+        pass
+
+
+@controller("tests/Meddling")
+class Meddling(JointVelocityController):
+    """Inherits how it updates; when it tells its state it does more than that."""
+
+    def publish(self, time_ns: int, period_s: float) -> None:
+        super().publish(time_ns, period_s)
+        self._joint.command = 3.0
+
+
 @needs_numba
-def test_a_class_with_an_update_of_its_own_is_not_mistaken_for_its_parent() -> None:
+@pytest.mark.parametrize("kind", ["Reversed", "Wandering", "Meddling"])
+def test_a_class_with_ways_of_its_own_is_not_mistaken_for_its_parent(kind: str) -> None:
     def scene(simulation: Simulation) -> None:
         own = usual()
-        own["three"]["type"] = "tests/Reversed"
+        own["three"]["type"] = f"tests/{kind}"
         add(simulation, "a", arm(), own)
+        simulation.heard.listen("/a/three/state")  # type: ignore[attr-defined]
         simulation.step(1000)
 
     assert_same(scene)

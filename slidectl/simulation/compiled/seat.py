@@ -6,6 +6,7 @@ not looked at. Nothing runs here.
 
 from __future__ import annotations
 
+import itertools
 from typing import TYPE_CHECKING, Any
 
 from slidectl.control.controller import ControllerBase
@@ -192,12 +193,23 @@ Form = tuple[ControllerBase, int, Parts]
 def _form(update: Update) -> Form | None:
     """The controller behind an `update`, the kind of its row and its parts, when it runs compiled.
 
-    A class that has an `update` of its own runs it, whatever its parent declares; so does an instance.
+    A class or an instance that has an `update`, a `publish` or a column of its own, say as a property, means it: what
+    its parent declares does not hold for it.
     """
     controller = getattr(update, "__self__", None)
-    if not isinstance(controller, ControllerBase) or "update" in vars(controller):
+    if not isinstance(controller, ControllerBase):
         return None
     owner: Any = next(cls for cls in type(controller).__mro__ if "update" in vars(cls))
     kind = rows.CONTROLLER_KINDS.get(owner) if "compiled" in vars(owner) else None
-    parts = controller.parts() if kind is not None else None
-    return (controller, kind, parts) if kind is not None and parts is not None else None
+    if kind is None or _has_own_ways(controller, owner):
+        return None
+    parts = controller.parts()
+    return (controller, kind, parts) if parts is not None else None
+
+
+def _has_own_ways(controller: ControllerBase, owner: Any) -> bool:
+    heirs = itertools.takewhile(lambda cls: cls is not owner, type(controller).__mro__)
+    ways = {"update", "publish"}
+    return not ways.isdisjoint(vars(controller)) or any(
+        not vars(heir).keys().isdisjoint({*ways, *owner.compiled.columns.names}) for heir in heirs
+    )
