@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 DEFAULT_INSTANCE = "default"
+_SOCKET = "socket"
 _INSTANCE = r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}\Z"
 # A Unix socket's path is limited by the kernel (sun_path, 108 bytes with its end).
 _LONGEST_SOCKET_PATH = 107
@@ -88,13 +89,20 @@ def instance(name: str | None = None, socket: str | None = None) -> InstancePath
     if socket is None and name is None:
         socket = os.environ.get("SLIDECTL_SOCKET") or None
     if socket is not None:
-        path = os.path.abspath(socket)
-        return _checked(InstancePaths(os.path.dirname(path), path, os.path.basename(path) + "."))
+        return _checked(_of_socket(os.path.abspath(socket)))
     name = name or os.environ.get("SLIDECTL_INSTANCE") or DEFAULT_INSTANCE
     if name != DEFAULT_INSTANCE and not re.match(_INSTANCE, name):
         raise UsageError(f"instance name {name!r} is not a plain file name (letters, digits, '.', '_', '-')")
     folder = os.path.join(runtime_folder(), name)
-    return _checked(InstancePaths(folder, os.path.join(folder, "socket")))
+    return _checked(InstancePaths(folder, os.path.join(folder, _SOCKET)))
+
+
+def _of_socket(path: str) -> InstancePaths:
+    """That of an instance is the instance, however it was named: its lock and its log are the same files."""
+    folder, file = os.path.split(path)
+    above, name = os.path.split(folder)
+    is_instances = file == _SOCKET and above == runtime_folder() and re.match(_INSTANCE, name)
+    return InstancePaths(folder, path, "" if is_instances else f"{file}.")
 
 
 def _checked(paths: InstancePaths) -> InstancePaths:

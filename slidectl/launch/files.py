@@ -147,6 +147,9 @@ def _single(word: str, packages: Packages) -> Path:
         return known[word]
     if next(packages.candidates(word), None) is not None:
         raise _which_of(word, packages)
+    if path.is_dir():
+        inside = sorted(file.name for file in path.glob(f"*{SUFFIX}"))
+        raise BadFile("a folder, not a launch file", word, hint=f"launch files in it: {listing(inside) or 'none'}")
     if "/" in word or word.endswith((SUFFIX, ".xml")):
         raise BadFile("no such launch file", word, hint=f"shipped ones: {', '.join(sorted(known))}")
     raise UnknownName("shipped launch file", word, sorted(known), "(and no file of that name here)")

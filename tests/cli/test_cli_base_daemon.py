@@ -202,6 +202,18 @@ def test_a_socket_can_be_anywhere_in_a_private_folder(slidectl: CommandLine, run
     slidectl.ok("daemon", "stop", "--socket", str(socket))
 
 
+def test_the_socket_of_an_instance_is_that_instance(slidectl: CommandLine) -> None:
+    slidectl.ok("-i", "lab", "daemon", "start")
+    status = json.loads(slidectl.ok("-i", "lab", "daemon", "status", "--json"))
+    socket = status["socket"]
+    assert json.loads(slidectl.ok("--socket", socket, "daemon", "status", "--json"))["log"] == status["log"]
+    assert "runs already" in slidectl.ok("--socket", socket, "daemon", "start")
+    assert slidectl.ok("daemon", "stop", SLIDECTL_SOCKET=socket).startswith("daemon lab: stopped")
+    done = slidectl("--socket", socket, "topic", "list")
+    assert done.returncode == 3
+    assert "slidectl -i lab daemon start" in done.stderr
+
+
 def test_a_folder_that_others_may_enter_is_refused(slidectl: CommandLine, runtime: Runtime) -> None:
     open_folder = runtime.folder / "open"
     open_folder.mkdir(mode=0o755)

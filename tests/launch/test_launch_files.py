@@ -79,6 +79,7 @@ def test_a_package_of_the_users_goes_before_one_that_is_shipped(workspace: Works
     [
         ([], UsageError, "which launch file"),
         (["nofile.launch"], BadFile, "nofile.launch: no such launch file"),
+        (["."], BadFile, ".: a folder, not a launch file"),
         (["slidr"], UnknownName, r"no shipped launch file 'slidr' .* Did you mean 'slider'\?"),
         (["nopkg", "x.launch"], UnknownPackage, "no package 'nopkg'"),
         (["demo", "b.launch"], UnknownName, r"no launch file 'b.launch' in the package demo \(demo\)"),
