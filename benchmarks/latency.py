@@ -6,9 +6,13 @@ joint, for which a second connection asks in a loop. The figure holds one round 
 
 from __future__ import annotations
 
+import json
 import resource
+import select
+import socket
 import statistics
 import subprocess
+import sys
 import time
 
 from benchmarks.harness import SLIDECTL, Daemon, Row, daemon, percentile, process_cpu_s, timed
@@ -22,11 +26,18 @@ LINES = 3000
 _PUSH = 0.01
 _MOVED = 1e-7
 _SERVICE = "/rosapi/get_time"
+_ECHO = """
+import json, select, socket, sys
+far = socket.socket(fileno=int(sys.argv[1]))
+while select.select((far,), (), ())[0] and (line := far.recv(4096)):
+    values = {"time": {"secs": 1, "nsecs": 0}}
+    far.send(json.dumps({"op": "service_response", "id": json.loads(line)["id"], "values": values}).encode())
+"""
 
 
 def measure() -> list[Row]:
     """At real time, then free-running, with RRBot and one effort controller."""
-    rows = []
+    rows = [_floor()]
     with daemon("--rtf", "1.0") as instance:
         instance.spawn("rrbot", ())
         instance.run("param", "set", "/rrbot/push/type", "effort_controllers/JointEffortController")
@@ -38,6 +49,23 @@ def measure() -> list[Row]:
                 client.call("/slidectl/set_speed", {"speed": speed})
                 rows += _effects(client, title, *goals)
     return rows
+
+
+def _floor() -> Row:
+    """What two Python processes reach that read, write and wait for each other's lines, and do nothing else."""
+    near, far = socket.socketpair()
+    with near, subprocess.Popen([sys.executable, "-c", _ECHO, str(far.fileno())], pass_fds=[far.fileno()]):
+        far.close()
+        trips = max(CALLS / timed(lambda: _pass_to_and_fro(near)) for _ in range(ROUNDS))
+        near.shutdown(socket.SHUT_RDWR)
+    return Row("lines of JSON passed to and fro by two bare processes", trips, "/s", note="the floor")
+
+
+def _pass_to_and_fro(near: socket.socket) -> None:
+    for number in range(CALLS):
+        near.send(json.dumps({"op": "call_service", "id": f"call:{number}", "service": _SERVICE, "args": {}}).encode())
+        select.select((near,), (), ())
+        json.loads(near.recv(4096))
 
 
 def _calls(client: Client) -> list[Row]:

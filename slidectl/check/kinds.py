@@ -26,13 +26,18 @@ _ROOT = re.compile(rb"<([A-Za-z_][\w:.-]*)")
 _SKIPPED = re.compile(rb"<!--.*?-->|<\?.*?\?>|<!DOCTYPE[^>]*>", re.DOTALL)
 
 
+def of_name(name: str) -> Kind | None:
+    """The kind of a file by its suffix; None when that does not tell."""
+    return _SUFFIXES.get(Path(name).suffix.lower())
+
+
 def of_file(path: Path) -> Kind:
     """The kind of a file.
 
     Raises:
         BadFile: no such file, or XML that is neither a robot nor a launch file.
     """
-    known = _SUFFIXES.get(path.suffix.lower())
+    known = of_name(path.name)
     return known if known is not None else of_text(models.read_file(path), str(path))
 
 

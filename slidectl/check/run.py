@@ -23,17 +23,19 @@ def check(
     """Everything that there is to say of a file.
 
     Args:
-        words: a path, the name of a shipped model or launch file, or package and launch file; one that says what to
-            call `text`, when that is given.
+        words: a path, the name of a shipped model or launch file, or package and file; one that says what to call
+            `text`, when that is given.
         arguments: of xacro or of the launch file.
         parameter_files: files of controllers for a model.
         text: the file's content, when it came from elsewhere.
         ask_others: whether yourdfpy is asked about models too.
 
     Raises:
-        BadFile: no such file. UnknownName: no such model. UsageError: arguments that do not go with the file.
+        BadFile: no such file. UnknownName: no such model, or no such file in the package. UnknownPackage. UsageError:
+            arguments that do not go with the file.
     """
     findings = Findings()
+    words = _out_of_package(words, packages)
     source = words[0]
     kind = _kind(words, text)
     if kind != "model" and parameter_files:
@@ -54,14 +56,26 @@ def check(
     return findings
 
 
+def _out_of_package(words: Sequence[str], packages: Packages) -> Sequence[str]:
+    """The path instead of package and file, where the file is no launch file; those are found as launch finds them."""
+    if not _begins_with_package(words) or kinds.of_name(words[1]) in ("launch", None):
+        return words
+    from slidectl.launch import files
+
+    return [shown(files.find_in_package(words[0], words[1], packages)), *words[2:]]
+
+
+def _begins_with_package(words: Sequence[str]) -> bool:
+    return len(words) > 1 and words[0] not in models.shipped() and not is_file(Path(words[0]))
+
+
 def _kind(words: Sequence[str], text: bytes | None) -> kinds.Kind:
     """What the words mean; a name that nothing has is an unknown model.
 
     Raises:
         UsageError: words that only launch files can have after them. BadFile: XML of neither kind.
     """
-    is_package = len(words) > 1 and words[0] not in models.shipped() and not is_file(Path(words[0]))
-    kind = "launch" if is_package else _kind_of_one(words, text)
+    kind = "launch" if _begins_with_package(words) else _kind_of_one(words, text)
     if kind != "launch" and len(words) > 1:
         raise UsageError(f"{words[1]!r} is not KEY:=VALUE", "slidectl check --help shows the order of arguments")
     return kind

@@ -33,6 +33,7 @@ _COLOURS = {"used": "green", "converted": "cyan", "ignored": "yellow", "wrong": 
         "slidectl check slider --controllers config/slider_control.yaml",
         "slidectl check robot.urdf.xacro width:=0.2 --strict",
         "slidectl check my_slider slider.launch",
+        "slidectl check rrbot_description rrbot.xacro",
         "slidectl check config/slider_control.yaml --only ignored --only wrong",
     ]
 )

@@ -25,7 +25,7 @@ _WARN = 4  # rosgraph_msgs/Log
 _PROBE_S = 0.5
 _SYNCHRONIZE = "/rosapi/get_time"
 """A service that changes nothing: its answer says that all that was sent before it has been taken in."""
-_SYNCHRONIZE_LINE = f'{{"op":"call_service","id":"%s","service":"{_SYNCHRONIZE}","args":{{}}}}\n'
+_ANSWERS = ("service_response", "status")
 
 
 class Client:
@@ -114,22 +114,22 @@ class Client:
 
     def publish(self, topic: str, message: Message, type: str | None = None, latch: bool = False) -> None:
         """Send one message. A topic that exists needs no type; `flush` says whether the message was taken."""
-        self._write(self._publish_line(topic, message, type, latch))
+        self._publish(topic, message, type, latch)
         self._published = True
 
-    def _publish_line(self, topic: str, message: Message, type: str | None, latch: bool) -> bytes:
+    def _publish(self, topic: str, message: Message, type: str | None, latch: bool, **more: Any) -> str:
+        """Returns the id."""
         if type is not None or latch:
             self.advertise(topic, type, latch)
         full, publish_id = names.join("/", topic), self._next_id("publish")
-        return encode({"op": "publish", "id": publish_id, "topic": full, "msg": message})
+        self._write(encode({"op": "publish", "id": publish_id, "topic": full, "msg": message, **more}))
+        return publish_id
 
     def deliver(self, topic: str, message: Message, type: str | None = None, latch: bool = False) -> None:
-        """`publish` and `flush` in one: they leave together, which takes the time of one call. Raises as `flush`."""
-        line = self._publish_line(topic, message, type, latch)
-        call_id = self._next_id("call")
-        self._waiting.add(call_id)
-        self._write(line + (_SYNCHRONIZE_LINE % call_id).encode("ascii"))
-        self._flushed(call_id, None)
+        """`publish` and `flush` in one, in the time of one call. Raises as `flush`."""
+        publish_id = self._publish(topic, message, type, latch, ack=True)
+        self._waiting.add(publish_id)
+        self._flushed(publish_id, None)
 
     def flush(self, *, timeout: float | None = None) -> None:
         """Wait until all that was sent has been taken in and has reached the subscribers.
@@ -254,10 +254,10 @@ class Client:
         if op == "publish":
             for subscription in self._subscriptions.get(message["topic"], ()):
                 subscription.put(message["msg"])
-        elif op == "service_response" and message.get("id") in self._waiting:
-            self._answers[message["id"]] = message
         elif op == "status":
             self._take_status(message)
+        if op in _ANSWERS and message.get("id") in self._waiting:
+            self._answers[message["id"]] = message
 
     def _take_status(self, status: Message) -> None:
         for subscription in self._subscriptions.get(status.get("topic", ""), ()):

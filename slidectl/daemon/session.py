@@ -126,7 +126,7 @@ class Session:
         if message.get("op") == "call_service" and "service" in message:
             asked = {"op": "service_response", "service": message["service"]}
             self._connection.send(encode(asked | _given_id(message) | _failure(error)))
-        elif self._level <= LEVELS["error"]:
+        elif self._level <= LEVELS["error"] or message.get("ack"):
             status = {"op": "status", "level": "error", "msg": str(error), "exit_code": error.exit_code}
             self._connection.send(encode(status | _given_id(message)))
 
@@ -159,6 +159,8 @@ class Session:
             self._graph.topics.publish(topic, _text(message, "type", "") or None, content, self.node)
         else:
             publisher.publish(msgs.check(self._graph.topics.type_of(topic), content))
+        if message.get("ack"):
+            self._connection.send(encode({"op": "status", "level": "info", **_given_id(message), "msg": "delivered"}))
 
     def _subscribe(self, message: Message) -> None:
         topic = _name(message, "topic")

@@ -79,6 +79,20 @@ def find(words: Sequence[str], packages: Packages) -> list[Source]:
     return [_given(word, packages) for word in words]
 
 
+def find_in_package(package: str, file: str, packages: Packages) -> Path:
+    """A file of any kind in a package, wherever in it.
+
+    Raises:
+        UnknownPackage, UnknownName: no such package or file. UsageError: the package has several of that name.
+    """
+    path = _in_package(package, file, packages)
+    if path is not None:
+        return path
+    folder = packages.find(package)
+    alike = [found.name for found in _below(folder) if found.suffix == Path(file).suffix]
+    raise UnknownName("file", file, sorted(set(alike)), f"in the package {package} ({shown(folder)})")
+
+
 def _given(word: str, packages: Packages) -> Source:
     return from_stdin() if word == "-" else _source(_single(word, packages))
 

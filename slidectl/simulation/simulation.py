@@ -36,6 +36,9 @@ class Simulation:
         engine: who runs the cycles: `plain` (the interpreter), `compiled` (machine code; needs numba) or `auto`, which
             is compiled as soon as it can be. The results are the same to the bit.
 
+    Callbacks of `subscribe` and of `graph.timers` find what the script holds of a robot (controllers, joint handles) as
+    it is in that moment. Who listens in another way, as a node of the graph, takes it from `robots` anew.
+
     Raises:
         Refused: `compiled` without numba.
     """

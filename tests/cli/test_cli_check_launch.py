@@ -66,3 +66,13 @@ def test_a_package_or_file_that_is_not_there_is_explained(slidectl: CommandLine)
     assert "no package 'my_slidr'. Did you mean 'my_slider'?" in done.stderr
     done = slidectl("check", "my_slider", "slidr.launch")
     assert "Did you mean 'slider.launch'?" in done.stderr
+
+
+def test_models_and_controllers_are_found_in_packages(slidectl: CommandLine) -> None:
+    assert "joint1" in slidectl.ok("check", "rrbot_description", "rrbot.xacro")
+    assert "joint2_position_controller" in slidectl.ok("check", "rrbot_control", "rrbot_control.yaml")
+    done = slidectl("check", "rrbot_control", "rrbot_contrl.yaml")
+    assert done.returncode == 1
+    assert "no file 'rrbot_contrl.yaml' in the package rrbot_control" in done.stderr
+    assert "Did you mean 'rrbot_control.yaml'?" in done.stderr
+    assert "no package 'rrbot_contrl'" in slidectl("check", "rrbot_contrl", "rrbot_control.yaml").stderr

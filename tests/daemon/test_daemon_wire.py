@@ -78,6 +78,24 @@ def test_a_wrong_field_is_named_together_with_the_right_ones(wire: Wire) -> None
     assert "data" in status["msg"]
 
 
+def test_who_wants_an_acknowledgement_hears_of_each_message(connect: Connect) -> None:
+    reader, writer = connect(), connect()
+    reader.send(op="subscribe", topic="/acknowledged", type="std_msgs/Int32")
+    reader.call("/rosapi/get_time")
+    writer.send(op="set_level", level="none")  # it is an answer, no remark
+    writer.send(op="publish", id="p1", ack=True, topic="/acknowledged", msg={"data": 1})
+    writer.send(op="publish", id="p2", ack=True, topic="/acknowledged", msg={"data": "two"})
+    writer.send(op="publish", id="p3", topic="/acknowledged", msg={"data": 3})
+    writer.send(op="publish", id="p4", ack=True, topic="/acknowledged", msg={"data": 4})
+    answers = [writer.receive() for _ in range(3)]
+    assert [(answer["op"], answer["level"], answer["id"]) for answer in answers] == [
+        ("status", "info", "p1"),
+        ("status", "error", "p2"),
+        ("status", "info", "p4"),
+    ]
+    assert [reader.receive()["msg"]["data"] for _ in range(3)] == [1, 3, 4]
+
+
 def test_another_type_for_a_known_topic_is_refused(wire: Wire) -> None:
     wire.send(op="subscribe", id="s1", topic="/clock", type="std_msgs/String")
     status = wire.receive()
