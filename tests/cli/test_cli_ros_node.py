@@ -96,6 +96,7 @@ def test_ping_of_all_and_of_unknown_nodes(slide: SlideWorld) -> None:
 def test_machine_is_this_one(slide: SlideWorld) -> None:
     assert slide("rosnode machine").stdout == "localhost\n"
     assert slide("rosnode machine 127.0.0.1").stdout == slide("rosnode list").stdout
+    assert slide("rosnode machine a b").stderr.endswith("rosnode: error: please enter only one machine name\n")
     done = slide("rosnode machine nohost.invalid")
     assert done.stderr == "ERROR: cannot resolve machine name [nohost.invalid] to address\n"
     assert done.returncode == 1

@@ -104,6 +104,12 @@ WORKING = [
         "-1 /j sensor_msgs/JointState '{position: [0.5]}'",
         ("/j", {"header": header(seq=1), "name": [], "position": [0.5], "velocity": [], "effort": []}),
     ),
+    ("-1 /s std_msgs/String '{data: }'", ("/s", {"data": ""})),
+    ("-1l /f std_msgs/Float64 1.0", ("/f", {"data": 1.0})),
+    (
+        "-1 /p geometry_msgs/PoseStamped '{header: {frame_id: null}}'",
+        ("/p", {"header": header(seq=1), "pose": POSE}),
+    ),
     ("-1 /s std_msgs/String 'a:=b' __name:=x", ("/s", {"data": "a:=b"})),
 ]
 
@@ -119,6 +125,7 @@ ARGS_OF_A_POSE = (
     "Args are: [header.seq header.stamp header.frame_id pose.position.x pose.position.y pose.position.z "
     "pose.orientation.x pose.orientation.y pose.orientation.z pose.orientation.w]"
 )
+ARGS_OF_A_TWIST = "Args are: [linear.x linear.y linear.z angular.x angular.y angular.z]"
 ROSMAKE = "If this is a valid message type, perhaps you need to type"
 MISFITS = [
     ("-1 /f std_msgs/Float64 'value: 1.0'", "No field name [value]\n\nArgs are: [data]"),
@@ -160,6 +167,11 @@ MISFITS = [
     ("-1 /f nopkg/Float64 1.0", f"invalid message type: nopkg/Float64.\n{ROSMAKE} 'rosmake nopkg'"),
     ("-1 /f Float64 1.0", "invalid topic type: Float64"),
     ("-1 /f std_msgs/String hello", "topic types do not match: [std_msgs/Float64] vs. [std_msgs/String]"),
+    (
+        "-1 /p geometry_msgs/PoseStamped '{header: {stamp: {secs: -1}}}'",
+        "geometry_msgs/PoseStamped: header.stamp must be a time of 0 to 4294967295 seconds, not the number -1",
+    ),
+    ("-1 /tw geometry_msgs/Twist 'linear: '", f"No key named []\n\n{ARGS_OF_A_TWIST}"),
     ("-1 -f /nofile.yaml /f std_msgs/Float64", "file does not exist: /nofile.yaml"),
 ]
 
@@ -353,6 +365,12 @@ def test_a_file_is_published_document_by_document(sink: Sink, files: Any) -> Non
     assert sink.received() == [("/f", {"data": value}) for value in (1.0, 2.0, 3.0)]
 
 
+def test_l_with_a_rate_publishes_all_documents_of_a_file(sink: Sink, files: Any) -> None:
+    done = sink.world("rostopic pub -l -r 50 -f three.yaml /f std_msgs/Float64", cwd=files)
+    assert (done.stdout, done.returncode) == (ONCE * 3, 0)
+    assert [message["data"] for _, message in sink.received()] == [1.0, 2.0, 3.0]
+
+
 @pytest.mark.parametrize(("name", "value"), [("one", 3.25), ("three", 1.0)])
 def test_once_publishes_the_first_document_of_a_file(sink: Sink, files: Any, name: str, value: float) -> None:
     done = sink.world(f"rostopic pub -1 -f {name}.yaml /f std_msgs/Float64", cwd=files)
@@ -405,15 +423,17 @@ def test_documents_of_a_file_that_do_not_fit(sink: Sink, files: Any) -> None:
     done = sink.world("rostopic pub -f badfield.yaml /f std_msgs/Float64", cwd=files)
     assert (done.stdout, done.returncode) == (got_one, 1)
     assert done.stderr == "ERROR: No field name [value]\n\nArgs are: [data]\n"
-    done = sink.world("rostopic pub -f list.yaml /f std_msgs/Float64", cwd=files)
-    assert (done.stdout, done.returncode) == (got_one, 1)
-    assert "  field data must be float type\n" in done.stderr
+    for text in ("[[1.0]]\n", "[1.0]\n"):
+        (files / "list.yaml").write_text(text)
+        done = sink.world("rostopic pub -f list.yaml /f std_msgs/Float64", cwd=files)
+        assert (done.stdout, done.returncode) == (got_one, 1)
+        assert "  field data must be float type\n" in done.stderr
     done = sink.world("rostopic pub -f empty.yaml /f std_msgs/Float64", cwd=files)
     assert (done.stdout, done.stderr, done.returncode) == ("", "", 0)
 
 
 def test_stdin_gives_one_message_for_each_document(sink: Sink) -> None:
-    done = sink.world("rostopic pub -r 50 /f std_msgs/Float64", stdin="data: 5.0\n---\ndata: 6.0\n---\n")
+    done = sink.world("rostopic pub -r 50 /f std_msgs/Float64", stdin="data: 5.0\n---\n\n---\ndata: 6.0\n---\n")
     assert (done.stdout, done.stderr, done.returncode) == (ONCE * 2, "", 0)
     assert sink.received() == [("/f", {"data": 5.0}), ("/f", {"data": 6.0})]
     done = sink.world("rostopic pub -1 /f std_msgs/Float64", stdin="data: 5.0\n---\ndata: 6.0\n---\n")

@@ -96,6 +96,10 @@ USAGES = [
         "delay",
         "usage: rostopic delay [options] /topic\nrostopic: error: the following arguments are required: topic\n",
     ),
+    (
+        "delay -w x /t",
+        "usage: rostopic delay [options] /topic\nrostopic: error: argument -w/--window: invalid int value: 'x'\n",
+    ),
 ]
 
 

@@ -41,6 +41,8 @@ SESSIONS = [
     Session("rosservice info /slide/enable", "Node: <node>\nURI: <uri>\nType: std_srvs/SetBool\nArgs: data\n"),
     Session("rosservice info /nope", "", "ERROR: unknown service\n", 1),
     usage("rosservice info", "rosservice info /service", "you must specify a service name"),
+    usage("rosservice info a b", "rosservice info /service", "you may only specify one service"),
+    usage("rosservice args a b", "rosservice args /service", "you may only specify one input service"),
     Session("rosservice type /slide/reset", "std_srvs/Trigger\n"),
     Session("rosservice type /nope", "", "Unknown service [/nope]\n", 1),
     usage("rosservice type", "rosservice type /service", "service must be specified"),

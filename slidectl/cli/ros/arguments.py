@@ -67,7 +67,7 @@ class Parser:
         self.usage = usage
         self.options = [*options, Option(("-h", "--help"), "help", "show this and exit")]
         self.about = about
-        self._modern = modern
+        self.modern = modern
         self._is_value = is_value or self._is_number
 
     def parse(self, argv: Sequence[str]) -> Arguments:
@@ -136,7 +136,7 @@ class Parser:
 
     def error(self, text: str) -> Any:
         """Raise the usage error that the tool would print."""
-        if self._modern:
+        if self.modern:
             raise Failure(f"usage: {self.usage}\n{text}", EXIT_USAGE)
         raise Failure(f"Usage: {self.usage}\n\n{self.tool}: error: {text}", EXIT_USAGE)
 

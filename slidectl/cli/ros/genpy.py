@@ -37,6 +37,7 @@ def filled(ctx: Context, typedefs: Typedefs, values: Sequence[Any]) -> Message:
     """
     from slidectl.msgs.fill import fields_from, fill
 
+    values = [_without_nulls(value) for value in values]
     if None in leaves(values):  # an empty argument is null there, and null fits nothing
         _explain(from_typedefs(typedefs), values)
     try:
@@ -52,6 +53,13 @@ def _now(ctx: Context, values: Sequence[Any]) -> tuple[int, int] | None:
         return None
     time = ctx.call("/rosapi/get_time")["time"]
     return time["secs"], time["nsecs"]
+
+
+def _without_nulls(value: Any) -> Any:
+    """The value with empty text for each name that has nothing behind it: `{frame_id: }`."""
+    if isinstance(value, Mapping):
+        return {name: "" if each is None else _without_nulls(each) for name, each in value.items()}
+    return [_without_nulls(each) for each in value] if isinstance(value, list | tuple) else value
 
 
 def leaves(value: Any) -> Iterator[Any]:

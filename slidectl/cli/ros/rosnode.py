@@ -75,7 +75,7 @@ def machine(ctx: Context, argv: Sequence[str]) -> None:
     """The one machine that there is."""
     parser = Parser("rosnode", "rosnode machine [machine-name]")
     given = parser.parse(argv)
-    (host,) = parser.at_most(given, 1, "invalid args: you may only specify one machine")
+    (host,) = parser.at_most(given, 1, "please enter only one machine name")
     nodes = ctx.names("node")
     if host is None:
         return output.write(HOST)

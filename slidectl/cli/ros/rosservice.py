@@ -61,7 +61,7 @@ def list_services(ctx: Context, argv: Sequence[str]) -> None:
 
 def _asked(ctx: Context, argv: Sequence[str], verb: str, missing: str) -> str:
     parser = Parser("rosservice", f"rosservice {verb} /service")
-    complaints = missing, "you may only specify one service name"
+    complaints = missing, f"you may only specify one {'service' if verb == 'info' else 'input service'}"
     return resolve(ctx, parser.only_word(without_remappings(argv), *complaints), "rosservice")
 
 

@@ -18,15 +18,18 @@ from slidectl.cli.ros.arguments import Arguments, Option, Parser, begins_as_numb
 from slidectl.cli.ros.failure import Failure
 from slidectl.cli.ros.naming import resolve, without_remappings
 from slidectl.cli.topics import SUBSCRIBERS, Target, Unused, details, look_up, users_of
-from slidectl.errors import Refused, SlidectlError, UnknownName
+from slidectl.errors import BadMessage, Refused, SlidectlError, UnknownName
 
 _ONCE = "-1"
+_FLAGS = frozenset("vlrfs")
 _DOCUMENTS_HZ = 10.0
 _Message = dict[str, Any]
 
 
 def _is_value(token: str, before: Sequence[str]) -> bool:
-    """A number is one; `-1` behind TYPE may be, which only the number of fields can tell."""
+    """A number is one; `-1` behind TYPE may be, which only the number of fields can tell. `-1v` is `-1 -v`."""
+    if token.startswith(_ONCE) and set(token[2:]) & _FLAGS:
+        return False
     return begins_as_number(token) and (token != _ONCE or len(before) >= 2)
 
 
@@ -177,11 +180,11 @@ class _Run:
         first = next(source, None)
         if first is None:
             return None
-        second = None if self._once or given.latch else next(source, None)
+        stays = given.latch and not self._once and rate is None
+        second = None if self._once or stays else next(source, None)
         if given.file is not None and second is None and rate is not None:
             output.write("Got one message and a rate, publishing repeatedly")
             return self.values(first, rate)
-        stays = given.latch and not self._once and rate is None
         every = chain([first], [] if second is None else [second], [] if self._once or stays else source)
         self._publish(self._announced(every, not stays), rate, stays)
         return self._check_heard()
@@ -193,7 +196,7 @@ class _Run:
                 yield from map(_spread, yamltext.documents(sys.stdin))
                 return
             with open(given.file, encoding="utf-8") as file:
-                yield from [_spread(document) for document in yamltext.read_file(file) if document is not None]
+                yield from [[document] for document in yamltext.read_file(file) if document is not None]
         except (OSError, UnicodeDecodeError) as error:
             if isinstance(error, FileNotFoundError):
                 raise Failure(f"ERROR: file does not exist: {given.file}") from None
@@ -258,10 +261,12 @@ class _Run:
                 "ERROR: Unable to publish message. One of the fields has an incorrect type:\n"
                 f"  {error}\n\nmsg file:\n{_definition(self._target.type)}"
             ) from None
+        except BadMessage as error:
+            raise Failure(f"ERROR: {error}") from None
 
 
 def _spread(document: Any) -> Sequence[Any]:
-    """A document that is a list has one value for each field."""
+    """A document on stdin that is a list has one value for each field; one of a file has not."""
     return document if isinstance(document, list) else [document]
 
 

@@ -30,7 +30,10 @@ _NODELAY = Option(("--tcpnodelay",), "tcpnodelay", "no effect: there is no TCP")
 
 
 def _window(parser: Parser, text: str | None, default: int) -> int:
-    window = parser.integer(text, default, "window size must be an integer")
+    complaint = "window size must be an integer"
+    if parser.modern:
+        complaint = f"{parser.tool}: error: argument -w/--window: invalid int value: {text!r}"
+    window = parser.integer(text, default, complaint)
     return window if window > 1 else default
 
 

@@ -45,7 +45,7 @@ def documents(lines: Iterable[str]) -> Iterator[Any]:
     pending: list[str] = []
     for line in lines:
         if line.rstrip() == "---":
-            if pending:
+            if any(line.strip() for line in pending):
                 yield read("".join(pending))
             pending = []
         else:
