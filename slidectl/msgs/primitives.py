@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from functools import cache
+from struct import Struct
 from typing import Any
 
 from slidectl.msgs.mismatch import Mismatch, UnknownField, describe, must_be
@@ -15,6 +16,7 @@ from slidectl.msgs.schema import FLOATS, INTEGER_RANGES
 
 Checker = Callable[[Any], Any]
 
+_FLOAT32 = Struct("=f")
 _FLOAT32_MAX = 3.4028234663852886e38
 _NS = 1_000_000_000
 _BYTES_WANTED = "base64 text or a list of integers from 0 to 255"
@@ -41,7 +43,8 @@ def _check_float32(value: Any) -> float:
     number = _as_float(value, "float32")
     if abs(number) > _FLOAT32_MAX and not math.isinf(number):
         raise Mismatch(f"must be float32 (at most 3.4e38), not the number {number}")
-    return number
+    rounded: float = _FLOAT32.unpack(_FLOAT32.pack(number))[0]  # what a reader in ROS gets
+    return rounded
 
 
 def _as_float(value: Any, expected: str) -> float:

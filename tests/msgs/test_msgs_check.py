@@ -128,6 +128,11 @@ def test_numbers_too_large_for_a_float_are_refused() -> None:
     assert msgs.check("std_msgs/Float32", {"data": math.inf}) == {"data": math.inf}
 
 
+def test_a_small_float_has_its_own_precision() -> None:
+    assert msgs.check("std_msgs/Float32", {"data": 1.1}) == {"data": 1.100000023841858}  # as its readers in ROS see it
+    assert msgs.check("sensor_msgs/LaserScan", {"ranges": [0.5, 0.1]})["ranges"] == [0.5, 0.10000000149011612]
+
+
 def test_an_integer_of_thousands_of_digits_makes_a_short_error() -> None:
     for value in (10**5000, -(10**5000)):
         assert len(str(refusal("std_msgs/Int32", {"data": value}))) < 300
