@@ -25,6 +25,7 @@ from slidectl.launch.nodes.process import Process
 from slidectl.launch.nodes.spawn_model import SpawnModel
 from slidectl.launch.nodes.spawner import Spawner
 from slidectl.launch.nodes.state_publishers import RobotStatePublisher
+from slidectl.launch.nodes.tools import Tool
 from slidectl.launch.plan import Node, Place, Plan, Remap
 from slidectl.launch.task import Task
 
@@ -226,7 +227,8 @@ class LaunchNodes:
         node = task.node
         known = {node.absolute(name) for name in _names_of(task)}
         for remap in node.remaps:
-            if isinstance(task, Process) or node.absolute(remap.source) in known:
+            is_program = isinstance(task, Process) and not isinstance(task, Tool)
+            if is_program or node.absolute(remap.source) in known:
                 yield remap
 
 
@@ -241,4 +243,6 @@ def _names_of(task: Task) -> list[str]:
         return [task.words.one("-param")] if task.words.has("-param") else []
     if isinstance(task, Spawner):
         return [task.words.one("--wait-for")] if task.words.has("--wait-for") else []
+    if isinstance(task, Tool):
+        return [word for word in task.node.words[1:] if names.is_legal(word)] if task.node.type == "rostopic" else []
     return ["joint_states", "robot_description"] if isinstance(task, RobotStatePublisher) else []

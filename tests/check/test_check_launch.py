@@ -109,6 +109,16 @@ def test_joint_states_that_are_not_remapped_are_pointed_out_at_the_node(launch: 
     assert line.startswith("wrong 6 node /rsp: it listens to /joint_states, which nobody publishes")
 
 
+def test_a_tool_makes_use_of_remaps_of_the_topics_that_it_names(launch: Launch) -> None:
+    tool = (
+        '<node name="go" pkg="rostopic" type="rostopic" ns="/bot" args="pub goal std_msgs/Float64 1.0">'
+        '<remap from="{}" to="slide_controller/command"/></node>'
+    )
+    assert not launch(*ALL, tool.format("goal")).about("ignored 7 <remap>")
+    assert not launch(*ALL, tool.format("/bot/goal")).about("ignored 7 <remap>")
+    assert launch(*ALL, tool.format("gaol")).about("ignored 7 <remap>: no node that it is for has such a name")
+
+
 def test_a_remap_that_no_node_makes_use_of_is_ignored(launch: Launch) -> None:
     lines = launch(
         *ALL[:4], FRAMES.replace("<remap", '<remap from="/jont_states" to="/a"/><remap'), '<remap from="a" to="b"/>'

@@ -267,6 +267,17 @@ def test_a_static_transform_is_there_as_long_as_its_node(
     assert world("tf", "echo", "world", "cam").returncode == 1
 
 
+# --- tools ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_remap_renames_what_rostopic_publishes(slider: CommandLine, write: Write) -> None:
+    slider.ok("controller", "spawn", *BOTH.split())
+    there = '<remap from="goal" to="joint1_position_controller/command"/>'
+    tool = node("rostopic/rostopic", "pub -1 goal std_msgs/Float64 0.25", 'ns="/slider"', there)
+    assert slider("launch", write(tool)).returncode == 0
+    assert slider.ok("echo", "/slider/joint1_position_controller/state/set_point", "-n", "1") == "0.25\n---\n"
+
+
 # --- windows, and others that are not ------------------------------------------------------------------------------
 
 

@@ -17,7 +17,7 @@ from slidectl.cli.context import Context
 from slidectl.cli.ros import genpy
 from slidectl.cli.ros.arguments import Arguments, Option, Parser
 from slidectl.cli.ros.failure import Failure
-from slidectl.cli.ros.naming import resolve, without_remappings
+from slidectl.cli.ros.naming import resolve, resolve_remapped, without_remappings
 
 PARSER = Parser(
     "tool",
@@ -128,6 +128,22 @@ def test_remappings_go_and_payloads_stay() -> None:
     words = ["-1", "x:=y", "/s", "std_msgs/String", "a:=b", "__log:=/tmp/log", "data: 'c:=d'"]
     kept = ["-1", "/s", "std_msgs/String", "a:=b", "data: 'c:=d'"]
     assert without_remappings(words, payload_from=2) == kept
+
+
+@pytest.mark.parametrize(
+    ("words", "full"),
+    [
+        (["a:=b"], "/ns/b"),
+        (["/ns/a:=/c"], "/c"),
+        (["/a:=/c"], "/ns/a"),
+        (["a:=b", "a:=c"], "/ns/c"),
+        (["_a:=b", "__name:=a"], "/ns/a"),
+        (["/ns/a", "std_msgs/String", "a:=b"], "/ns/a"),
+    ],
+)
+def test_remappings_rename_what_is_published(monkeypatch: pytest.MonkeyPatch, words: list[str], full: str) -> None:
+    monkeypatch.setenv("ROS_NAMESPACE", "/ns")
+    assert resolve_remapped(Context(), "a", "rostopic", words, payload_from=2) == full
 
 
 # --- messages ---------------------------------------------------------------------------------------------------------

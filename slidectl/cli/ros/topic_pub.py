@@ -16,11 +16,13 @@ from slidectl.cli.publication import Publication
 from slidectl.cli.ros import genpy, yamltext
 from slidectl.cli.ros.arguments import Arguments, Option, Parser, begins_as_number
 from slidectl.cli.ros.failure import Failure
-from slidectl.cli.ros.naming import resolve, without_remappings
+from slidectl.cli.ros.naming import resolve_remapped, without_remappings
 from slidectl.cli.topics import SUBSCRIBERS, Target, Unused, details, look_up, users_of
 from slidectl.errors import BadMessage, Refused, SlidectlError, UnknownName
 
 _ONCE = "-1"
+_PAYLOAD = 2
+"""The number of the first word that is a value."""
 _FLAGS = frozenset("vlrfs")
 _DOCUMENTS_HZ = 10.0
 _Message = dict[str, Any]
@@ -56,13 +58,13 @@ _PARSER = Parser(
 
 def pub(ctx: Context, argv: Sequence[str]) -> None:
     """Publish the values of the command line, of a file or of stdin."""
-    given = _PARSER.parse(without_remappings(argv, payload_from=2))
+    given = _PARSER.parse(without_remappings(argv, _PAYLOAD))
     rate = _rate(given)
     topic, type_name = _topic_and_type(given)
     if given.file is not None and given.words[2:]:
         _PARSER.error("args conflict with -f setting")
     values = [_value(word) for word in given.words[2:]]
-    target, nobody = _target(ctx, resolve(ctx, topic, "rostopic"), type_name)
+    target, nobody = _target(ctx, resolve_remapped(ctx, topic, "rostopic", argv, _PAYLOAD), type_name)
     values, marked = _without_once(target, given.words[2:], values)
     run = _Run(ctx, given, target, nobody, given.once or marked)
     if values or not target.typedefs[0]["fieldnames"]:

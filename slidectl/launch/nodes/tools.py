@@ -22,7 +22,14 @@ class Tool(Process):
 
     @property
     def command(self) -> list[str]:
-        return [*self.executable, *self.node.words]
+        # In front of the topic: behind it `a:=b` may be a text to publish. Only rostopic publishes.
+        remaps = self.node.remaps if self.node.type == "rostopic" else ()
+        return [
+            *self.executable,
+            *self.node.words[:1],
+            *(f"{remap.source}:={remap.target}" for remap in remaps),
+            *self.node.words[1:],
+        ]
 
     @property
     def text(self) -> str:
