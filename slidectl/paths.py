@@ -88,9 +88,12 @@ def instance(name: str | None = None, socket: str | None = None) -> InstancePath
     """
     if socket is None and name is None:
         socket = os.environ.get("SLIDECTL_SOCKET") or None
+    if socket == "":
+        raise UsageError("the socket's path is empty", "is a variable in it not set?")
     if socket is not None:
         return _checked(_of_socket(os.path.abspath(socket)))
-    name = name or os.environ.get("SLIDECTL_INSTANCE") or DEFAULT_INSTANCE
+    if name is None:
+        name = os.environ.get("SLIDECTL_INSTANCE") or DEFAULT_INSTANCE
     if name != DEFAULT_INSTANCE and not re.match(_INSTANCE, name):
         raise UsageError(f"instance name {name!r} is not a plain file name (letters, digits, '.', '_', '-')")
     folder = os.path.join(runtime_folder(), name)

@@ -63,6 +63,8 @@ def spawn(
     arguments; a model with an argument `namespace` gets /NAME for it when -n is given. A root link called `world` is
     fixed, any other is free. JSON keys: name, namespace, fixed, pose, links, joints, controllers, report.
     """
+    if name is not None:
+        names.check_robot(name)
     document = _document(model, pairs(arguments, ":="), name, pairs(packages, "="))
     xml = _rooted(document, fixed)
     pose = _pose(at)

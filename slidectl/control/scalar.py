@@ -35,7 +35,7 @@ class ScalarController(Controller[JointCommandInterface]):
         """Take a command. ros_control would take nan and infinities too, and run with them."""
         value: float = message["data"]
         if not isfinite(value):
-            text = f"{self._node.namespace} takes no command of {value}: it must be a finite number"
+            text = f"{self._node.namespace} takes no command of nan or infinity: it must be a finite number"
             self._node.log("error", text)
             raise MessageRefused(text)
         self._tell_if_idle()

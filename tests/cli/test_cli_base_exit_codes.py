@@ -101,6 +101,15 @@ def test_an_instance_name_must_be_a_plain_file_name(slidectl: CommandLine) -> No
     assert slidectl("-i", "../evil", "robots").returncode == 2
 
 
+@pytest.mark.parametrize("option", ["--instance", "--socket"])
+def test_an_empty_variable_does_not_mean_another_daemon(slidectl: CommandLine, option: str) -> None:
+    slidectl.ok("daemon", "start")
+    done = slidectl(option, "", "daemon", "stop")
+    assert done.returncode == 2
+    assert "path is empty" in done.stderr or "instance name ''" in done.stderr
+    slidectl.ok("daemon", "stop")
+
+
 def test_a_namespace_must_be_a_legal_name(slidectl: CommandLine) -> None:
     assert slidectl("--ns", "a b", "robots").returncode == 2
     assert slidectl("robots", SLIDECTL_NAMESPACE="a b").returncode == 2

@@ -190,6 +190,7 @@ def test_a_start_that_is_refused_leaves_the_robot_there(world: CommandLine, tmp_
         (["slider", "-n", "a/b"], "not a legal name of a robot"),
         (["slider", "-n", "a\n"], "not a legal name"),
         (["slider", "-n", ""], "not a legal name"),
+        (["slider", "-n", "\udcff"], "not a legal name of a robot"),
         (["slider", "--package", "here"], "is not KEY=VALUE"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",

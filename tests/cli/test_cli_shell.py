@@ -76,6 +76,12 @@ def test_a_missing_script_is_a_bad_file(slidectl: CommandLine) -> None:
     assert "no_such_script" in done.stderr
 
 
+def test_a_line_without_end_is_refused(slidectl: CommandLine) -> None:
+    done = slidectl("shell", "/dev/zero")
+    assert done.returncode == 2
+    assert "/dev/zero:1: a line longer than" in done.stderr
+
+
 def test_exit_ends_a_script(slidectl: CommandLine) -> None:
     done = slidectl("shell", stdin="version\nexit\nversion\n")
     assert (done.returncode, done.stdout.count("\n")) == (0, 1)
