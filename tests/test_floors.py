@@ -10,7 +10,7 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "slidectl"
 
 FLOORS = {
-    "errors": 0, "names": 0, "operators": 0, "paths": 0, "rotations": 0, "msgs": 0,
+    "errors": 0, "names": 0, "operators": 0, "paths": 0, "rotations": 0, "writing": 0, "msgs": 0,
     "description": 1, "control": 1, "client": 1,
     "physics": 2, "launch": 2,
     "simulation": 3, "check": 3,
@@ -24,6 +24,7 @@ FORBIDDEN = {
     "operators": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "paths": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "rotations": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
+    "writing": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "msgs": {"click", "mujoco", "socket"},
     "description": {"click", "mujoco", "socket"},
     "control": {"click", "mujoco", "socket", "numpy"},
@@ -43,6 +44,7 @@ CLI_MAY_TAKE = {
     "operators",
     "paths",
     "rotations",
+    "writing",
     "msgs",
     "description",
     "client",

@@ -13,6 +13,7 @@ from slidectl.cli import live, output, parameters
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
 from slidectl.errors import BadFile, Refused, UnknownName, UsageError, listing
+from slidectl.writing import write_whole
 
 _INDEXED = re.compile(r"(?P<name>[^\[\]]+)(?P<indices>(\[-?\d+\])+)\Z")
 
@@ -191,8 +192,7 @@ def dump(ctx: Context, file: str | None, namespace: str | None) -> None:
     if file in (None, "-"):
         return output.write(text)
     try:
-        with open(str(file), "w", encoding="utf-8") as target:
-            target.write(text)
+        write_whole(str(file), text)
     except OSError as error:
         raise BadFile(f"cannot be written: {error.strerror or error}", str(file)) from None
     return None

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from slidectl.errors import Refused, SlidectlError
 from slidectl.launch.plan import Leaf, Place, RosparamCommand
 from slidectl.launch.task import Run
+from slidectl.writing import write_whole
 
 
 def prepare(run: Run, parameters: Mapping[str, Leaf]) -> None:
@@ -55,8 +56,7 @@ def _carry_out(run: Run, command: RosparamCommand) -> None:
 
     text = yaml.safe_dump(run.parameter(command.name) or {}, allow_unicode=True, default_flow_style=False)
     try:
-        with open(command.file, "w", encoding="utf-8") as file:
-            file.write(text)
+        write_whole(command.file, text)
     except OSError as error:
         raise Refused(f"{command.place}: <rosparam>: cannot write {command.file}: {error.strerror}") from None
 

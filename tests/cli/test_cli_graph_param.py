@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -142,6 +143,37 @@ def test_dump_writes_a_file_that_load_reads_back(world: World, tmp_path: Path) -
     world.slidectl.ok("param", "load", str(file), "/again")
     assert json.loads(world.slidectl.ok("param", "get", "/again", "--json"))["value"] == dumped
     assert json.loads(world.slidectl.ok("param", "dump", "--json"))["again"] == dumped
+
+
+@pytest.mark.parametrize("words", [("param", "dump"), ("ros", "rosparam", "dump")], ids=" ".join)
+def test_a_dump_that_does_not_fit_leaves_what_was_there(world: World, tmp_path: Path, words: tuple[str, ...]) -> None:
+    file = tmp_path / "slider.yaml"
+    file.write_text("precious: 1\n")
+    file.chmod(0o640)
+    command = ["bash", "-c", 'ulimit -f 0; "$@"', "bash", *world.slidectl.argv(*words, str(file), PID)]
+    done = subprocess.run(
+        command,
+        env=world.slidectl.environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        check=False,
+    )
+    assert done.returncode in (1, 2)
+    assert "File too large" in done.stderr
+    assert file.read_text() == "precious: 1\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["slider.yaml"]
+    world.slidectl.ok(*words, str(file), PID)
+    assert "i_clamp_min" in file.read_text()
+    assert file.stat().st_mode & 0o777 == 0o640
+
+
+def test_a_dump_goes_through_links_and_pipes(world: World, tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(tmp_path / "file")
+    world.slidectl.ok("param", "dump", str(tmp_path / "link"), PID)
+    assert (tmp_path / "link").is_symlink()
+    assert "i_clamp_min" in (tmp_path / "file").read_text()
+    assert "i_clamp_min" in world.slidectl.ok("param", "dump", "/dev/stdout", PID)
 
 
 @pytest.mark.parametrize(

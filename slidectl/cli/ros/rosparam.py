@@ -17,6 +17,7 @@ from slidectl.cli.ros.failure import Failure
 from slidectl.cli.ros.naming import resolve
 from slidectl.cli.ros.verbs import Tool, Verb
 from slidectl.errors import BadFile, Refused, UsageError
+from slidectl.writing import write_whole
 
 TOOL = Tool(
     "rosparam",
@@ -269,8 +270,7 @@ def dump(ctx: Context, argv: Sequence[str]) -> None:
     if file is None or file == "-":
         return output.write(parameters.dumped(value))
     try:
-        with open(file, "w", encoding="utf-8") as target:
-            target.write(parameters.dumped(value))
+        write_whole(file, parameters.dumped(value))
     except OSError as error:
         raise Failure(f"ERROR: cannot write [{file}]: {error.strerror or error}") from None
     if given.verbose:

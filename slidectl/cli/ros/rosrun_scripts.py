@@ -13,6 +13,7 @@ from slidectl.cli.ros.failure import Failure
 from slidectl.cli.ros.naming import without_remappings
 from slidectl.cli.ros.rosrun import packages
 from slidectl.errors import UsageError
+from slidectl.writing import write_whole
 
 _WRONG_COUNT = 255
 
@@ -96,8 +97,7 @@ def xacro(ctx: Context, argv: Sequence[str]) -> None:
     if target is None:
         return output.write(document.xml)
     try:
-        with open(target, "w", encoding="utf-8") as file:
-            file.write(document.xml)
+        write_whole(target, document.xml)
     except OSError as error:
         raise Failure(f"ERROR: cannot write {target}: {error.strerror}") from None
     return None
