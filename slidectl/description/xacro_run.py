@@ -16,7 +16,7 @@ from xml.dom import minidom
 import xacro
 from xacro import substitution_args
 
-from slidectl.description import xacro_prefix, xml_tree
+from slidectl.description import bounds, xacro_prefix, xml_tree
 from slidectl.description.packages import Packages, shown
 from slidectl.description.robot import Notice
 from slidectl.description.xacro_dom import LocatedElement, to_document, to_element
@@ -69,7 +69,7 @@ class _Run:
 
     def expand(self) -> tuple[Element, list[Notice]]:
         try:
-            with self.lent_xacro(), contextlib.redirect_stdout(sys.stderr):
+            with self.lent_xacro(), contextlib.redirect_stdout(sys.stderr), bounds.bounded_memory():
                 xacro.init_stacks(str(self.path.absolute()) if self.path is not None else None)
                 xacro.process_doc(self.document, mappings=self.arguments)
         except SlidectlError as error:
@@ -88,18 +88,21 @@ class _Run:
             (xacro, "parse", self.parse),
             (xacro, "warning", self.warning),
             (xacro, "print_location", lambda: None),
+            (xacro, "safe_eval", _safe_eval),
             (substitution_args, "_eval_find", self.find),
         ]
         self.original = {name: getattr(module, name) for module, name, _ in replaced}
         try:
             for module, name, function in replaced:
                 setattr(module, name, function)
+            substitution_args.eval = bounds.evaluate  # in the place of Python's, which that module calls
             substitution_args._eval_dict["find"] = self.find
             xacro.substitution_args_context["filename"] = str(self.path) if self.path is not None else None
             yield
         finally:
             for module, name, _ in replaced:
                 setattr(module, name, self.original[name])
+            vars(substitution_args).pop("eval", None)
             substitution_args._eval_dict.clear()
             substitution_args._eval_dict.update(original_names)
             xacro.substitution_args_context.clear()
@@ -132,7 +135,8 @@ class _Run:
         """Reads an included file; a missing one is xacro's own exception, which optional includes catch."""
         assert text is None
         try:
-            content = Path(filename).read_bytes()
+            with open(filename, "rb") as file:
+                content = file.read(xml_tree.MOST_BYTES + 1)
         except OSError as error:
             xacro.filestack.pop()
             raise xacro.XacroException(f"{error.strerror}: {filename}", exc=error) from None
@@ -181,9 +185,20 @@ class _Run:
         return error if isinstance(error, BadFile) else self.error(error.message, error.hint)
 
 
+def _safe_eval(expression: str, symbols: dict[str, Any], locals: Mapping[str, Any] | None = None) -> Any:
+    """As xacro's function of this name, within bounds."""
+    hidden = [name for name in bounds.names_in(expression) if name.startswith("__")]
+    if hidden:
+        raise xacro.XacroException("Use of invalid name(s): ", ", ".join(hidden))
+    symbols.update(__builtins__={})
+    return bounds.evaluate(expression, symbols, locals)
+
+
 def _clause(error: BaseException) -> str:
     if isinstance(error, RecursionError):
         return "macros, includes or expressions call themselves without end"
+    if isinstance(error, MemoryError):
+        return f"it takes more than {bounds.MOST_MEMORY >> 30} GiB of memory"
     if isinstance(error, substitution_args.ArgException):
         return f"argument {error.args[0]!r} has no value; give {error.args[0]}:=VALUE"
     if isinstance(error, OSError):

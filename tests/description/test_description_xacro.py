@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -141,6 +142,35 @@ def test_what_xacro_does_not_accept_is_named_with_file_and_line(write: Write, te
     assert reason in str(caught.value)
     assert str(caught.value).startswith(f"{path}:")
     assert caught.value.line in (3, 4)
+
+
+@pytest.mark.parametrize(
+    ("expression", "reason"),
+    [
+        ("${9**9**9}", "is too large"),
+        ("$(eval 9**9**9)", "is too large"),
+        ("${'a' * 10**11}", "it takes more than 1 GiB of memory"),
+        ("${list(range(10**11))[0]}", "it takes more than 1 GiB of memory"),
+    ],
+)
+def test_an_expression_without_bounds_comes_to_an_end(write: Write, expression: str, reason: str) -> None:
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    path = write("bot.xacro", model(f'<link name="l{expression}"/>'))
+    with pytest.raises(BadFile, match=reason) as caught:
+        load(path)
+    assert str(caught.value).startswith(f"{path}:2: ")
+    assert resource.getrlimit(resource.RLIMIT_AS) == before
+
+
+def test_powers_are_those_of_python(write: Write) -> None:
+    path = write("bot.xacro", model('<link name="l${2**3}_${4**0.5}_$(eval 2**-1)_${-2**2}"/>'))
+    assert 'name="l8_2.0_0.5_-4"' in load(path).xml
+
+
+def test_an_included_file_without_end_is_too_large(write: Write) -> None:
+    path = write("bot.xacro", model('<xacro:include filename="/dev/zero"/>'))
+    with pytest.raises(BadFile, match="/dev/zero: is larger than 16 MiB"):
+        load(path)
 
 
 def test_a_fault_inside_a_macro_says_who_called_it(write: Write) -> None:
