@@ -177,6 +177,7 @@ def _tell_report(ctx: Context, name: str, document: Document) -> None:
 
 def _tell(ctx: Context, name: str) -> None:
     robot = robots.record(robots.find(robots.all_robots(ctx), name))
-    x, y, z = (round(value, 3) + 0.0 for value in robot["pose"][:3])
+    # Where the physics diverges at once the pose is no number, which is null on the wire.
+    x, y, z = (math.nan if value is None else round(value, 3) + 0.0 for value in robot["pose"][:3])
     joints = " ".join(robots.moving(robot)) or "none"
     ctx.done(robot, f"{name}: spawned in {robot['namespace']} at {x:g} {y:g} {z:g}, joints: {joints}")

@@ -13,7 +13,7 @@ from contextlib import suppress
 from typing import Any
 
 from slidectl import names, paths
-from slidectl.client.lines import encode
+from slidectl.client.lines import LONGEST_LINE, BadLine, encode
 from slidectl.client.link import Link, command
 from slidectl.client.log import Listening, Log
 from slidectl.client.subscription import Subscription
@@ -296,8 +296,11 @@ class Client:
     def _send(self, **message: Any) -> None:
         self._write(encode(message))
 
-    def _write(self, lines: bytes) -> None:
-        self._link.send(lines, time.monotonic() + self.timeout)
+    def _write(self, line: bytes) -> None:
+        """Raises BadLine: one that the daemon would not take. TimedOut, NoDaemon."""
+        if len(line) > LONGEST_LINE:
+            raise BadLine(f"a message of {len(line)} bytes is more than the {LONGEST_LINE} that fit a line")
+        self._link.send(line, time.monotonic() + self.timeout)
 
     def _next_id(self, purpose: str) -> str:
         self._serial += 1

@@ -12,6 +12,7 @@ from typing import Any
 
 from slidectl.description.models import read_file
 from slidectl.description.packages import UnknownPackage
+from slidectl.description.xml_tree import MOST_BYTES
 from slidectl.errors import BadFile
 from slidectl.launch import commands
 from slidectl.launch.files import shown
@@ -85,9 +86,12 @@ def _converted(tag: Tag, text: str, kind: str, angles: bool) -> Any:
 
 def _bytes(tag: Tag, path: str) -> bytes:
     try:
-        return read_file(Path(path))
+        content = read_file(Path(path))
     except BadFile as error:
         raise tag.error(f"{path}: {error.reason}") from None
+    if len(content) > MOST_BYTES:
+        raise tag.error(f"{path}: is larger than {MOST_BYTES >> 20} MiB")
+    return content
 
 
 def _text(tag: Tag, path: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 
-from slidectl.errors import Refused, SlidectlError
+from slidectl.errors import Refused, SlidectlError, UsageError
 from slidectl.launch.plan import Leaf, Place, RosparamCommand
 from slidectl.launch.task import Run
 from slidectl.writing import write_whole
@@ -62,15 +62,21 @@ def _carry_out(run: Run, command: RosparamCommand) -> None:
 
 
 def _set(run: Run, parameters: Mapping[str, Leaf]) -> None:
-    calls = [
-        (name, place, run.client.call_async("/rosapi/set_param", {"name": name, "value": _as_json(name, value, place)}))
-        for name, (value, place) in parameters.items()
-    ]
+    calls = [(name, place, _begin(run, name, value, place)) for name, (value, place) in parameters.items()]
     for name, place, call in calls:
         try:
             run.client.answer(call)
         except Refused as error:
             raise Refused(f"{place}: parameter {name}: {error.message}", error.hint) from None
+
+
+def _begin(run: Run, name: str, value: object, place: Place) -> str:
+    """The id of the call."""
+    text = _as_json(name, value, place)
+    try:
+        return run.client.call_async("/rosapi/set_param", {"name": name, "value": text})
+    except UsageError as error:  # too long for a line
+        raise place.error(f"parameter {name}: {error.message}") from None
 
 
 def _as_json(name: str, value: object, place: Place) -> str:

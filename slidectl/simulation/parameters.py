@@ -194,7 +194,9 @@ def _checked(value: Any, where: str, depth: int = 0) -> Any:
         return _checked_mapping(value, where, depth)
     if isinstance(value, list | tuple):
         return [_checked(item, f"{where}[{index}]", depth + 1) for index, item in enumerate(value)]
-    if isinstance(value, bool | int | float | str):
+    if isinstance(value, str):
+        return _checked_text(value, where)
+    if isinstance(value, bool | int | float):
         return value
     kind = "null" if value is None else type(value).__name__
     raise UsageError(
@@ -202,11 +204,24 @@ def _checked(value: Any, where: str, depth: int = 0) -> Any:
     )
 
 
+def _checked_text(text: str, where: str) -> str:
+    """Half of a surrogate pair, which JSON can spell, could be kept but never be told."""
+    if not text.isascii():
+        try:
+            text.encode()
+        except UnicodeEncodeError:
+            raise UsageError(
+                f"parameter {where}: {text[:40]!r} holds half of a surrogate pair, which is no text"
+            ) from None
+    return text
+
+
 def _checked_mapping(value: dict[Any, Any], where: str, depth: int) -> dict[str, Any]:
     result: dict[str, Any] = {}
     for key, below in value.items():
         if not isinstance(key, str) or not _path(key) or any(letter.isspace() for letter in key):
             raise UsageError(f"parameter {where}: {key!r} cannot be a name", "names are text without blanks")
+        _checked_text(key, where)
         content = _checked(below, f"{where.rstrip('/')}/{key.strip('/')}", depth + 1)
         node = result
         *above, last = _path(key)

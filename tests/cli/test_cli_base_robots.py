@@ -203,6 +203,12 @@ def test_what_cannot_be_read_is_a_short_error(world: CommandLine, words: list[st
     assert world.ok("robots", "--json") == ""
 
 
+def test_a_robot_that_flies_apart_at_once_is_told_all_the_same(world: CommandLine, tmp_path: Path) -> None:
+    done = world("spawn", box(tmp_path, mass=1e308), "-n", "heavy")
+    assert done.returncode == 0
+    assert done.stdout.startswith("heavy: spawned in /heavy at ")
+
+
 def test_an_error_in_a_model_names_file_and_line(world: CommandLine, tmp_path: Path) -> None:
     file = box(tmp_path, mass=-1)
     done = world("spawn", file)

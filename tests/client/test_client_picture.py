@@ -9,7 +9,7 @@ from daemon_fixture import Runtime
 
 from slidectl.client import Client
 from slidectl.client.picture import Picture
-from slidectl.errors import MessageRefused
+from slidectl.errors import MessageRefused, UsageError
 
 
 class Names:
@@ -135,6 +135,12 @@ def test_a_message_is_delivered_or_refused_in_one_go(daemon: Runtime, client: Cl
         client.deliver("/picture/numbers", {"data": 4})
         reader.flush()
         assert [numbers.get()["data"] for _ in range(len(numbers))] == [1, 2, 4]
+
+
+def test_what_fits_no_line_is_refused_before_it_leaves(client: Client) -> None:
+    with pytest.raises(UsageError, match="more than the 16777216 that fit a line"):
+        client.call("/rosapi/set_param", {"name": "/long", "value": "x" * 2**24})
+    assert client.call("/rosapi/has_param", {"name": "/long"}) == {"exists": False}
 
 
 def test_a_log_that_is_kept_gives_each_listener_its_own_lines(client: Client) -> None:

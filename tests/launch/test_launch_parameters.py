@@ -326,3 +326,9 @@ def test_what_is_wrong_with_a_parameter_is_said_in_the_words_of_the_file(
 def test_delete_in_a_group_means_the_groups_namespace(workspace: Workspace) -> None:
     [command] = workspace.plan('<group ns="arm"><rosparam command="delete"/></group>').commands
     assert (command.verb, command.name) == ("delete", "/arm")
+
+
+@pytest.mark.parametrize("source", ["textfile", "binfile"])
+def test_a_file_that_is_too_large_for_a_parameter_is_refused(workspace: Workspace, source: str) -> None:
+    with pytest.raises(BadFile, match="/dev/zero: is larger than 16 MiB"):
+        workspace.plan(f'<param name="x" {source}="/dev/zero"/>').parameters()

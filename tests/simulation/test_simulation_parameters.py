@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from slidectl.errors import BadName, UsageError
@@ -132,6 +134,14 @@ def test_the_root_can_be_replaced_by_a_mapping_only(parameters: Parameters) -> N
     parameters.set("/", {"a": 1})
     assert parameters.names() == ["/a"]
     parameters.delete("/")
+    assert parameters.names() == []
+
+
+@pytest.mark.parametrize("value", ["\ud800", {"\ud800": 1}, [{"a": ["\udfff"]}]])
+def test_half_of_a_surrogate_pair_is_no_text(value: Any) -> None:
+    parameters = Parameters()
+    with pytest.raises(UsageError, match="half of a surrogate pair"):
+        parameters.set("/x", value)
     assert parameters.names() == []
 
 
