@@ -245,7 +245,7 @@ class Client:
         while not condition():
             message = self._link.receive(deadline)
             if message is None:
-                raise TimedOut(f"{failure} within {seconds:g} s", self._why_nothing_happens())
+                raise TimedOut(f"{failure} within {seconds:.3g} s", self._why_nothing_happens())
             self._sort(message)
 
     def _sort(self, message: Message) -> None:

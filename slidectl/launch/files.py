@@ -140,7 +140,7 @@ def _launch_files(folder: Path) -> list[str]:
 def _single(word: str, packages: Packages) -> Path:
     """A file, else a shipped launch file by its name, else the only one of a shipped package."""
     path = Path(os.path.expanduser(word))
-    if is_file(path):
+    if is_file(path) or _is_pipe(path):
         return path
     known = shipped()
     if word in known:
@@ -153,6 +153,14 @@ def _single(word: str, packages: Packages) -> Path:
     if "/" in word or word.endswith((SUFFIX, ".xml")):
         raise BadFile("no such launch file", word, hint=f"shipped ones: {', '.join(sorted(known))}")
     raise UnknownName("shipped launch file", word, sorted(known), "(and no file of that name here)")
+
+
+def _is_pipe(path: Path) -> bool:
+    """What a shell makes of `<(xacro robot.launch.xacro)`."""
+    try:
+        return path.is_fifo()
+    except (OSError, ValueError):
+        return False
 
 
 def shipped() -> dict[str, Path]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -127,3 +128,10 @@ def test_what_is_wrong_in_the_files_is_said_beside_what_was_asked_for(slidectl: 
 def test_asking_starts_nothing(slidectl: CommandLine, option: str) -> None:
     slidectl.ok("launch", "slider", option)
     nothing_is_left(slidectl.runtime)
+
+
+def test_a_launch_file_may_come_through_a_pipe_of_the_shell(slidectl: CommandLine) -> None:
+    line = '"$@" <(echo \'<launch><param name="a" value="1"/></launch>\')'
+    command = ["bash", "-c", line, "bash", *slidectl.argv("launch", "--dump-params")]
+    done = subprocess.run(command, env=slidectl.environment, capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr) == ("/a: 1\n", "")
