@@ -222,8 +222,11 @@ class _Parameters:
             self.source.unknown(path, f"is unknown to the controller and has no effect; {hint}", value)
             return
         trouble = self._joint_trouble(parameter, value)
+        number = parameter.kind.convert(value) if parameter.unless_positive else None
         if trouble:
             self.source.add("wrong", path, trouble)
+        elif number is not None and not number > 0:
+            self.source.add("ignored", path, f"{value} is not above 0: {parameter.unless_positive}")
         else:
             self.source.value(path, value, parameter)
             for index in self.declared.strays(name, value):

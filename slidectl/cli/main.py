@@ -127,8 +127,9 @@ def load(name: str, entry: Entry) -> click.Command:
 def _print_version(click_context: click.Context, _param: click.Parameter, value: bool) -> None:
     if value and not click_context.resilient_parsing:
         from slidectl import __version__
+        from slidectl.cli import output
 
-        click.echo(f"slidectl {__version__}")
+        output.write(f"slidectl {__version__}")
         click_context.exit()
 
 

@@ -33,6 +33,8 @@ class Parameter:
     required: bool = False
     names_joints: bool = False
     """Its value is the name of a joint of the robot, or a list of such."""
+    unless_positive: str = ""
+    """What becomes of a number that is not above 0; empty: such a number is like any other."""
 
 
 def within(prefix: str, parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:

@@ -129,11 +129,11 @@ class Child:
         os.close(self._descriptor)
 
 
-def run(arguments: Sequence[str], environment: Mapping[str, str]) -> tuple[int, bytes]:
+def run(arguments: Sequence[str], environment: Mapping[str, str], most_bytes: int) -> tuple[int, bytes]:
     """Run a program to its end, with all that it starts gone when this is left early. Its exit code and its output.
 
     Raises:
-        OSError, ValueError: it cannot be started.
+        OSError, ValueError: it cannot be started. OverflowError: it prints more than so many bytes.
     """
     # A signal between the start and the next line would leave a program that nobody knows of.
     held = signal.pthread_sigmask(signal.SIG_BLOCK, _HELD)
@@ -151,7 +151,12 @@ def run(arguments: Sequence[str], environment: Mapping[str, str]) -> tuple[int, 
         raise
     try:
         signal.pthread_sigmask(signal.SIG_SETMASK, held)
-        output, _ = process.communicate()
+        assert process.stdout is not None
+        with process.stdout:
+            output = process.stdout.read(most_bytes + 1)
+        if len(output) > most_bytes:
+            raise OverflowError(f"more than {most_bytes >> 20} MiB")
+        process.wait()
     except BaseException:
         with suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)

@@ -9,6 +9,7 @@ import os
 from pathlib import Path
 
 from slidectl.description.packages import is_file
+from slidectl.description.xml_tree import MOST_BYTES
 from slidectl.errors import BadFile, SlidectlError
 from slidectl.launch.children import run
 from slidectl.launch.tag import Tag
@@ -51,7 +52,9 @@ class Command:
     def _run(self) -> str:
         shown = " ".join(self.words)
         try:
-            code, output = run(self.words, self.tag.scope.launch.environment)
+            code, output = run(self.words, self.tag.scope.launch.environment, MOST_BYTES)
+        except OverflowError as error:
+            raise self.tag.error(f"the command prints {error}", f"command: {shown}") from None
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
             raise self.tag.error(f"cannot run {self.words[0]!r}: {reason}", f"command: {shown}") from None

@@ -26,13 +26,22 @@ def find(node: Node, packages: Packages) -> Path:
     try:
         folders = list(packages.candidates(node.package)) or [packages.find(node.package)]
     except UnknownPackage as error:
-        hint = f"it has no counterpart here either; --skip-unknown leaves such nodes out\n{error.hint}"
+        hint = f"{_similar(node)}; --skip-unknown leaves such nodes out\n{error.hint}"
         raise node.place.error(f"node {node.full_name} ({node.kind}): {error.message}", hint) from None
     found = [path for folder in folders for path in _named(node, folder)]
     for path in found:
         if os.access(path, os.X_OK):
             return path
     raise node.place.error(*_why_not(node, folders, found))
+
+
+def _similar(node: Node) -> str:
+    """The counterpart that may have been meant, where the package is none of the user's."""
+    from slidectl.launch.kinds import counterparts
+
+    known = [f"{package}/{kind}" for package, kind in counterparts()]
+    near = closest(node.kind, known)
+    return f"did you mean {near!r}, which has a counterpart here?" if near else "it has no counterpart here either"
 
 
 def _named(node: Node, folder: Path) -> Iterator[Path]:

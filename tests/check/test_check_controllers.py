@@ -183,6 +183,13 @@ def test_a_joint_that_takes_other_commands_is_wrong_for_a_controller(model: Chec
     assert line.endswith("offers PositionJointInterface, the controller needs EffortJointInterface")
 
 
+@pytest.mark.parametrize("rate", ["0", "-5"])
+def test_a_rate_that_publishes_nothing_has_no_effect(model: Check, rate: str) -> None:
+    lines = model(driven_cart(), controller(f"publish_rate: {rate}", "joint_state_controller/JointStateController"))
+    (line,) = lines.of("ignored")
+    assert line.endswith(f"publish_rate: {rate} is not above 0: nothing is published")
+
+
 def test_joint_states_take_joints_of_any_interface(model: Check) -> None:
     xml = cart(transmission(interface="hardware_interface/PositionJointInterface"), PLUGIN)
     body = "publish_rate: 50\n    joints: [slide]"

@@ -116,6 +116,12 @@ def test_a_node_that_is_nothing_here_is_refused_or_left_out(workspace: Workspace
     assert "/n: left out: node /n (fancy/thing): no package 'fancy'" in notices(plan)[0]
 
 
+def test_a_misspelt_counterpart_is_suggested(workspace: Workspace) -> None:
+    with pytest.raises(BadFile) as caught:
+        tasks(workspace, '<node pkg="controller_manager" type="spawnr" name="n"/>')
+    assert "did you mean 'controller_manager/spawner'" in str(caught.value.hint)
+
+
 def test_names_of_a_node_are_resolved_through_its_namespace_and_remaps(workspace: Workspace) -> None:
     node = workspace.node(
         '<group ns="g"><remap from="joint_states" to="/rrbot/joint_states"/><remap from="/abs" to="rel"/>'

@@ -332,3 +332,8 @@ def test_delete_in_a_group_means_the_groups_namespace(workspace: Workspace) -> N
 def test_a_file_that_is_too_large_for_a_parameter_is_refused(workspace: Workspace, source: str) -> None:
     with pytest.raises(BadFile, match="/dev/zero: is larger than 16 MiB"):
         workspace.plan(f'<param name="x" {source}="/dev/zero"/>').parameters()
+
+
+def test_a_command_that_prints_without_end_is_ended(workspace: Workspace) -> None:
+    with pytest.raises(BadFile, match=r"test.launch:1: <param>: the command prints more than 16 MiB"):
+        workspace.plan('<param name="x" command="yes"/>').parameters()

@@ -58,7 +58,14 @@ class JointStateController(Controller[JointStateInterface]):
         ),
     )
     parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("publish_rate", NUMBER, "messages per simulated second; none unless above 0", "1/s", required=True),
+        Parameter(
+            "publish_rate",
+            NUMBER,
+            "messages per simulated second; none unless above 0",
+            "1/s",
+            required=True,
+            unless_positive="nothing is published",
+        ),
         Parameter("joints", TEXTS, "which joints, in this order; all by default", names_joints=True),
         Parameter("extra_joints", LIST, "joints that the hardware does not have"),
         Parameter("extra_joints[]/name", TEXT, "name of such a joint", required=True),
