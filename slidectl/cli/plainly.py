@@ -22,14 +22,14 @@ _TAKES_CLICK = click.pass_context(lambda _: None).__code__
 """The code of a callback that is given click's own context: what it wants to know there is not all in a plan."""
 _WORD = r"""(?:[^\s'"\\#]|'[^']*'|"[^"\\]*")++"""
 _PLAIN_LINE = re.compile(rf"[ \t\r\n]*(?:{_WORD}(?:[ \t\r\n]++|\Z))*+\Z")
-_SPECIAL = re.compile(r"""[^ -~\t\r\n]|['"\\#]""")
+_SPECIAL = frozenset("'\"\\#")
 _WORDS = re.compile(_WORD)
 _QUOTED = re.compile(r"""'[^']*'|"[^"]*\"""")
 
 
 def split(line: str) -> list[str] | None:
     """The words of a line as a POSIX shell parts them; None where there is a comment, an escape or an open quote."""
-    if _SPECIAL.search(line) is None:
+    if line.isascii() and _SPECIAL.isdisjoint(line) and line.rstrip("\n").isprintable():
         return line.split()
     if not line.isascii() or _PLAIN_LINE.match(line) is None:
         return None
