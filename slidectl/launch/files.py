@@ -147,7 +147,7 @@ def _single(word: str, packages: Packages) -> Path:
         return known[word]
     if next(packages.candidates(word), None) is not None:
         raise _which_of(word, packages)
-    if path.is_dir():
+    if os.path.isdir(path):
         inside = sorted(file.name for file in path.glob(f"*{SUFFIX}"))
         raise BadFile("a folder, not a launch file", word, hint=f"launch files in it: {listing(inside) or 'none'}")
     if "/" in word or word.endswith((SUFFIX, ".xml")):

@@ -149,11 +149,11 @@ def test_a_program_that_cannot_be_started_is_an_error() -> None:
     with pytest.raises(FileNotFoundError):
         Child(["/no/such/program"], Watch(), lambda *_: None, lambda _: None)
     with pytest.raises(FileNotFoundError):
-        run(["/no/such/program"], {})
+        run(["/no/such/program"], {}, 1024)
 
 
 def test_a_command_that_is_left_early_is_ended() -> None:
     with Interrupts():
         script = f"kill -INT {os.getpid()}; exec sleep 600"
         with pytest.raises(Interrupted):
-            run(["bash", "-c", script], dict(os.environ))
+            run(["bash", "-c", script], dict(os.environ), 1024)
