@@ -15,6 +15,9 @@ PEER_CLOSED = select.EPOLLRDHUP
 ONCE = select.EPOLLET | PEER_CLOSED
 """Tell of each arrival once instead of as long as something is there. Only so are events told in order of arrival."""
 
+_LONGEST_WAIT_S = 1e6
+"""`select` takes no wait of any length; who asks for a longer one is called sooner."""
+
 Handler = Callable[[int], None]
 """Takes the events that are ready: a mix of READ, WRITE, PEER_CLOSED and HANG_UP."""
 
@@ -47,7 +50,8 @@ class EventLoop:
 
     def poll(self, timeout_s: float | None) -> None:
         """Serve what is ready, waiting at most `timeout_s` for it (None: until something is)."""
-        if timeout_s != 0.0 and not select.select(self._waiting, (), (), timeout_s)[0]:
+        bounded_s = None if timeout_s is None else min(timeout_s, _LONGEST_WAIT_S)
+        if bounded_s != 0.0 and not select.select(self._waiting, (), (), bounded_s)[0]:
             return
         for fd, events in self._epoll.poll(0):
             handler = self._handlers.get(fd)

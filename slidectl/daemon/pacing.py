@@ -69,6 +69,7 @@ class Pacer:
         self._mode: tuple[float, int] | None = None
         self._step_s = 0.0
         self._due_s = 0.0
+        self._is_free = False
         self._group = 1
         self._group_s = 0.0
         self._chunk = 1
@@ -90,14 +91,16 @@ class Pacer:
         mode = (math.inf if run.paused else run.speed, simulation.timestep_ns)
         if mode != self._mode:
             self._begin(mode)
-        return self._run_freely() if mode[0] == math.inf else self._run_paced()
+        return self._run_freely() if self._is_free else self._run_paced()
 
     def _begin(self, mode: tuple[float, int]) -> None:
         self._mode = mode
         factor, timestep_ns = mode
         self._step_s = timestep_ns * 1e-9
         period_s = self._step_s / factor
-        self._group = max(1, int(_SHORTEST_WAIT_S / period_s)) if period_s else 1
+        # A million cycles a second and more are what no machine reaches: as fast as possible comes to the same.
+        self._is_free = period_s * _LONGEST_CHUNK < _SHORTEST_WAIT_S
+        self._group = 1 if self._is_free else max(1, int(_SHORTEST_WAIT_S / period_s))
         self._group_s = self._group * period_s
         self._due_s = self._clock()
         self.speed.begin(self._due_s)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import os
 
 import pytest
 
+from slidectl.daemon.loop import READ, EventLoop
 from slidectl.daemon.pacing import CATCH_UP_SLICE_S, FREE_SLICE_S, MOST_BEHIND_S, Pacer
 from slidectl.simulation.run_state import RunState
 
@@ -177,3 +179,32 @@ def test_cycles_that_run_as_fast_as_possible_make_way_for_who_knocks(simulation:
     begun = simulation.now_s
     pacer.turn()
     assert simulation.now_s - begun >= FREE_SLICE_S
+
+
+@pytest.mark.parametrize("speed", [1e9, 1e308])
+def test_a_speed_that_nothing_reaches_is_as_fast_as_possible(
+    simulation: FakeSimulation, pacer: Pacer, speed: float
+) -> None:
+    simulation.run.speed = speed
+    began = simulation.now_s
+    assert pacer.turn() == 0.0
+    assert simulation.now_s - began < 0.002
+
+
+@pytest.mark.parametrize("speed", [1e-300, 5e-324])
+def test_a_speed_of_almost_nothing_is_waited_for(simulation: FakeSimulation, pacer: Pacer, speed: float) -> None:
+    simulation.run.speed = speed
+    pacer.turn()
+    wait_s = pacer.turn()
+    assert wait_s is not None
+    assert wait_s > 1e6
+    loop = EventLoop()
+    knocking, door = os.pipe()
+    knocks: list[bytes] = []
+    loop.watch(knocking, READ, lambda _: knocks.append(os.read(knocking, 1)))
+    os.write(door, b"x")
+    loop.poll(wait_s)
+    assert knocks == [b"x"]
+    loop.close()
+    os.close(knocking)
+    os.close(door)
