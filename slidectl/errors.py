@@ -18,7 +18,7 @@ EXIT_INTERRUPTED = 130
 
 def closest(name: str, known: Iterable[str]) -> str | None:
     """The known name nearest in spelling, or None; a short name is held against the ends of full ones."""
-    from difflib import get_close_matches  # only an error needs it, and every command imports this module
+    from difflib import SequenceMatcher, get_close_matches  # only an error needs it, and every command imports us
 
     components = name.count("/") + 1
     by_end: dict[str, str] = {}
@@ -26,8 +26,17 @@ def closest(name: str, known: Iterable[str]) -> str | None:
         by_end.setdefault(full, full)
         if not name.startswith("/"):
             by_end.setdefault("/".join(full.split("/")[-components:]), full)
-    matches = get_close_matches(name, list(by_end), n=1, cutoff=0.6)
-    return by_end[matches[0]] if matches else None
+    matches = get_close_matches(name, list(by_end), n=3, cutoff=0.6)
+    if not matches:
+        return None
+
+    def likeness(match: str) -> tuple[float, int]:
+        """How alike they are; among equals it is the beginning that people get right."""
+        blocks = SequenceMatcher(None, match, name)
+        first = blocks.get_matching_blocks()[0]
+        return blocks.ratio(), first.size if first.a == first.b == 0 else 0
+
+    return by_end[max(matches, key=likeness)]
 
 
 def listing(known: Iterable[str], most: int = 12) -> str:

@@ -38,8 +38,8 @@ class Findings:
         for notice in notices:
             self._notices.setdefault(replace(notice, text=one_line(notice.text)))
 
-    def fail(self, subject: str, error: BadFile) -> None:
-        """A file that cannot be used, and why.
+    def fail(self, subject: str, error: BadFile, *named: str) -> None:
+        """A file that cannot be used, and why. `named` are ways in which the error may begin by naming the subject.
 
         Raises:
             BadFile: `error` itself when it names no line: then there was nothing to check.
@@ -47,7 +47,10 @@ class Findings:
         if error.line is None:
             raise error
         self.refuse(error)
-        text = "\n".join(part for part in (error.reason, error.hint) if part)
+        reason = error.reason
+        for beginning in named:
+            reason = reason.removeprefix(beginning)
+        text = "\n".join(part for part in (reason, error.hint) if part)
         self.add("wrong", subject, text, error.file or "", error.line)
 
     def refuse(self, error: BadFile) -> None:

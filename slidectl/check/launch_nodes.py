@@ -61,7 +61,9 @@ class LaunchNodes:
         try:
             (task,) = tasks(replace(self.plan, nodes=[node]), self.packages)
         except BadFile as error:
-            self.findings.fail(f"node {node.full_name}", error)
+            self.findings.fail(
+                f"node {node.full_name}", error, f"node {node.full_name} ({node.kind}): ", f"{node.full_name}: "
+            )
             return None
         self._add(_VERDICTS.get(task.family, "used"), node, f"{node.kind}: {task.text}")
         return task
@@ -214,8 +216,11 @@ class LaunchNodes:
         """Remaps that no node makes use of."""
         used = {remap for task in self.tasks for remap in self._used_remaps(task)}
         there = {remap for node in self.plan.nodes for remap in node.remaps}
+        known = {name for task in self.tasks for name in _names_of(task)}
         for remap in there - used:
-            tags.say_of_remap("ignored", remap, "no node that it is for has such a name")
+            near = closest(remap.source, known)
+            suggestion = f"; did you mean {near!r}?" if near else ""
+            tags.say_of_remap("ignored", remap, f"no node that it is for has the name {remap.source!r}{suggestion}")
         places = {(remap.place.file, remap.place.line) for remap in there}
         for element in tags.elements("remap"):
             if (element.file, element.line) not in places:

@@ -9,12 +9,13 @@ import json
 import math
 import sys
 from collections.abc import Iterable, Iterator
-from typing import Any
+from typing import Any, TextIO
 
 from slidectl.cli import values
 from slidectl.errors import BadFile, UsageError
 
 _ENDS = ("---", "...")
+_LONGEST_TEXT = 256 * 1024 * 1024
 _NO_JSON: Any = object()
 
 
@@ -30,14 +31,21 @@ def from_file(path: str) -> list[Any]:
 
 
 def text_of(path: str) -> str:
-    """The text of a file; `-` is stdin. Raises BadFile when it cannot be read."""
+    """The text of a file; `-` is stdin. Raises BadFile when it cannot be read, or has no end."""
     try:
         if path == "-":
-            return sys.stdin.read()
+            return _whole(sys.stdin, "stdin")
         with open(path, encoding="utf-8") as file:
-            return file.read()
+            return _whole(file, path)
     except (OSError, UnicodeDecodeError) as error:
         raise BadFile(getattr(error, "strerror", None) or str(error), path) from None
+
+
+def _whole(file: TextIO, name: str) -> str:
+    text = file.read(_LONGEST_TEXT + 1)
+    if len(text) > _LONGEST_TEXT:
+        raise BadFile(f"holds more than {_LONGEST_TEXT >> 20} Mi characters", name)
+    return text
 
 
 def from_stdin() -> Iterator[Any]:

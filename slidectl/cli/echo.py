@@ -13,7 +13,7 @@ from slidectl.cli import live, output
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
 from slidectl.cli.fieldpath import Selection, select
-from slidectl.cli.options import positive_seconds
+from slidectl.cli.options import simulated_seconds
 from slidectl.cli.schema import Schema
 from slidectl.cli.stream import Event, Stream, nanoseconds
 from slidectl.cli.topics import PUBLISHERS, look_up
@@ -53,7 +53,7 @@ class Look(NamedTuple):
 @click.option("--nostr", is_flag=True, help="Leave out the contents of strings.")
 @click.option("--filter", "condition", metavar="EXPR", help="Only messages for which it is true; m is the message.")
 @click.option(
-    "--for", "sim_seconds", type=float, callback=positive_seconds, metavar="S", help="End after S simulated seconds."
+    "--for", "sim_seconds", type=float, callback=simulated_seconds, metavar="S", help="End after S simulated seconds."
 )
 @click.option("-c", "--clear", is_flag=True, help="Clear the screen before each message.")
 @click.option("-w", "width", type=click.IntRange(min=2), metavar="N", help="Characters of a number.")

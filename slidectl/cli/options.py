@@ -5,6 +5,7 @@ They store into the Context. Nothing is parsed here that belongs to one command.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable
 from functools import cache
@@ -23,6 +24,13 @@ def positive_seconds(_click: click.Context, _param: click.Parameter, value: floa
     if value is not None and not value > 0:
         raise click.BadParameter(f"{value:g} is not above 0")
     return value
+
+
+def simulated_seconds(click_context: click.Context, param: click.Parameter, value: float | None) -> float | None:
+    """Callback of an option in seconds of the world, which has no end to wait for: above 0 and finite."""
+    if value == math.inf:
+        raise click.BadParameter("the simulated time never gets there; leave the option out for no limit")
+    return positive_seconds(click_context, param, value)
 
 
 def _store(attribute: str, convert: Callable[[Any], Any] = lambda value: value) -> Callback:

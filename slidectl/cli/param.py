@@ -170,6 +170,8 @@ def load(ctx: Context, file: str, namespace: str | None) -> None:
     shown = "stdin" if file == "-" else file
     inside = names.check_parameter(names.join(ctx.namespace, (namespace or "").rstrip("/") or ctx.namespace))
     tree = parameters.tree(ctx, text_of(file), shown, namespace is not None)
+    if tree == {}:
+        ctx.say(f"{shown} holds no parameters")
     chosen = dict(leaves(tree, inside)) if isinstance(tree, dict) else {inside: tree}
     store(ctx, chosen)
     for name, value in chosen.items():

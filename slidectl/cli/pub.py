@@ -20,7 +20,7 @@ from slidectl.cli.context import Context
 from slidectl.cli.options import positive_seconds
 from slidectl.cli.publication import Publication, Values
 from slidectl.cli.topics import SUBSCRIBERS, Target, Unused, details, look_up
-from slidectl.errors import UnknownName, UsageError
+from slidectl.errors import BadFile, UnknownName, UsageError
 
 _ONCE = "-1"
 _TYPE = r"[A-Za-z]\w*/[A-Za-z]\w*\Z"
@@ -181,6 +181,8 @@ def _from_documents(target: Target, file: str | None, rate: float | None) -> Ite
 
     fields = len(target.typedefs[0]["fieldnames"])
     source = documents.from_stdin() if file is None else documents.from_file(file)
+    if source == [] and file != "-":
+        raise BadFile("holds no message", file)
     spread = (_spread(document, fields) for document in source if document is not None or not fields)
     if file is None or rate is None:
         return spread

@@ -121,8 +121,11 @@ def _rooted(document: Document, fixed: bool | None) -> str:
 
 def _pose(at: Sequence[float]) -> dict[str, Any]:
     """geometry_msgs/Pose of `--at`. Raises UsageError."""
-    if len(at) not in (0, 3, 6) or not all(map(math.isfinite, at)):
-        raise UsageError(f"--at takes X Y Z or X Y Z R P Y, not {' '.join(f'{value:g}' for value in at)}")
+    given = " ".join(f"{value:g}" for value in at)
+    if len(at) not in (0, 3, 6):
+        raise UsageError(f"--at takes X Y Z or X Y Z R P Y, not {given}")
+    if not all(map(math.isfinite, at)):
+        raise UsageError(f"--at takes finite numbers, not {given}")
     x, y, z, roll, pitch, yaw = (*at, *[0.0] * (6 - len(at)))
     turn = rotations.from_rpy((roll, pitch, yaw))
     return {"position": {"x": x, "y": y, "z": z}, "orientation": rotations.message(turn)}

@@ -14,12 +14,13 @@ from slidectl.cli.commands import command
 from slidectl.cli.context import Context
 from slidectl.cli.echo import predicate
 from slidectl.cli.measure import DelayMeter, Meter, RateMeter, SizeMeter, size_counter
-from slidectl.cli.options import positive_seconds
+from slidectl.cli.options import simulated_seconds
 from slidectl.cli.stream import Event, Stream, nanoseconds
 from slidectl.cli.topics import PUBLISHERS, Target, look_up
 from slidectl.errors import NoDaemon, Refused, TimedOut
 
 REPORT_PERIOD_S = 1.0
+_LARGEST_WINDOW = 10_000_000
 
 Take = Callable[[Event], None]
 
@@ -84,10 +85,10 @@ class Session:
 def _options(function: Callable[..., None]) -> Callable[..., None]:
     """The options that hz, bw and delay share."""
     for option in (
-        click.option("-w", "--window", type=click.IntRange(min=2), default=1000, metavar="N",
+        click.option("-w", "--window", type=click.IntRange(2, _LARGEST_WINDOW), default=1000, metavar="N",
                      help="Messages to count in (1000)."),
         click.option("-n", "reports", type=click.IntRange(min=1), metavar="COUNT", help="End after so many reports."),
-        click.option("--for", "sim_seconds", type=float, callback=positive_seconds, metavar="S",
+        click.option("--for", "sim_seconds", type=float, callback=simulated_seconds, metavar="S",
                      help="Measure for S simulated seconds and report once."),
     ):  # fmt: skip
         function = option(function)

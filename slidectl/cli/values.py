@@ -84,7 +84,11 @@ def read_documents(text: str, what: str, file: str | None = None, *, angles: boo
         if file is not None:
             raise BadFile(*_located(error, file)) from None
         raise UsageError(f"the {what} is not valid YAML: {_explained(error)}") from None
-    except (ValueError, ArithmeticError, RecursionError) as error:
+    except RecursionError:
+        if file is not None:
+            raise BadFile("is nested too deeply", file) from None
+        raise UsageError(f"the {what} is nested too deeply") from None
+    except (ValueError, ArithmeticError) as error:
         raise UsageError(f"the {what} cannot be read: {error}") from None
 
 

@@ -10,7 +10,7 @@ import click
 from slidectl.cli import live
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
-from slidectl.cli.options import positive_seconds, wait_for_world_s
+from slidectl.cli.options import simulated_seconds, wait_for_world_s
 from slidectl.cli.topics import PUBLISHERS, look_up
 from slidectl.errors import Refused, TimedOut, UsageError
 
@@ -30,7 +30,7 @@ from slidectl.errors import Refused, TimedOut, UsageError
 @click.option(
     "--for", "hold", type=click.FloatRange(min=0), default=0.0, metavar="S", help="Must hold for S simulated seconds."
 )
-@click.option("--within", type=float, callback=positive_seconds, metavar="S", help="Fail after S simulated seconds.")
+@click.option("--within", type=float, callback=simulated_seconds, metavar="S", help="Fail after S simulated seconds.")
 @click.pass_obj
 def wait(
     ctx: Context,

@@ -81,6 +81,11 @@ class Link:
         hint = "start it with: " + command(self._paths, "daemon start")
         if isinstance(error, FileNotFoundError | ConnectionRefusedError):
             return NoDaemon(f"no daemon answers on {self._paths.socket_text}", hint)
+        if isinstance(error, BlockingIOError | TimeoutError):
+            return NoDaemon(
+                f"the daemon on {self._paths.socket_text} takes no connection: it hangs, is stopped, or has too many",
+                f"see: {command(self._paths, 'daemon logs')}\nend it with: {command(self._paths, 'daemon stop')}",
+            )
         return NoDaemon(f"no daemon answers on {self._paths.socket_text}: {error.strerror or error}", hint)
 
     def send(self, line: bytes, deadline: float) -> None:

@@ -58,8 +58,7 @@ def parse(node: Node, known: Mapping[str, int]) -> Words:
         if not word.startswith("-") or word == "-" or _is_number(word):
             words.rest.append(word)
             continue
-        if name not in known:
-            raise _unknown(node, name, list(known))
+        name = _whole_name(node, name, list(known))
         values = [value] if sign else []
         while len(values) < known[name] and pending:
             values.append(pending.pop(0))
@@ -82,6 +81,16 @@ def _is_number(word: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def _whole_name(node: Node, name: str, known: Sequence[str]) -> str:
+    """The option that is meant: its name may be cut short as long as no other begins so, as argparse has it."""
+    meant = [name] if name in known else [option for option in known if option.startswith(name)]
+    if len(meant) == 1:
+        return meant[0]
+    if meant:
+        raise node.place.error(f"{node.full_name}: {name} may mean {' or '.join(meant)}")
+    raise _unknown(node, name, known)
 
 
 def _unknown(node: Node, name: str, known: Sequence[str]) -> Exception:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from slidectl.description import xml_tree
 from slidectl.description.packages import Packages, is_file
 from slidectl.description.xml_tree import Element
-from slidectl.errors import BadFile
+from slidectl.errors import BadFile, closest
 from slidectl.launch.plan import Place, Plan, Remap, Setting
 from slidectl.launch.substitution import Substitution
 
@@ -164,5 +164,7 @@ def missing_argument(scope: Scope, name: str, tag: Tag) -> BadFile:
         hint = f'give it at the include: <arg name="{name}" value="..."/>'
         error = tag.error(f"the included file requires the argument {name!r}", hint)
     else:
-        error = tag.error(f"the argument {name!r} is required", f"give {name}:=VALUE")
+        near = closest(name, [given for given in scope.given if given not in scope.declared])
+        slip = f"; was {near}:={scope.given[near]} meant to be that?" if near else ""
+        error = tag.error(f"the argument {name!r} is required", f"give {name}:=VALUE{slip}")
     return error

@@ -85,6 +85,18 @@ SLIPS = [
         "the joints of a simulated robot are where the world has them",
     ),
     ("parameter", SPAWN.replace("-param robot_", "-param robt_"), "wrong 3", "did you mean /robot_description?"),
+    (
+        "option",
+        SPAWN + '\n<node name="s" pkg="controller_manager" type="spawner" args="--stoped a"/>',
+        "wrong 4 node /s: controller_manager/spawner has no option",
+        "did you mean --stopped?",
+    ),
+    (
+        "program",
+        SPAWN + '\n<node name="s" pkg="controller_manager" type="spawnr" args="a"/>',
+        "wrong 4 node /s: no package 'controller_manager'",
+        "did you mean 'controller_manager/spawner'",
+    ),
     ("stray", SPAWN + '\n<param name="bot/speed" value="3"/>', "ignored 4", "/bot/speed: no controller reads it"),
 ]
 
@@ -116,7 +128,9 @@ def test_a_tool_makes_use_of_remaps_of_the_topics_that_it_names(launch: Launch) 
     )
     assert not launch(*ALL, tool.format("goal")).about("ignored 7 <remap>")
     assert not launch(*ALL, tool.format("/bot/goal")).about("ignored 7 <remap>")
-    assert launch(*ALL, tool.format("gaol")).about("ignored 7 <remap>: no node that it is for has such a name")
+    assert launch(*ALL, tool.format("gaol")).about(
+        "ignored 7 <remap>: no node that it is for has the name 'gaol'; did you mean 'goal'?"
+    )
 
 
 def test_a_remap_that_no_node_makes_use_of_is_ignored(launch: Launch) -> None:
@@ -124,7 +138,7 @@ def test_a_remap_that_no_node_makes_use_of_is_ignored(launch: Launch) -> None:
         *ALL[:4], FRAMES.replace("<remap", '<remap from="/jont_states" to="/a"/><remap'), '<remap from="a" to="b"/>'
     )
     assert lines.of("ignored") == [
-        "ignored 6 <remap>: no node that it is for has such a name",
+        "ignored 6 <remap>: no node that it is for has the name '/jont_states'; did you mean 'joint_states'?",
         "ignored 7 <remap>: no node comes after it",
     ]
 

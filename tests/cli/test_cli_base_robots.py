@@ -100,8 +100,10 @@ def test_a_name_moves_a_model_with_a_namespace_argument_into_its_own_namespace(w
 def test_at_takes_three_or_six_numbers(world: CommandLine, tmp_path: Path) -> None:
     world.ok("spawn", box(tmp_path), "--at", "1", "2", "3", "0", "0", "1.5707963267948966")
     assert robot(world, "box")["pose"] == pytest.approx([1, 2, 3, 0, 0, math.sqrt(0.5), math.sqrt(0.5)])
-    for words in (["1", "2"], ["1", "2", "3", "4"], ["1", "2", "nan"]):
+    for words in (["1", "2"], ["1", "2", "3", "4"]):
         assert world("spawn", "slider", "--at", *words).returncode == 2
+    done = world("spawn", "slider", "--at", "1", "2", "nan")
+    assert (done.returncode, done.stderr) == (2, "error: --at takes finite numbers, not 1 2 nan\n")
 
 
 def test_a_root_is_free_unless_it_is_called_world_or_fixed(world: CommandLine, tmp_path: Path) -> None:

@@ -182,6 +182,7 @@ def test_wait_in_a_world_that_stands_still_times_out_and_says_why(slider: Comman
         (["joint_states/position[0]", "--above", "1", "--tol", "1"], 2, "--tol"),
         (["joint_states/position[0]", "--near", "1", "--tol", "-1"], 2, "--tol"),
         (["joint_states/position[0]", "--near", "1", "--within", "0"], 2, "--within"),
+        (["joint_states/position[0]", "--near", "1", "--within", "1e400"], 2, "the simulated time never gets there"),
         (["joint_states/position[0]", "--near", "one"], 2, "one"),
         (["joint_stats/position[0]", "--near", "1"], 1, "Did you mean '/slider/joint_states'?"),
         (["joint_states/positon[0]", "--near", "1"], 1, "Did you mean 'position'?"),

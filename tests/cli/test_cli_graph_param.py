@@ -128,6 +128,11 @@ def test_load_reads_stdin_and_a_list_with_a_name(world: World) -> None:
     assert world.slidectl.ok("param", "get", "/piped_list") == "- 1\n- 2\n\n"
 
 
+def test_load_says_when_there_is_nothing_to_load(world: World) -> None:
+    done = world.slidectl("param", "load", "-", "/nothing", stdin="# nothing\n")
+    assert (done.returncode, done.stderr) == (0, "stdin holds no parameters\n")
+
+
 def test_load_warns_of_a_name_that_is_there_twice(world: World) -> None:
     done = world.slidectl("param", "load", "-", "/twice", stdin="a: 1\na: 2\n")
     assert done.returncode == 0

@@ -291,10 +291,26 @@ def test_a_broken_file_is_named_with_its_line(world: World, ears: dict[str, Subs
     assert heard(ears, "/f") == []
 
 
+@pytest.mark.parametrize(
+    ("content", "reason"), [("", "holds no message"), ("[" * 3000 + "]" * 3000, "is nested too deeply")]
+)
+def test_a_file_without_a_message_is_an_error(world: World, tmp_path: Path, content: str, reason: str) -> None:
+    (tmp_path / "odd.yaml").write_text(content)
+    done = world.slidectl("pub", "/f", "-f", str(tmp_path / "odd.yaml"))
+    assert (done.returncode, done.stderr) == (2, f"error: {tmp_path}/odd.yaml: {reason}\n")
+
+
+def test_a_file_without_an_end_is_an_error(world: World) -> None:
+    done = world.slidectl("pub", "/f", "-f", "/dev/zero")
+    assert (done.returncode, done.stderr) == (2, "error: /dev/zero: holds more than 256 Mi characters\n")
+
+
 def test_stdin_that_ends_in_nonsense_publishes_what_came_before(world: World, ears: dict[str, Subscription]) -> None:
     done = world.slidectl("pub", "/f", "--stdin", stdin="data: 1.0\n---\ndata: [2\n---\n")
     assert done.returncode == 2
-    assert "document 2 is not valid YAML" in done.stderr
+    first, error, *_ = done.stderr.splitlines()
+    assert first == "1 published on /f before this:"
+    assert error.startswith("error: the document 2 is not valid YAML")
     assert heard(ears, "/f") == [{"data": 1.0}]
 
 

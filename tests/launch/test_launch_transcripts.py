@@ -11,7 +11,7 @@ import pytest
 import yaml
 from launch_files import Workspace, notices
 
-from slidectl.errors import SlidectlError
+from slidectl.errors import BadFile, SlidectlError
 from slidectl.launch import files, kinds, listing, loader
 
 ALL = """<launch>
@@ -216,6 +216,13 @@ REFUSED = {
     "badout": ('<node pkg="rviz" type="rviz" name="a" output="both"/>', "output is one of log, screen, not 'both'"),
     "machine": ('<machine name="m" address="far"/>', "there are no other machines here"),
 }
+
+
+def test_a_misspelt_argument_is_named_where_the_one_that_was_meant_is_missing(workspace: Workspace) -> None:
+    file = workspace.launch_file('<arg name="speed"/>')
+    with pytest.raises(BadFile, match="'speed' is required") as caught:
+        loader.load(files.find([str(file)], workspace.packages), {"sped": "3", "other": "1"})
+    assert caught.value.hint == "give speed:=VALUE; was sped:=3 meant to be that?"
 
 
 def read_wholly(workspace: Workspace, content: str) -> None:

@@ -31,7 +31,9 @@ _NOT_A_NAME = 1
 # (package, executable) -> `module:function` in this package, which takes the Context and the words
 _PROGRAMS = {
     ("controller_manager", "controller_manager"): "rosrun_scripts:controller_manager",
+    ("controller_manager", "spawner"): "rosrun_scripts:spawner",
     ("controller_manager", "unspawner"): "rosrun_scripts:unspawner",
+    ("gazebo_ros", "spawn_model"): "rosrun_scripts:spawn_model",
     ("tf", "tf_echo"): "tf_echo:tf_echo",
     ("tf", "tf_monitor"): "tf_monitor:tf_monitor",
     ("tf", "view_frames"): "tf_graph:view_frames",

@@ -16,6 +16,7 @@ from slidectl.errors import UsageError
 from slidectl.writing import write_whole
 
 _WRONG_COUNT = 255
+_HELP = frozenset(("-h", "--help"))
 
 _MANAGER_USAGE = """Usage: controller_manager <command> [name...]
 
@@ -33,6 +34,32 @@ Commands:
 _UNSPAWNER_USAGE = (
     "Usage: unspawner <name>...\n\nStops the controllers as long as it runs, and starts them again at its end.\n"
 )
+_SPAWNER_USAGE = """usage: spawner [-h] [--stopped] [--wait-for TOPIC] [--namespace NS]
+               [--timeout S] [--no-timeout] controllers [controllers ...]
+
+Loads and starts controllers, and stops and unloads them at its end.
+
+controllers         their names, or YAML files whose controllers are meant
+--stopped           load them, and do not start them
+--wait-for TOPIC    not before a true std_msgs/Bool comes on TOPIC
+--namespace NS      where the controller manager is
+--timeout S         how long to wait for it, in s (30; 0 is for ever)
+--no-timeout        wait for ever
+"""
+_SPAWN_MODEL_USAGE = """usage: spawn_model [-h] -urdf (-param NAME | -file FILE) -model NAME
+                   [-x X] [-y Y] [-z Z] [-R R] [-P P] [-Y Y] [-J JOINT POSITION]
+                   [-robot_namespace NS] [-reference_frame FRAME] [-unpause]
+                   [-wait MODEL] [-package_to_model] [-b]
+
+Puts a robot into the world: its URDF is in a parameter or a file.
+
+-x -y -z            where, in m
+-R -P -Y            roll, pitch and yaw, in rad
+-J JOINT POSITION   where a joint begins, in rad or m; may repeat
+-unpause            let the world go on afterwards
+-wait MODEL         not before there is a robot of that name
+-b                  stay, and take the robot away at the end
+"""
 _STATIC_USAGE = """Puts child_frame_id into frame_id, for as long as it runs. Metres, radians:
 Usage: static_transform_publisher x y z yaw pitch roll frame_id child_frame_id{period}
 or with a quaternion:
@@ -51,10 +78,26 @@ def controller_manager(ctx: Context, argv: Sequence[str]) -> None:
     nodes.run(ctx, "controller_manager", "controller_manager", argv, packages())
 
 
+def spawner(ctx: Context, argv: Sequence[str]) -> None:
+    """The script `spawner`, which has a help."""
+    _run_or_help(ctx, ("controller_manager", "spawner"), argv, _SPAWNER_USAGE)
+
+
+def spawn_model(ctx: Context, argv: Sequence[str]) -> None:
+    """The script `spawn_model`, which has a help."""
+    _run_or_help(ctx, ("gazebo_ros", "spawn_model"), argv, _SPAWN_MODEL_USAGE)
+
+
+def _run_or_help(ctx: Context, program: tuple[str, str], argv: Sequence[str], usage: str) -> None:
+    if not _HELP.isdisjoint(argv):
+        return output.write(usage)
+    return nodes.run(ctx, *program, argv, packages())
+
+
 def unspawner(ctx: Context, argv: Sequence[str]) -> None:
     """The script `unspawner`: its usage, with code 1, when no controller is named."""
     words = without_remappings(argv)
-    if not words or words[0] in ("-h", "--help"):
+    if not words or words[0] in _HELP:
         output.write(_UNSPAWNER_USAGE)
         raise click.exceptions.Exit(1)
     nodes.run(ctx, "controller_manager", "unspawner", argv, packages())
@@ -77,6 +120,10 @@ def _static_transform(ctx: Context, package: str, argv: Sequence[str], counts: S
     nodes.run(ctx, package, "static_transform_publisher", argv, packages())
 
 
+_XACRO_USAGE = """rosrun xacro xacro [-o FILE] MODEL.xacro [name:=value...]
+
+Prints the URDF that a xacro file makes with these arguments, or writes it into FILE.
+"""
 _XACRO_WITHOUT_EFFECT = ("--inorder", "-i", "-q", "-v", "--xacro-ns", "--check-order", "--debug")
 
 
@@ -84,13 +131,15 @@ def xacro(ctx: Context, argv: Sequence[str]) -> None:
     """Print the expanded model, or write it into the file of `-o`. Raises what loading it raises; BadFile mostly."""
     from slidectl import description
 
+    if not _HELP.isdisjoint(argv):
+        return output.write(_XACRO_USAGE)
     target, words = _target(list(argv))
     arguments = dict(word.split(":=", 1) for word in words if ":=" in word)
     files = [word for word in words if ":=" not in word and not word.startswith("-")]
     unknown = [word for word in words if word.startswith("-") and word not in _XACRO_WITHOUT_EFFECT]
     if unknown or len(files) != 1:
         what = f"xacro: unknown option {unknown[0]}" if unknown else f"xacro takes one file, not {len(files)}"
-        raise UsageError(what, "rosrun xacro xacro [-o FILE] MODEL.xacro [name:=value...]")
+        raise UsageError(what, _XACRO_USAGE.partition("\n")[0])
     document = description.load(files[0], arguments, packages())
     for notice in document.report:
         ctx.warn(str(notice))
