@@ -75,9 +75,10 @@ def _launch_files(context: click.Context, param: click.Parameter, incomplete: st
 def launch(ctx: Context, /, words: tuple[str, ...], packages: tuple[str, ...], **given: Any) -> None:
     """Run a launch file as roslaunch does.
 
-    Starts a daemon when none runs, and then stops it at the end; Ctrl-C ends the nodes in reverse order. A step that
-    fails ends the launch with 1 and names its file and line; a broken file is 2. NAME is a launch file that is
-    shipped; - is standard input. JSON keys: event, text, and those of the event.
+    Starts a daemon when none runs, and then stops it at the end; Ctrl-C ends the nodes in reverse order, and so do
+    SIGTERM and SIGHUP, with exit code 0. A step that fails ends the launch with 1 and names its file and line; a
+    broken file is 2. NAME is a launch file that is shipped; - is standard input. JSON keys: event, text, and those
+    of the event.
     """
     from slidectl.cli import launch_tell
     from slidectl.launch import files, kinds, loader

@@ -118,13 +118,21 @@ class Stream:
         self._status = self._client.call_async("/slidectl/status")
 
     def _take_answer(self, response: dict[str, Any]) -> None:
-        if response.get("id") == self._status and self._client.answer(str(self._status))["paused"]:
-            self._ctx.say("the simulation is paused; nothing comes until it goes on: slidectl sim resume")
+        if response.get("id") != self._status:
+            return
+        status = self._client.answer(str(self._status))
+        if status["paused"]:
+            self._ctx.say(f"{paused(status)}; nothing comes until it goes on: slidectl sim resume")
 
     @property
     def is_drained(self) -> bool:
         """True when all that has been taken in was read; latched messages are taken in on entry."""
         return not self._queue
+
+
+def paused(status: dict[str, Any]) -> str:
+    """That the world of an answer of /slidectl/status stands still, and why, where nobody wanted it."""
+    return "the simulation is paused" + (f" ({status['trouble']})" if status.get("trouble") else "")
 
 
 def nanoseconds(time: dict[str, int]) -> int:

@@ -11,6 +11,7 @@ from slidectl.cli import live
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
 from slidectl.cli.options import simulated_seconds, wait_for_world_s
+from slidectl.cli.stream import paused
 from slidectl.cli.topics import PUBLISHERS, look_up
 from slidectl.errors import Refused, TimedOut, UsageError
 
@@ -64,8 +65,9 @@ def wait(
     }
     limit = ctx.wait_limit(wait_for_world_s(hold + (within or 0.0)))
     call = ctx.client.call_async("/slidectl/wait", request)
-    if ctx.call("/slidectl/status")["paused"]:
-        ctx.say("the simulation is paused; this waits until somebody lets it go on or steps it")
+    status = ctx.call("/slidectl/status")
+    if status["paused"]:
+        ctx.say(f"{paused(status)}; this waits until somebody lets it go on or steps it")
     try:
         answer = ctx.client.answer(call, timeout=limit)
     except TimedOut as error:

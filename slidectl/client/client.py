@@ -36,6 +36,8 @@ class Client:
         socket: the path of its socket instead.
         timeout: wall seconds that any one wait may take unless it says otherwise; `inf` for ever.
 
+    It is for one thread: where several use one at a time, one takes the answers of the others. Give each its own.
+
     Raises:
         NoDaemon: nobody answers. Refused: the socket's folder is not private, or the daemon is another user's.
     """

@@ -65,6 +65,9 @@ def test_status_tells_of_a_pause_that_nobody_asked_for(slidectl: CommandLine) ->
     trouble = "the simulation of robot 'rrbot' diverged: its state is not finite or huge"
     assert f"state:       paused: {trouble}\n" in slidectl.ok("sim", "status")
     assert status(slidectl)["trouble"] == trouble
+    waiting = slidectl("echo", "/gazebo/model_states", "-n", "1", "--timeout", "1.5")
+    assert waiting.returncode == 4
+    assert f"the simulation is paused ({trouble}); nothing comes until it goes on" in waiting.stderr
     slidectl.ok("service", "call", "/gazebo/clear_joint_forces", "rrbot::joint1")
     slidectl.ok("sim", "reset")
     assert "state:       paused\n" in slidectl.ok("sim", "status")
