@@ -28,6 +28,14 @@ def check(name: str) -> str:
     return name
 
 
+def check_absolute(name: str, kind: str) -> str:
+    """The name itself: that of a topic or a service. Raises BadName unless it begins with a slash, and is not all."""
+    if not check(name).startswith("/") or name == "/":
+        hint = "that is the root of all names" if name == "/" else f"write /{name}"
+        raise BadName(name, f"name of a {kind}: it begins with '/', and more follows", hint)
+    return name
+
+
 def check_parameter(name: str) -> str:
     """The name itself. Raises BadName when no parameter can have it: they may be `joint-1.2`, but hold no blanks."""
     if not re.match(_PARAMETER, name):

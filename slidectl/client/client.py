@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Any
 
@@ -16,8 +16,9 @@ from slidectl import names, paths
 from slidectl.client.lines import LONGEST_LINE, BadLine, encode
 from slidectl.client.link import Link, command
 from slidectl.client.log import Listening, Log
+from slidectl.client.replies import Replies
 from slidectl.client.subscription import Subscription
-from slidectl.errors import MessageRefused, NoDaemon, Refused, SlidectlError, TimedOut, UnknownName
+from slidectl.errors import MessageRefused, NoDaemon, TimedOut
 
 Message = dict[str, Any]
 
@@ -25,7 +26,6 @@ _WARN = 4  # rosgraph_msgs/Log
 _PROBE_S = 0.5
 _SYNCHRONIZE = "/rosapi/get_time"
 """A service that changes nothing: its answer says that all that was sent before it has been taken in."""
-_ANSWERS = ("service_response", "status")
 
 
 class Client:
@@ -47,11 +47,9 @@ class Client:
         self.timeout = timeout
         self._link = Link(self.paths, time.monotonic() + timeout)
         self._serial = 0
-        self._waiting: set[str] = set()
-        self._answers: dict[str, Message] = {}
-        self._refusals: list[SlidectlError] = []
+        self._replies = Replies()
         self._subscriptions: dict[str, list[Subscription]] = {}
-        self._advertised: set[tuple[str, str | None, bool]] = set()
+        self._advertised: dict[tuple[str, str | None, bool], str] = {}
         self._published = False
         self._log = Log(self, self._next_id("subscribe"))
 
@@ -68,36 +66,29 @@ class Client:
 
     def call_async(self, service: str, request: Message | None = None) -> str:
         """Send a call and return its id at once; `answer` waits for the response."""
-        call_id = self._next_id("call")
-        self._write(self._call_line(call_id, service, request))
+        call_id, full = self._next_id("call"), names.join("/", service)
+        self._replies.expect(call_id)
+        self._write(encode({"op": "call_service", "id": call_id, "service": full, "args": request or {}}))
         return call_id
-
-    def _call_line(self, call_id: str, service: str, request: Message | None) -> bytes:
-        self._waiting.add(call_id)
-        return encode({"op": "call_service", "id": call_id, "service": names.join("/", service), "args": request or {}})
 
     def answer(self, call_id: str, *, timeout: float | None = None) -> Message:
         """The response to an earlier `call_async`. Raises as `call` does."""
-        answers = self._answers
-        try:
-            if call_id not in answers:
-                self.wait_until(lambda: call_id in answers, timeout, "the service did not answer")
-        finally:
-            self._waiting.discard(call_id)
-        answer = answers.pop(call_id)
-        values = answer.get("values")
-        if not answer.get("result", True):
-            raise _refusal(Refused, str(values), answer)
-        return values if isinstance(values, dict) else {}
+        replies = self._replies
+        if not replies.has(call_id):
+            try:
+                self.wait_until(lambda: replies.has(call_id), timeout, "the service did not answer")
+            except BaseException:
+                replies.forget(call_id)
+                raise
+        return replies.answer(call_id)
 
     def is_answered(self, call_id: str) -> bool:
         """True when the response to an earlier `call_async` is here: `answer` will not wait."""
-        return call_id in self._answers
+        return self._replies.has(call_id)
 
     def forget(self, call_id: str) -> None:
         """Nobody will ask for the response to an earlier `call_async`."""
-        self._waiting.discard(call_id)
-        self._answers.pop(call_id, None)
+        self._replies.forget(call_id)
 
     # --- topics -------------------------------------------------------------------------------------------------
 
@@ -105,8 +96,8 @@ class Client:
         """Become a publisher of the topic until the client is closed; `latch` keeps the last message for latecomers."""
         if (topic, type, latch) in self._advertised:
             return
-        self._advertised.add((topic, type, latch))
-        message: Message = {"op": "advertise", "id": self._next_id("advertise"), "topic": names.join("/", topic)}
+        advertise_id = self._advertised[topic, type, latch] = self._next_id("advertise")
+        message: Message = {"op": "advertise", "id": advertise_id, "topic": names.join("/", topic)}
         if type is not None:
             message["type"] = type
         if latch:
@@ -130,7 +121,7 @@ class Client:
     def deliver(self, topic: str, message: Message, type: str | None = None, latch: bool = False) -> None:
         """`publish` and `flush` in one, in the time of one call. Raises as `flush`."""
         publish_id = self._publish(topic, message, type, latch, ack=True)
-        self._waiting.add(publish_id)
+        self._replies.expect(publish_id)
         self._flushed(publish_id, None)
 
     def flush(self, *, timeout: float | None = None) -> None:
@@ -144,9 +135,7 @@ class Client:
     def _flushed(self, call_id: str, timeout: float | None) -> None:
         self._published = False
         self.answer(call_id, timeout=timeout)
-        refusals, self._refusals = self._refusals, []
-        if refusals:
-            raise refusals[0]
+        self._replies.raise_refusal()
 
     def subscribe(
         self, topic: str, type: str | None = None, queue_length: int = 0, throttle_rate: int = 0
@@ -168,13 +157,16 @@ class Client:
 
     def begin(self, subscription: Subscription, options: Message) -> None:
         """What `subscribe` does with a subscription of any kind. Raises as it does."""
-        receivers = self._subscriptions.setdefault(subscription.topic, [])
-        receivers.append(subscription)
+        self._subscriptions.setdefault(subscription.topic, []).append(subscription)
         try:
             self._send(op="subscribe", id=subscription.id, topic=subscription.topic, **options)
-            self.flush()
+            self.call(_SYNCHRONIZE)
+            self._replies.raise_refusal(subscription.id)
+        except MessageRefused:
+            self._subscriptions[subscription.topic].remove(subscription)
+            raise
         except BaseException:
-            receivers.remove(subscription)
+            self.unsubscribe(subscription)
             raise
 
     def unsubscribe(self, subscription: Subscription) -> None:
@@ -207,22 +199,15 @@ class Client:
         Raises:
             UnknownName, AmbiguousName: see `slidectl.names.resolve`.
         """
-        known = self.topics()
-        near = [topic for topic in known if topic.endswith("/" + name.strip("/"))]
-        try:
-            return names.resolve(name, self._having(role, near), kind="topic", namespace=namespace)
-        except UnknownName:
-            return names.resolve(name, self._having(role, known), kind="topic", namespace=namespace)
+        from slidectl.client import naming
 
-    def _having(self, role: str | None, topics: Iterable[str]) -> list[str]:
-        if role is None:
-            return list(topics)
-        calls = {topic: self.call_async(f"/rosapi/{role}", {"topic": topic}) for topic in topics}
-        return [topic for topic, call_id in calls.items() if self.answer(call_id)[role]]
+        return naming.topic(self, name, role, namespace)
 
     def resolve_service(self, name: str, namespace: str = "/") -> str:
-        """The full name of the service that `name` means. Raises as `slidectl.names.resolve` does."""
-        return names.resolve(name, self.call("/rosapi/services")["services"], kind="service", namespace=namespace)
+        """The full name of the service that `name` means. Raises as `resolve_topic` does."""
+        from slidectl.client import naming
+
+        return naming.service(self, name, namespace)
 
     # --- what arrives -------------------------------------------------------------------------------------------
 
@@ -258,29 +243,27 @@ class Client:
                 subscription.put(message["msg"])
         elif op == "status":
             self._take_status(message)
-        if op in _ANSWERS and message.get("id") in self._waiting:
-            self._answers[message["id"]] = message
+        self._replies.take_in(message)
 
     def _take_status(self, status: Message) -> None:
         for subscription in self._subscriptions.get(status.get("topic", ""), ()):
             subscription.dropped += int(status.get("dropped", 0))
-        text = str(status.get("msg", ""))
         if status.get("level") == "error":
-            self._refusals.append(_refusal(MessageRefused, text, status))
+            self._advertised = {key: sent for key, sent in self._advertised.items() if sent != status.get("id")}
         if "id" not in status and "dropped" not in status:
-            self._link.farewell = text
+            self._link.farewell = str(status.get("msg", ""))
 
     def _why_nothing_happens(self) -> str | None:
         """The hint of a TimedOut: a paused world answers nobody who waits for its time, and a daemon may hang."""
         call_id = self.call_async("/slidectl/status")
         deadline = time.monotonic() + _PROBE_S
-        while call_id not in self._answers:
+        while not self._replies.has(call_id):
             message = self._link.receive(deadline)
             if message is None:
+                self._replies.forget(call_id)
                 return "the daemon itself does not answer; see: " + command(self.paths, "daemon logs")
             self._sort(message)
-        paused = self._answers.pop(call_id).get("values", {})
-        if isinstance(paused, dict) and paused.get("paused"):
+        if self._replies.answer(call_id).get("paused"):
             return "the simulation is paused; let it go on with: " + command(self.paths, "sim resume")
         return None
 
@@ -321,9 +304,3 @@ class Client:
                 self.flush()
         finally:
             self.close()
-
-
-def _refusal(cause: type[Refused], text: str, answer: Message) -> Refused:
-    error = cause(text)
-    error.exit_code = int(answer.get("exit_code", cause.exit_code))
-    return error

@@ -30,9 +30,14 @@ class BadParameter(Refused):
 
 def as_number(value: Any) -> float | None:
     """An int or a float as a float. A YAML boolean or a string is no number."""
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        return float(value)
-    return None
+    return None if isinstance(value, bool) else _as_float(value)
+
+
+def _as_float(value: Any) -> float | None:
+    try:
+        return float(value) if isinstance(value, int | float) else None
+    except OverflowError:  # an int of hundreds of digits
+        return None
 
 
 def as_integer(value: Any) -> int | None:
@@ -63,9 +68,10 @@ def as_texts(value: Any) -> list[str] | None:
 
 def as_numbers(value: Any) -> list[float] | None:
     """A list of numbers; booleans count as 0 and 1 here."""
-    if isinstance(value, list) and all(isinstance(item, int | float) for item in value):
-        return [float(item) for item in value]
-    return None
+    if not isinstance(value, list):
+        return None
+    numbers = [_as_float(item) for item in value]
+    return None if None in numbers else [number for number in numbers if number is not None]
 
 
 class Kind(NamedTuple, Generic[T]):

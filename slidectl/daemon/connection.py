@@ -138,7 +138,7 @@ class Connection:
 
     def _listening(self) -> bool:
         # A client that does not take its answers is not listened to until it does: that bounds what we keep for it.
-        return self._readable and not self._ended and self._outbox.unbounded < _MOST_UNREAD
+        return self._readable and not self._ended and not self.is_overfull
 
     def _end_of_input(self) -> None:
         self._ended = True
@@ -156,6 +156,11 @@ class Connection:
             # To the end of the row: answers leave in the order in which they were given, whoever they are for.
             self._busy.with_output.pop(self, None)
             self._busy.with_output[self] = None
+
+    @property
+    def is_overfull(self) -> bool:
+        """True while more waits for the client than may: what is not an answer to it should not be added."""
+        return self._outbox.unbounded >= _MOST_UNREAD
 
     @property
     def is_blocked(self) -> bool:

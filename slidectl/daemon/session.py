@@ -9,8 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from slidectl import msgs, names
+from slidectl import msgs
 from slidectl.client.lines import BadLine, decode, encode
+from slidectl.daemon import wire
 from slidectl.daemon.connection import Connection
 from slidectl.daemon.feed import Feed, Publications
 from slidectl.daemon.outbox import Share
@@ -22,6 +23,8 @@ from slidectl.simulation.topics import TopicPublisher
 
 LEVELS = {"info": 0, "warning": 1, "error": 2, "none": 3}
 Message = dict[str, Any]
+
+_MOST_OPEN_CALLS = 1000
 
 
 class Surroundings(Protocol):
@@ -74,6 +77,7 @@ class Session:
         message: Message = {}
         try:
             message = decode(line)
+            wire.check_id(message)
             self._operation(message)(message)
         except SlidectlError as error:
             self._complain(error, message)
@@ -85,7 +89,7 @@ class Session:
         op = message.get("op")
         operation = self._operations.get(op) if isinstance(op, str) else None
         if operation is None:
-            what = "a message without an op" if op is None else f"unknown op {op!r}"
+            what = "a message without an op" if op is None else f"unknown op {wire.shortened(op)}"
             raise UsageError(what, f"ops: {listing(self._operations)}")
         return operation
 
@@ -123,18 +127,18 @@ class Session:
 
     def _complain(self, error: SlidectlError, message: Message) -> None:
         """Tell the client; who called a service gets an answer even when it is this one."""
-        if message.get("op") == "call_service" and "service" in message:
+        if message.get("op") == "call_service" and isinstance(message.get("service"), str):
             asked = {"op": "service_response", "service": message["service"]}
-            self._connection.send(encode(asked | _given_id(message) | _failure(error)))
+            self._connection.send(encode(asked | wire.given_id(message) | _failure(error)))
         elif self._level <= LEVELS["error"] or message.get("ack"):
             status = {"op": "status", "level": "error", "msg": str(error), "exit_code": error.exit_code}
-            self._connection.send(encode(status | _given_id(message)))
+            self._connection.send(encode(status | wire.given_id(message)))
 
     # --- topics -------------------------------------------------------------------------------------------------
 
     def _advertise(self, message: Message) -> None:
-        topic = _name(message, "topic")
-        kind = _text(message, "type", "") or self._graph.topics.type_of(topic)
+        topic = wire.name(message, "topic")
+        kind = wire.text(message, "type", "") or self._graph.topics.type_of(topic)
         latch = bool(message.get("latch", False))
         known = self._publishers.get(topic)
         if known is not None and known.latch == latch:
@@ -145,46 +149,48 @@ class Session:
             known.close()
 
     def _unadvertise(self, message: Message) -> None:
-        topic = _name(message, "topic")
+        topic = wire.name(message, "topic")
         publisher = self._publishers.pop(topic, None)
         if publisher is None:
             raise Refused(f"{topic} is not advertised on this connection", f"advertised: {listing(self._publishers)}")
         publisher.close()
 
     def _publish(self, message: Message) -> None:
-        topic = _name(message, "topic")
+        topic = wire.name(message, "topic")
         content = message.get("msg", {})
         publisher = self._publishers.get(topic)
         if publisher is None:
-            self._graph.topics.publish(topic, _text(message, "type", "") or None, content, self.node)
+            self._graph.topics.publish(topic, wire.text(message, "type", "") or None, content, self.node)
         else:
             publisher.publish(msgs.check(self._graph.topics.type_of(topic), content))
         if message.get("ack"):
-            self._connection.send(encode({"op": "status", "level": "info", **_given_id(message), "msg": "delivered"}))
+            self._connection.send(
+                encode({"op": "status", "level": "info", **wire.given_id(message), "msg": "delivered"})
+            )
 
     def _subscribe(self, message: Message) -> None:
-        topic = _name(message, "topic")
-        throttle, queue = _number(message, "throttle_rate"), _number(message, "queue_length")
-        if _text(message, "compression", "none") != "none":
+        topic = wire.name(message, "topic")
+        throttle, queue = wire.number(message, "throttle_rate"), wire.number(message, "queue_length")
+        if wire.text(message, "compression", "none") != "none":
             raise UsageError(f"compression {message['compression']!r} is not offered", "compression: none")
-        kind = _text(message, "type", "") or None
+        kind = wire.text(message, "type", "") or None
         feed = self._feeds.get(topic)
         if feed is None:
             feed = Feed(topic, self._connection, self._around.publications)
-            feed.want(_id(message), throttle, int(queue))
+            feed.want(wire.wish_id(message), throttle, int(queue))
             feed.subscription = self._graph.topics.subscribe(topic, kind, self.node, feed.take)
             self._feeds[topic] = feed
             return
         if kind is not None:  # complains when the type is another one
             self._graph.topics.subscribe(topic, kind, self.node, lambda _: None).close()
-        feed.want(_id(message), throttle, int(queue))
+        feed.want(wire.wish_id(message), throttle, int(queue))
 
     def _unsubscribe(self, message: Message) -> None:
-        topic = _name(message, "topic")
+        topic = wire.name(message, "topic")
         feed = self._feeds.get(topic)
         if feed is None:
             raise Refused(f"{topic} is not subscribed on this connection", f"subscribed: {listing(self._feeds)}")
-        if feed.unwant(_id(message)):
+        if feed.unwant(wire.wish_id(message)):
             del self._feeds[topic]
             feed.close()
             self._connection.forget(feed.share)
@@ -192,12 +198,14 @@ class Session:
     # --- services -----------------------------------------------------------------------------------------------
 
     def _call_service(self, message: Message) -> None:
-        service = _name(message, "service")
+        service = wire.name(message, "service")
+        if len(self._calls) >= _MOST_OPEN_CALLS:
+            raise Refused(f"{_MOST_OPEN_CALLS} calls of this connection wait for their answers", "take these first")
         request = self._by_name(service, message.get("args") or {})
         pending = self._graph.services.call(service, request)
         if not pending.done:
             self._calls.add(pending)
-        call_id = _given_id(message)
+        call_id = wire.given_id(message)
         pending.then(lambda answered: self._answer(answered, service, call_id))
 
     def _by_name(self, service: str, values: Any) -> Any:
@@ -216,23 +224,30 @@ class Session:
             response |= {"values": pending.result(), "result": True}
         else:
             response |= _failure(pending.error)
-        self._connection.send(encode(response))
+        try:
+            line = encode(response)
+        except Exception as error:  # this may be called from within a control cycle, which must not fail for it
+            self.unexpected(f"the answer of {service} to {self.node}")
+            line = encode(response | _failure(Refused(f"internal error: {error!r}; the daemon's log has more")))
+        self._connection.send(line)
 
     def _advertise_service(self, message: Message) -> None:
-        service = _name(message, "service")
+        service = wire.name(message, "service")
         self._services[service] = self._graph.services.advertise(
-            service, _text(message, "type"), self.node, lambda request: self._ask(service, request)
+            service, wire.text(message, "type"), self.node, lambda request: self._ask(service, request)
         )
 
     def _unadvertise_service(self, message: Message) -> None:
-        service = _name(message, "service")
+        service = wire.name(message, "service")
         provided = self._services.pop(service, None)
         if provided is None:
             raise Refused(f"{service} is not provided by this connection", f"provided: {listing(self._services)}")
         provided.close()
 
     def _ask(self, service: str, request: Message) -> Pending:
-        """Somebody calls a service that this client provides."""
+        """Somebody calls a service that this client provides. Raises Refused when it does not take its calls."""
+        if self._connection.is_overfull:
+            raise Refused(f"{self.node}, which provides {service}, does not read its calls")
         self._serial += 1
         call_id = f"service_request:{service}:{self._serial}"
 
@@ -255,39 +270,11 @@ class Session:
             pending.reject(Refused(values if isinstance(values, str) else "the provider failed"))
 
     def _set_level(self, message: Message) -> None:
-        level = _text(message, "level")
+        level = wire.text(message, "level")
         if level not in LEVELS:
             raise UsageError(f"unknown level {level!r}", f"levels: {', '.join(LEVELS)}")
         self._level = LEVELS[level]
 
 
-def _text(message: Message, key: str, default: str | None = None) -> str:
-    value = message.get(key, default)
-    if not isinstance(value, str):
-        raise UsageError(f"op {message['op']!r} needs {key!r}, a text")
-    return value
-
-
-def _name(message: Message, key: str) -> str:
-    return names.join("/", _text(message, key))
-
-
-def _given_id(message: Message) -> Message:
-    """The id that comes back with the answer: as it was given, if it was."""
-    return {"id": message["id"]} if "id" in message else {}
-
-
 def _failure(error: SlidectlError) -> Message:
     return {"values": str(error), "result": False, "exit_code": error.exit_code}
-
-
-def _id(message: Message) -> str | None:
-    given = message.get("id")
-    return None if given is None else str(given)
-
-
-def _number(message: Message, key: str) -> float:
-    value = message.get(key) or 0
-    if not isinstance(value, int | float) or not value >= 0 or value == float("inf"):
-        raise UsageError(f"{key!r} is a number, 0 or above, not {value!r}")
-    return value

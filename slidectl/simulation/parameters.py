@@ -5,6 +5,7 @@ Semantics of the ROS parameter server, without its silent corners: names are che
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from copy import deepcopy
 from typing import Any
@@ -16,7 +17,7 @@ from slidectl.simulation.changes import nobody
 
 Path = tuple[str, ...]
 DEEPEST = 64
-"""Levels of mappings and lists in one value."""
+"""Levels of namespaces, mappings and lists above a value."""
 
 
 class UnknownParameter(UnknownName, KeyError):
@@ -68,7 +69,7 @@ class Parameters:
             is no mapping.
         """
         path = _path(names.check_parameter(name))
-        checked = _checked(value, name)
+        checked = _checked(value, name, len(path))
         if not path and not isinstance(checked, dict):
             raise UsageError("the root of the parameters is a mapping", "give a name")
         leaves = list(_leaves(checked, path)) if merge else [(path, checked)]
@@ -141,9 +142,16 @@ class Parameters:
             path = path[:-1]
 
     def _tell(self, changed: list[Path]) -> None:
+        """What one watcher fails at is no reason for the others not to hear of it."""
+        failure: Exception | None = None
         for watch in self._near(changed):
             if self._is_watching(watch) and any(_related(watch.path, path) for path in changed):
-                watch.callback()
+                try:
+                    watch.callback()
+                except Exception as error:
+                    failure = failure or error
+        if failure is not None:
+            raise failure
 
     def _near(self, changed: list[Path]) -> list[Watch]:
         """Those that may be concerned: of the same first parts, and of the root."""
@@ -186,7 +194,7 @@ def _leaves(value: Any, path: Path) -> Iterator[tuple[Path, Any]]:
         yield path, value
 
 
-def _checked(value: Any, where: str, depth: int = 0) -> Any:
+def _checked(value: Any, where: str, depth: int) -> Any:
     """A copy with keys that hold slashes taken apart, or an error that says where it is wrong."""
     if depth > DEEPEST:
         raise UsageError(f"parameter {where[:80]}... is nested deeper than {DEEPEST} levels")
@@ -197,11 +205,23 @@ def _checked(value: Any, where: str, depth: int = 0) -> Any:
     if isinstance(value, str):
         return _checked_text(value, where)
     if isinstance(value, bool | int | float):
-        return value
+        return _checked_number(value, where)
     kind = "null" if value is None else type(value).__name__
     raise UsageError(
         f"parameter {where}: {kind} is no value", "a parameter is a bool, a number, a string, a list or a mapping"
     )
+
+
+def _checked_number(value: float, where: str) -> float:
+    """JSON has no other numbers, and no control law has a use for them."""
+    try:
+        is_finite = math.isfinite(value)
+    except OverflowError:
+        is_finite = False
+    if not is_finite:
+        shown = value if isinstance(value, float) else "an integer beyond 1e308"
+        raise UsageError(f"parameter {where}: {shown} is no finite number, and parameters hold no others")
+    return value
 
 
 def _checked_text(text: str, where: str) -> str:
@@ -222,9 +242,9 @@ def _checked_mapping(value: dict[Any, Any], where: str, depth: int) -> dict[str,
         if not isinstance(key, str) or not _path(key) or any(letter.isspace() for letter in key):
             raise UsageError(f"parameter {where}: {key!r} cannot be a name", "names are text without blanks")
         _checked_text(key, where)
-        content = _checked(below, f"{where.rstrip('/')}/{key.strip('/')}", depth + 1)
-        node = result
         *above, last = _path(key)
+        content = _checked(below, f"{where.rstrip('/')}/{key.strip('/')}", depth + 1 + len(above))
+        node = result
         for part in above:
             node = node.setdefault(part, {})
         if isinstance(content, dict) and isinstance(node.get(last), dict):

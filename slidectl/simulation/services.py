@@ -59,8 +59,7 @@ class Services:
         Raises:
             BadName. Refused: the name is taken. UnknownName: no such service type.
         """
-        if not names.check(name).startswith("/"):
-            raise Refused(f"{name!r} is not an absolute service name", f"write /{name}")
+        names.check_absolute(name, "service")
         if name in self._services:
             raise Refused(f"service {name} is already provided by {self._services[name].node}")
         service = self._services[name] = Service(name, type_name, node, handler, self._forget)

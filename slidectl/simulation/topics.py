@@ -240,9 +240,7 @@ class Topics:
     def _entry(self, topic: str, type_name: str) -> Topic:
         self._agrees(topic, type_name)
         if topic not in self._topics:
-            if not names.check(topic).startswith("/"):
-                raise Refused(f"{topic!r} is not an absolute topic name", f"write /{topic}")
-            self._topics[topic] = Topic(topic, type_name)
+            self._topics[names.check_absolute(topic, "topic")] = Topic(topic, type_name)
         return self._topics[topic]
 
     def _forget_publisher(self, publisher: TopicPublisher) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
+import signal
 
 import pytest
 from daemon_fixture import Runtime
@@ -144,20 +146,34 @@ def test_a_call_that_needs_time_says_that_the_world_is_paused(client: Client) ->
     assert client.call("/slidectl/status")["paused"] is True
 
 
-def test_names_are_resolved_among_those_that_are_published_or_subscribed(daemon: Runtime, client: Client) -> None:
-    with daemon.client() as other:
-        other.advertise("/one/data", "std_msgs/Int32")
-        other.advertise("/two/data", "std_msgs/Int32")
-        with other.subscribe("/two/data"):
-            assert client.resolve_topic("data", "subscribers") == "/two/data"
-            assert client.resolve_topic("data", "publishers", namespace="/one") == "/one/data"
-            assert client.resolve_topic("/two/data") == "/two/data"
-            with pytest.raises(AmbiguousName, match="/one/data, /two/data"):
-                client.resolve_topic("data", "publishers")
-            with pytest.raises(UnknownName, match="two/data"):
-                client.resolve_topic("dat", "subscribers")
-            with pytest.raises(UnknownName):
-                client.resolve_topic("/one/data", "subscribers")
+def test_an_earlier_refusal_is_no_reason_not_to_subscribe(client: Client) -> None:
+    with client.subscribe("/strict", "std_msgs/Int32") as strict:
+        client.publish("/strict", {"data": "seven"})
+        with client.subscribe("/other", "std_msgs/Int32") as other, client.rosout():
+            client.publish("/other", {"data": 7})
+            with pytest.raises(MessageRefused, match="data"):
+                client.flush()
+            assert (len(strict), other.get()) == (0, {"data": 7})
+
+
+def test_an_advertisement_that_was_refused_is_refused_again(client: Client) -> None:
+    for _ in range(2):
+        client.advertise("/odd", "no_such/Type")
+        with pytest.raises(MessageRefused, match="no_such/Type"):
+            client.flush()
+
+
+def test_a_subscription_that_was_not_answered_is_taken_back(daemon: Runtime) -> None:
+    with daemon.client(timeout=0.5) as client, daemon.client() as observer:
+        os.kill(client.daemon_pid, signal.SIGSTOP)
+        try:
+            with pytest.raises(TimedOut):
+                client.subscribe("/late", "std_msgs/Int32")
+        finally:
+            os.kill(client.daemon_pid, signal.SIGCONT)
+        client.timeout = 10.0
+        client.call("/rosapi/get_time")
+        assert observer.call("/rosapi/subscribers", {"topic": "/late"})["subscribers"] == []
 
 
 def test_services_are_found_by_their_end(client: Client) -> None:
@@ -200,3 +216,19 @@ def test_a_call_times_out_although_messages_keep_coming(client: Client, daemon: 
             client.call("/slidectl/sleep", {"duration": 1e6}, timeout=0.05)
         driver.call("/gazebo/pause_physics")  # gives the steps up
         assert driver.answer(steps)["success"] is False
+
+
+def test_names_are_resolved_among_those_that_are_published_or_subscribed(daemon: Runtime, client: Client) -> None:
+    with daemon.client() as other:
+        other.advertise("/one/data", "std_msgs/Int32")
+        other.advertise("/two/data", "std_msgs/Int32")
+        with other.subscribe("/two/data"):
+            assert client.resolve_topic("data", "subscribers") == "/two/data"
+            assert client.resolve_topic("data", "publishers", namespace="/one") == "/one/data"
+            assert client.resolve_topic("/two/data") == "/two/data"
+            with pytest.raises(AmbiguousName, match="/one/data, /two/data"):
+                client.resolve_topic("data", "publishers")
+            with pytest.raises(UnknownName, match="two/data"):
+                client.resolve_topic("dat", "subscribers")
+            with pytest.raises(UnknownName):
+                client.resolve_topic("/one/data", "subscribers")

@@ -6,7 +6,9 @@ from slidectl.control import params
 from slidectl.errors import Refused
 
 
-@pytest.mark.parametrize(("value", "number"), [(1, 1.0), (2.5, 2.5), (True, None), ("1.0", None), ("1e-3", None)])
+@pytest.mark.parametrize(
+    ("value", "number"), [(1, 1.0), (2.5, 2.5), (True, None), ("1.0", None), ("1e-3", None), (10**400, None)]
+)
 def test_a_number_is_an_int_or_a_float(value, number):
     assert params.as_number(value) == number
 
@@ -29,7 +31,9 @@ def test_a_list_of_strings_has_nothing_else_in_it(value, texts):
     assert params.as_texts(value) == texts
 
 
-@pytest.mark.parametrize(("value", "numbers"), [([1, 2.5, True], [1.0, 2.5, 1.0]), ([1, "2"], None), (1.0, None)])
+@pytest.mark.parametrize(
+    ("value", "numbers"), [([1, 2.5, True], [1.0, 2.5, 1.0]), ([1, "2"], None), (1.0, None), ([10**400], None)]
+)
 def test_a_list_of_numbers_takes_booleans_too(value, numbers):
     assert params.as_numbers(value) == numbers
 

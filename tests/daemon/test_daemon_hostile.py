@@ -20,6 +20,7 @@ from slidectl.client.lines import LONGEST_LINE
 from slidectl.daemon.listener import refusal
 
 Connect = Callable[[], Wire]
+NESTED = b"[" * 600 + b"NaN" + b"]" * 600
 
 
 def resident_bytes(pid: int) -> int:
@@ -61,6 +62,11 @@ def resident_bytes(pid: int) -> int:
         b'{"op": "call_service"}',
         b'{"op": "set_level"}',
         b'{"op": "publish", "topic": "/clock", "msg": {"clock": {"secs": 1e400}}}',
+        b'{"op": "subscribe", "topic": "/clock", "throttle_rate": 1' + b"0" * 400 + b"}",
+        b'{"op": "call_service", "service": ' + NESTED + b"}",
+        b'{"op": "publish", "topic": "/clock", "msg": {}, "id": ' + NESTED + b"}",
+        b'{"op": "set_level", "level": "none", "id": ' + b'"' + b"i" * 1001 + b'"}',
+        b'{"op": ' + NESTED + b"}",
         b"[" * 100_000,
         b'{"a":' * 50_000,
     ],
@@ -90,6 +96,36 @@ def test_ids_of_any_kind_come_back_as_they_were(wire: Wire) -> None:
         wire.send(op="subscribe", id=given, topic="/clock")
         wire.send(op="unsubscribe", id=given, topic="/clock")
         assert wire.call("/rosapi/get_time")["result"] is True
+
+
+@pytest.mark.parametrize("line", [NESTED, b'"' + b"i" * 1_000_000 + b'"'], ids=["nested", "long"])
+def test_an_id_that_cannot_be_told_back_stops_no_world(wire: Wire, line: bytes) -> None:
+    wire.raw(b'{"op": "call_service", "service": "/slidectl/sleep", "args": {"duration": 0.01}, "id": ' + line + b"}\n")
+    answer = wire.receive()
+    assert (answer["op"], answer["result"], "id" in answer) == ("service_response", False, False)
+    assert answer["values"].startswith("an id of more than ")
+    assert wire.call("/slidectl/step", cycles=50)["result"] is True
+    assert wire.call("/slidectl/status")["values"]["trouble"] == ""
+
+
+def test_calls_that_wait_are_bounded(wire: Wire) -> None:
+    for number in range(1001):
+        wire.send(op="call_service", id=number, service="/slidectl/sleep", args={"duration": 1e6})
+    answer = wire.receive()
+    assert (answer["id"], answer["result"]) == (1000, False)
+    assert answer["values"].startswith("1000 calls of this connection wait for their answers")
+    assert wire.call("/rosapi/get_time")["values"].startswith("1000 calls")
+
+
+def test_a_provider_that_does_not_read_gets_no_more_calls(wire: Wire, connect: Connect) -> None:
+    provider = connect()
+    provider.send(op="advertise_service", service="/deaf", type="rosapi/SearchParam")
+    assert provider.call("/rosapi/get_time")["result"] is True
+    for _ in range(100):
+        wire.send(op="call_service", service="/deaf", args={"name": "n" * 100_000})
+    answer = wire.receive()
+    assert (answer["service"], answer["result"]) == ("/deaf", False)
+    assert answer["values"].endswith("which provides /deaf, does not read its calls")
 
 
 def test_random_bytes_do_not_end_the_daemon(connect: Connect) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import pytest
@@ -146,8 +147,32 @@ def test_half_of_a_surrogate_pair_is_no_text(value: Any) -> None:
 
 
 def test_what_is_nested_without_end_is_refused(parameters: Parameters) -> None:
+    before = parameters.names()
     deep: list[object] = []
     for _ in range(500):
         deep = [deep]
-    with pytest.raises(UsageError, match="nested deeper"):
-        parameters.set("/deep", deep)
+    for name, value in (("/deep", deep), ("/a" * 3000, 1), ("/a", {"/b" * 3000: 1}), ("/a" * 40, {"b/" * 30: 1})):
+        with pytest.raises(UsageError, match="nested deeper"):
+            parameters.set(name, value)
+    assert parameters.names() == before
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, 10**400, [0.0, -math.inf], {"p": math.nan}])
+def test_only_finite_numbers_are_parameters(value: Any) -> None:
+    parameters = Parameters()
+    with pytest.raises(UsageError, match="is no finite number"):
+        parameters.set("/x", value)
+    assert parameters.names() == []
+
+
+def test_a_watcher_that_fails_keeps_nobody_from_hearing_of_it() -> None:
+    parameters, heard = Parameters(), []
+
+    def fail() -> None:
+        raise RuntimeError("this one")
+
+    parameters.watch("/x", fail)
+    parameters.watch("/x", lambda: heard.append(parameters.get("/x")))
+    with pytest.raises(RuntimeError, match="this one"):
+        parameters.set("/x", 1)
+    assert heard == [1]

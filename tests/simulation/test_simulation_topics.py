@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from slidectl import msgs
-from slidectl.errors import BadMessage, BadName, MessageRefused, Refused, UnknownName
+from slidectl.errors import BadMessage, BadName, MessageRefused, UnknownName
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.topics import NodePublisher, Topics, TypeConflict
 
@@ -173,9 +173,10 @@ def test_illegal_names_are_refused(topics: Topics, name: str) -> None:
         topics.advertise(name, FLOAT, "/me")
 
 
-def test_a_relative_name_is_refused(topics: Topics) -> None:
-    with pytest.raises(Refused, match="write /level"):
-        topics.advertise("level", FLOAT, "/me")
+@pytest.mark.parametrize(("name", "hint"), [("level", "write /level"), ("/", "the root of all names")])
+def test_a_name_that_is_relative_or_only_the_root_is_refused(topics: Topics, name: str, hint: str) -> None:
+    with pytest.raises(BadName, match=hint):
+        topics.advertise(name, FLOAT, "/me")
 
 
 def test_when_a_node_goes_all_that_it_had_goes(graph: Graph) -> None:
