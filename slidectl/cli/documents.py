@@ -5,6 +5,7 @@ A document is read as soon as it is complete, and the last one needs no `---`. N
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import sys
@@ -12,6 +13,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any, TextIO
 
 from slidectl.cli import values
+from slidectl.client.lines import LONGEST_LINE
 from slidectl.errors import BadFile, UsageError
 
 _ENDS = ("---", "...")
@@ -51,14 +53,26 @@ def _whole(file: TextIO, name: str) -> str:
 def from_stdin() -> Iterator[Any]:
     """The documents on stdin as they come. Raises UsageError with the number of the one that cannot be read."""
     try:
-        yield from split(sys.stdin)
+        yield from split(bounded(sys.stdin, "stdin"))
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f"cannot read stdin: {error}") from None
+
+
+def bounded(file: TextIO, name: str) -> Iterator[str]:
+    """The lines of a file, none of them without end. Raises BadFile."""
+    for number in itertools.count(1):
+        line = file.readline(LONGEST_LINE)
+        if not line:
+            return
+        if len(line) == LONGEST_LINE and line[-1] != "\n":
+            raise BadFile(f"a line longer than {LONGEST_LINE} characters", name, number)
+        yield line
 
 
 def split(lines: Iterable[str]) -> Iterator[Any]:
     """The documents in lines of text. A line that is JSON by itself is one; null in it is NaN, as on the wire."""
     pending: list[str] = []
+    size = 0
     count = 1
     after_json = False
     for line in lines:
@@ -66,13 +80,16 @@ def split(lines: Iterable[str]) -> Iterator[Any]:
             if pending:
                 yield _read(pending, count)
                 count += 1
-            pending, after_json = [], False
+            pending, size, after_json = [], 0, False
         elif not pending and (value := _json(line)) is not _NO_JSON:
             yield value
             count += 1
             after_json = True
         elif line.strip() or not after_json:
             pending.append(line)
+            size += len(line)
+            if size > LONGEST_LINE:
+                raise UsageError(f"the document {count} is longer than {LONGEST_LINE} characters")
     if any(line.strip() for line in pending):
         yield _read(pending, count)
 

@@ -6,20 +6,19 @@ It reads lines, hands each to the root command, and decides when to stop. What t
 from __future__ import annotations
 
 import io
-import itertools
 import shlex
 import sys
-from collections.abc import Callable, Hashable, Iterable, Iterator
-from typing import TextIO, TypeVar
+from collections.abc import Callable, Hashable, Iterable
+from typing import TypeVar
 
 import click
 
 from slidectl.cli import live, output, plainly
 from slidectl.cli.commands import command
 from slidectl.cli.context import DEFAULT_TIMEOUT_S, Context
+from slidectl.cli.documents import bounded
 from slidectl.cli.failure import guard
 from slidectl.client import Client
-from slidectl.client.lines import LONGEST_LINE
 from slidectl.client.picture import Picture
 from slidectl.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_NO_DAEMON, BadFile, UsageError
 
@@ -204,22 +203,11 @@ def _script(file: str | None) -> tuple[str, Iterable[str], Callable[[], None]]:
             opened = open(file, encoding="utf-8")  # noqa: SIM115 - closed by who reads it
         except OSError as error:
             raise BadFile(error.strerror or str(error), file) from None
-        return file, _bounded(opened, file), opened.close
+        return file, bounded(opened, file), opened.close
     stdin = sys.stdin
     sys.stdin = io.StringIO()
 
     def give_back() -> None:
         sys.stdin = stdin
 
-    return "stdin", _bounded(stdin, "stdin"), give_back
-
-
-def _bounded(file: TextIO, name: str) -> Iterator[str]:
-    """The lines, none of them without end. Raises BadFile."""
-    for number in itertools.count(1):
-        line = file.readline(LONGEST_LINE)
-        if not line:
-            return
-        if len(line) == LONGEST_LINE and line[-1] != "\n":
-            raise BadFile(f"a line longer than {LONGEST_LINE} characters", name, number)
-        yield line
+    return "stdin", bounded(stdin, "stdin"), give_back

@@ -13,6 +13,7 @@ from contextlib import suppress
 from typing import Any
 
 from slidectl import names, paths
+from slidectl.client import naming
 from slidectl.client.lines import LONGEST_LINE, BadLine, encode
 from slidectl.client.link import Link, command
 from slidectl.client.log import Listening, Log
@@ -97,12 +98,8 @@ class Client:
         if (topic, type, latch) in self._advertised:
             return
         advertise_id = self._advertised[topic, type, latch] = self._next_id("advertise")
-        message: Message = {"op": "advertise", "id": advertise_id, "topic": names.join("/", topic)}
-        if type is not None:
-            message["type"] = type
-        if latch:
-            message["latch"] = True
-        self._send(**message)
+        kind = {} if type is None else {"type": type}
+        self._send(op="advertise", id=advertise_id, topic=names.join("/", topic), latch=latch, **kind)
         self._published = True
 
     def publish(self, topic: str, message: Message, type: str | None = None, latch: bool = False) -> None:
@@ -199,14 +196,10 @@ class Client:
         Raises:
             UnknownName, AmbiguousName: see `slidectl.names.resolve`.
         """
-        from slidectl.client import naming
-
         return naming.topic(self, name, role, namespace)
 
     def resolve_service(self, name: str, namespace: str = "/") -> str:
         """The full name of the service that `name` means. Raises as `resolve_topic` does."""
-        from slidectl.client import naming
-
         return naming.service(self, name, namespace)
 
     # --- what arrives -------------------------------------------------------------------------------------------

@@ -314,6 +314,13 @@ def test_stdin_that_ends_in_nonsense_publishes_what_came_before(world: World, ea
     assert heard(ears, "/f") == [{"data": 1.0}]
 
 
+@pytest.mark.parametrize("words", [("pub", "/f", "--stdin"), ("ros", "rostopic", "pub", "/f", "std_msgs/Float64")])
+def test_stdin_without_an_end_of_line_is_an_error(world: World, words: tuple[str, ...]) -> None:
+    done = world.slidectl(*words, stdin="1" * (16 * 2**20))
+    assert done.returncode == 2
+    assert "stdin:1: a line longer than 16777216 characters" in done.stderr
+
+
 def test_empty_stdin_publishes_nothing(world: World, ears: dict[str, Subscription]) -> None:
     assert world.slidectl("pub", "/f", "--stdin", stdin="").returncode == 0
     assert heard(ears, "/f") == []

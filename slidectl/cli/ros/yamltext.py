@@ -5,10 +5,11 @@ Reading is done by cli.values; PyYAML is asked again only for the report.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import Any, TextIO
 
 from slidectl.cli import values
+from slidectl.cli.documents import bounded
 from slidectl.errors import SlidectlError
 
 
@@ -40,10 +41,10 @@ def read_file(file: TextIO) -> list[Any]:
         raise NotYaml(str(error)) from None
 
 
-def documents(lines: Iterable[str]) -> Iterator[Any]:
-    """The values of documents that `---` ends, as they come; the last one needs none. Raises NotYaml."""
+def documents(file: TextIO) -> Iterator[Any]:
+    """The values of documents that `---` ends, as they come; the last one needs none. Raises NotYaml, BadFile."""
     pending: list[str] = []
-    for line in lines:
+    for line in bounded(file, "stdin"):
         if line.rstrip() == "---":
             if any(line.strip() for line in pending):
                 yield read("".join(pending))
