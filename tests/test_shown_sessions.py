@@ -77,6 +77,8 @@ def test_the_sessions_of_a_page_print_what_it_shows(page: Path, environment: dic
         )
         evaluated += [command] if command.startswith("eval ") else []
         printed = "".join(line.rstrip() + "\n" for line in done.stdout.splitlines())
+        fails = any(line.lower().startswith("error:") for line in lines)
+        assert bool(done.returncode) == fails or "||" in command, f"$ {command}\nexit {done.returncode}:\n{printed}"
         assert pattern(lines).match(printed), (
             f"$ {command}\n--- printed (exit {done.returncode}):\n{printed}--- shown:\n" + "\n".join(lines)
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import Any
 
@@ -143,7 +144,9 @@ def parse_amount(text: str) -> dict[str, Any]:
     match = re.fullmatch(_SECONDS, text)
     if match:
         scale = 1e-3 if match["unit"].lower() == "ms" else 1.0
-        return {"cycles": 0, "seconds": scale * float(text[: match.start("unit")])}
+        seconds = scale * float(text[: match.start("unit")])
+        if math.isfinite(seconds):
+            return {"cycles": 0, "seconds": seconds}
     if not re.fullmatch(_STEPS, text) or int(text) == 0:
         raise UsageError(f"{text!r} is no amount of steps: write a number of cycles, or a time such as 0.5s")
     return {"cycles": int(text), "seconds": 0.0}

@@ -81,6 +81,13 @@ def test_step_does_exactly_so_much(slidectl: CommandLine) -> None:
     assert status(slidectl)["cycles"] == 621
 
 
+def test_an_amount_without_end_is_none(slidectl: CommandLine) -> None:
+    for amount in ("1e400s", "0", "-1", "soon"):
+        done = slidectl("sim", "step", amount)
+        assert (done.returncode, done.stdout) == (2, "")
+    assert "'1e400s' is no amount of steps" in slidectl("sim", "step", "1e400s").stderr
+
+
 def test_step_pauses_a_world_that_runs(slidectl: CommandLine) -> None:
     assert slidectl.ok("sim", "resume").startswith("running at ")
     slidectl.ok("sim", "step", "10")

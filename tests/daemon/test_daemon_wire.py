@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import socket
 from collections.abc import Callable
+from pathlib import Path
 
 from rosbridge_wire import Wire
 
 Connect = Callable[[], Wire]
+PROTOCOL = Path(__file__).parent.parent.parent / "docs" / "protocol.md"
 
 
 def test_a_message_reaches_the_subscriber_on_another_connection(connect: Connect) -> None:
@@ -265,3 +268,11 @@ def test_what_was_asked_over_a_half_closed_connection_is_still_answered(connect:
     wire.socket.shutdown(socket.SHUT_WR)
     assert wire.receive()["values"]["success"] is True
     assert wire.socket.recv(1) == b""
+
+
+def test_the_page_names_every_op_and_no_other(wire: Wire) -> None:
+    wire.send(op="fly")
+    known = set(wire.receive()["msg"].partition("ops: ")[2].split(", "))
+    table = PROTOCOL.read_text(encoding="utf-8").partition("| from the client")[2].partition("\n\n")[0]
+    first_cells = [row.partition("|")[0] for row in table.split("\n| ")[1:]]
+    assert {op for cell in first_cells for op in re.findall(r"`(\w+)`", cell)} == known

@@ -12,7 +12,7 @@ from slidectl.simulation.graph import WORLD_NODE
 if TYPE_CHECKING:
     from slidectl.simulation.simulation import Simulation
 
-# gazebo_msgs/GetJointProperties; Gazebo knows no planar or floating joint, and a ball is the nearest.
+# gazebo_msgs/GetJointProperties; Gazebo knows no floating joint, and a ball is the nearest; no planar one: a universal.
 TYPES = {"revolute": 0, "continuous": 1, "prismatic": 2, "fixed": 3, "floating": 4, "planar": 5}
 
 
