@@ -1,4 +1,4 @@
-"""What joint limits make of a command: the formulas of joint_limits_interface, to the bit.
+"""What joint limits make of a command: the formulas of joint_limits_interface (ros_control 0.20), to the bit.
 
 Pure arithmetic on floats, each law once. Units are those of the joint (m or rad, and per s); `dt` in s.
 The order of comparisons is part of the law: it decides what becomes of nan and of bounds the wrong way round.
@@ -46,11 +46,7 @@ def effort_saturation(
         lower = 0.0
     elif velocity > max_velocity:
         upper = 0.0
-    if command < lower:
-        command = lower
-    if upper < command:
-        command = upper
-    return command
+    return bounded(command, lower, upper)
 
 
 @law
@@ -75,17 +71,23 @@ def soft_velocity(position: float, soft_limit: float, k_position: float, max_vel
 
 
 @law
+def within_step(command: float, start: float, step: float, lowest: float, highest: float) -> float:
+    """At most one `step` from where it starts, and within the two bounds."""
+    lower = start - step
+    upper = start + step
+    if lower < lowest:
+        lower = lowest
+    if highest < upper:
+        upper = highest
+    return bounded(command, lower, upper)
+
+
+@law
 def position_saturation(
     command: float, previous: float, step: float, min_position: float, max_position: float
 ) -> float:
     """Within the position limits, and within one `step` (velocity limit times dt) of the previous command."""
-    lower = previous - step
-    upper = previous + step
-    if lower < min_position:
-        lower = min_position
-    if max_position < upper:
-        upper = max_position
-    return bounded(command, lower, upper)
+    return within_step(command, previous, step, min_position, max_position)
 
 
 @law
@@ -111,13 +113,7 @@ def position_soft_limits(
 @law
 def velocity_saturation(command: float, previous: float, step: float, max_velocity: float) -> float:
     """Within the velocity limit, and within one `step` (acceleration limit times dt) of the previous command."""
-    lower = previous - step
-    upper = previous + step
-    if lower < -max_velocity:
-        lower = -max_velocity
-    if max_velocity < upper:
-        upper = max_velocity
-    return bounded(command, lower, upper)
+    return within_step(command, previous, step, -max_velocity, max_velocity)
 
 
 @law
@@ -125,10 +121,4 @@ def velocity_soft_limits(
     command: float, velocity: float, step: float, min_velocity: float, max_velocity: float
 ) -> float:
     """Within the velocity bounds, and within one `step` (acceleration limit times dt) of the measured velocity."""
-    lower = velocity - step
-    upper = velocity + step
-    if lower < min_velocity:
-        lower = min_velocity
-    if max_velocity < upper:
-        upper = max_velocity
-    return bounded(command, lower, upper)
+    return within_step(command, velocity, step, min_velocity, max_velocity)
