@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import select
 import statistics
 import time
+from collections.abc import Callable
+from functools import partial
 
+import mujoco
+
+from benchmarks.cycles import build
 from benchmarks.harness import RRBOT_CONTROLLERS, SLIDER_CONTROLLERS, Row, daemon, percentile, process_cpu_s
 
 SECONDS = 10.0
@@ -19,6 +25,10 @@ _PR_SET_TIMERSLACK = 29
 def measure() -> list[Row]:
     """The slider alone, then RRBot alone."""
     rows = _measure("slider", SLIDER_CONTROLLERS, goals=False) + _measure("rrbot", RRBOT_CONTROLLERS, goals=True)
+    rows += [
+        _floor("a bare loop that waits 1 ms", lambda: None),
+        _floor("the same, with a bare mj_step of rrbot", _step()),
+    ]
     return rows + [_memory(engine, goal) for engine, goal in MEMORY_GOALS_MIB.items()]
 
 
@@ -49,6 +59,19 @@ def _measure(model: str, controllers: tuple[str, ...], *, goals: bool) -> list[R
     ]
 
 
+def _step() -> Callable[[], object]:
+    world = build("rrbot", RRBOT_CONTROLLERS, "plain").world
+    return partial(mujoco.mj_step, world.model, world.data)
+
+
+def _floor(name: str, action: Callable[[], object]) -> Row:
+    """What a process of Python's takes that does nothing else: a step after a sleep finds its caches cold."""
+    cpu, wall = process_cpu_s(os.getpid()), time.perf_counter()
+    bare_lateness(SECONDS / 2, action)
+    share = (process_cpu_s(os.getpid()) - cpu) / (time.perf_counter() - wall)
+    return Row(f"{name}: processor use of one core", 100 * share, "%", note="the floor")
+
+
 def _memory(engine: str, goal: float) -> Row:
     """Of a daemon with RRBot that runs, once the engine is at work."""
     with daemon("--engine", engine) as instance:
@@ -62,7 +85,7 @@ def _memory(engine: str, goal: float) -> Row:
         return Row(f"memory of the daemon with rrbot, {engine}", instance.status()["memory"] / 2**20, "MiB", goal)
 
 
-def bare_lateness(seconds: float) -> list[float]:
+def bare_lateness(seconds: float, action: Callable[[], object] = lambda: None) -> list[float]:
     """How late this process wakes from waits of a millisecond, s: what the machine itself adds at that time."""
     ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
     late = []
@@ -72,6 +95,7 @@ def bare_lateness(seconds: float) -> list[float]:
         due += 0.001
         select.select((), (), (), max(0.0, due - time.perf_counter()))
         late.append(time.perf_counter() - due)
+        action()
     return late
 
 

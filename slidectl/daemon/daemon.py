@@ -63,13 +63,18 @@ class Daemon:
         """Turn until stopped: the cycles that are due and what they published, then the sockets and what they asked."""
         _wake_punctually()
         self._log.write("info", f"slidectl {slidectl.__version__} answers on {self._start.paths.socket}")
+        server, busy = self._server, self._server.busy
         while not self._stopping:
             wait_s = self._cycles()
-            self._server.serve()
-            self._server.flush()
-            self._tidy(wait_s)
-            self._loop.poll(0.0 if self._server.busy else wait_s)
-            self._server.flush()
+            if busy.with_input:
+                server.serve()
+            if busy.with_output:
+                server.flush()
+            if wait_s is None or time.monotonic() >= self._next_tidy_s:
+                self._tidy()
+            self._loop.poll(0.0 if busy.with_input or busy.with_output else wait_s)
+            if busy.with_output:
+                server.flush()
         self._end()
 
     def _cycles(self) -> float | None:
@@ -82,11 +87,9 @@ class Daemon:
             self.simulation.graph.log("fatal", NODE, "a control cycle failed; the simulation is paused, see the log")
             return 0.0
 
-    def _tidy(self, wait_s: float | None) -> None:
+    def _tidy(self) -> None:
         """Now and then: collect garbage (the process runs without the collector, which would choose any moment)."""
         now = time.monotonic()
-        if now < self._next_tidy_s and wait_s is not None:
-            return
         self._next_tidy_s = now + _TIDY_EVERY_S
         self.simulation.engine.is_welcome = now - self._began_s > _FIRST_COMMANDS_S
         self._collect_garbage()

@@ -84,7 +84,7 @@ class Pacer:
     def turn(self) -> float | None:
         """Run what is due. Returns the wall seconds until more is due; None: not before somebody asks."""
         simulation, run = self._simulation, self._simulation.run
-        if not run.allowed(1):
+        if run.paused and not run.allowed(1):
             self._mode = None
             self.speed.stop()
             return None
@@ -130,7 +130,8 @@ class Pacer:
         now = clock()
         if now < self._due_s:
             return self._due_s - now
-        self._give_up_what_is_too_late(now)
+        if now - self._due_s > MOST_BEHIND_S:
+            self._give_up_what_is_too_late(now)
         end = now + CATCH_UP_SLICE_S
         while self._due_s <= now < end:
             late = now - self._due_s
@@ -147,10 +148,8 @@ class Pacer:
         return max(0.0, self._due_s - now)
 
     def _give_up_what_is_too_late(self, now: float) -> None:
-        behind = now - self._due_s
-        if behind > MOST_BEHIND_S:
-            self.given_up_s += behind - MOST_BEHIND_S
-            self._due_s = now - MOST_BEHIND_S
+        self.given_up_s += now - self._due_s - MOST_BEHIND_S
+        self._due_s = now - MOST_BEHIND_S
 
     def report(self) -> dict[str, float]:
         """The figures of /slidectl/status, wall seconds."""

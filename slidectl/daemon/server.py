@@ -32,9 +32,6 @@ class Busy:
         self.with_input: dict[Connection, None] = {}
         self.with_output: dict[Connection, None] = {}
 
-    def __bool__(self) -> bool:
-        return bool(self.with_input or self.with_output)
-
     def forget(self, connection: Connection) -> None:
         """It was closed."""
         self.with_input.pop(connection, None)
@@ -65,17 +62,15 @@ class Server:
 
     def serve(self) -> None:
         """Go on with those who said more than one turn allows; they come before what has arrived since."""
-        if self.busy.with_input:
-            connections, self.busy.with_input = self.busy.with_input, {}
-            for connection in connections:
-                connection.serve()
+        connections, self.busy.with_input = self.busy.with_input, {}
+        for connection in connections:
+            connection.serve()
 
     def flush(self) -> None:
         """Send what the clients take."""
-        if self.busy.with_output:
-            connections, self.busy.with_output = self.busy.with_output, {}
-            for connection in connections:
-                connection.flush()
+        connections, self.busy.with_output = self.busy.with_output, {}
+        for connection in connections:
+            connection.flush()
 
     def close(self, farewell: str) -> None:
         """Say goodbye to all and let go of everything. What a client does not take at once is lost."""

@@ -86,16 +86,18 @@ class Loop:
         Raises:
             Diverged: the state of a robot is no longer a number, and nobody drives.
         """
-        self.between_cycles("step")
+        if self.in_cycle:
+            self.between_cycles("step")
         if not self.engine.is_settled:
             self.engine.advance(cycles)
         compiled = self.engine.cycles if self.driven or cycles >= FEW else None
-        left = cycles
+        left, run = cycles, self.run
         try:
             while left > 0:
-                done, trouble = self._burst(self.run.until_answer(left), compiled)
+                done, trouble = self._burst(run.until_answer(left) if run.requests else left, compiled)
                 left -= done
-                self.run.took(done)
+                if run.requests:
+                    run.took(done)
                 if trouble is not None:
                     self._give_up(trouble)
                     break

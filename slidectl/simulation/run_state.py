@@ -34,12 +34,13 @@ class RunState:
         """What holds the world, when nobody asked for that."""
         self.on_halt: Callable[[], None] = _nothing
         """Called when the world comes to a stand: by `pause`, after the last step, or when nobody waits for steps."""
-        self._requests: deque[StepRequest] = deque()
+        self.requests: deque[StepRequest] = deque()
+        """Who waits for steps, in the order of asking."""
 
     @property
     def pending_steps(self) -> int:
         """Cycles that were asked for and have not run yet."""
-        return sum(request.remaining for request in self._requests)
+        return sum(request.remaining for request in self.requests)
 
     def pause(self) -> None:
         """Hold the world; steps that somebody waits for are given up."""
@@ -72,33 +73,33 @@ class RunState:
         self.paused = True
         request = StepRequest(cycles, Pending())
         request.pending.on_cancel = lambda: self._drop(request)
-        self._requests.append(request)
+        self.requests.append(request)
         return request.pending
 
     def until_answer(self, cycles: int) -> int:
         """`cycles`, cut at the end of the first request, so that it is answered in its own cycle."""
-        return min(cycles, self._requests[0].remaining) if self._requests else cycles
+        return min(cycles, self.requests[0].remaining) if self.requests else cycles
 
     def took(self, cycles: int) -> None:
         """So many cycles have run, not more than `until_answer` allowed."""
-        if self._requests:
-            self._requests[0].remaining -= cycles
-            if self._requests[0].remaining <= 0:
-                request = self._requests.popleft()
+        if self.requests:
+            self.requests[0].remaining -= cycles
+            if self.requests[0].remaining <= 0:
+                request = self.requests.popleft()
                 request.pending.resolve(request.asked)
                 self._look_for_halt()
 
     def abandon_steps(self, reason: str) -> None:
         """Forget the steps; those who wait are told the reason."""
-        while self._requests:
-            request = self._requests.popleft()
+        while self.requests:
+            request = self.requests.popleft()
             done = request.asked - request.remaining
             request.pending.reject(Refused(f"{reason} after {done} of {request.asked} cycles"))
         self._look_for_halt()
 
     def _drop(self, request: StepRequest) -> None:
-        if request in self._requests:
-            self._requests.remove(request)
+        if request in self.requests:
+            self.requests.remove(request)
             self._look_for_halt()
 
     def _look_for_halt(self) -> None:

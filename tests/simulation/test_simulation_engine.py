@@ -382,7 +382,7 @@ def test_an_error_of_the_physics_is_an_error_and_no_end_of_the_process() -> None
     from slidectl.physics.engine import _library
 
     text = create_string_buffer(b"no room for contacts")
-    cycles._step_address = cast(_library().mju_error, c_void_p).value or 0  # type: ignore[union-attr]
+    cycles._progress.step = cast(_library().mju_error, c_void_p).value or 0  # type: ignore[union-attr]
     cycles._progress.model = addressof(text)
     with pytest.raises(EngineError, match="no room for contacts"):
         cycles.run(5)

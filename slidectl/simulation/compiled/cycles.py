@@ -47,6 +47,7 @@ class CompiledCycles:
         self._addresses = array("Q")
         self._outside = array("d")
         """Efforts from outside by dof."""
+        self._has_outside = False
         self._step: Callable[[], None] | None = None
         """What made a step of the physics when that was last looked at."""
 
@@ -89,7 +90,7 @@ class CompiledCycles:
             self._released.append(seat)
             seat.release()
 
-    def _prepare(self) -> Tables:
+    def _prepare(self) -> None:
         if self._is_new or any(seat.is_outdated() for seat in self._released):
             self._seat_robots()
         for seat in self._released:
@@ -98,7 +99,6 @@ class CompiledCycles:
         self._released = [seat for seat in self._released if not seat.is_taken]
         if self._topic_changes != self._graph.topics.changes:
             self._look_for_listeners(self._tables)
-        return self._tables
 
     def _seat_robots(self) -> None:
         """Rows for robots that have come, and other rows for those that are not what they were."""
@@ -134,30 +134,34 @@ class CompiledCycles:
         progress, loads = self._progress, self._world.loads
         self._step = self._world.step
         progress.step = self._step_address if self._world.steps_alone else 0
-        if progress.has_outside or loads.efforts:
+        if self._has_outside or loads.efforts:
             for dof in range(len(self._outside)):
                 self._outside[dof] = loads.efforts.get(dof, 0.0)
-        progress.has_outside = bool(loads.efforts)
+        progress.has_outside = self._has_outside = bool(loads.efforts)
 
     # -- the cycles ------------------------------------------------------------------------------------------------
 
     def run(self, count: int) -> int:
         """At most `count` cycles, up to and with the first after which a timer is due, or the physics diverged."""
-        loop, clock, progress = self._loop, self._graph.clock, self._progress
-        progress.robot, progress.controller = NEW_CYCLE, 0
-        progress.time_ns, progress.step_ns, progress.cycles = clock.time_ns, loop.step_ns, clock.cycles
+        loop, world, clock, progress = self._loop, self._world, self._graph.clock, self._progress
         before = clock.cycles
-        tables = self._prepare()
-        self._look_outside()
+        progress.time_ns, progress.step_ns, progress.cycles = clock.time_ns, loop.step_ns, before
+        # At real time this is called for every cycle, with cold caches: what has not changed is not looked at again.
+        if self._is_new or self._released or self._topic_changes != self._graph.topics.changes:
+            self._prepare()
+        if self._step is not world.step or self._has_outside or world.loads.efforts:
+            self._look_outside()
         loop.in_cycle = True
         try:
-            self._turns(tables, before + count)
+            self._turns(self._tables, before + count)
         finally:
             loop.in_cycle = False
             clock.time_ns = progress.time_ns
-            clock.cycles = progress.cycles + (progress.robot != NEW_CYCLE)
+            clock.cycles = progress.cycles
             if progress.robot != NEW_CYCLE:  # an error ended a cycle half-way
+                clock.cycles += 1
                 self.release_all()
+                progress.robot, progress.controller = NEW_CYCLE, 0
         done = clock.cycles - before
         if clock.time_ns >= self._graph.timers.next_ns:
             if not loop.driven:  # a script's own timers look at what the script holds
@@ -178,7 +182,7 @@ class CompiledCycles:
             turn = code(addresses)
             clock.time_ns = progress.time_ns
             if turn == rows.DONE or turn == rows.DIVERGED:
-                if self._is_last(end, turn):
+                if progress.cycles >= end or self._is_last(end, turn):
                     break
                 next_ns = -1
                 continue
@@ -193,7 +197,8 @@ class CompiledCycles:
     def _allow(self, tables: Tables, end: int) -> None:
         """Say how many cycles may come before the interpreter must look again."""
         progress = self._progress
-        progress.left = self._until_timer(end - progress.cycles)
+        left = end - progress.cycles
+        progress.left = left if left == 1 else self._until_timer(left)
         if self._graph.clock_topic.publisher.wanted:
             progress.left = 1
             if progress.robot == NEW_CYCLE:
