@@ -55,7 +55,7 @@ class Daemon:
         graph.log.sink = self._keep_line
         graph.services.advertise("/slidectl/shutdown", "slidectl/Shutdown", NODE, self._shut_down)
         self._loop = EventLoop()
-        self._pacer = Pacer(self.simulation, knocked=self._loop.is_ready)
+        self._pacer = Pacer(self.simulation.loop, knocked=self._loop.is_ready)
         self._server = Server(listener, self._loop, graph, self._unexpected)
         self._watch_signals()
 
@@ -63,9 +63,12 @@ class Daemon:
         """Turn until stopped: the cycles that are due and what they published, then the sockets and what they asked."""
         _wake_punctually()
         self._log.write("info", f"slidectl {slidectl.__version__} answers on {self._start.paths.socket}")
-        server, busy = self._server, self._server.busy
+        turn, server, busy = self._pacer.turn, self._server, self._server.busy
         while not self._stopping:
-            wait_s = self._cycles()
+            try:
+                wait_s = turn()
+            except Exception:
+                wait_s = self._hold()
             if busy.with_input:
                 server.serve()
             if busy.with_output:
@@ -77,15 +80,12 @@ class Daemon:
                 server.flush()
         self._end()
 
-    def _cycles(self) -> float | None:
-        """What the pacer says. A fault of ours in a cycle holds the world and is told, instead of ending it."""
-        try:
-            return self._pacer.turn()
-        except Exception:
-            self._unexpected("a control cycle failed")
-            self.simulation.run.hold("a control cycle failed, see the log", "a control cycle failed")
-            self.simulation.graph.log("fatal", NODE, "a control cycle failed; the simulation is paused, see the log")
-            return 0.0
+    def _hold(self) -> float:
+        """A fault of ours in a cycle holds the world and is told, instead of ending it."""
+        self._unexpected("a control cycle failed")
+        self.simulation.run.hold("a control cycle failed, see the log", "a control cycle failed")
+        self.simulation.graph.log("fatal", NODE, "a control cycle failed; the simulation is paused, see the log")
+        return 0.0
 
     def _tidy(self) -> None:
         """Now and then: collect garbage (the process runs without the collector, which would choose any moment)."""

@@ -34,15 +34,14 @@ class Wishes(Protocol):
 
 
 class Steppable(Protocol):
-    """What is paced (simulation.Simulation)."""
+    """What is paced (simulation.loop.Loop)."""
 
     @property
     def run(self) -> Wishes:
         """The wishes."""
 
-    @property
-    def timestep_ns(self) -> int:
-        """Nanoseconds of one cycle."""
+    step_ns: int
+    """Nanoseconds of one cycle."""
 
     def step(self, cycles: int = 1) -> int:
         """Run so many cycles; fewer when the physics diverges."""
@@ -88,15 +87,15 @@ class Pacer:
             self._mode = None
             self.speed.stop()
             return None
-        mode = (math.inf if run.paused else run.speed, simulation.timestep_ns)
+        mode = (math.inf if run.paused else run.speed, simulation.step_ns)
         if mode != self._mode:
             self._begin(mode)
         return self._run_freely() if self._is_free else self._run_paced()
 
     def _begin(self, mode: tuple[float, int]) -> None:
         self._mode = mode
-        factor, timestep_ns = mode
-        self._step_s = timestep_ns * 1e-9
+        factor, step_ns = mode
+        self._step_s = step_ns * 1e-9
         period_s = self._step_s / factor
         # A million cycles a second and more are what no machine reaches: as fast as possible comes to the same.
         self._is_free = period_s * _LONGEST_CHUNK < _SHORTEST_WAIT_S
@@ -107,7 +106,7 @@ class Pacer:
         self.lateness.clear()
 
     def _run_freely(self) -> float:
-        run, step, clock = self._simulation.run, self._simulation.step, self._clock
+        run, step, clock, speed = self._simulation.run, self._simulation.step, self._clock, self.speed
         now = clock()
         end = now + FREE_SLICE_S
         while now < end and (asked := run.allowed(self._chunk)):
@@ -117,7 +116,9 @@ class Pacer:
                 break
             duration = (now - began) / done
             self.durations.add(duration)
-            self.speed.advance(now, done * self._step_s)
+            speed.simulated_s += done * self._step_s
+            if now >= speed.next_mark_s:
+                speed.mark(now)
             knocked = self._knocked()
             self._chunk_s = _SHORT_S if knocked else min(_LONG_S, _GROWTH * self._chunk_s)
             self._chunk = max(1, min(_LONGEST_CHUNK, int(self._chunk_s / max(duration, 1e-9))))
@@ -126,7 +127,7 @@ class Pacer:
         return 0.0
 
     def _run_paced(self) -> float:
-        step, clock, group = self._simulation.step, self._clock, self._group
+        step, clock, speed, group = self._simulation.step, self._clock, self.speed, self._group
         now = clock()
         if now < self._due_s:
             return self._due_s - now
@@ -141,7 +142,9 @@ class Pacer:
             done = step(group)
             began, now = now, clock()
             self.durations.add((now - began) / group)
-            self.speed.advance(now, done * self._step_s)
+            speed.simulated_s += done * self._step_s
+            if now >= speed.next_mark_s:
+                speed.mark(now)
             self._due_s += self._group_s
             if done < group:
                 return 0.0

@@ -50,23 +50,19 @@ class Ring:
 class SpeedMeter:
     """Simulated seconds per wall second over about the last two seconds in which the world was asked to run."""
 
-    __slots__ = ("_marks", "_next_mark_s", "simulated_s")
+    __slots__ = ("_marks", "next_mark_s", "simulated_s")
 
     def __init__(self) -> None:
         self.simulated_s = 0.0
+        """Add to it what was simulated."""
         self._marks: deque[tuple[float, float]] = deque(maxlen=_MARKS)
-        self._next_mark_s = 0.0
+        self.next_mark_s = 0.0
+        """When `mark` is due."""
 
     def begin(self, now_s: float) -> None:
         """The world was asked to run, or to run otherwise, from now on."""
         self._marks.clear()
-        self._mark(now_s)
-
-    def advance(self, now_s: float, simulated_s: float) -> None:
-        """So much was simulated until `now_s`."""
-        self.simulated_s += simulated_s
-        if now_s >= self._next_mark_s:
-            self._mark(now_s)
+        self.mark(now_s)
 
     def stop(self) -> None:
         """The world stands still."""
@@ -79,6 +75,7 @@ class SpeedMeter:
         since_s, simulated_s = self._marks[0]
         return (self.simulated_s - simulated_s) / (now_s - since_s) if now_s > since_s else 0.0
 
-    def _mark(self, now_s: float) -> None:
+    def mark(self, now_s: float) -> None:
+        """So far it is at that time."""
         self._marks.append((now_s, self.simulated_s))
-        self._next_mark_s = now_s + _MARK_EVERY_S
+        self.next_mark_s = now_s + _MARK_EVERY_S

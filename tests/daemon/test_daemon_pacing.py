@@ -17,7 +17,7 @@ class FakeSimulation:
 
     def __init__(self, cost_s: float = 10e-6) -> None:
         self.run = RunState()
-        self.timestep_ns = 1_000_000
+        self.step_ns = 1_000_000
         self.now_s = 1000.0
         self.cost_s = cost_s
         self.cycles = 0
@@ -154,7 +154,7 @@ def test_another_speed_takes_effect_from_now_on(simulation: FakeSimulation, pace
 
 
 def test_short_cycles_are_grouped_so_that_the_loop_sleeps(simulation: FakeSimulation, pacer: Pacer) -> None:
-    simulation.timestep_ns = 100_000
+    simulation.step_ns = 100_000
     pacer.turn()
     assert simulation.cycles == 10
     wait = pacer.turn()

@@ -176,7 +176,9 @@ class CompiledCycles:
         clock, timers, topics, clock_publisher = graph.clock, graph.timers, graph.topics, graph.clock_topic.publisher
         next_ns = -1
         while True:
-            if timers.next_ns != next_ns or clock_publisher.wanted:
+            if end - progress.cycles == 1 and not clock_publisher.wanted:
+                progress.left = 1
+            elif timers.next_ns != next_ns or clock_publisher.wanted:
                 next_ns = timers.next_ns
                 self._allow(tables, end)
             turn = code(addresses)
@@ -197,8 +199,7 @@ class CompiledCycles:
     def _allow(self, tables: Tables, end: int) -> None:
         """Say how many cycles may come before the interpreter must look again."""
         progress = self._progress
-        left = end - progress.cycles
-        progress.left = left if left == 1 else self._until_timer(left)
+        progress.left = self._until_timer(end - progress.cycles)
         if self._graph.clock_topic.publisher.wanted:
             progress.left = 1
             if progress.robot == NEW_CYCLE:
