@@ -12,7 +12,7 @@ from itertools import product
 from typing import TYPE_CHECKING
 
 from slidectl.check.findings import Findings
-from slidectl.check.repair import STAND_IN
+from slidectl.check.stand_ins import STAND_IN
 from slidectl.description.inertia import principal_moments
 from slidectl.description.robot import (
     Box,

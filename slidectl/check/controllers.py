@@ -84,10 +84,19 @@ def _tell_namespace(source: ParameterFile, tree: Tree, model: Model, checker: Co
 class ControllerCheck:
     """One tree of parameters, and the robots that may be meant in it."""
 
-    def __init__(self, source: ParameterFile, models: Sequence[Model], reader: Reader = _nobody) -> None:
+    def __init__(
+        self,
+        source: ParameterFile,
+        models: Sequence[Model],
+        reader: Reader = _nobody,
+        hint: Callable[[str], str] = lambda _: "",
+    ) -> None:
         self.source = source
         self.models = models
         self.reader = reader
+        """Which node reads a parameter that no controller reads."""
+        self.hint = hint
+        """What was meant by one that nobody reads, or nothing."""
         self.moved = False
         """True: whatever the file says, it is for the first robot."""
         self.found: dict[str, str] = {}
@@ -116,7 +125,9 @@ class ControllerCheck:
                 text = f"{shown(value)!r} is one text: a blank follows each colon between a name and its value"
                 self.source.add("wrong", below, text)
             else:
-                self.source.unknown(below, "no controller reads it, nor does the simulated hardware", value)
+                hint = self.hint(self.source.full(below))
+                text = "no controller reads it, nor does the simulated hardware" + (f"; {hint}" if hint else "")
+                self.source.unknown(below, text, value)
 
     def _hardware(self, place: str, path: str, tree: Mapping[str, Any]) -> None:
         """What simulated hardware reads, if there is any in this namespace."""

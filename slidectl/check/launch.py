@@ -45,7 +45,9 @@ def check(
     parameters = LaunchParameters(plan, tags, packages, findings, ask_others)
     nodes = launch_nodes.LaunchNodes(plan, parameters, packages, findings)
     source = ParameterFile(sources[0].shown, parameters.places, findings)
-    controllers = ControllerCheck(source, [robot.model for robot in nodes.robots if robot.model], nodes.reader)
+    controllers = ControllerCheck(
+        source, [robot.model for robot in nodes.robots if robot.model], nodes.reader, nodes.hint
+    )
     controllers.check(parameters.tree)
     nodes.tell(controllers.found, controllers.claims, tags)
     tags.classify(plan, findings)

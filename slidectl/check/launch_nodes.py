@@ -24,14 +24,13 @@ from slidectl.launch.kinds import tasks
 from slidectl.launch.nodes.process import Process
 from slidectl.launch.nodes.spawn_model import SpawnModel
 from slidectl.launch.nodes.spawner import Spawner
-from slidectl.launch.nodes.state_publishers import RobotStatePublisher
+from slidectl.launch.nodes.state_publishers import HONOURED, WITHOUT_EFFECT, RobotStatePublisher
 from slidectl.launch.nodes.tools import Tool
 from slidectl.launch.plan import Node, Place, Plan, Remap
 from slidectl.launch.task import Task
 
 _JOINT_STATES = "joint_state_controller/JointStateController"
 _VERDICTS: dict[str, Verdict] = {"refused": "wrong", "notice": "ignored"}
-_OF_PUBLISHER = ("publish_frequency", "tf_prefix")
 
 
 @dataclass(frozen=True)
@@ -102,14 +101,27 @@ class LaunchNodes:
 
     def reader(self, name: str) -> str | None:
         """Which node reads a parameter that no controller reads; None when none does."""
+        for robot in self.robots:
+            if name.endswith("/tf_prefix") and robot.namespace and names.is_under(robot.namespace, names.parent(name)):
+                return f"for the frames of {robot.name}"
         for task in self.tasks:
-            if not names.is_under(name, task.node.full_name):
+            node = task.node.full_name
+            if not names.is_under(name, node):
                 continue
-            own = name[len(task.node.full_name) + 1 :]
-            if isinstance(task, Process) or (isinstance(task, RobotStatePublisher) and own in _OF_PUBLISHER):
-                return f"for node {task.node.full_name}"
+            own = name[len(node) + 1 :]
+            if isinstance(task, Process) or (isinstance(task, RobotStatePublisher) and own in HONOURED):
+                return f"for node {node}"
             return None
         return "note: no controller reads it; a program of this launch may" if self.has_programs else None
+
+    def hint(self, name: str) -> str:
+        """Which parameter of a node may have been meant by one that it does not read, or why that has no effect."""
+        for task in self.tasks:
+            if isinstance(task, RobotStatePublisher) and names.parent(name) == task.node.full_name:
+                own = name.rpartition("/")[2]
+                near = closest(own, (*HONOURED, *WITHOUT_EFFECT))
+                return WITHOUT_EFFECT.get(own) or (f"did you mean {near!r}?" if near else "")
+        return ""
 
     # --- what they look for -------------------------------------------------------------------------------------------
 

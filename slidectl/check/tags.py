@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator
 
 from slidectl.check.findings import Findings
-from slidectl.check.repair import STAND_IN
+from slidectl.check.stand_ins import STAND_IN
 from slidectl.check.traced import Trace, plain
 from slidectl.description.report import is_namespace
 from slidectl.description.robot import Notice, Verdict
@@ -109,7 +109,7 @@ def _content(element: Element, spoken: Collection[str | None]) -> str:
         for name, value in attributes.items()
         if name not in spoken and name != titled and not is_namespace(name)
     ]
-    tags = list(dict.fromkeys(f"<{child.tag}>" for child in plain(element).children))
+    tags = list(dict.fromkeys(f"<{child.tag}>" for child in plain(element).children if child.line != STAND_IN))
     if text := plain(element).first_text:
         shown.append(text if len(text) <= _LONGEST else text[:_LONGEST] + " ...")
     elif tags:

@@ -23,6 +23,7 @@ SIM_TYPES = (_SIM_TYPE, "DefaultRobotHWSim")
 """The hardware that there is, by its names."""
 _MOST_COMPARED = 1000
 _PARAMETERS = {"robotNamespace", "robotParam", "robotSimType", "controlPeriod", "eStopTopic", "legacyModeNS"}
+_OF_LINK = ("mu1", "mu2", "material", "selfCollide", "turnGravityOff")
 _YES = ("true", "yes", "1")
 _NO = ("false", "no", "0")
 
@@ -121,7 +122,9 @@ class GazeboReader:
         elif child.tag == "plugin" and _is_control(child):
             self.report.wrong(child, "has no effect in here: it belongs into a <gazebo> without a reference", place)
         else:
-            self.report.ignored(child, "has no effect here", place)
+            near = closest(child.tag, _OF_LINK)
+            hint = f"; did you mean <{near}>?" if near else ""
+            self.report.ignored(child, f"has no effect here{hint}", place)
 
     def _set(self, link: str, **fields: Any) -> None:
         self.surfaces[link] = replace(self.surfaces.get(link, Surface()), **fields)

@@ -32,11 +32,15 @@ ENABLED = "enabled"
 
 
 class StatePublisher:
-    """One robot's transforms. Frames carry `tf_prefix` if that parameter is found in or above the node's namespace."""
+    """One robot's transforms. Frames carry `tf_prefix` if that parameter is found in or above the node's namespace.
 
-    def __init__(self, simulation: Simulation, robot: SpawnedRobot) -> None:
+    `chosen` is a prefix that nobody asked for: with that one all robots still share the frame `world`.
+    """
+
+    def __init__(self, simulation: Simulation, robot: SpawnedRobot, chosen: str = "") -> None:
         self._simulation = simulation
         self._robot = robot
+        self._chosen = chosen
         self._moving = [joint for joint in robot.paper.joints.values() if joint.type != "fixed"]
         self._node = names.join(robot.namespace, NODE)
         self._prefix = ""
@@ -94,8 +98,9 @@ class StatePublisher:
         return SECOND // FREQUENCY_HZ
 
     def frame(self, link: str) -> str:
-        """Name of a link's frame. All robots share the frame `world`."""
-        return link if link == "world" or not self._prefix else f"{self._prefix}/{link}"
+        """Name of a link's frame."""
+        is_shared = link == "world" and self._prefix == self._chosen
+        return link if is_shared or not self._prefix else f"{self._prefix}/{link}"
 
     def frames(self) -> set[str]:
         """All frames but the world's."""
@@ -144,7 +149,8 @@ def companion(simulation: Simulation) -> Callable[[SpawnedRobot], Callable[[], N
         others = {frame for publisher in publishers.values() for frame in publisher.frames()}
         clash = others & (set(robot.paper.links) - {"world"})
         chosen = _choose_prefix(simulation, robot) if clash and not _prefix(simulation, robot) else None
-        publisher = publishers[robot.name] = StatePublisher(simulation, robot)
+        prefix = _prefix(simulation, robot) if chosen else ""
+        publisher = publishers[robot.name] = StatePublisher(simulation, robot, prefix)
 
         def take_back() -> None:
             del publishers[robot.name]

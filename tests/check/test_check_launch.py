@@ -265,3 +265,19 @@ def test_a_controller_that_two_spawners_load_is_wrong(launch: Launch) -> None:
 def test_joint_states_that_nobody_starts_are_a_note_that_names_who_would(launch: Launch) -> None:
     lines = launch(ROBOT, SPAWN, LOAD, START.replace(" states", ""), FRAMES)
     assert lines.about("note: nothing in this launch publishes /bot/joint_states; /bot/states would")
+
+
+def test_a_prefix_of_frames_is_used_by_the_robots_below(launch: Launch) -> None:
+    lines = launch(*ALL, '<param name="/bot/tf_prefix" value="a"/>', '<param name="/else/tf_prefix" value="a"/>')
+    assert "used 7 /bot/tf_prefix: for the frames of bot" in lines.all
+    assert [line.partition(":")[0] for line in lines.of("ignored")] == ["ignored 8 /else/tf_prefix"]
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [("publish_freqency", "did you mean 'publish_frequency'?"), ("use_tf_static", "fixed joints are on /tf_static")],
+)
+def test_a_parameter_that_the_state_publisher_does_not_read_has_a_hint(launch: Launch, name: str, hint: str) -> None:
+    frames = FRAMES.replace("<remap", f'<param name="{name}" value="1"/><remap')
+    (line,) = [line for line in launch(*ALL[:4], frames).of("ignored") if name in line]
+    assert hint in line

@@ -248,3 +248,60 @@ def test_a_file_that_is_not_there_is_an_error_and_no_finding(tmp_path: Path) -> 
         check([str(tmp_path / "none.urdf")], {}, Packages())
     with pytest.raises(UnknownName, match="Did you mean 'slider'"):
         check(["slidr"], {}, Packages())
+
+
+def tree(*joints: str, more: str = "") -> str:
+    """Links a, b and c, each on a line, joints from line 6 on, and behind them a tag that nobody knows."""
+    links = [f'<link name="{name}">{INERTIAL}</link>' for name in "abc"]
+    return "\n".join(['<robot name="r">', '<link name="world"/>', *links, *joints, more + "<unknown/></robot>"])
+
+
+def joint(name: str, parent: str, child: str, kind: str = "continuous") -> str:
+    return f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/></joint>'
+
+
+SOUND = joint("one", "world", "a"), joint("two", "a", "b"), joint("three", "b", "c")
+BROKEN = {
+    "type": (tree(joint("one", "world", "a", "continous"), *SOUND[1:]), ["wrong 6 no joint type 'continous'"]),
+    "no type": (tree(SOUND[0].replace("type", "tipe"), *SOUND[1:]), ["wrong 6 lacks the attribute 'type'"]),
+    "no name": (tree(SOUND[0].replace("name", "nom"), *SOUND[1:]), ["wrong 6 lacks the attribute 'name'"]),
+    "parent": (tree(SOUND[0], joint("two", "aa", "b"), SOUND[2]), ["wrong 7 parent: no link 'aa'"]),
+    "child": (tree(*SOUND[:2], joint("three", "b", "cc")), ["wrong 8 child: no link 'cc'"]),
+    "no child": (tree(*SOUND[:2], SOUND[2].replace('<child link="c"/>', "")), ["wrong 8 lacks <child>"]),
+    "twin joint": (tree(*SOUND[:2], joint("two", "b", "c")), ["wrong 8 joint 'two' is there twice"]),
+    "twin link": (tree(*SOUND, more='<link name="a"/>'), ["wrong 9 link 'a' is there twice"]),
+    "two roots": (tree(*SOUND, more='<link name="lonely"/>'), ["wrong 9 the robot has more than one root link"]),
+    "two parents": (tree(*SOUND, joint("four", "a", "c")), ["wrong 9 link 'c' is the child of two joints"]),
+    "circle": (tree(joint("one", "c", "a"), *SOUND[1:]), ["wrong 6 links go round in a circle"]),
+    "several": (
+        tree(joint("one", "wrld", "a", "continous"), joint("two", "aa", "bb", "fixd"), SOUND[2]),
+        [
+            "wrong 6 no joint type 'continous'",
+            "wrong 7 no joint type 'fixd'",
+            "wrong 6 parent: no link 'wrld'",
+            "wrong 7 parent: no link 'aa'",
+            "wrong 7 child: no link 'bb'",
+        ],
+    ),
+}
+
+
+@pytest.mark.parametrize(("xml", "faults"), BROKEN.values(), ids=BROKEN)
+def test_a_tree_that_is_broken_is_named_and_the_rest_looked_at(model: Check, xml: str, faults: list[str]) -> None:
+    lines = model(xml)
+    wrong = lines.of("wrong")
+    for fault in faults:
+        start, text = fault[:7], fault[8:]
+        assert [line for line in wrong if line.startswith(start) and text in line], (fault, wrong)
+    assert len(wrong) == len(faults)
+    assert any("<unknown>" in line for line in lines.of("ignored"))
+    assert "used 5 link 'c'/<inertial>/<mass>: value=\"1\"" in lines.all
+
+
+def test_a_fault_in_a_tag_of_gazebo_hides_no_other(model: Check) -> None:
+    inside = "<mu1>abc</mu1><materal>Gazebo/Red</materal><selfCollide>maybe</selfCollide>"
+    lines = model(driven_cart(f'<gazebo reference="cart">{inside}</gazebo>'))
+    assert [line.split(": ")[0] for line in lines.of("wrong")] == [
+        "wrong 7 <mu1>", 'wrong 7 <gazebo reference="cart">/<selfCollide>',
+    ]  # fmt: skip
+    assert "<materal>: has no effect here; did you mean <material>?" in lines.of("ignored")[0]

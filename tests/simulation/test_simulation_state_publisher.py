@@ -101,3 +101,28 @@ def test_a_state_publisher_can_be_taken_out_of_the_graph_and_put_back(simulation
     simulation.parameters.delete(enabled)
     assert listeners.publishers("/tf") == ["/cart/robot_state_publisher"]
     assert all(name.startswith("left/") for names in frames(simulation, "/tf", 20) for name in names)
+
+
+def parents(simulation: Simulation) -> set[str]:
+    """The frames that others hang on."""
+    found: set[str] = set()
+    for topic in ("/tf", "/tf_static"):
+        subscription = simulation.subscribe(
+            topic, lambda message: found.update(each["header"]["frame_id"] for each in message["transforms"])
+        )
+        simulation.step(50)
+        subscription.close()
+    return found
+
+
+def test_a_prefix_that_was_asked_for_goes_before_the_world_too_and_a_chosen_one_does_not() -> None:
+    simulation = Simulation()
+    simulation.spawn(cart(), "one", "/one")
+    simulation.spawn(cart(), "two", "/two")
+    assert "world" in parents(simulation)
+    assert not {"one/world", "two/world"} & parents(simulation)
+    simulation.parameters.set("/one/robot_state_publisher/tf_prefix", "first")
+    assert "first/world" in parents(simulation)
+    simulation.parameters.set("/two/robot_state_publisher/tf_prefix", "second")
+    assert {"first/world", "second/world"} <= parents(simulation)
+    assert "world" not in parents(simulation)

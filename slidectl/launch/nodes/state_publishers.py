@@ -9,8 +9,9 @@ from slidectl.errors import Refused, closest
 from slidectl.launch.plan import Node, Place, Plan
 from slidectl.launch.task import HOOK_LIMIT_S, Run, Task
 
-_HONOURED = ("publish_frequency", "tf_prefix")
-_WITHOUT_EFFECT = {
+HONOURED = ("publish_frequency", "tf_prefix")
+"""The parameters of the node that count; tf_prefix does in the namespaces above it, too."""
+WITHOUT_EFFECT = {
     "use_tf_static": "fixed joints are on /tf_static always",
     "ignore_timestamp": "the frames are those of the moment when they are published",
     "use_robot_description": "the description is the robot's own",
@@ -53,13 +54,13 @@ class RobotStatePublisher(Task):
         place = names.join(robot["namespace"], "robot_state_publisher")
         if run.parameter(names.join(place, "enabled")) is False:  # `rosnode kill` has ended it
             run.call("/rosapi/delete_param", {"name": names.join(place, "enabled")})
-        for parameter in _HONOURED:
+        for parameter in HONOURED:
             own = names.join(self.node.full_name, parameter)
             value = run.parameter(own)
             if value is not None and names.join(place, parameter) != own:
                 run.set_parameter(names.join(place, parameter), value)
                 self.copied.append(names.join(place, parameter))
-        for parameter, why in _WITHOUT_EFFECT.items():
+        for parameter, why in WITHOUT_EFFECT.items():
             if run.parameter(names.join(self.node.full_name, parameter)) is not None:
                 self.warn(run, f"the parameter {parameter} has no effect: {why}")
         frequency = run.parameter(names.join(place, "publish_frequency"))
