@@ -6,12 +6,15 @@ As roslaunch does it, there is no shell: words, quotes, and nothing is expanded.
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 from slidectl.description.packages import is_file
+from slidectl.description.robot import Notice
 from slidectl.description.xml_tree import MOST_BYTES
 from slidectl.errors import BadFile, SlidectlError
 from slidectl.launch.children import run
+from slidectl.launch.files import shown
 from slidectl.launch.tag import Tag
 
 _XACRO = ("xacro", "xacro.py")
@@ -46,24 +49,31 @@ class Command:
             raise
         except SlidectlError as error:
             raise self.tag.error(error.message, error.hint) from None
-        self.tag.plan.notices += document.report
+        self.tag.plan.notices += map(self._placed, document.report)
         return document.xml
 
+    def _placed(self, notice: Notice) -> Notice:
+        """What is said of an argument of the command belongs to the line where that stands."""
+        if notice.line is not None:
+            return notice
+        place = self.tag.place
+        return replace(notice, text=f"{notice.text} (of {shown(self.file)})", file=place.file, line=place.line)
+
     def _run(self) -> str:
-        shown = " ".join(self.words)
+        words = " ".join(self.words)
         try:
             code, output = run(self.words, self.tag.scope.launch.environment, MOST_BYTES)
         except OverflowError as error:
-            raise self.tag.error(f"the command prints {error}", f"command: {shown}") from None
+            raise self.tag.error(f"the command prints {error}", f"command: {words}") from None
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
-            raise self.tag.error(f"cannot run {self.words[0]!r}: {reason}", f"command: {shown}") from None
+            raise self.tag.error(f"cannot run {self.words[0]!r}: {reason}", f"command: {words}") from None
         if code:
-            raise self.tag.error(f"the command ended with code {code}", f"command: {shown}")
+            raise self.tag.error(f"the command ended with code {code}", f"command: {words}")
         try:
             return output.decode("utf-8")
         except UnicodeDecodeError:
-            raise self.tag.error("the command's output is no text", f"command: {shown}") from None
+            raise self.tag.error("the command's output is no text", f"command: {words}") from None
 
 
 def _is_xacro(words: list[str]) -> bool:

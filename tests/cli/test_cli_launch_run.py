@@ -228,6 +228,10 @@ FAILURES = {
         SPAWN.format("") + CONTROL.replace("joint1_pos", "joint2_pos"),
         "node /slider/control (controller_manager/spawner): no controller 'joint2_position_controller'",
     ),
+    "a controller that cannot be loaded": (
+        SPAWN.format("") + CONTROL + '<param name="/slider/joint1_position_controller/joint" value="nix"/>',
+        "cannot load joint1_position_controller",
+    ),
     "a description that is not set": (
         SPAWN.format("").replace("-param robot", "-param rebot"),
         "node /urdf (gazebo_ros/spawn_model): the parameter /rebot_description is not set",
@@ -257,6 +261,7 @@ def test_whatever_fails_leaves_nothing_behind(slidectl: CommandLine, tmp_path: P
     content, text = FAILURES[name]
     path = write(tmp_path, "bad.launch", content)
     done = slidectl("launch", path)
+    assert "cannot stop" not in done.stderr
     assert done.returncode in (1, 2)
     assert text in done.stderr
     assert "bad.launch:1" in done.stderr

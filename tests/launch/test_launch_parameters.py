@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -257,6 +258,15 @@ def test_commands_can_be_refused_but_not_our_own_xacro(workspace: Workspace) -> 
     plan = workspace.load(workspace.launch_file(model), run_commands=False)
     assert "<robot" in plan.parameters()["/x"][0]
     assert not plan.settings[0].runs_command
+
+
+def test_an_argument_that_the_model_does_not_have_is_pointed_out_at_the_command(workspace: Workspace) -> None:
+    plan = workspace.plan('\n<param name="x" command="xacro $(find my_slider)/urdf/slider.xacro namspace:=/left"/>')
+    plan.parameters()
+    (notice,) = [notice for notice in plan.notices if notice.subject == "namspace:="]
+    assert (Path(notice.file).name, notice.line) == ("test.launch", 2)
+    assert "no such argument" in notice.text
+    assert "slider.xacro" in notice.text
 
 
 @pytest.mark.parametrize(

@@ -40,6 +40,7 @@ class Spawner(Task):
         self.patience_s = math.inf if words.has("--no-timeout") or limit <= 0 else limit
         self.namespace = names.join(node.namespace, words.one("--namespace"))
         self.loaded: list[str] = []
+        self.has_started = False
         self._gate: Any = None
 
     @property
@@ -60,6 +61,7 @@ class Spawner(Task):
             self.loaded.append(name)
         if not self.words.has("--stopped"):
             manager.switch(self.loaded, ())
+            self.has_started = True
         self._report(run, manager)
         return None
 
@@ -111,13 +113,16 @@ class Spawner(Task):
         self.settled(run, f"{', '.join(self.loaded)} {state} in {self.namespace}", controllers=self.loaded)
 
     def stop(self, run: Run) -> None:
-        """Stop all at once, as strictly as the real one; then unload what can be, the last first."""
+        """Stop what was started at once, as strictly as the real one; then unload what can be, the last first."""
         manager = Manager(run, self.namespace, HOOK_LIMIT_S)
         if not self.loaded or not manager.is_there():
             return
         run.heard()
         gone = []
-        _try(run, lambda: manager.switch((), self.loaded))
+        states = {} if self.has_started else manager.states()
+        running = [name for name in self.loaded if self.has_started or states.get(name) == "running"]
+        if running:
+            _try(run, lambda: manager.switch((), running))
         for name in reversed(self.loaded):
             if _try(run, lambda name=name: manager.unload(name)):
                 gone.append(name)
