@@ -9,6 +9,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from rich import box
@@ -19,7 +20,6 @@ from rich.text import Text
 
 from slidectl import Client
 
-INSTANCE = f"demo-{os.getpid()}"
 SPEED = "4"
 TARGETS = (("up", 1.0), ("middle", 0.0), ("down", -1.0))
 TOLERANCE_M = 0.02
@@ -30,12 +30,20 @@ WIDTH = 61
 
 def main() -> int:
     """Run the demo; 0 when every target was reached."""
-    console = Console(highlight=False)
+    with TemporaryDirectory() as folder:  # a place of its own, which nothing else knows
+        os.environ["XDG_RUNTIME_DIR"] = folder
+        for variable in ("SLIDECTL_SOCKET", "SLIDECTL_INSTANCE", "SLIDECTL_NAMESPACE"):
+            os.environ.pop(variable, None)
+        return demonstrate(Console(highlight=False))
+
+
+def demonstrate(console: Console) -> int:
+    """Three targets, one after the other."""
     run("daemon", "start", "--rtf", SPEED)
     try:
         run("spawn", "slider", "--controllers", "config/slider_control.yaml")
         run("controller", "spawn", "joint_state_controller", "joint1_position_controller")
-        with Client(instance=INSTANCE) as client:
+        with Client() as client:
             rows = [slide(client, console, name, target) for name, target in TARGETS]
     finally:
         run("daemon", "stop")
@@ -47,7 +55,7 @@ def run(*words: str) -> None:
     """One slidectl command, shown as a user would type it."""
     print("$ slidectl", *words, flush=True)
     slidectl = Path(sys.executable).with_name("slidectl")
-    subprocess.run([slidectl, "-i", INSTANCE, *words], check=True)
+    subprocess.run([slidectl, *words], check=True)
 
 
 def slide(client: Client, console: Console, name: str, target: float) -> dict[str, Any]:

@@ -2,8 +2,8 @@
 # RRBot as in the ros_control tutorial: load, switch, publish, stop, with the services under their full names.
 set -euo pipefail
 
-export SLIDECTL_INSTANCE="rrbot-$$"
-trap 'slidectl -q daemon stop' EXIT
+export XDG_RUNTIME_DIR="$(mktemp -d)"    # a place of its own, which nothing else knows
+trap 'slidectl -q daemon stop; rm -r "$XDG_RUNTIME_DIR"' EXIT
 
 slidectl daemon start --rtf "${RTF:-1}"
 slidectl spawn rrbot --controllers config/rrbot_control.yaml

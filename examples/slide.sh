@@ -3,8 +3,8 @@
 # and `wait` blocks in simulated time until the block is where it should be.
 set -euo pipefail
 
-export SLIDECTL_INSTANCE="slide-$$"
-trap 'slidectl -q daemon stop' EXIT
+export XDG_RUNTIME_DIR="$(mktemp -d)"    # a place of its own, which nothing else knows
+trap 'slidectl -q daemon stop; rm -r "$XDG_RUNTIME_DIR"' EXIT
 
 slidectl daemon start --rtf "${RTF:-1}"
 slidectl spawn slider --controllers config/slider_control.yaml

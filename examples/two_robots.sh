@@ -2,8 +2,8 @@
 # Two sliders side by side and RRBot behind them, in one world: names, namespaces and places keep them apart.
 set -euo pipefail
 
-export SLIDECTL_INSTANCE="two-$$"
-trap 'slidectl -q daemon stop' EXIT
+export XDG_RUNTIME_DIR="$(mktemp -d)"    # a place of its own, which nothing else knows
+trap 'slidectl -q daemon stop; rm -r "$XDG_RUNTIME_DIR"' EXIT
 
 slidectl daemon start --rtf "${RTF:-1}"
 slidectl spawn slider -n left  --at 0  1 0 --controllers config/slider_control.yaml --start joint_state_controller joint1_position_controller

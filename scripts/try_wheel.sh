@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Builds the wheel, installs it into a bare environment, and runs the slider and the samples' launch files from a folder
-# that knows no checkout. PYTHON builds; the checkout's own environment unless it is set.
+# that knows no checkout. PYTHON builds and runs it; that of the checkout's own environment unless it is set.
 set -euo pipefail
 root="$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)"
 work="$(mktemp -d)"
@@ -9,12 +9,14 @@ mkdir -m 700 "$XDG_RUNTIME_DIR"
 slidectl="$work/venv/bin/slidectl"
 trap '"$slidectl" -q daemon stop >/dev/null 2>&1 || true; rm -rf "$work"' EXIT
 
-"${PYTHON:-$root/.venv/bin/python}" -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir "$work" "$root"
-python3 -m venv "$work/venv"
+python="${PYTHON:-$root/.venv/bin/python}"
+"$python" -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir "$work" "$root"
+"$python" -m venv "$work/venv"
 "$work/venv/bin/python" -m pip install --quiet --disable-pip-version-check "$work"/slidectl-*.whl
 
 cd "$work"
 "$slidectl" version
+test -f "$work"/venv/lib/python3*/site-packages/slidectl/py.typed
 "$slidectl" daemon start --rtf max
 "$slidectl" spawn slider --controllers config/slider_control.yaml
 "$slidectl" controller spawn joint_state_controller joint1_position_controller

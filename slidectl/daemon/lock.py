@@ -6,6 +6,7 @@ must not be opened elsewhere in the process that holds the lock: closing it ther
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import os
 import struct
@@ -14,7 +15,7 @@ from pathlib import Path
 
 from slidectl.errors import Refused
 
-# struct flock: type, whence, start, length, pid
+# struct flock of 64-bit Linux: type, whence, start, length, pid
 _FLOCK = struct.Struct("hhqqi4x")
 
 
@@ -46,14 +47,17 @@ class InstanceLock:
         self._fd = -1
 
     def acquire(self) -> bool:
-        """Take the lock if it is free. False when another process has it."""
+        """Take the lock if it is free. False when another process has it. Raises Refused when there are no locks."""
         while True:
             fd = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
             try:
                 fcntl.lockf(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
+            except OSError as error:
                 os.close(fd)
-                return False
+                if error.errno in (errno.EAGAIN, errno.EACCES):
+                    return False
+                reason = f"cannot lock {self._path}: {error.strerror or error}"
+                raise Refused(reason, "choose another place with --socket PATH or XDG_RUNTIME_DIR") from None
             if self._is_current(fd):
                 break
             os.close(fd)  # its last owner removed the file between our open and our lock

@@ -11,6 +11,9 @@ from cli_graph_world import slider_world
 from cli_ros_sessions import usage
 from cli_ros_world import Shell, SlideWorld, slide_world
 
+from slidectl.cli.context import Context
+from slidectl.cli.ros import rosnode
+from slidectl.cli.ros.failure import Failure
 from slidectl.client import Client
 from slidectl.errors import NoDaemon
 
@@ -202,3 +205,26 @@ def test_a_killed_state_publisher_is_gone_until_it_is_started_again_and_gazebo_e
         assert (done.stdout, done.stderr, done.returncode) == ("killing /gazebo\nkilled\n", "", 0)
         with pytest.raises(NoDaemon):
             Client(socket=world.daemon.paths.socket_text, timeout=0.0)
+
+
+def test_all_nodes_are_killed_and_the_one_that_ends_the_daemon_is_the_last() -> None:
+    with slider_world() as world:
+        done = Shell(world.slidectl).run("rosnode kill -a")
+        assert (done.stderr, done.returncode) == ("", 0)
+        killed = re.findall(r"killing (\S+)", done.stdout)
+        assert "/slider/robot_state_publisher" in killed
+        assert killed.index("/slider/robot_state_publisher") < killed.index("/gazebo")
+        assert done.stdout.endswith("killed\n")
+        with pytest.raises(NoDaemon):
+            Client(socket=world.daemon.paths.socket_text, timeout=0.0)
+
+
+def test_a_node_of_another_pid_namespace_is_not_signalled(slide: SlideWorld, monkeypatch: pytest.MonkeyPatch) -> None:
+    signalled: list[int] = []
+    monkeypatch.setattr("slidectl.cli.ros.rosnode.os.kill", lambda pid, _number: signalled.append(pid))
+    context = Context()
+    context.socket = slide.daemon.paths.socket_text
+    with pytest.raises(Failure, match="runs in another container"):
+        rosnode._end(context, "/slidectl_0_7")
+    context.close()
+    assert signalled == []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
@@ -13,6 +14,7 @@ import pytest
 from slidectl.daemon.lock import InstanceLock, holder
 from slidectl.daemon.logfile import LogFile
 from slidectl.daemon.statistics import Ring, SpeedMeter
+from slidectl.errors import Refused
 
 
 def test_a_ring_summarizes_its_latest_values() -> None:
@@ -82,6 +84,17 @@ def test_the_lock_names_its_holder_and_is_free_when_that_has_died(tmp_path: Path
         assert lock.acquire()
         lock.release()
     assert not path.exists()
+
+
+def test_a_file_system_without_locks_is_told_from_a_lock_that_is_held(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr("slidectl.daemon.lock.fcntl.lockf", refuse)
+    with pytest.raises(Refused, match=r"cannot lock .*: No locks available"):
+        InstanceLock(tmp_path / "lock").acquire()
 
 
 def test_a_lock_that_was_never_acquired_removes_nothing(tmp_path: Path) -> None:

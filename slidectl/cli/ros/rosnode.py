@@ -231,10 +231,15 @@ def kill(ctx: Context, argv: Sequence[str]) -> None:
     unknown = [node for node in chosen if node not in known]
     if unknown:
         raise Failure("\n".join(["ERROR: Unknown node(s):", *(f" * {node}" for node in unknown)]))
-    for node in sorted(chosen, key=lambda each: _CLIENT.match(each) is None):
+    for node in sorted(chosen, key=_turn):
         output.write(f"killing {node}")
         _end(ctx, node)
     output.write("killed")
+
+
+def _turn(node: str) -> int:
+    """Clients first; what ends the daemon comes last, since nobody answers then."""
+    return 0 if _CLIENT.match(node) else 1 if node.endswith(_STATE_PUBLISHER) else 2
 
 
 def _asked(known: Sequence[str]) -> str:
@@ -255,8 +260,11 @@ def _end(ctx: Context, node: str) -> None:
         return None
     if match is None:
         return _end_of_simulation(ctx)
+    pid = int(match["pid"])
+    if not pid or not ctx.client.daemon_pid:  # to a signal, 0 means the caller and all beside it
+        raise Failure(f"ERROR: {node} runs in another container: its process cannot be told from here")
     with suppress(ProcessLookupError):
-        os.kill(int(match["pid"]), signal.SIGINT)
+        os.kill(pid, signal.SIGINT)
     deadline = monotonic() + _PATIENCE_S
     while any(ctx.call("/rosapi/node_details", {"node": node}).values()):
         if monotonic() > deadline:
