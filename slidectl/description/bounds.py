@@ -11,7 +11,7 @@ import resource
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from slidectl import operators
+from slidectl.operators import mathematics
 
 MOST_MEMORY = 1 << 30
 """Bytes that a run may take on top of what the process has."""
@@ -31,7 +31,7 @@ class _Powers(ast.NodeTransformer):
 def evaluate(expression: str, globals: dict[str, Any], locals: Mapping[str, Any] | None = None) -> Any:
     """As Python's `eval` does. Raises what the expression raises, OverflowError for a power that is too large."""
     tree = _Powers().visit(ast.parse(expression.strip(), "<expression>", "eval"))
-    dict.__setitem__(globals, _POWER, operators.power)
+    dict.__setitem__(globals, _POWER, mathematics.power)
     return eval(compile(tree, "<expression>", "eval"), globals, locals)
 
 
