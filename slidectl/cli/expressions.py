@@ -1,21 +1,23 @@
 """A small safe evaluator: numbers, comparisons, names of the math module, and fields of a message.
 
 An expression is parsed once into closures that know nothing but the names they were given. There are no attributes
-of Python objects, no imports and no calls but those listed here; powers and products are kept to a size that ends.
+of Python objects, no imports and no calls but those listed here; numbers are kept to a size that ends, as in all
+languages of expressions here (operators/).
 """
 
 from __future__ import annotations
 
 import ast
 import math
-import operator
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from slidectl.cli.schema import BYTES, FLOATS, TIMES, Schema
 from slidectl.cli.yamlform import byte_values
 from slidectl.errors import Refused, UnknownName, UsageError, closest
-from slidectl.operators import ARITHMETIC, COMPARISONS, MATH, MOST_BITS
+from slidectl.operators import BINARY, COMPARISONS
+from slidectl.operators.functions import FUNCTIONS
+from slidectl.operators.mathematics import MATH
 
 Names = Mapping[str, Any]
 Compute = Callable[[Names], Any]
@@ -23,21 +25,12 @@ Compute = Callable[[Names], Any]
 _LONGEST = 4000
 _CONSTANTS: dict[str, Any] = {name: getattr(math, name) for name in ("pi", "e", "tau", "inf", "nan")}
 _FUNCTIONS: dict[str, Callable[..., Any]] = {name: value for name, value in MATH.items() if callable(value)} | {
-    "abs": abs,
-    "min": min,
-    "max": max,
-    "round": round,
-    "len": len,
-    "int": int,
-    "float": float,
-    "bool": bool,
-    "sum": sum,
-    "any": any,
-    "all": all,
-    "str": str,
+    name: FUNCTIONS[name]
+    for name in ("abs", "min", "max", "round", "len", "int", "float", "bool", "sum", "any", "all", "str")
 }
 _TEXT_METHODS = ("startswith", "endswith", "lower", "upper", "strip", "find", "count", "isdigit")
 _LIST_METHODS = ("index", "count")
+_NO_OPERATORS = (ast.LShift, ast.RShift, ast.BitXor)
 
 
 class ExpressionError(UsageError):
@@ -127,8 +120,8 @@ class Expression:
     # --- operators ----------------------------------------------------------------------------------------------
 
     def _binop(self, node: ast.BinOp) -> tuple[Compute, _Kind]:
-        apply = _BINARY.get(type(node.op))
-        if apply is None:
+        apply = BINARY.get(type(node.op))
+        if apply is None or isinstance(node.op, _NO_OPERATORS):
             raise self._refusal(f"there is no operator {type(node.op).__name__}", node)
         left, right = self._plain(node.left), self._plain(node.right)
         return lambda names: apply(_number(left(names)), _number(right(names))), _ANYTHING
@@ -244,13 +237,6 @@ def _number(value: Any) -> Any:
     raise TypeError(f"{value!r} is no number")
 
 
-def _product(left: Any, right: Any) -> Any:
-    result = left * right
-    if isinstance(result, int) and result.bit_length() > MOST_BITS:
-        raise OverflowError("the product is too large")
-    return result
-
-
 def _converter(type_name: str, is_array: bool) -> Callable[[Any], Any]:
     """From the wire's form to what a comparison wants: null is not a number, base64 is numbers."""
     if is_array and type_name in BYTES:
@@ -272,13 +258,6 @@ def _floats(values: list[float | None]) -> list[float]:
     return [math.nan if value is None else value for value in values]
 
 
-_BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
-    **ARITHMETIC,
-    ast.Mult: _product,
-    ast.Mod: operator.mod,
-    ast.BitAnd: operator.and_,
-    ast.BitOr: operator.or_,
-}
 _TIME_METHODS: dict[str, Callable[[Mapping[str, int]], Any]] = {
     "to_sec": lambda time: time["secs"] + 1e-9 * time["nsecs"],
     "to_nsec": lambda time: time["secs"] * 10**9 + time["nsecs"],

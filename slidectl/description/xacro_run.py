@@ -1,13 +1,16 @@
 """Runs xacro on a tree of elements: arguments, `$(find)` by our lookup, errors with file and line, warnings as notices.
 
-xacro keeps its state in module variables and looks packages up through ament; both are lent for one run and given
-back. Python expressions of the file are evaluated here, on the side of who owns the file, never in the daemon.
+xacro keeps its state in module variables, looks packages up through ament and hands expressions to Python; all of
+these are lent for one run and given back. Expressions are computed by our own evaluator, which runs nobody's code, and
+on the side of who owns the file, never in the daemon.
 """
 
 from __future__ import annotations
 
 import contextlib
+import math
 import sys
+from collections import ChainMap
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -16,12 +19,14 @@ from xml.dom import minidom
 import xacro
 from xacro import substitution_args
 
-from slidectl.description import bounds, xacro_prefix, xml_tree
+from slidectl.description import bounds, xacro_prefix, xacro_symbols, xml_tree
 from slidectl.description.packages import Packages, shown
 from slidectl.description.robot import Notice
 from slidectl.description.xacro_dom import LocatedElement, to_document, to_element
 from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile, SlidectlError, listing
+from slidectl.operators.functions import FUNCTIONS
+from slidectl.operators.mathematics import MATH
 
 
 def expand(
@@ -88,15 +93,18 @@ class _Run:
             (xacro, "parse", self.parse),
             (xacro, "warning", self.warning),
             (xacro, "print_location", lambda: None),
-            (xacro, "safe_eval", _safe_eval),
+            (xacro, "safe_eval", _evaluated),
+            (xacro, "_global_symbols", xacro_symbols.symbols(self.warning)),
             (substitution_args, "_eval_find", self.find),
         ]
         self.original = {name: getattr(module, name) for module, name, _ in replaced}
         try:
             for module, name, function in replaced:
                 setattr(module, name, function)
-            substitution_args.eval = bounds.evaluate  # in the place of Python's, which that module calls
-            substitution_args._eval_dict["find"] = self.find
+            substitution_args.eval = _argument_evaluated  # in the place of Python's, which that module calls
+            for name in vars(math):  # of which some never end
+                substitution_args._eval_dict.pop(name, None)
+            substitution_args._eval_dict.update(MATH, find=self.find)
             xacro.substitution_args_context["filename"] = str(self.path) if self.path is not None else None
             yield
         finally:
@@ -185,13 +193,14 @@ class _Run:
         return error if isinstance(error, BadFile) else self.error(error.message, error.hint)
 
 
-def _safe_eval(expression: str, symbols: dict[str, Any], locals: Mapping[str, Any] | None = None) -> Any:
-    """As xacro's function of this name, within bounds."""
-    hidden = [name for name in bounds.names_in(expression) if name.startswith("__")]
-    if hidden:
-        raise xacro.XacroException("Use of invalid name(s): ", ", ".join(hidden))
-    symbols.update(__builtins__={})
-    return bounds.evaluate(expression, symbols, locals)
+def _evaluated(expression: str, symbols: Mapping[str, Any], _locals: object = None) -> Any:
+    """In the place of xacro's safe_eval, which lets Python compute."""
+    return xacro_symbols.evaluate(expression, symbols)
+
+
+def _argument_evaluated(expression: str, _globals: object, names: Any) -> Any:
+    """A `$(eval ...)`. `names` gives arguments and functions, and behind them are Python's own functions."""
+    return xacro_symbols.evaluate(expression, ChainMap(names, FUNCTIONS))
 
 
 def _clause(error: BaseException) -> str:

@@ -15,7 +15,7 @@ from slidectl.errors import SlidectlError, closest, listing
 from slidectl.launch.evaluator import ExpressionError, evaluate
 from slidectl.launch.protected import plain, protect
 from slidectl.launch.typed import automatic
-from slidectl.operators import MATH
+from slidectl.operators.mathematics import MATH
 
 COMMANDS = ("find", "env", "optenv", "dirname", "anon", "arg")
 OPEN = "$("

@@ -1,4 +1,4 @@
-"""Expressions: arithmetic and fields, nothing else, and errors before the first message."""
+"""Expressions: arithmetic and fields, nothing else, errors before the first message, and an end to each."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from cli_graph_types import schema
+from command_line import CommandLine
 
 from slidectl.cli.expressions import EvaluationError, Expression, ExpressionError
 
@@ -32,6 +33,8 @@ MESSAGE = {
         ("0 < t < 1 and not i == 4", True),
         ("round(e, 2)", 2.72),
         ("10 ** 20", 10**20),
+        ("factorial(4) + comb(4, 2) + isqrt(16)", 34),
+        ("round(1234, -2)", 1200),
         ("math.floor(math.pi)", 3),
     ],
 )
@@ -108,6 +111,13 @@ def test_what_expressions_do_not_have_is_refused_before_the_start(text: str, rea
         ("sqrt(-1)", {"i": 1}),
         ("9 ** 9 ** 9", {"i": 1}),
         ("2 ** 4000 * 2 ** 4000", {"i": 1}),
+        ("round(i, -100000000)", {"i": 1}),
+        ("round(1, 10 ** 9)", {"i": 1}),
+        ("factorial(3000000)", {"i": 1}),
+        ("comb(10 ** 9, 10 ** 8)", {"i": 1}),
+        ("math.perm(10 ** 6)", {"i": 1}),
+        ("prod([2 ** 4000, 2 ** 4000])", {"i": 1}),
+        ("lcm(2 ** 4000 - 1, 2 ** 4000 - 3)", {"i": 1}),
         ("'a' * 3", {"i": 1}),
         ("exp(1000)", {"i": 1}),
         ("[1][2]", {"i": 1}),
@@ -119,6 +129,23 @@ def test_what_expressions_do_not_have_is_refused_before_the_start(text: str, rea
 def test_what_cannot_be_computed_says_so(text: str, names: dict[str, Any]) -> None:
     with pytest.raises(EvaluationError, match="cannot compute"):
         Expression(text, ("i",))(**names)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["pub", "/z", "std_msgs/Float64", "-r", "10", "round(1, -100000000)", "--allow-unheard"],
+        ["pub", "/z", "std_msgs/Float64", "-r", "10", "factorial(3000000)", "--allow-unheard"],
+        ["echo", "/kept", "--filter", "round(7, -30000000) == 0"],
+    ],
+)
+def test_a_command_with_an_expression_that_would_never_end_ends(world: CommandLine, words: list[str]) -> None:
+    with world.client() as client:
+        client.publish("/kept", {"data": 1.0}, "std_msgs/Float64", latch=True)
+        client.flush()
+        done = world(*words)
+    assert done.returncode == 1, done.stderr
+    assert "cannot compute" in done.stderr
 
 
 def test_an_index_out_of_range_in_a_filter_is_an_error() -> None:

@@ -149,8 +149,8 @@ def test_what_xacro_does_not_accept_is_named_with_file_and_line(write: Write, te
     [
         ("${9**9**9}", "is too large"),
         ("$(eval 9**9**9)", "is too large"),
-        ("${'a' * 10**11}", "it takes more than 1 GiB of memory"),
-        ("${list(range(10**11))[0]}", "it takes more than 1 GiB of memory"),
+        ("${'a' * 10**11}", "too long"),
+        ("${list(range(10**11))[0]}", "too long"),
     ],
 )
 def test_an_expression_without_bounds_comes_to_an_end(write: Write, expression: str, reason: str) -> None:
