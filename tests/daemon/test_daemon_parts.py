@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slidectl.daemon.lock import InstanceLock, holder
+from slidectl.daemon.lock import InstanceLock, LockFailed, holder
 from slidectl.daemon.logfile import LogFile
 from slidectl.daemon.statistics import Ring, SpeedMeter
 
@@ -75,6 +75,13 @@ def test_the_lock_names_its_holder_and_is_free_when_that_has_died(tmp_path: Path
         assert lock.acquire()
         lock.release()
     assert not path.exists()
+
+
+def test_a_lock_that_cannot_be_had_is_not_taken_for_one_that_is_held(tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    for path in (tmp_path / "folder", tmp_path / "nowhere" / "lock"):
+        with pytest.raises(LockFailed, match=f"cannot make the lock {path}: "):
+            InstanceLock(path).acquire()
 
 
 def test_a_lock_that_was_never_acquired_removes_nothing(tmp_path: Path) -> None:
