@@ -152,10 +152,7 @@ def _run(
     background = None
     stays = any(task.needs_presence for task in tasks)
     if given["detach"] and stays:
-        from slidectl.paths import make_private
-
-        make_private(ctx.paths.folder)
-        background = Background(str(ctx.paths.folder / f"launch-{os.getpid()}.log"))
+        background = Background(ctx.paths)
         background.fork()
     try:
         with Interrupts() as interrupts:

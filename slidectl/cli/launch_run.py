@@ -11,13 +11,16 @@ import signal
 import sys
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from slidectl.cli import output
 from slidectl.cli.context import DEFAULT_TIMEOUT_S, Context, paint
 from slidectl.client import Client
 from slidectl.client.link import command
-from slidectl.errors import TimedOut
+from slidectl.errors import EXIT_DONE, Refused, TimedOut
+from slidectl.launch.interrupts import SIGNALS
+from slidectl.paths import InstancePaths, make_private
 
 if TYPE_CHECKING:
     from slidectl.daemon.lifecycle import Beginning
@@ -28,6 +31,9 @@ STOP_LIMIT_S = 10.0
 WAIT_LIMIT_S = 60.0
 _LOOK_EVERY_S = 0.05
 _CLEAR = "\r\x1b[K"
+# What the child process of a detached launch tells its parent.
+_ALONE = b"a"
+_RUNS = b"r"
 
 
 class Terminal:
@@ -40,6 +46,7 @@ class Terminal:
         self.is_live = both and context.format == "text" and not context.quiet
         self._status = ""
         self._unheard = False
+        self._closing = False
 
     def step(self, event: str, text: str, **details: Any) -> None:
         self._under_status(lambda: self.context.done({"event": event, "text": text, **details}, text))
@@ -57,23 +64,39 @@ class Terminal:
             self._under_status(lambda: print(f"[{node}] {line}", file=sys.stderr, flush=True))
 
     def status(self, text: str) -> None:
-        if self.is_live and (text or self._status) and not self._unheard:
+        if self.is_live and (text or self._status):
             self._status = text[: max(10, output._terminal_width() - 1)]
-            self._draw(self._status)
+            self._say(lambda: self._draw(self._status))
+
+    def closing(self) -> None:
+        self._closing = True
+        self.status("")
 
     def _under_status(self, action: Callable[[], None]) -> None:
-        """Say it above the status. A reader that has gone is told of once: what ends a launch needs no audience."""
-        if self._unheard:
-            return
-        try:
+        """Say it above the status."""
+
+        def say() -> None:
             if self._status:
                 self._draw("")
             action()
             if self._status:
                 self._draw(self._status)
-        except (output.ClosedPipe, BrokenPipeError):
+
+        self._say(say)
+
+    def _say(self, action: Callable[[], None]) -> None:
+        """A reader, terminal or disk that takes no more ends the launch once. What ends a launch needs no audience."""
+        if self._unheard:
+            return
+        try:
+            action()
+        except (output.ClosedPipe, Refused, OSError) as error:
             self._unheard = True
-            raise output.ClosedPipe from None
+            if self._closing:
+                return
+            if isinstance(error, BrokenPipeError):
+                raise output.ClosedPipe from None
+            raise
 
     def _draw(self, text: str) -> None:
         sys.stderr.write(_CLEAR + (paint(text, "cyan") if text else ""))
@@ -151,40 +174,76 @@ class Daemon:
 
 
 class Background:
-    """The launch goes on in a child process; this one waits until everything runs, and leaves."""
+    """The launch goes on in a child process; this one waits until everything runs, and leaves.
 
-    def __init__(self, log: str) -> None:
-        self.log = log
+    Raises:
+        Refused: the folder for its log is not private.
+    """
+
+    def __init__(self, paths: InstancePaths) -> None:
+        make_private(paths.folder)
+        self.log = str(paths.folder / f"launch-{os.getpid()}.log")
+        self._paths = paths
         self._read, self._write = os.pipe()
 
-    def fork(self) -> bool:
-        """True in the child. The parent ends as the child says: with 0 when everything runs, else with its code."""
+    def fork(self) -> None:
+        """Returns in the child. The parent ends as the child says: with 0 when everything runs, else with its code.
+
+        A signal reaches the child once, by the parent: what a terminal sends goes to both only until the child has
+        left the terminal's group, and what came to the child until then is dropped before the parent passes it on.
+
+        Raises:
+            Refused: the child was killed. In the parent.
+        """
         sys.stdout.flush()
         sys.stderr.flush()
+        held = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
         child = os.fork()
         if child == 0:
             os.close(self._read)
-            return True
-        os.close(self._write)
-        self._follow(child)
-        return False
+            os.setsid()
+            while signal.sigtimedwait(SIGNALS, 0) is not None:
+                pass
+            os.write(self._write, _ALONE)
+        else:
+            os.close(self._write)
+            self._pass_on_signals(child)
+        signal.pthread_sigmask(signal.SIG_SETMASK, held)
+        if child != 0:
+            self._follow(child)
 
-    def _follow(self, child: int) -> None:
+    def _pass_on_signals(self, child: int) -> None:
+        """Once the child is alone. When it has ended there is nobody to pass them on to."""
+        process = os.pidfd_open(child)
+
+        def pass_on(number: int, _frame: object) -> None:
+            with suppress(ProcessLookupError):
+                signal.pidfd_send_signal(process, number)
+
+        os.read(self._read, len(_ALONE))
+        for number in SIGNALS:
+            signal.signal(number, pass_on)
+
+    def _follow(self, child: int) -> NoReturn:
         from slidectl.cli import leave
 
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            signal.signal(number, lambda number, _frame: os.kill(child, number))
-        runs = os.read(self._read, 1)
-        leave(0 if runs else os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+        if os.read(self._read, len(_RUNS)):
+            leave(EXIT_DONE)
+        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        if code < 0:
+            raise Refused(
+                f"the launch was ended by {signal.Signals(-code).name} before everything ran",
+                "a daemon that it started may still run; stop it with: " + command(self._paths, "daemon stop"),
+            )
+        leave(code)
 
     def everything_runs(self) -> None:
         """Let the parent go; from now on the launch is nobody's child, and writes into its log."""
-        os.setsid()
         log = os.open(self.log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
         null = os.open(os.devnull, os.O_RDONLY)
         for stream in (sys.stdout, sys.stderr):
             stream.flush()
         for source, target in ((null, 0), (log, 1), (log, 2)):
             os.dup2(source, target)
-        os.write(self._write, b"1")
+        os.write(self._write, _RUNS)
         os.close(self._write)

@@ -12,7 +12,6 @@ import select
 import signal
 import sys
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn
@@ -118,13 +117,12 @@ def stop(paths: InstancePaths, timeout: float = 10.0) -> int | None:
     if pid is None:
         return None
     deadline = time.monotonic() + timeout
-    ended = _end_of(pid, paths)
-    if not _ask_to_stop(paths, min(2.0, timeout / 2)) and pid > 0:
-        with suppress(ProcessLookupError):
-            os.kill(pid, signal.SIGTERM)
-    while not ended():
-        if time.monotonic() > deadline:
-            raise TimedOut(f"the daemon (process {pid}) is still there after {timeout:g} s", f"kill -KILL {pid}")
+    with _End(pid, paths) as end:
+        if not _ask_to_stop(paths, min(2.0, timeout / 2)):
+            end.hasten()
+        while not end.has_come():
+            if time.monotonic() > deadline:
+                raise TimedOut(f"the daemon (process {pid}) is still there after {timeout:g} s", f"kill -KILL {pid}")
     with suppress(ChildProcessError):  # a long-lived starter is its parent still
         os.waitpid(pid, os.WNOHANG)
     return pid
@@ -148,25 +146,35 @@ def _ask_to_stop(paths: InstancePaths, timeout: float) -> bool:
     return True
 
 
-def _end_of(pid: int, paths: InstancePaths) -> Callable[[], bool]:
-    """A function that waits a little and says whether the process has ended."""
-    try:
-        process = os.pidfd_open(pid)
-    except OSError:  # another pid namespace, or it has just ended: the lock must do
+class _End:
+    """The end of a daemon's process. It is held by a descriptor, since its id may be another's once it has ended."""
 
-        def unlocked() -> bool:
-            select.select([], [], [], _PAUSE_S)
-            return running(paths) != pid
+    def __init__(self, pid: int, paths: InstancePaths) -> None:
+        self._pid = pid
+        self._paths = paths
+        self._process: int | None = None
+        with suppress(OSError):  # another pid namespace, or it has just ended: the lock must do
+            self._process = os.pidfd_open(pid)
 
-        return unlocked
+    def __enter__(self) -> _End:
+        return self
 
-    def ended() -> bool:
-        if not select.select([process], [], [], 0.1)[0]:
-            return False
-        os.close(process)
-        return True
+    def __exit__(self, *_: object) -> None:
+        if self._process is not None:
+            os.close(self._process)
 
-    return ended
+    def hasten(self) -> None:
+        """Send SIGTERM to the process, if it is one that can be reached and still the daemon."""
+        if self._process is not None and running(self._paths) == self._pid:
+            with suppress(ProcessLookupError):
+                signal.pidfd_send_signal(self._process, signal.SIGTERM)
+
+    def has_come(self) -> bool:
+        """Wait a little, and say whether it has ended."""
+        if self._process is not None:
+            return bool(select.select([self._process], [], [], 0.1)[0])
+        select.select([], [], [], _PAUSE_S)
+        return running(self._paths) != self._pid
 
 
 def _wait_for_the_other(paths: InstancePaths, deadline: float) -> int | None:

@@ -10,30 +10,45 @@ import errno
 import fcntl
 import os
 import struct
+import sys
 from contextlib import suppress
 from pathlib import Path
 
 from slidectl.errors import Refused
 
-# struct flock of 64-bit Linux: type, whence, start, length, pid
+# struct flock of a 64-bit Linux: type, whence, start, length, pid. Elsewhere it is laid out in other ways, and the
+# answers would be nonsense.
+assert sys.maxsize > 1 << 32, "slidectl needs a 64-bit Linux"
 _FLOCK = struct.Struct("hhqqi4x")
+_HELD = (errno.EAGAIN, errno.EACCES)
+"""What POSIX lets a lock that somebody else has be refused with."""
+
+
+class LockFailed(Refused):
+    """The lock cannot be taken or asked about, whoever may have it."""
+
+    def __init__(self, what: str, path: Path, error: OSError) -> None:
+        hint = "is it on a file system that knows locks? XDG_RUNTIME_DIR or --socket name another place"
+        super().__init__(f"cannot {what} the lock {path}: {error.strerror or error}", hint)
 
 
 def holder(path: Path) -> int | None:
     """Process id of the daemon that lives there, or None. It is 0 when that is in another pid namespace.
 
     Raises:
-        Refused: the file is there and cannot be asked.
+        LockFailed: the file is there and cannot be asked.
     """
     try:
         fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
     except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError as error:
-        raise Refused(f"cannot ask the lock {path}: {error.strerror or error}") from None
+        raise LockFailed("ask", path, error) from None
     try:
         question = _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, 0, 0, 0)
         kind, _, _, _, pid = _FLOCK.unpack(fcntl.fcntl(fd, fcntl.F_GETLK, question))
+    except OSError as error:
+        raise LockFailed("ask", path, error) from None
     finally:
         os.close(fd)
     return None if kind == fcntl.F_UNLCK else max(0, pid)
@@ -47,17 +62,23 @@ class InstanceLock:
         self._fd = -1
 
     def acquire(self) -> bool:
-        """Take the lock if it is free. False when another process has it. Raises Refused when there are no locks."""
+        """Take the lock if it is free. False when another process has it.
+
+        Raises:
+            LockFailed: no lock can be had there, held or not.
+        """
         while True:
-            fd = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+            try:
+                fd = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+            except OSError as error:
+                raise LockFailed("make", self._path, error) from None
             try:
                 fcntl.lockf(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError as error:
                 os.close(fd)
-                if error.errno in (errno.EAGAIN, errno.EACCES):
+                if error.errno in _HELD:
                     return False
-                reason = f"cannot lock {self._path}: {error.strerror or error}"
-                raise Refused(reason, "choose another place with --socket PATH or XDG_RUNTIME_DIR") from None
+                raise LockFailed("take", self._path, error) from None
             if self._is_current(fd):
                 break
             os.close(fd)  # its last owner removed the file between our open and our lock

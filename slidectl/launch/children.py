@@ -5,9 +5,12 @@ It dies with this process, however this one ends. Knows nothing of launch files.
 
 from __future__ import annotations
 
+import fcntl
 import os
 import signal
+import struct
 import subprocess
+import termios
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 
@@ -72,43 +75,48 @@ class Child:
         self._watch.add(descriptor, lambda: self._take(name))
 
     def _take(self, name: str) -> None:
-        self._read(name)
+        self._read(name, _CHUNK)
 
-    def _read(self, name: str) -> bool:
-        """Take what has come; False when there is nothing more, now or ever."""
+    def _read(self, name: str, most_bytes: int) -> int:
+        """Take some of what has come. The number of bytes; 0 when there is nothing, now or ever."""
         try:
-            data = os.read(self._pipes[name], _CHUNK)
+            data = os.read(self._pipes[name], most_bytes)
         except BlockingIOError:
-            return False
+            return 0
         if not data:
             self._watch.remove(self._pipes.pop(name))
             self._flush(name)
-            return False
+            return 0
         *lines, rest = (self._rest[name] + data).split(b"\n")
         self._rest[name] = rest
         for line in lines:
             self._on_line(name, line.decode("utf-8", "replace").rstrip("\r"))
         if len(rest) > _LONGEST_LINE:
             self._flush(name)
-        return True
+        return len(data)
 
     def _flush(self, name: str) -> None:
         if rest := self._rest[name]:
             self._rest[name] = b""
             self._on_line(name, rest.decode("utf-8", "replace"))
 
+    def _drain(self, name: str) -> None:
+        """Take what is in the pipe now. What others who hold its other end write later is for `_take`."""
+        left = _bytes_in(self._pipes[name])
+        while left > 0 and (taken := self._read(name, min(left, _CHUNK))):
+            left -= taken
+        self._flush(name)
+
     def _ended(self) -> None:
         """It has ended. It stays a zombie until `release`, so that nobody else gets the id of its group."""
-        self._watch.remove(self._descriptor)
         result = os.waitid(os.P_PIDFD, self._descriptor, os.WEXITED | os.WNOWAIT)
         assert result is not None
-        code = result.si_status if result.si_code == os.CLD_EXITED else -result.si_status
         for name in list(self._pipes):
-            while name in self._pipes and self._read(name):
-                pass
-            self._flush(name)
-        self.code = code
-        self._on_end(code)
+            self._drain(name)
+        # The descriptor is watched up to here, so that the end is noticed later when a signal cuts this short.
+        self.code = result.si_status if result.si_code == os.CLD_EXITED else -result.si_status
+        self._watch.remove(self._descriptor)
+        self._on_end(self.code)
 
     def signal(self, number: int) -> None:
         """Send a signal to it and to all that it started."""
@@ -127,6 +135,10 @@ class Child:
             if pipe is not None:
                 pipe.close()
         os.close(self._descriptor)
+
+
+def _bytes_in(descriptor: int) -> int:
+    return int(struct.unpack("i", fcntl.ioctl(descriptor, termios.FIONREAD, bytes(4)))[0])
 
 
 def run(arguments: Sequence[str], environment: Mapping[str, str], most_bytes: int) -> tuple[int, bytes]:

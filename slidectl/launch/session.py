@@ -244,7 +244,7 @@ class Session:
         """End what was begun, the last first, and the daemon if it was begun here. Signals only hurry it."""
         run = self.run
         run.interrupts.hold_for_good()
-        run.console.status("")
+        run.console.closing()
         processes = [task for task in self.begun if isinstance(task, Process)]
         for process in processes:
             process.ending = True

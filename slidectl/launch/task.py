@@ -42,6 +42,9 @@ class Console(Protocol):
     def status(self, text: str) -> None:
         """How things stand now: one line that the next one replaces. Only a terminal shows it."""
 
+    def closing(self) -> None:
+        """The run ends: no more status, and what cannot be said any more is no reason to leave something behind."""
+
     @property
     def is_live(self) -> bool:
         """Whether `status` shows anything."""

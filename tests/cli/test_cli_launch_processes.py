@@ -178,6 +178,33 @@ def test_the_end_of_a_required_node_ends_the_launch(slidectl: CommandLine, packa
     nothing_is_left(slidectl.runtime)
 
 
+FLOOD = "rm -f fifo; mkfifo fifo; (yes hello | head -c 500000; : > fifo; exec yes hello) & : < fifo"
+"""A line of a script: from here on a child of it writes without end, faster than anybody reads."""
+
+
+def test_the_end_of_a_node_is_noticed_though_a_child_of_it_goes_on_writing(
+    slidectl: CommandLine, package: Package
+) -> None:
+    package.script("leave", f"cd '{slidectl.runtime}'; {FLOOD}; exit 3")
+    done = slidectl("launch", package.launch('<node pkg="demo" type="leave" name="n" required="true"/>'))
+    assert done.returncode == 1
+    assert "[n] hello\n" in done.stdout
+    assert "/n: died: exit code 3" in done.stderr
+    assert "node /n (demo/leave): it is required, and it died: exit code 3" in done.stderr
+    nothing_is_left(slidectl.runtime)
+
+
+def test_an_interrupt_is_heard_while_what_a_node_left_behind_goes_on_writing(
+    slidectl: CommandLine, package: Package
+) -> None:
+    package.script("leave", f"cd '{slidectl.runtime}'; {FLOOD}; exit 3")
+    launched = Launched(slidectl, package.launch('<node pkg="demo" type="leave" name="n"/>'))
+    launched.until("/n: died: exit code 3")
+    assert launched.interrupt() == 130
+    assert "does not end" not in launched.text
+    nothing_is_left(slidectl.runtime)
+
+
 def test_a_node_with_respawn_is_started_again(slidectl: CommandLine, package: Package) -> None:
     package.script("die", "echo born; exit 3")
     launched = Launched(slidectl, package.launch('<node pkg="demo" type="die" name="d" respawn="true"/>'))

@@ -113,40 +113,6 @@ def test_an_interrupt_while_a_command_runs_ends_the_command(slidectl: CommandLin
     eventually(lambda: not processes(slidectl.runtime), "the command or the daemon is still there")
 
 
-def test_a_detached_launch_with_programs_is_watched_in_the_background(slidectl: CommandLine, everything: str) -> None:
-    launched = Launched(slidectl, everything, "--detach")
-    launched.until("everything runs")
-    assert launched.end() == 0
-    assert "its log is" in launched.text
-    [log] = slidectl.runtime.glob("slidectl/default/launch-*.log")
-    children = processes(slidectl.runtime)
-    assert len(children) >= 4  # the daemon, the launch, two programs
-    assert "running" in slidectl.ok("controller", "list")
-    slidectl.ok("daemon", "stop")
-    eventually(lambda: not processes(slidectl.runtime), f"these are left: {processes(slidectl.runtime)}")
-    assert "the daemon went away" in log.read_text()
-
-
-def test_a_detached_launch_that_fails_says_so_with_its_exit_code(slidectl: CommandLine, everything: str) -> None:
-    path = Path(everything)
-    path.write_text(path.read_text().replace("</launch>", '<node pkg="controller_manager" type="spawner" name="s"'
-                                             ' ns="/slider" args="nothing"/></launch>'))  # fmt: skip
-    done = slidectl("launch", everything, "--detach")
-    assert done.returncode == 1
-    assert "no controller 'nothing'" in done.stderr
-    nothing_is_left(slidectl.runtime)
-
-
-def test_a_detached_launch_can_be_interrupted_while_it_starts(slidectl: CommandLine, everything: str) -> None:
-    path = Path(everything)
-    path.write_text(path.read_text().replace("</launch>", '<node pkg="controller_manager" type="spawner" name="s"'
-                                             ' ns="/nobody" args="nothing"/></launch>'))  # fmt: skip
-    launched = Launched(slidectl, everything, "--detach")
-    launched.until("/nobody/s: waits for")
-    assert launched.interrupt() == 130
-    nothing_is_left(slidectl.runtime)
-
-
 def test_a_reader_that_goes_away_ends_the_launch_quietly(slidectl: CommandLine) -> None:
     read, write = os.pipe()
     process = subprocess.Popen(

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import re
 import signal
+import subprocess
 from collections.abc import Iterator
 
 import pytest
 from cli_graph_world import slider_world
 from cli_ros_sessions import usage
 from cli_ros_world import Shell, SlideWorld, slide_world
+from command_line import CommandLine
+from fake_daemon import FakeDaemon
 
-from slidectl.cli.context import Context
-from slidectl.cli.ros import rosnode
-from slidectl.cli.ros.failure import Failure
 from slidectl.client import Client
 from slidectl.errors import NoDaemon
 
@@ -187,6 +188,37 @@ def test_kill_of_an_unknown_node_kills_nobody(slide: SlideWorld) -> None:
     assert (done.stdout, done.stderr, done.returncode) == ("", "ERROR: Unknown node(s):\n * /nope\n", 1)
 
 
+@pytest.mark.parametrize(
+    ("node", "pid_of_daemon", "reason"),
+    [
+        ("/slidectl_0_1", None, "the daemon cannot see the process of these nodes"),
+        ("/slidectl_{here}_1", 1, "the daemon runs in another container"),
+        ("/slidectl_{here}_1", 0, "the daemon runs in another container"),
+    ],
+)
+def test_kill_across_containers_signals_nobody(
+    slidectl: CommandLine, fake: FakeDaemon, node: str, pid_of_daemon: int | None, reason: str
+) -> None:
+    with subprocess.Popen(["sleep", "600"], process_group=0) as bystander:
+        node = node.format(here=bystander.pid)
+        fake.answers["/rosapi/nodes"] = {"nodes": [node]}
+        fake.answers["/slidectl/status"] = {"pid": os.getpid() if pid_of_daemon is None else pid_of_daemon}
+        fake.answers["/rosapi/node_details"] = {"subscribing": [], "publishing": [], "services": []}
+        done = subprocess.run(
+            slidectl.argv("ros", "rosnode", "kill", node),
+            env=slidectl.environment,
+            process_group=bystander.pid,
+            capture_output=True,
+            text=True,
+        )
+        unharmed = bystander.poll() is None
+        bystander.kill()
+    assert done.returncode == 1
+    assert done.stderr.startswith(f"ERROR: {reason}")
+    assert "killing" not in done.stdout
+    assert unharmed
+
+
 def test_a_killed_state_publisher_is_gone_until_it_is_started_again_and_gazebo_ends_the_daemon() -> None:
     with slider_world() as world:
         shell = Shell(world.slidectl)
@@ -217,14 +249,3 @@ def test_all_nodes_are_killed_and_the_one_that_ends_the_daemon_is_the_last() -> 
         assert done.stdout.endswith("killed\n")
         with pytest.raises(NoDaemon):
             Client(socket=world.daemon.paths.socket_text, timeout=0.0)
-
-
-def test_a_node_of_another_pid_namespace_is_not_signalled(slide: SlideWorld, monkeypatch: pytest.MonkeyPatch) -> None:
-    signalled: list[int] = []
-    monkeypatch.setattr("slidectl.cli.ros.rosnode.os.kill", lambda pid, _number: signalled.append(pid))
-    context = Context()
-    context.socket = slide.daemon.paths.socket_text
-    with pytest.raises(Failure, match="runs in another container"):
-        rosnode._end(context, "/slidectl_0_7")
-    context.close()
-    assert signalled == []

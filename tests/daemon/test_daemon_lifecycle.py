@@ -159,8 +159,10 @@ def test_a_stop_that_nobody_answers_falls_back_on_a_signal(runtime: Runtime) -> 
 def test_a_daemon_that_hangs_is_named_with_the_way_to_end_it(runtime: Runtime) -> None:
     pid, _ = runtime.start()
     os.kill(pid, signal.SIGSTOP)
+    open_before = os.listdir("/proc/self/fd")
     with runtime.environment(), pytest.raises(TimedOut, match=f"kill -KILL {pid}"):
         lifecycle.stop(runtime.paths, timeout=0.2)
+    assert os.listdir("/proc/self/fd") == open_before
     os.kill(pid, signal.SIGCONT)  # and now the signal that was sent arrives
     wait_for_end(pid)
 

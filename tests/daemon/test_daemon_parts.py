@@ -11,10 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slidectl.daemon.lock import InstanceLock, holder
+from slidectl.daemon.lock import InstanceLock, LockFailed, holder
 from slidectl.daemon.logfile import LogFile
 from slidectl.daemon.statistics import Ring, SpeedMeter
-from slidectl.errors import Refused
 
 
 def test_a_ring_summarizes_its_latest_values() -> None:
@@ -93,8 +92,15 @@ def test_a_file_system_without_locks_is_told_from_a_lock_that_is_held(
         raise OSError(errno.ENOLCK, "No locks available")
 
     monkeypatch.setattr("slidectl.daemon.lock.fcntl.lockf", refuse)
-    with pytest.raises(Refused, match=r"cannot lock .*: No locks available"):
+    with pytest.raises(LockFailed, match=r"cannot take the lock .*: No locks available"):
         InstanceLock(tmp_path / "lock").acquire()
+
+
+def test_a_lock_that_cannot_be_had_is_not_taken_for_one_that_is_held(tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    for path in (tmp_path / "folder", tmp_path / "nowhere" / "lock"):
+        with pytest.raises(LockFailed, match=f"cannot make the lock {path}: "):
+            InstanceLock(path).acquire()
 
 
 def test_a_lock_that_was_never_acquired_removes_nothing(tmp_path: Path) -> None:

@@ -54,6 +54,9 @@ class Speech:
     def status(self, text: str) -> None:
         """Nothing changes in place."""
 
+    def closing(self) -> None:
+        """One node leaves nothing behind."""
+
 
 class Running:
     """The door to a daemon that runs already."""

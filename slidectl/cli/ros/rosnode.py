@@ -231,6 +231,7 @@ def kill(ctx: Context, argv: Sequence[str]) -> None:
     unknown = [node for node in chosen if node not in known]
     if unknown:
         raise Failure("\n".join(["ERROR: Unknown node(s):", *(f" * {node}" for node in unknown)]))
+    _check_reach(ctx, chosen)
     for node in sorted(chosen, key=_turn):
         output.write(f"killing {node}")
         _end(ctx, node)
@@ -253,6 +254,20 @@ def _asked(known: Sequence[str]) -> str:
     return known[int(answer) - 1]
 
 
+def _check_reach(ctx: Context, nodes: Sequence[str]) -> None:
+    """Raise Failure when a client has no process id, or one that means another process here than to the daemon."""
+    clients = {node: int(match["pid"]) for node in nodes if (match := _CLIENT.match(node))}
+    if not clients:
+        return
+    # Who cannot see a process is told 0, and a signal to process 0 goes to all of one's own process group.
+    unseen = [node for node, pid in clients.items() if pid == 0]
+    if unseen:
+        listed = "\n".join(f" * {node}" for node in unseen)
+        raise Failure(f"ERROR: the daemon cannot see the process of these nodes (they run in a container?):\n{listed}")
+    if ctx.call("/slidectl/status")["pid"] != ctx.client.daemon_pid:
+        raise Failure("ERROR: the daemon runs in another container, where process ids mean other processes: kill there")
+
+
 def _end(ctx: Context, node: str) -> None:
     match = _CLIENT.match(node)
     if match is None and node.endswith(_STATE_PUBLISHER):
@@ -260,11 +275,11 @@ def _end(ctx: Context, node: str) -> None:
         return None
     if match is None:
         return _end_of_simulation(ctx)
-    pid = int(match["pid"])
-    if not pid or not ctx.client.daemon_pid:  # to a signal, 0 means the caller and all beside it
-        raise Failure(f"ERROR: {node} runs in another container: its process cannot be told from here")
-    with suppress(ProcessLookupError):
-        os.kill(pid, signal.SIGINT)
+    try:
+        with suppress(ProcessLookupError):
+            os.kill(int(match["pid"]), signal.SIGINT)
+    except PermissionError:
+        raise Failure(f"ERROR: the process of {node} belongs to another user") from None
     deadline = monotonic() + _PATIENCE_S
     while any(ctx.call("/rosapi/node_details", {"node": node}).values()):
         if monotonic() > deadline:

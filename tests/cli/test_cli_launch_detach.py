@@ -1,0 +1,149 @@
+"""`slidectl launch --detach`: it returns when everything runs, and what ends it before that ends all of it, once."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from command_line import CommandLine
+from launch_runs import Launched, OnATerminal, eventually, kill_all, nothing_is_left, processes
+
+NEVER = '<node pkg="controller_manager" type="spawner" name="never" ns="/nobody" args="nothing"/>'
+"""A step that waits for a robot that does not come."""
+
+
+@pytest.fixture(autouse=True)
+def clean(slidectl: CommandLine) -> Iterator[None]:
+    yield
+    kill_all(slidectl.runtime)
+
+
+@pytest.fixture
+def everything(tmp_path: Path) -> str:
+    """The slider with programs before and after it."""
+    package = tmp_path / "demo"
+    (package / "scripts").mkdir(parents=True)
+    (package / "package.xml").write_text("<package><name>demo</name></package>")
+    script = package / "scripts" / "live"
+    script.write_text("#!/bin/bash\nsleep 600 &\nwait\n")
+    script.chmod(0o755)
+    path = package / "all.launch"
+    path.write_text(
+        '<launch><node pkg="demo" type="live" name="first"/><include file="$(find my_slider)/launch/slider.launch"/>'
+        '<node pkg="demo" type="live" name="last" respawn="true"/></launch>'
+    )
+    return str(path)
+
+
+@pytest.fixture
+def slow(tmp_path: Path) -> str:
+    """A program that takes its time to end: it waits until somebody opens `done`. And a step that waits for ever."""
+    os.mkfifo(tmp_path / "done")
+    script = tmp_path / "demo" / "slow"
+    script.parent.mkdir()
+    (script.parent / "package.xml").write_text("<package><name>demo</name></package>")
+    trap = f"echo cleaning up; : < '{tmp_path}/done'; echo clean; exit 0"
+    script.write_text(f'#!/bin/bash\ntrap "{trap}" INT\necho up\nwhile :; do sleep 0.02; done\n')
+    script.chmod(0o755)
+    path = script.with_name("slow.launch")
+    path.write_text(f'<launch><node pkg="demo" type="slow" name="slow"/>{NEVER}</launch>')
+    return str(path)
+
+
+def test_a_detached_launch_with_programs_is_watched_in_the_background(slidectl: CommandLine, everything: str) -> None:
+    launched = Launched(slidectl, everything, "--detach")
+    launched.until("everything runs")
+    assert launched.end() == 0
+    assert "its log is" in launched.text
+    [log] = slidectl.runtime.glob("slidectl/default/launch-*.log")
+    children = processes(slidectl.runtime)
+    assert len(children) >= 4  # the daemon, the launch, two programs
+    assert "running" in slidectl.ok("controller", "list")
+    slidectl.ok("daemon", "stop")
+    eventually(lambda: not processes(slidectl.runtime), f"these are left: {processes(slidectl.runtime)}")
+    assert "the daemon went away" in log.read_text()
+
+
+def test_a_detached_launch_that_fails_says_so_with_its_exit_code(slidectl: CommandLine, everything: str) -> None:
+    path = Path(everything)
+    path.write_text(path.read_text().replace("</launch>", '<node pkg="controller_manager" type="spawner" name="s"'
+                                             ' ns="/slider" args="nothing"/></launch>'))  # fmt: skip
+    done = slidectl("launch", everything, "--detach")
+    assert done.returncode == 1
+    assert "no controller 'nothing'" in done.stderr
+    nothing_is_left(slidectl.runtime)
+
+
+def test_a_detached_launch_can_be_interrupted_while_it_starts(slidectl: CommandLine, everything: str) -> None:
+    path = Path(everything)
+    path.write_text(path.read_text().replace("</launch>", '<node pkg="controller_manager" type="spawner" name="s"'
+                                             ' ns="/nobody" args="nothing"/></launch>'))  # fmt: skip
+    launched = Launched(slidectl, everything, "--detach")
+    launched.until("/nobody/s: waits for")
+    assert launched.interrupt() == 130
+    nothing_is_left(slidectl.runtime)
+
+
+@pytest.mark.parametrize("detach", [(), ("--detach",)], ids=" ".join)
+def test_one_interrupt_on_a_terminal_counts_once(
+    slidectl: CommandLine, tmp_path: Path, slow: str, detach: tuple[str, ...]
+) -> None:
+    launched = OnATerminal(slidectl, slow, *detach)
+    launched.until("/never: waits for")
+    launched.until("[slow] up")
+    launched.type(b"\x03")
+    launched.until("[slow] cleaning up")
+    (tmp_path / "done").write_text("")
+    assert launched.end() == 130
+    assert "[slow] clean\n" in launched.text
+    assert "does not end" not in launched.text
+    nothing_is_left(slidectl.runtime)
+
+
+def test_a_second_interrupt_on_a_terminal_waits_for_nobody(slidectl: CommandLine, slow: str) -> None:
+    launched = OnATerminal(slidectl, slow, "--detach")
+    launched.until("/never: waits for")
+    launched.until("[slow] up")
+    launched.type(b"\x03")
+    launched.until("[slow] cleaning up")
+    launched.type(b"\x03")
+    assert launched.end() == 130
+    assert "/slow: does not end; it gets SIGTERM" in launched.text
+    nothing_is_left(slidectl.runtime)
+
+
+@pytest.mark.parametrize("detach", [(), ("--detach",)], ids=" ".join)
+def test_a_terminal_that_closes_before_everything_runs_ends_the_launch(
+    slidectl: CommandLine, everything: str, detach: tuple[str, ...]
+) -> None:
+    path = Path(everything)
+    path.write_text(path.read_text().replace("</launch>", f"{NEVER}</launch>"))
+    launched = OnATerminal(slidectl, everything, *detach)
+    launched.until("/never: waits for")
+    assert launched.close() == 1
+    nothing_is_left(slidectl.runtime)
+
+
+def test_a_terminal_that_closes_later_does_not_end_a_detached_launch(slidectl: CommandLine, everything: str) -> None:
+    launched = OnATerminal(slidectl, everything, "--detach")
+    launched.until("everything runs")
+    assert launched.process.wait(60) == 0
+    launched.close()
+    assert "running" in slidectl.ok("controller", "list")
+    slidectl.ok("daemon", "stop")
+    nothing_is_left(slidectl.runtime)
+
+
+def test_a_detached_launch_that_is_killed_while_it_starts_says_so(slidectl: CommandLine, slow: str) -> None:
+    launched = Launched(slidectl, slow, "--detach")
+    launched.until("/never: waits for")
+    [child] = Path(f"/proc/{launched.pid}/task/{launched.pid}/children").read_text().split()
+    os.kill(int(child), signal.SIGKILL)
+    assert launched.end() == 1
+    assert "the launch was ended by SIGKILL before everything ran" in launched.text
+    assert "slidectl daemon stop" in launched.text
+    slidectl.ok("daemon", "stop")
+    nothing_is_left(slidectl.runtime)
