@@ -108,7 +108,7 @@ def run(ctx: Context, /, **world: Any) -> None:
 @daemon.command("stop", examples=["slidectl daemon stop"])
 @click.pass_obj
 def stop(ctx: Context) -> None:
-    """Stop the daemon; returns when its process has ended.
+    """Stop the daemon; returns when its process has ended, and so have the nodes of detached launches.
 
     When none runs there is nothing to do (exit code 0). JSON keys: instance, pid (null when none ran), socket, log.
     """
@@ -118,9 +118,12 @@ def stop(ctx: Context) -> None:
 
 
 def _stop(ctx: Context) -> int | None:
+    from slidectl.cli import detached
     from slidectl.daemon import lifecycle
 
-    return lifecycle.stop(ctx.paths, ctx.wait_limit(STOP_LIMIT_S))
+    pid = lifecycle.stop(ctx.paths, ctx.wait_limit(STOP_LIMIT_S))
+    detached.wait(ctx.paths, ctx.wait_limit(detached.LIMIT_S), ctx.say)
+    return pid
 
 
 @daemon.command("restart", examples=["slidectl daemon restart --rtf max"])

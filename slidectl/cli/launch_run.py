@@ -14,7 +14,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from slidectl.cli import output
+from slidectl.cli import detached, output
 from slidectl.cli.context import DEFAULT_TIMEOUT_S, Context, paint
 from slidectl.client import Client
 from slidectl.client.link import command
@@ -182,7 +182,7 @@ class Background:
 
     def __init__(self, paths: InstancePaths) -> None:
         make_private(paths.folder)
-        self.log = str(paths.folder / f"launch-{os.getpid()}.log")
+        self.log = str(detached.log_of(paths, os.getpid()))
         self._paths = paths
         self._read, self._write = os.pipe()
 
@@ -240,6 +240,7 @@ class Background:
     def everything_runs(self) -> None:
         """Let the parent go; from now on the launch is nobody's child, and writes into its log."""
         log = os.open(self.log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+        detached.hold(log)
         null = os.open(os.devnull, os.O_RDONLY)
         for stream in (sys.stdout, sys.stderr):
             stream.flush()

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from command_line import CommandLine
-from launch_runs import Launched, OnATerminal, eventually, kill_all, nothing_is_left, processes
+from launch_runs import Launched, OnATerminal, kill_all, nothing_is_left, processes
 
 NEVER = '<node pkg="controller_manager" type="spawner" name="never" ns="/nobody" args="nothing"/>'
 """A step that waits for a robot that does not come."""
@@ -63,8 +63,24 @@ def test_a_detached_launch_with_programs_is_watched_in_the_background(slidectl: 
     assert len(children) >= 4  # the daemon, the launch, two programs
     assert "running" in slidectl.ok("controller", "list")
     slidectl.ok("daemon", "stop")
-    eventually(lambda: not processes(slidectl.runtime), f"these are left: {processes(slidectl.runtime)}")
+    assert not processes(slidectl.runtime)
     assert "the daemon went away" in log.read_text()
+
+
+def test_a_stop_waits_for_the_nodes_of_a_detached_launch(slidectl: CommandLine, slow: str) -> None:
+    path = Path(slow)
+    path.write_text(path.read_text().replace(NEVER, ""))
+    slidectl.ok("launch", slow, "--detach")
+    done = slidectl("--timeout", "1", "daemon", "stop")
+    assert done.returncode == 4
+    assert "waiting until a detached launch has ended its nodes" in done.stderr
+    assert "a detached launch has not ended its nodes within 1 s" in done.stderr
+    stopping = slidectl.start("daemon", "stop")
+    assert stopping.stderr is not None
+    assert "waiting until a detached launch" in stopping.stderr.readline()
+    (path.parent.parent / "done").open("w").close()
+    assert stopping.wait(timeout=30) == 0
+    assert not processes(slidectl.runtime)
 
 
 def test_a_detached_launch_that_fails_says_so_with_its_exit_code(slidectl: CommandLine, everything: str) -> None:
