@@ -13,31 +13,50 @@ from contextlib import suppress
 def write_whole(path: str | os.PathLike[str], text: str) -> None:
     """Put the text (UTF-8) into the file; one that exists keeps its permissions.
 
-    Pipes, devices, and files that are not to be replaced by another are written in place. Raises OSError.
+    A link stays, and what it points to is written. Pipes, devices, and files that are not to be replaced by another
+    are written in place.
+
+    Raises:
+        OSError: it cannot be written.
     """
     target = os.path.realpath(path)
     there = os.stat(path) if os.path.exists(path) else None
-    if there is not None and not _is_replaceable(target, there):
-        _write(path, text)
-        return
-    draft = f"{target}.{os.getpid()}"
-    try:
-        _write(draft, text)
-        if there is not None:
-            os.chmod(draft, stat.S_IMODE(there.st_mode))
-        os.replace(draft, target)
-    except BaseException:
-        with suppress(OSError):
-            os.unlink(draft)
-        raise
+    if there is None:
+        replace(target, text.encode())
+    elif _is_replaceable(target, there):
+        replace(target, text.encode(), stat.S_IMODE(there.st_mode))
+    else:
+        with open(path, "wb") as file:
+            file.write(text.encode())
+
+
+def replace(target: str | os.PathLike[str], content: bytes, mode: int | None = None) -> None:
+    """Put a file there, at once or not at all, in the place of one that may be there.
+
+    Nobody can read of it what `mode` does not let them, not even while it is written. Without a mode it is what the
+    umask leaves of 0666.
+
+    Raises:
+        OSError: it cannot be written; nothing is left of it then.
+    """
+    draft = f"{os.fspath(target)}.{os.urandom(4).hex()}"
+    # O_EXCL: in a folder that others may write to, a link of that name may lie in wait.
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
+    with open(os.open(draft, flags, 0o666 if mode is None else 0o600), "wb") as file:
+        try:
+            file.write(content)
+            file.flush()
+            if mode is not None:
+                os.fchmod(file.fileno(), mode)
+            os.fsync(file.fileno())
+            os.replace(draft, target)
+        except BaseException:  # a full disk wants back what it gave, and so does who was interrupted
+            with suppress(OSError):
+                os.unlink(draft)
+            raise
 
 
 def _is_replaceable(target: str, there: os.stat_result) -> bool:
     """A plain file of ours with this one name, in a folder that takes another one."""
     is_ours_alone = stat.S_ISREG(there.st_mode) and there.st_uid == os.geteuid() and there.st_nlink == 1
     return is_ours_alone and os.access(target, os.W_OK) and os.access(os.path.dirname(target), os.W_OK)
-
-
-def _write(path: str | os.PathLike[str], text: str) -> None:
-    with open(path, "w", encoding="utf-8") as file:
-        file.write(text)

@@ -12,6 +12,8 @@ import stat
 from contextlib import suppress
 from pathlib import Path
 
+from slidectl.writing import replace
+
 KEPT = 8
 """Files that stay: those that were used last. Each version of anything that the code is made from has its own."""
 _SEAL_BYTES = 32
@@ -70,15 +72,7 @@ def read(path: Path) -> bytes:
 
 def write(path: Path, content: bytes) -> None:
     """Put the file there, at once or not at all. Raises OSError, also when the folder has gone meanwhile."""
-    draft = path.with_name(f"{path.name}.{os.getpid()}")
-    draft.unlink(missing_ok=True)
-    try:
-        with open(os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600), "wb") as file:
-            file.write(_seal(content) + content)
-        draft.replace(path)
-    except OSError:  # a full disk wants back what it gave
-        draft.unlink(missing_ok=True)
-        raise
+    replace(path, _seal(content) + content, 0o600)
 
 
 def _seal(content: bytes) -> bytes:
