@@ -8,8 +8,8 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from rich import box
@@ -29,16 +29,15 @@ WIDTH = 61
 
 
 def main() -> int:
-    """Run the demo; 0 when every target was reached."""
-    with TemporaryDirectory() as folder:  # a place of its own, which nothing else knows
-        os.environ["XDG_RUNTIME_DIR"] = folder
-        for variable in ("SLIDECTL_SOCKET", "SLIDECTL_INSTANCE", "SLIDECTL_NAMESPACE"):
-            os.environ.pop(variable, None)
-        return demonstrate(Console(highlight=False))
+    """Run the demo in a world of its own, of which nothing stays; 0 when every target was reached."""
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["SLIDECTL_SOCKET"] = f"{folder}/demo"
+        return demo()
 
 
-def demonstrate(console: Console) -> int:
-    """Three targets, one after the other."""
+def demo() -> int:
+    """Start, spawn, slide, stop."""
+    console = Console(highlight=False)
     run("daemon", "start", "--rtf", SPEED)
     try:
         run("spawn", "slider", "--controllers", "config/slider_control.yaml")

@@ -2,8 +2,9 @@
 # RRBot as in the ros_control tutorial: load, switch, publish, stop, with the services under their full names.
 set -euo pipefail
 
-export XDG_RUNTIME_DIR="$(mktemp -d)"    # a place of its own, which nothing else knows
-trap 'slidectl -q daemon stop; rm -r "$XDG_RUNTIME_DIR"' EXIT
+folder="$(mktemp -d)"  # a world of its own, of which nothing stays
+export SLIDECTL_SOCKET="$folder/rrbot"
+trap 'slidectl -q daemon stop; rm -r "$folder"' EXIT
 
 slidectl daemon start --rtf "${RTF:-1}"
 slidectl spawn rrbot --controllers config/rrbot_control.yaml

@@ -3,8 +3,9 @@
 # and `wait` blocks in simulated time until the block is where it should be.
 set -euo pipefail
 
-export XDG_RUNTIME_DIR="$(mktemp -d)"    # a place of its own, which nothing else knows
-trap 'slidectl -q daemon stop; rm -r "$XDG_RUNTIME_DIR"' EXIT
+folder="$(mktemp -d)"  # a world of its own, of which nothing stays
+export SLIDECTL_SOCKET="$folder/slide"
+trap 'slidectl -q daemon stop; rm -r "$folder"' EXIT
 
 slidectl daemon start --rtf "${RTF:-1}"
 slidectl spawn slider --controllers config/slider_control.yaml

@@ -2,8 +2,9 @@
 # Two sliders side by side and RRBot behind them, in one world: names, namespaces and places keep them apart.
 set -euo pipefail
 
-export XDG_RUNTIME_DIR="$(mktemp -d)"    # a place of its own, which nothing else knows
-trap 'slidectl -q daemon stop; rm -r "$XDG_RUNTIME_DIR"' EXIT
+folder="$(mktemp -d)"  # a world of its own, of which nothing stays
+export SLIDECTL_SOCKET="$folder/two"
+trap 'slidectl -q daemon stop; rm -r "$folder"' EXIT
 
 slidectl daemon start --rtf "${RTF:-1}"
 slidectl spawn slider -n left  --at 0  1 0 --controllers config/slider_control.yaml --start joint_state_controller joint1_position_controller

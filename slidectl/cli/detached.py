@@ -27,7 +27,7 @@ def log_of(paths: InstancePaths, pid: int) -> Path:
 
 
 def hold(log: int) -> None:
-    """Lock the log that is open there until this process ends. The lock is the open file's, which no program inherits."""
+    """Lock the log that is open there until this process ends: no program that it starts inherits the open file."""
     fcntl.flock(log, fcntl.LOCK_EX)
 
 

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import json
 import os
-import select
 import signal
 import stat
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -74,49 +73,6 @@ def test_restart_keeps_the_options_that_are_not_given_anew(slidectl: CommandLine
     slidectl.ok("daemon", "stop")
     slidectl.ok("daemon", "restart")
     assert json.loads(slidectl.ok("sim", "status", "--json"))["timestep"] == 0.001
-
-
-def with_modules(slidectl: CommandLine, folder: Path) -> dict[str, str]:
-    """The environment of a command, and of the daemon that it starts, in which Python finds these modules first."""
-    return {"PYTHONPATH": f"{folder}:{slidectl.environment['PYTHONPATH']}"}
-
-
-def test_a_start_that_is_interrupted_leaves_no_daemon(
-    slidectl: CommandLine, runtime: Runtime, write: Callable[[str, str], Path], tmp_path: Path
-) -> None:
-    os.mkfifo(tmp_path / "reached")
-    reached = os.open(tmp_path / "reached", os.O_RDONLY | os.O_NONBLOCK)
-    write("mujoco.py", f"import signal\nopen({str(tmp_path / 'reached')!r}, 'w').close()\nsignal.pause()\n")
-    starter = slidectl.start("daemon", "start", **with_modules(slidectl, tmp_path))
-    assert select.select([reached], [], [], 60)[0]  # the daemon has its lock and its socket, and does not answer yet
-    os.close(reached)
-    assert runtime.pid is not None
-    starter.send_signal(signal.SIGINT)
-    assert starter.communicate(timeout=60) == ("", "")
-    assert starter.returncode == 130
-    assert runtime.pid is None
-    assert [file.name for file in runtime.paths.folder.iterdir()] == ["log"]
-
-
-NO_LOCKS = """
-import errno, fcntl, os
-def refuse(*_):
-    raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
-fcntl.lockf = refuse
-"""
-
-
-@pytest.mark.parametrize("words", ["daemon start", "daemon run", "launch slider"])
-def test_where_no_lock_can_be_had_no_daemon_starts_and_the_reason_is_told(
-    slidectl: CommandLine, runtime: Runtime, write: Callable[[str, str], Path], tmp_path: Path, words: str
-) -> None:
-    write("sitecustomize.py", NO_LOCKS)
-    done = slidectl(*words.split(), **with_modules(slidectl, tmp_path))
-    assert done.returncode == 1
-    assert f"cannot take the lock {runtime.paths.lock}: No locks available\n" in done.stderr
-    assert "XDG_RUNTIME_DIR" in done.stderr
-    assert "runs there already" not in done.stderr
-    assert "Traceback" not in done.stderr
 
 
 @pytest.mark.parametrize("command", ["daemon start", "daemon status", "daemon logs", "pub command 1", "daemon run"])
