@@ -38,17 +38,24 @@ class Launched:
 
     def until(self, text: str, times: int = 1) -> str:
         """Read until the text has come so many times; all that has come. Fails when the process ends before."""
+        self._read_until(lambda: self.text.count(text) >= times, text)
+        return self.text
+
+    def until_one_of(self, *texts: str) -> None:
+        """Read until one of them has come."""
+        self._read_until(lambda: any(text in self.text for text in texts), " or ".join(texts))
+
+    def _read_until(self, condition: Callable[[], bool], what: str) -> None:
         assert self.process.stdout is not None
         deadline = time.monotonic() + DEADLINE_S
-        while self.text.count(text) < times:
+        while not condition():
             left = deadline - time.monotonic()
-            assert left > 0, f"{text!r} did not come:\n{self.text}"
+            assert left > 0, f"{what!r} did not come:\n{self.text}"
             if not select.select([self.process.stdout], [], [], left)[0]:
                 continue
             data = os.read(self.process.stdout.fileno(), 65536)
-            assert data, f"it ended without {text!r}:\n{self.text}"
+            assert data, f"it ended without {what!r}:\n{self.text}"
             self._text += data
-        return self.text
 
     def up(self) -> str:
         """Wait until everything runs."""

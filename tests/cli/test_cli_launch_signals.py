@@ -11,9 +11,28 @@ from pathlib import Path
 
 import pytest
 from command_line import CommandLine
-from launch_runs import Launched, eventually, kill_all, nothing_is_left, processes
+from launch_runs import RUNS, Launched, eventually, kill_all, nothing_is_left, processes
 
-MOMENTS_S = [0.0, 0.05, 0.08, 0.1, 0.12, 0.14, 0.16, 0.18, 0.2, 0.23, 0.26, 0.3, 0.34, 0.38, 0.42, 0.46, 0.5, 0.6]
+# A moment is so many calls of functions of slidectl. The launch below makes about 9000 of them until everything runs;
+# it sets itself up from the 3050th on, and begins the daemon soon after.
+MOMENTS = [1, 2, 40, 400, 2000, *range(3000, 3200, 25), 3500, 4500, 5500, 6500, 7500, 8500, 9500]
+INTERRUPTING = """
+import os, signal, sys
+left = int(os.environ.pop("INTERRUPT_AFTER", 0))
+is_begun = False
+def count(frame, event, _):
+    global is_begun, left
+    if event == "call" and "/slidectl/" in frame.f_code.co_filename:
+        left -= is_begun
+        is_begun = is_begun or frame.f_code.co_name == "entry"
+        if left == 0:
+            sys.setprofile(None)
+            os.write(1, b"now\\n")
+            os.kill(os.getpid(), signal.SIGINT)
+if left:
+    sys.setprofile(count)
+"""
+"""What Python does at its start: it prepares an interrupt after so many calls, in this process alone."""
 
 
 @pytest.fixture(autouse=True)
@@ -39,34 +58,38 @@ def everything(tmp_path: Path) -> str:
     return str(path)
 
 
-@pytest.mark.parametrize("moment_s", MOMENTS_S)
-def test_an_interrupt_at_any_moment_leaves_nothing(slidectl: CommandLine, everything: str, moment_s: float) -> None:
-    launched = Launched(slidectl, everything)
-    with suppress(subprocess.TimeoutExpired):
-        launched.process.wait(moment_s)
-    code = launched.interrupt()
-    if not _came_too_early(launched):
-        assert code == 130, launched.text
-        assert "Traceback" not in launched.text
+@pytest.fixture
+def interrupting(slidectl: CommandLine, tmp_path: Path) -> str:
+    """A PYTHONPATH with which a launch interrupts itself."""
+    (tmp_path / "hook").mkdir()
+    (tmp_path / "hook" / "sitecustomize.py").write_text(INTERRUPTING)
+    return f"{tmp_path / 'hook'}:{slidectl.environment['PYTHONPATH']}"
+
+
+@pytest.mark.parametrize("moment", MOMENTS)
+def test_an_interrupt_at_any_moment_leaves_nothing(
+    slidectl: CommandLine, everything: str, interrupting: str, moment: int
+) -> None:
+    launched = Launched(slidectl, everything, PYTHONPATH=interrupting, INTERRUPT_AFTER=str(moment))
+    launched.until_one_of("now\n", RUNS)
+    code = launched.interrupt() if RUNS in launched.text else launched.end()
+    assert code == 130, launched.text
+    assert "Traceback" not in launched.text
     nothing_is_left(slidectl.runtime)
 
 
-def _came_too_early(launched: Launched) -> bool:
-    """Whether the interrupt came while Python itself was starting, before the first function of ours."""
-    is_pythons_own = "KeyboardInterrupt" in launched.text and "in entry" not in launched.text
-    return launched.process.returncode == -signal.SIGINT or (launched.process.returncode == 1 and is_pythons_own)
-
-
-@pytest.mark.parametrize("moment_s", MOMENTS_S[3::4])
-def test_interrupts_in_a_row_leave_nothing(slidectl: CommandLine, everything: str, moment_s: float) -> None:
-    launched = Launched(slidectl, everything)
-    with suppress(subprocess.TimeoutExpired):
-        launched.process.wait(moment_s)
+@pytest.mark.parametrize("moment", MOMENTS[::4])
+def test_interrupts_in_a_row_leave_nothing(
+    slidectl: CommandLine, everything: str, interrupting: str, moment: int
+) -> None:
+    launched = Launched(slidectl, everything, PYTHONPATH=interrupting, INTERRUPT_AFTER=str(moment))
+    launched.until_one_of("now\n", RUNS)
     for _ in range(5):
         launched.signal()
         with suppress(subprocess.TimeoutExpired):
             launched.process.wait(0.002)
-    assert launched.end() == 130 or _came_too_early(launched)
+    assert launched.end() == 130, launched.text
+    assert "Traceback" not in launched.text
     nothing_is_left(slidectl.runtime)
 
 
