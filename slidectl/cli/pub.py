@@ -20,7 +20,7 @@ from slidectl.cli.context import Context
 from slidectl.cli.options import positive_seconds
 from slidectl.cli.publication import Publication, Values
 from slidectl.cli.topics import SUBSCRIBERS, Target, Unused, details, look_up
-from slidectl.errors import BadFile, UnknownName, UsageError
+from slidectl.errors import BadFile, SlidectlError, UnknownName, UsageError
 
 _ONCE = "-1"
 _TYPE = r"[A-Za-z]\w*/[A-Za-z]\w*\Z"
@@ -91,7 +91,12 @@ def pub(
     sources = _from_documents(target, file, rate) if from_elsewhere else _from_words(target, given, rate, count)
     run = Publication(ctx, target, rate, latch=latch, advertise=allow_unheard or latch)
     with run:
-        run.publish(islice(sources, 1 if once else count))
+        try:
+            run.publish(islice(sources, 1 if once else count))
+        except SlidectlError:
+            if from_elsewhere and run.published:
+                ctx.say(f"{run.published} published on {target.topic} before this:")
+            raise
         if latch and not once:
             run.hold()
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from slidectl import names
 from slidectl.cli.values import is_numeric
-from slidectl.errors import SlidectlError, TimedOut
+from slidectl.errors import TimedOut
 from slidectl.msgs.fill import fields_from, fill
 
 if TYPE_CHECKING:
@@ -52,8 +52,6 @@ class Publication:
     ) -> None:
         if self._rate is not None and kind in (None, KeyboardInterrupt):
             self._judge_rate(self._rate)
-        if isinstance(error, SlidectlError) and self.published:
-            self._ctx.say(f"{self.published} published on {self._target.topic} before this:")
         if kind is None:
             target = self._target
             record = {

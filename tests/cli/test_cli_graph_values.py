@@ -77,7 +77,7 @@ def test_dot_nan_is_not_a_number() -> None:
         ("{1: 2}", "the key 1"),
         ("!!python/object:os.system x", "not valid YAML"),
         ("a: 1\n---\na: 2", "2 YAML documents"),
-        ("&a [*a]", "cannot be read"),
+        ("&a [*a]", "is nested too deeply"),
         ("a: &a [x,x,x,x,x,x,x,x,x,x]\nb: &b [*a,*a,*a,*a,*a,*a,*a,*a,*a,*a]\n"
          "c: &c [*b,*b,*b,*b,*b,*b,*b,*b,*b,*b]\nd: &d [*c,*c,*c,*c,*c,*c,*c,*c,*c,*c]\n"
          "e: &e [*d,*d,*d,*d,*d,*d,*d,*d,*d,*d]\nf: [*e,*e,*e,*e,*e,*e,*e,*e,*e,*e]", "unfolds to more than"),
