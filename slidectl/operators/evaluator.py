@@ -175,12 +175,14 @@ class _Evaluation:
         defaults = [self.value(default) for default in spec.defaults]
         outer = self.names
 
-        def function(*values: Any) -> Any:
-            missing = len(names) - len(values)
-            if not 0 <= missing <= len(defaults):
-                raise TypeError(f"a lambda takes {len(names)} arguments, not {len(values)}")
-            given = [*values, *defaults[len(defaults) - missing :]]
-            caller, self.names = self.names, _within(outer, dict(zip(names, given, strict=True)))
+        def function(*values: Any, **named: Any) -> Any:
+            given = dict(zip(names, values, strict=False)) | named
+            if len(given) != len(values) + len(named) or not set(given) <= set(names):
+                raise TypeError(f"a lambda takes {', '.join(names) or 'nothing'}, each once")
+            given = dict(zip(names[len(names) - len(defaults) :], defaults, strict=True)) | given
+            if len(given) < len(names):
+                raise TypeError(f"a lambda takes {len(names)} arguments, not {len(values) + len(named)}")
+            caller, self.names = self.names, _within(outer, given)
             try:
                 return self.value(node.body)
             finally:

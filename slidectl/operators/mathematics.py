@@ -23,11 +23,11 @@ def power(base: Any, exponent: Any) -> Any:
     return base**exponent
 
 
-def rounded(number: Any, digits: int | None = None) -> Any:
+def rounded(number: Any, ndigits: int | None = None) -> Any:
     """`round`. Raises TooLargeError for digits that no number has: of a whole number, Python makes 10**digits."""
-    if digits is not None and abs(digits) > _MOST_DIGITS:
+    if ndigits is not None and abs(ndigits) > _MOST_DIGITS:
         raise TooLargeError("it rounds to too many digits")
-    return round(number, digits)
+    return round(number, ndigits)
 
 
 def factorial(number: int) -> int:

@@ -86,9 +86,17 @@ _METHODS: dict[type[Any], frozenset[str]] = {
         "lstrip", "partition", "removeprefix", "removesuffix", "rfind", "rindex", "rpartition", "rsplit", "rstrip",
         "split", "splitlines", "startswith", "strip", "swapcase", "title", "upper",
     }),
-    dict: frozenset({"copy", "get", "items", "keys", "pop", "setdefault", "update", "values"}),
-    list: frozenset({"append", "copy", "count", "extend", "index", "insert", "pop", "remove", "reverse", "sort"}),
+    dict: frozenset({"clear", "copy", "get", "items", "keys", "pop", "popitem", "setdefault", "update", "values"}),
+    list: frozenset({
+        "append", "clear", "copy", "count", "extend", "index", "insert", "pop", "remove", "reverse", "sort",
+    }),
     tuple: frozenset({"count", "index"}),
-    set: frozenset({"add", "copy", "difference", "intersection", "issubset", "issuperset", "union"}),
+    set: frozenset({
+        "add", "clear", "copy", "difference", "discard", "intersection", "isdisjoint", "issubset", "issuperset", "pop",
+        "remove", "symmetric_difference", "union", "update",
+    }),
+    frozenset: frozenset({
+        "copy", "difference", "intersection", "isdisjoint", "issubset", "issuperset", "symmetric_difference", "union",
+    }),
     float: frozenset({"is_integer"}),
 }  # fmt: skip

@@ -55,6 +55,8 @@ def by_us(path: Path) -> list[str]:
         "${math.factorial(5)} ${comb(50, 2)} ${perm(5, 2)} ${perm(4)} ${prod([2, 3])} ${lcm(4, 6)} ${gcd(4, 6)}",
         "${isqrt(17)} ${math.prod([1.5, 2])} ${comb(1000, 500) % 1000}",
         "${round(2.567, 2)} ${round(1234, -2)} ${round(2.5)} ${round(k * 1.1)}",
+        "${round(2.5678, ndigits=2)} ${(lambda v, lo=0, hi=1: max(lo, min(hi, v)))(5, hi=3)} ${(lambda v: v)(v=4)}",
+        "${sorted(python.set([1, 2]).symmetric_difference([2, 3]))} ${python.set([1]).isdisjoint([2])}",
         "${'%0.3f' % pi} ${'%s-%02d' % ('a', k)} ${'%(a)s' % dict(a=1)} ${'%5.1f%%' % pi}",
         "${'a' + 'b' * 3} ${'abc'[1]} ${'abc'[::-1]} ${[1, 2, 3][-1]} ${(1, 2)[0]}",
         "${' '.join(['a', 'b'])} ${'a b'.split()[1]} ${' a '.strip()} ${'a_b'.replace('_', '/')} ${'x'.zfill(4)}",
