@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -13,16 +15,23 @@ from daemon_fixture import Runtime
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
 
+@pytest.fixture
+def place() -> Iterator[Path]:
+    """A folder with a short name: the path of a socket must fit into 107 bytes."""
+    with tempfile.TemporaryDirectory(prefix="slidectl-ex-", dir="/tmp") as folder:
+        yield Path(folder)
+
+
 @pytest.mark.parametrize("name", ["slide.sh", "rrbot.sh", "two_robots.sh", "demo.py"])
-def test_an_example_runs_and_leaves_nothing_behind(tmp_path: Path, name: str) -> None:
-    folders = {"XDG_RUNTIME_DIR": tmp_path / "run", "TMPDIR": tmp_path / "tmp"}
+def test_an_example_runs_and_leaves_nothing_behind(place: Path, name: str) -> None:
+    folders = {"XDG_RUNTIME_DIR": place / "run", "TMPDIR": place / "tmp"}
     for folder in folders.values():
         folder.mkdir(mode=0o700)
     bin_first = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
     done = subprocess.run(
         ["bash" if name.endswith(".sh") else sys.executable, EXAMPLES / name],
         cwd=EXAMPLES.parent,
-        env={**Runtime(tmp_path).env, **folders, "PATH": bin_first, "RTF": "max"},
+        env={**Runtime(place).env, **folders, "PATH": bin_first, "RTF": "max"},
         capture_output=True,
         text=True,
         timeout=120,

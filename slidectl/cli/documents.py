@@ -17,7 +17,7 @@ from slidectl.client.lines import LONGEST_LINE
 from slidectl.errors import BadFile, UsageError
 
 _ENDS = ("---", "...")
-_LONGEST_TEXT = 256 * 1024 * 1024
+_LONGEST_TEXT = 64 * 1024 * 1024
 _NO_JSON: Any = object()
 
 

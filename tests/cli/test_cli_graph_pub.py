@@ -302,7 +302,7 @@ def test_a_file_without_a_message_is_an_error(world: World, tmp_path: Path, cont
 
 def test_a_file_without_an_end_is_an_error(world: World) -> None:
     done = world.slidectl("pub", "/f", "-f", "/dev/zero")
-    assert (done.returncode, done.stderr) == (2, "error: /dev/zero: holds more than 256 Mi characters\n")
+    assert (done.returncode, done.stderr) == (2, "error: /dev/zero: holds more than 64 Mi characters\n")
 
 
 def test_stdin_that_ends_in_nonsense_publishes_what_came_before(world: World, ears: dict[str, Subscription]) -> None:

@@ -71,10 +71,10 @@ def test_a_stop_waits_for_the_nodes_of_a_detached_launch(slidectl: CommandLine, 
     path = Path(slow)
     path.write_text(path.read_text().replace(NEVER, ""))
     slidectl.ok("launch", slow, "--detach")
-    done = slidectl("--timeout", "1", "daemon", "stop")
+    done = slidectl("--timeout", "3", "daemon", "stop")
     assert done.returncode == 4
     assert "waiting until a detached launch has ended its nodes" in done.stderr
-    assert "a detached launch has not ended its nodes within 1 s" in done.stderr
+    assert "a detached launch has not ended its nodes within 3 s" in done.stderr
     stopping = slidectl.start("daemon", "stop")
     assert stopping.stderr is not None
     assert "waiting until a detached launch" in stopping.stderr.readline()
