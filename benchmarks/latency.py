@@ -100,9 +100,7 @@ def _lines(instance: Daemon) -> list[Row]:
             "param set, a line": (["shell"], "param set /speed 1.0\n"),
         },
     )
-    rows = [
-        _rate(instance, f"slidectl shell: {name}", words, line, 15_000) for name, (words, line) in everything.items()
-    ]
+    rows = [_rate(instance, f"slidectl shell: {name}", words, line, None) for name, (words, line) in everything.items()]
     rows.append(_rate(instance, "slidectl pub --stdin, a document", pub, '{"data": 0.0}\n', 15_000))
     instance.run("sim", "pause")
     rows.append(_rate(instance, "slidectl shell: sim step 1, a line", ["shell"], "sim step 1\n", None))

@@ -15,8 +15,6 @@ TYPE_CHECKING = False  # typing takes milliseconds in which nobody would take a 
 if TYPE_CHECKING:
     from typing import NoReturn
 
-    from slidectl.cli.context import Context
-
 _INTERRUPTED = 130
 _MOMENT_S = 0.001
 # New objects between two looks for garbage: more than a short command makes (a tenth of its time went into looking),
@@ -43,10 +41,9 @@ def _run() -> int:
     sys.unraisablehook = _unheard
     if None in (sys.stdin, sys.stdout, sys.stderr):
         _stand_in()
-    context = _begin(sys.argv[1:])
     from slidectl.cli.main import run
 
-    return run(sys.argv[1:], context)
+    return run(sys.argv[1:])
 
 
 def _unheard(unraisable: sys.UnraisableHookArgs) -> None:
@@ -60,15 +57,6 @@ def _unheard(unraisable: sys.UnraisableHookArgs) -> None:
 
 def _ignore_interrupts() -> None:
     _signal.signal(_signal.SIGINT, _signal.SIG_IGN)
-
-
-def _begin(argv: list[str]) -> Context | None:
-    """What can be begun before click is imported, which takes longer than all else."""
-    if argv[:1] != ["echo"] or "_SLIDECTL_COMPLETE" in os.environ:
-        return None
-    from slidectl.cli import ahead
-
-    return ahead.begin(argv)
 
 
 def _stand_in() -> None:

@@ -7,8 +7,8 @@ and must not import the client, YAML or rich before they are needed.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Hashable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 from slidectl.cli import output
 from slidectl.errors import UsageError
@@ -16,8 +16,6 @@ from slidectl.errors import UsageError
 if TYPE_CHECKING:
     from slidectl.client import Client, Subscription
     from slidectl.paths import InstancePaths
-
-Found = TypeVar("Found")
 
 DEFAULT_TIMEOUT_S = 10.0
 
@@ -87,11 +85,6 @@ class Context:
         if timeout is None:
             return self.client.call(service, request)
         return self.client.call(service, request, timeout=timeout)
-
-    def recall(self, key: Hashable, find: Callable[[], Found]) -> Found:
-        """What `find` finds out about the graph. Where a process runs many commands, `key` may save it the calls."""
-        del key
-        return find()
 
     def subscribe(self, topic: str) -> Subscription:
         """Receive a topic that exists. Raises as Client.subscribe does."""

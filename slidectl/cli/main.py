@@ -151,12 +151,9 @@ root = Root(
 )
 
 
-def run(argv: Sequence[str], context: Context | None = None) -> int:
-    """Run one command line; its exit code. Prints errors itself and raises nothing but KeyboardInterrupt.
-
-    `context` is one that something was begun with (see ahead).
-    """
-    context = context or Context()
+def run(argv: Sequence[str]) -> int:
+    """Run one command line; its exit code. Prints errors itself and raises nothing but KeyboardInterrupt."""
+    context = Context()
     if COMPLETION_VARIABLE in os.environ:
         return _complete(os.environ[COMPLETION_VARIABLE])
     for stream in (sys.stdout, sys.stderr):

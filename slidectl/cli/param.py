@@ -27,10 +27,6 @@ def _resolved(ctx: Context, name: str) -> str:
     """The full name of a parameter or of a namespace of parameters. Raises UnknownName, AmbiguousName."""
     if name == "/":
         return name
-    return ctx.recall(("parameter", name, ctx.namespace), lambda: _look_up(ctx, name))
-
-
-def _look_up(ctx: Context, name: str) -> str:
     known = ctx.names("parameter")
     spaces = {space for each in known for space in _above(each)}
     try:

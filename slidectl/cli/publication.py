@@ -39,7 +39,7 @@ class Publication:
         self._rate = rate
         self._latch = latch
         self._type = target.type if advertise else None
-        self._fields_of = ctx.recall(("fields", target.type), lambda: fields_from(target.typedefs))
+        self._fields_of = fields_from(target.typedefs)
         self._began = self._latest = 0.0
         self._remarks: list[dict[str, Any]] = []
         self.published = 0

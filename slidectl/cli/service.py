@@ -108,10 +108,6 @@ def find(ctx: Context, type_name: str) -> None:
 
 def _typed(ctx: Context, name: str) -> tuple[str, str]:
     """The full name of a service, and its type: two round trips. Raises UnknownName, AmbiguousName."""
-    return ctx.recall(("service", name, ctx.namespace), lambda: _look_up(ctx, name))
-
-
-def _look_up(ctx: Context, name: str) -> tuple[str, str]:
     known = ctx.names("service")
     types = ask_each(ctx, "/rosapi/service_type", fitting(name, known, ctx.namespace), "type")
     full = names.resolve(name, known, kind="service", namespace=ctx.namespace)

@@ -60,10 +60,6 @@ class Forms(NamedTuple):
 
 def forms(ctx: Context, kind: str) -> Forms:
     """Those of a service type; two questions in one go."""
-    return ctx.recall(("forms", kind), lambda: _make_forms(ctx, kind))
-
-
-def _make_forms(ctx: Context, kind: str) -> Forms:
     from slidectl.msgs.fill import fields_from
 
     request, response = typedefs(ctx, kind)

@@ -8,21 +8,17 @@ from __future__ import annotations
 import io
 import shlex
 import sys
-from collections.abc import Callable, Hashable, Iterable
-from typing import TypeVar
+from collections.abc import Callable, Iterable
 
 import click
 
-from slidectl.cli import live, output, plainly
+from slidectl.cli import live, output
 from slidectl.cli.commands import command
 from slidectl.cli.context import DEFAULT_TIMEOUT_S, Context
 from slidectl.cli.documents import bounded
 from slidectl.cli.failure import guard
 from slidectl.client import Client
-from slidectl.client.picture import Picture
 from slidectl.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_NO_DAEMON, BadFile, UsageError
-
-Found = TypeVar("Found")
 
 _LEAVE = ("exit", "quit")
 _DAEMON_CHANGES = frozenset(("daemon", "launch"))
@@ -35,11 +31,7 @@ class LineContext(Context):
         super().__init__()
         self._shell = shell
         self._shared: Client | None = None
-        self.begin()
-
-    def begin(self) -> None:
-        """Take over the options of the shell; those of the line are to come."""
-        options = self._shell.context
+        options = shell.context
         self.instance, self.socket, self.namespace = options.instance, options.socket, options.namespace
         self.format, self.quiet, self.verbose = options.format, options.quiet, options.verbose
         self.timeout = options.timeout
@@ -53,26 +45,17 @@ class LineContext(Context):
         if self._client is None and (self.instance, self.socket) == (shell.context.instance, shell.context.socket):
             client = shell.client
             client.timeout = self.wait_limit(DEFAULT_TIMEOUT_S)
-            shell.picture.refresh()
             self._shared = client
             return client
         return super().client
-
-    def recall(self, key: Hashable, find: Callable[[], Found]) -> Found:
-        """What an earlier line has found out, as long as nothing has changed."""
-        client = self.client
-        return self._shell.picture.recall(key, find) if client is self._shared else find()
 
 
 class Shell:
     """Runs lines. `context` has the options of the shell itself; `client` is made when the first line needs it."""
 
     def __init__(self, context: Context) -> None:
-        from slidectl.cli.main import root
-
         self.context = context
         self._client: Client | None = None
-        self._plans = plainly.plans(root)
 
     @property
     def client(self) -> Client:
@@ -81,7 +64,6 @@ class Shell:
             context = self.context
             self._client = Client(context.instance, context.socket, timeout=context.wait_limit(DEFAULT_TIMEOUT_S))
             self._client.keep_log()
-            self.picture = Picture(self._client)
         return self._client
 
     def run(self, line: str) -> int:
@@ -106,14 +88,8 @@ class Shell:
     def _invoke(self, words: list[str], context: LineContext) -> None:
         if words[0] == "shell":
             raise UsageError("a shell within a shell", "run its lines here")
-        plan, rest = self._plans.find(words)
-        params = None if plan is None else plan.parse(rest, context)
-        if plan is not None and params is not None:
-            plan.run(params, context)
-            return
         from slidectl.cli.main import root
 
-        context.begin()
         with root.make_context("slidectl", words, obj=context) as click_context:
             root.invoke(click_context)
 
@@ -127,9 +103,7 @@ class Shell:
 def _words(line: str) -> list[str]:
     """The words of a line, as a shell parts them; `slidectl` in front may be written. Raises UsageError."""
     try:
-        words = plainly.split(line)
-        if words is None:
-            words = shlex.split(line, comments=True)
+        words = shlex.split(line, comments=True)
     except ValueError as error:
         raise UsageError(f"cannot read the line: {error}") from None
     return words[1:] if words[:1] == ["slidectl"] else words
@@ -149,7 +123,7 @@ def shell(click_context: click.Context, file: str | None, keep_going: bool) -> N
     """Run many commands in one process.
 
     One command a line, without 'slidectl' in front, from FILE or from stdin; '#' begins a comment. It stops at the
-    first command that fails, with its exit code. All lines share one connection, so each takes about a tenth of a
+    first command that fails, with its exit code. All lines share one connection, so each takes about a
     millisecond. Options before 'shell' hold for every line.
 
     On a terminal there is a prompt with history and completion; 'exit' or Ctrl-D ends it.

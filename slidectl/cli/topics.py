@@ -56,11 +56,6 @@ def look_up(ctx: Context, text: str, role: str | None, *, with_field: bool = Tru
     Raises:
         UnknownName: no such topic. Unused: it exists, but has nobody in that role. AmbiguousName: several do.
     """
-    key = ("topic", text, role, with_field, ctx.namespace)
-    return ctx.recall(key, lambda: _look_up(ctx, text, role, with_field, last_words))
-
-
-def _look_up(ctx: Context, text: str, role: str | None, with_field: bool, last_words: str) -> Target:
     types = ctx.client.topics()
     for name, field in splits(text) if with_field else [(text, "")]:
         near = fitting(name, types, ctx.namespace)

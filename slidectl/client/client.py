@@ -87,10 +87,6 @@ class Client:
         """True when the response to an earlier `call_async` is here: `answer` will not wait."""
         return self._replies.has(call_id)
 
-    def forget(self, call_id: str) -> None:
-        """Nobody will ask for the response to an earlier `call_async`."""
-        self._replies.forget(call_id)
-
     # --- topics -------------------------------------------------------------------------------------------------
 
     def advertise(self, topic: str, type: str | None = None, latch: bool = False) -> None:
@@ -209,14 +205,6 @@ class Client:
         while (message := self._link.receive(time.monotonic() + timeout)) is not None:
             self._sort(message)
             yield message
-
-    def take_in(self) -> bool:
-        """Sort what has arrived by now, without waiting. True if something has. Raises NoDaemon."""
-        arrived, now = False, time.monotonic()
-        while (message := self._link.receive(now)) is not None:
-            self._sort(message)
-            arrived = True
-        return arrived
 
     def wait_until(self, condition: Callable[[], bool], timeout: float | None, failure: str) -> None:
         """Take in what arrives until the condition is true. Raises TimedOut with the text of `failure`, NoDaemon."""

@@ -5,7 +5,6 @@ No physics and no control here; the simulation hangs those on it.
 
 from __future__ import annotations
 
-from slidectl.simulation.changes import Changes
 from slidectl.simulation.clock import Clock, ClockTopic
 from slidectl.simulation.node import GraphNode
 from slidectl.simulation.parameters import Parameters
@@ -24,10 +23,9 @@ class Graph:
     def __init__(self) -> None:
         self.clock = Clock()
         self.timers = Timers(self.clock.now_ns)
-        self.changes = Changes()
-        self.topics = Topics(self.changes.note)
-        self.services = Services(self.changes.note)
-        self.parameters = Parameters(self.changes.note)
+        self.topics = Topics()
+        self.services = Services()
+        self.parameters = Parameters()
         self.log = Rosout(self.topics, self.clock.now_ns, WORLD_NODE)
         clock = self.topics.advertise("/clock", "rosgraph_msgs/Clock", WORLD_NODE, kind=NodePublisher)
         self.clock_topic = ClockTopic(clock)

@@ -1,4 +1,4 @@
-"""`/slidectl/status`, `step`, `set_speed`, `sleep`, `next_change` and `list_robots`: what ROS has no service for.
+"""`/slidectl/status`, `step`, `set_speed`, `sleep` and `list_robots`: what ROS has no service for.
 
 `wait` has a module of its own, and `shutdown` is the daemon's.
 """
@@ -29,7 +29,6 @@ def advertise(simulation: Simulation) -> None:
     node.advertise_service("step", "slidectl/Step", lambda request: _step(simulation, request))
     node.advertise_service("set_speed", "slidectl/SetSpeed", lambda request: _set_speed(simulation, request))
     node.advertise_service("sleep", "slidectl/Sleep", lambda request: _sleep(simulation, request))
-    node.advertise_service("next_change", "slidectl/NextChange", lambda _: simulation.graph.changes.next())
     node.advertise_service("list_robots", "slidectl/ListRobots", lambda request: _list_robots(simulation, request))
 
 

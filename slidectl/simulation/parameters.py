@@ -13,7 +13,6 @@ from typing import Any
 from slidectl import names
 from slidectl.control.node import MISSING
 from slidectl.errors import UnknownName, UsageError
-from slidectl.simulation.changes import nobody
 
 Path = tuple[str, ...]
 DEEPEST = 64
@@ -42,9 +41,8 @@ class Watch:
 class Parameters:
     """The tree. Values are bool, int, float, str, lists and dicts of these; what is read and written is copied."""
 
-    def __init__(self, renamed: Callable[[], None] = nobody) -> None:
+    def __init__(self) -> None:
         self._root: dict[str, Any] = {}
-        self._renamed = renamed
         # By the first part of their names, so that robots that are many do not slow each other down.
         self._watches: dict[str, dict[Watch, None]] = {}
 
@@ -73,8 +71,6 @@ class Parameters:
         if not path and not isinstance(checked, dict):
             raise UsageError("the root of the parameters is a mapping", "give a name")
         leaves = list(_leaves(checked, path)) if merge else [(path, checked)]
-        if any(_has_names(content) or _has_names(self._find(leaf)) for leaf, content in leaves):
-            self._renamed()
         for leaf, content in leaves:
             self._put(leaf, content)
         self._tell([leaf for leaf, _ in leaves])
@@ -84,7 +80,6 @@ class Parameters:
         path = _path(name)
         if self._find(path) is MISSING:
             raise UnknownParameter("parameter", name, self.names())
-        self._renamed()
         if path:
             del self._find(path[:-1])[path[-1]]
             self._prune(path[:-1])
@@ -166,11 +161,6 @@ class Parameters:
         group.pop(watch, None)
         if not group:
             self._watches.pop(_first(watch.path), None)
-
-
-def _has_names(value: Any) -> bool:
-    """True for what is not set or holds parameters of its own: to put it, or to replace it, changes the names."""
-    return value is MISSING or isinstance(value, dict)
 
 
 def _path(name: str) -> Path:

@@ -11,7 +11,6 @@ from typing import Any
 from slidectl import msgs, names
 from slidectl.control.node import Message
 from slidectl.errors import Refused, SlidectlError, UnknownName
-from slidectl.simulation.changes import nobody
 from slidectl.simulation.pending import Pending
 
 Handler = Callable[[Message], Message | Pending]
@@ -49,9 +48,8 @@ class Service:
 class Services:
     """All services."""
 
-    def __init__(self, changed: Callable[[], None] = nobody) -> None:
+    def __init__(self) -> None:
         self._services: dict[str, Service] = {}
-        self._changed = changed
 
     def advertise(self, name: str, type_name: str, node: str, handler: Handler) -> Service:
         """Provide a service. The handler raises SlidectlError to fail a call, or gives a Pending to answer later.
@@ -63,7 +61,6 @@ class Services:
         if name in self._services:
             raise Refused(f"service {name} is already provided by {self._services[name].node}")
         service = self._services[name] = Service(name, type_name, node, handler, self._forget)
-        self._changed()
         return service
 
     def call(self, name: str, request: Any = None) -> Pending:
@@ -117,7 +114,6 @@ class Services:
     def _forget(self, service: Service) -> None:
         if self._services.get(service.name) is service:
             del self._services[service.name]
-            self._changed()
 
 
 def _follow(service: Service, inner: Pending) -> Pending:

@@ -13,7 +13,6 @@ from typing import Any, ClassVar
 from slidectl import msgs, names
 from slidectl.control.node import Message, MessageCallback
 from slidectl.errors import Refused, SlidectlError, UnknownName
-from slidectl.simulation.changes import nobody
 
 
 class TypeConflict(Refused):
@@ -134,9 +133,8 @@ class Topic:
 class Topics:
     """All topics. One exists as long as somebody publishes or subscribes it."""
 
-    def __init__(self, changed: Callable[[], None] = nobody) -> None:
+    def __init__(self) -> None:
         self._topics: dict[str, Topic] = {}
-        self._changed = changed
         self.changes = 0
         """How often a publisher or a subscriber came or went: while it stays, so does `wanted` of every publisher."""
 
@@ -258,7 +256,6 @@ class Topics:
     def _update(self, topic: Topic) -> None:
         self.changes += 1
         topic.update()
-        self._changed()
 
     def _tidy(self, topic: Topic) -> None:
         self._update(topic)

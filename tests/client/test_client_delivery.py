@@ -1,0 +1,45 @@
+"""Messages that are delivered in one round trip, lines that are too long, and the log as a client hears it."""
+
+from __future__ import annotations
+
+import pytest
+from daemon_fixture import Runtime
+
+from slidectl.client import Client
+from slidectl.errors import MessageRefused, UsageError
+
+
+def test_a_message_is_delivered_or_refused_in_one_go(daemon: Runtime, client: Client) -> None:
+    with daemon.client() as reader, reader.subscribe("/delivered/numbers", "std_msgs/Int32") as numbers:
+        client.deliver("/delivered/numbers", {"data": 1})
+        client.deliver("/delivered/numbers", {"data": 2}, type="std_msgs/Int32", latch=True)
+        with pytest.raises(MessageRefused, match="data"):
+            client.deliver("/delivered/numbers", {"data": "three"})
+        client.deliver("/delivered/numbers", {"data": 4})
+        reader.flush()
+        assert [numbers.get()["data"] for _ in range(len(numbers))] == [1, 2, 4]
+
+
+def test_what_fits_no_line_is_refused_before_it_leaves(client: Client) -> None:
+    with pytest.raises(UsageError, match="more than the 16777216 that fit a line"):
+        client.call("/rosapi/set_param", {"name": "/long", "value": "x" * 2**24})
+    assert client.call("/rosapi/has_param", {"name": "/long"}) == {"exists": False}
+
+
+def test_a_log_that_is_kept_gives_each_listener_its_own_lines(client: Client) -> None:
+    client.keep_log()
+    for text in ("one", "two"):
+        with client.rosout() as lines:
+            client.publish("/rosout", {"level": 8, "msg": text})
+            client.flush()
+        client.publish("/rosout", {"level": 8, "msg": "nobody listens"})
+        client.flush()
+        assert [line["msg"] for line in lines] == [text]
+    assert client.call("/rosapi/subscribers", {"topic": "/rosout"})["subscribers"]
+
+
+def test_a_log_that_is_not_kept_leaves_no_subscription(client: Client) -> None:
+    with client.rosout(), client.rosout():
+        pass
+    client.flush()
+    assert client.call("/rosapi/subscribers", {"topic": "/rosout"})["subscribers"] == []
