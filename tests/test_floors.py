@@ -10,7 +10,7 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "slidectl"
 
 FLOORS = {
-    "errors": 0, "names": 0, "operators": 0, "paths": 0, "rotations": 0, "writing": 0, "msgs": 0,
+    "errors": 0, "names": 0, "expressions": 0, "paths": 0, "rotations": 0, "writing": 0, "msgs": 0,
     "description": 1, "control": 1, "client": 1,
     "physics": 2, "launch": 2,
     "simulation": 3, "check": 3,
@@ -24,7 +24,7 @@ SAME_FLOOR = {("control", "description"), ("msgs", "names"), *((room, "errors") 
 FORBIDDEN = {
     "errors": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "names": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
-    "operators": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
+    "expressions": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "paths": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "rotations": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "writing": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
@@ -44,7 +44,7 @@ FORBIDDEN = {
 CLI_MAY_TAKE = {
     "errors",
     "names",
-    "operators",
+    "expressions",
     "paths",
     "rotations",
     "writing",

@@ -1,8 +1,7 @@
-"""A small safe evaluator: numbers, comparisons, names of the math module, and fields of a message.
+"""The expressions of the command line: `pub -r 'sin(t)'` in `i` and `t`, and `echo --filter` over a message `m`.
 
-An expression is parsed once into closures that know nothing but the names they were given. There are no attributes
-of Python objects, no imports and no calls but those listed here; numbers are kept to a size that ends, as in all
-languages of expressions here (operators/).
+The evaluator is that of `slidectl.expressions`. Here stands which part of it a command line may use, and the fields of
+a message: names and fields are checked before the first message, with the place and the closest name.
 """
 
 from __future__ import annotations
@@ -15,12 +14,7 @@ from typing import Any, NamedTuple
 from slidectl.cli.schema import BYTES, FLOATS, TIMES, Schema
 from slidectl.cli.yamlform import byte_values
 from slidectl.errors import Refused, UnknownName, UsageError, closest
-from slidectl.operators import BINARY, COMPARISONS
-from slidectl.operators.functions import FUNCTIONS
-from slidectl.operators.mathematics import MATH
-
-Names = Mapping[str, Any]
-Compute = Callable[[Names], Any]
+from slidectl.expressions import FUNCTIONS, MATH, evaluate, parsed
 
 _LONGEST = 4000
 _CONSTANTS: dict[str, Any] = {name: getattr(math, name) for name in ("pi", "e", "tau", "inf", "nan")}
@@ -28,9 +22,13 @@ _FUNCTIONS: dict[str, Callable[..., Any]] = {name: value for name, value in MATH
     name: FUNCTIONS[name]
     for name in ("abs", "min", "max", "round", "len", "int", "float", "bool", "sum", "any", "all", "str")
 }
-_TEXT_METHODS = ("startswith", "endswith", "lower", "upper", "strip", "find", "count", "isdigit")
-_LIST_METHODS = ("index", "count")
-_NO_OPERATORS = (ast.LShift, ast.RShift, ast.BitXor)
+_METHODS = frozenset(
+    ("startswith", "endswith", "lower", "upper", "strip", "find", "count", "isdigit", "index", "to_sec", "to_nsec")
+)
+_OPERATIONS = (
+    ast.Constant, ast.List, ast.Tuple, ast.UnaryOp, ast.BoolOp, ast.BinOp, ast.Compare, ast.IfExp, ast.Call, ast.Slice,
+)  # fmt: skip
+_NO_OPERATORS = {ast.LShift: "LShift", ast.RShift: "RShift", ast.BitXor: "BitXor", ast.MatMult: "MatMult"}
 
 
 class ExpressionError(UsageError):
@@ -39,6 +37,88 @@ class ExpressionError(UsageError):
 
 class EvaluationError(Refused):
     """An expression that cannot be computed with these values."""
+
+
+class Fields:
+    """A message on the wire as an expression sees it, by field: null is not a number, base64 is numbers."""
+
+    __slots__ = ("_message", "_schema", "_type")
+
+    def __init__(self, message: Mapping[str, Any], type_name: str, schema: Schema) -> None:
+        self._message = message
+        self._type = type_name
+        self._schema = schema
+
+    def __getitem__(self, name: str) -> Any:
+        value = self._message[name]
+        field = self._schema.field(self._type, name)
+        return value if field is None else self._shown(value, field.type, field.array >= 0)
+
+    def _shown(self, value: Any, type_name: str, is_array: bool) -> Any:
+        if is_array:
+            if type_name in BYTES:
+                return byte_values(value)
+            return [self._shown(each, type_name, False) for each in value]
+        if type_name in FLOATS:
+            return math.nan if value is None else value
+        if type_name in TIMES:
+            return Time(value)
+        return Fields(value, type_name, self._schema) if isinstance(value, Mapping) else value
+
+
+class Time:
+    """A time or duration of a message, with rospy's `to_sec()` and `to_nsec()`."""
+
+    __slots__ = ("_time",)
+
+    def __init__(self, time: Mapping[str, int]) -> None:
+        self._time = time
+
+    def __getitem__(self, name: str) -> Any:
+        secs, nsecs = self._time["secs"], self._time["nsecs"]
+        known = {"to_sec": lambda: secs + 1e-9 * nsecs, "to_nsec": lambda: secs * 10**9 + nsecs}
+        return known.get(name) or self._time[name]
+
+
+class _Math:
+    """`math`, whose names are its attributes."""
+
+    def __getitem__(self, name: str) -> Any:
+        return MATH[name]
+
+
+class Expression:
+    """A parsed expression. It may use the names in `variables`; `m` is a message of the schema's root type.
+
+    Raises:
+        ExpressionError: it is not valid. UnknownName: a field of `m` that does not exist.
+    """
+
+    def __init__(self, text: str, variables: tuple[str, ...] = (), schema: Schema | None = None) -> None:
+        if len(text) > _LONGEST:
+            raise ExpressionError(f"the expression is longer than {_LONGEST} characters")
+        self.text = text
+        self._schema = schema
+        try:
+            self._tree = parsed(text)
+            _Check(text, variables, schema).kind_of(self._tree)
+        except SyntaxError as error:
+            raise ExpressionError(f"{text!r} is not a valid expression: {error.msg}") from None
+        except RecursionError:
+            raise ExpressionError(f"the expression {text[:40]!r}... is nested too deeply") from None
+
+    def __call__(self, **names: Any) -> Any:
+        """The value with these variables. Raises EvaluationError when it cannot be computed."""
+        if self._schema is not None and "m" in names:
+            names["m"] = Fields(names["m"], self._schema.root, self._schema)
+        try:
+            # Lists are those of the message, and there are no loops: no step needs to be counted.
+            return evaluate(self._tree, _NAMES | names, (Fields, Time, _Math), math.inf)
+        except (ArithmeticError, ValueError, TypeError, LookupError, NameError, RecursionError) as error:
+            raise EvaluationError(f"cannot compute {self.text!r}: {error}") from None
+
+
+_NAMES = {**_FUNCTIONS, **_CONSTANTS, "math": _Math()}
 
 
 class _Kind(NamedTuple):
@@ -51,59 +131,44 @@ class _Kind(NamedTuple):
 _ANYTHING = _Kind(None)
 
 
-class Expression:
-    """A parsed expression. It may use the names in `variables`; `m` is a message of the schema's root type.
+class _Check:
+    """One look at a tree before it is evaluated. Raises ExpressionError with the place."""
 
-    Raises:
-        ExpressionError: it is not valid. UnknownName: a field of `m` that does not exist.
-    """
-
-    def __init__(self, text: str, variables: tuple[str, ...] = (), schema: Schema | None = None) -> None:
-        self.text = text
+    def __init__(self, text: str, variables: tuple[str, ...], schema: Schema | None) -> None:
+        self._text = text
         self._variables = variables
         self._schema = schema
-        try:
-            self._compute = self._compile(_parsed(text))[0]
-        except RecursionError:
-            raise ExpressionError(f"the expression {text[:40]!r}... is nested too deeply") from None
 
-    def __call__(self, **names: Any) -> Any:
-        """The value with these variables. Raises EvaluationError when it cannot be computed."""
-        try:
-            return self._compute(names)
-        except (ArithmeticError, ValueError, TypeError, LookupError, RecursionError) as error:
-            raise EvaluationError(f"cannot compute {self.text!r}: {error}") from None
-
-    def _compile(self, node: ast.AST) -> tuple[Compute, _Kind]:
-        compiler = getattr(self, f"_{type(node).__name__.lower()}", None)
-        if compiler is None:
+    def kind_of(self, node: ast.AST) -> _Kind:
+        if isinstance(node, ast.Name):
+            return self._name(node)
+        if isinstance(node, ast.Attribute):
+            return self._attribute(node)
+        if isinstance(node, ast.Subscript):
+            return self._subscript(node)
+        if not isinstance(node, _OPERATIONS):
             raise self._refusal(f"there is no {type(node).__name__} in expressions", node)
-        result: tuple[Compute, _Kind] = compiler(node)
-        return result
+        if isinstance(node, ast.Constant) and not isinstance(node.value, bool | int | float | str | None):
+            raise self._refusal(f"{node.value!r} is neither a number nor text", node)
+        if isinstance(node, ast.BinOp) and type(node.op) in _NO_OPERATORS:
+            raise self._refusal(f"there is no operator {_NO_OPERATORS[type(node.op)]}", node)
+        if isinstance(node, ast.BinOp) and any(_is_text(side) for side in (node.left, node.right)):
+            raise self._refusal("a text is no number", node)
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Invert):
+            raise self._refusal("there is no operator ~", node)
+        if isinstance(node, ast.Call):
+            self._function(node)
+        for part in ast.iter_child_nodes(node):
+            if isinstance(part, ast.expr) and not (isinstance(node, ast.Call) and part is node.func):
+                self.kind_of(part)
+        return _ANYTHING
 
-    def _plain(self, node: ast.AST) -> Compute:
-        return self._compile(node)[0]
-
-    def _refusal(self, reason: str, node: ast.AST) -> ExpressionError:
-        place = getattr(node, "col_offset", 0) + 1
-        return ExpressionError(f"{self.text!r} is not a valid expression: {reason} (at character {place})")
-
-    # --- leaves -------------------------------------------------------------------------------------------------
-
-    def _constant(self, node: ast.Constant) -> tuple[Compute, _Kind]:
-        value = node.value
-        if not (value is None or isinstance(value, bool | int | float | str)):
-            raise self._refusal(f"{value!r} is neither a number nor text", node)
-        return lambda _names: value, _ANYTHING
-
-    def _name(self, node: ast.Name) -> tuple[Compute, _Kind]:
+    def _name(self, node: ast.Name) -> _Kind:
         name = node.id
         if name in self._variables:
-            root = self._schema.root if self._schema is not None and name == "m" else None
-            return lambda names: names[name], _Kind(root)
+            return _Kind(self._schema.root if self._schema is not None and name == "m" else None)
         if name in _CONSTANTS:
-            value = _CONSTANTS[name]
-            return lambda _names: value, _ANYTHING
+            return _ANYTHING
         if name in _FUNCTIONS:
             raise self._refusal(f"{name} is a function: write {name}(...)", node)
         near = closest(name, [*self._variables, *_CONSTANTS, *_FUNCTIONS])
@@ -111,154 +176,46 @@ class Expression:
         known = " and ".join([*self._variables, "the names of the math module"])
         raise self._refusal(f"no name {name!r} (there are {known}{suggestion})", node)
 
-    def _list(self, node: ast.List | ast.Tuple) -> tuple[Compute, _Kind]:
-        parts = [self._plain(element) for element in node.elts]
-        return lambda names: [part(names) for part in parts], _ANYTHING
+    def _function(self, call: ast.Call) -> None:
+        """`sin` or `math.sin`, `abs` and its like; a method of a text, of a list or of a time."""
+        if call.keywords or any(isinstance(argument, ast.Starred) for argument in call.args):
+            raise self._refusal("functions take plain arguments only", call)
+        node = call.func
+        if isinstance(node, ast.Attribute) and _of_math(node) is None and node.attr in _METHODS:
+            self.kind_of(node.value)
+        elif (_of_math(node) or (node.id if isinstance(node, ast.Name) else None)) not in _FUNCTIONS:
+            raise self._refusal(f"there is no function {ast.unparse(node)!r}", node)
 
-    _tuple = _list
-
-    # --- operators ----------------------------------------------------------------------------------------------
-
-    def _binop(self, node: ast.BinOp) -> tuple[Compute, _Kind]:
-        apply = BINARY.get(type(node.op))
-        if apply is None or isinstance(node.op, _NO_OPERATORS):
-            raise self._refusal(f"there is no operator {type(node.op).__name__}", node)
-        left, right = self._plain(node.left), self._plain(node.right)
-        return lambda names: apply(_number(left(names)), _number(right(names))), _ANYTHING
-
-    def _unaryop(self, node: ast.UnaryOp) -> tuple[Compute, _Kind]:
-        operand = self._plain(node.operand)
-        if isinstance(node.op, ast.Not):
-            return lambda names: not operand(names), _ANYTHING
-        if isinstance(node.op, ast.Invert):
-            raise self._refusal("there is no operator ~", node)
-        sign = -1 if isinstance(node.op, ast.USub) else 1
-        return lambda names: sign * _number(operand(names)), _ANYTHING
-
-    def _boolop(self, node: ast.BoolOp) -> tuple[Compute, _Kind]:
-        parts = [self._plain(value) for value in node.values]
-        combine = all if isinstance(node.op, ast.And) else any
-        return lambda names: combine(part(names) for part in parts), _ANYTHING
-
-    def _compare(self, node: ast.Compare) -> tuple[Compute, _Kind]:
-        terms = [self._plain(term) for term in (node.left, *node.comparators)]
-        tests = [COMPARISONS[type(op)] for op in node.ops]
-
-        def compare(names: Names) -> bool:
-            values = [term(names) for term in terms]
-            return all(test(values[i], values[i + 1]) for i, test in enumerate(tests))
-
-        return compare, _ANYTHING
-
-    def _ifexp(self, node: ast.IfExp) -> tuple[Compute, _Kind]:
-        test, body, otherwise = self._plain(node.test), self._plain(node.body), self._plain(node.orelse)
-        return lambda names: body(names) if test(names) else otherwise(names), _ANYTHING
-
-    # --- calls, fields, elements --------------------------------------------------------------------------------
-
-    def _call(self, node: ast.Call) -> tuple[Compute, _Kind]:
-        if node.keywords or any(isinstance(argument, ast.Starred) for argument in node.args):
-            raise self._refusal("functions take plain arguments only", node)
-        if isinstance(node.func, ast.Attribute) and node.func.attr in _TIME_METHODS and not node.args:
-            inner, convert = self._plain(node.func.value), _TIME_METHODS[node.func.attr]
-            return lambda names: convert(inner(names)), _ANYTHING
-        arguments = [self._plain(argument) for argument in node.args]
-        function = self._function(node.func)
-        return lambda names: function(names)(*[argument(names) for argument in arguments]), _ANYTHING
-
-    def _function(self, node: ast.expr) -> Callable[[Names], Callable[..., Any]]:
-        """`sin` or `math.sin`, `abs` and its like; a method of a text or of a list."""
-        name = _of_math(node) or (node.id if isinstance(node, ast.Name) else None)
-        if name in _FUNCTIONS:
-            return lambda _names: _FUNCTIONS[name]
-        if isinstance(node, ast.Attribute) and node.attr in (*_TEXT_METHODS, *_LIST_METHODS) and name is None:
-            inner, method = self._plain(node.value), node.attr
-            return lambda names: _method(inner(names), method)
-        raise self._refusal(f"there is no function {ast.unparse(node)!r}", node)
-
-    def _attribute(self, node: ast.Attribute) -> tuple[Compute, _Kind]:
-        if (constant := _of_math(node)) in _CONSTANTS:
-            return lambda _names: _CONSTANTS[constant], _ANYTHING
-        inner, kind = self._compile(node.value)
-        name = node.attr
+    def _attribute(self, node: ast.Attribute) -> _Kind:
+        if _of_math(node) in _CONSTANTS:
+            return _ANYTHING
+        kind, name = self.kind_of(node.value), node.attr
         if kind.type is None or kind.depth or self._schema is None:
             raise self._refusal(f"{ast.unparse(node.value)!r} has no field {name!r}", node)
         known = ["secs", "nsecs"] if kind.type in TIMES else [f.name for f in self._schema.fields(kind.type)]
         if name not in known:
-            raise ExpressionError(f"{self.text!r}: {UnknownName('field', name, known, f'in {kind.type}')}")
+            raise ExpressionError(f"{self._text!r}: {UnknownName('field', name, known, f'in {kind.type}')}")
         field = self._schema.field(kind.type, name)
-        if field is None:
-            return lambda names: inner(names)[name], _Kind("int32")
-        convert = _converter(field.type, field.array >= 0)
-        return lambda names: convert(inner(names)[name]), _Kind(field.type, int(field.array >= 0))
+        return _Kind("int32") if field is None else _Kind(field.type, int(field.array >= 0))
 
-    def _subscript(self, node: ast.Subscript) -> tuple[Compute, _Kind]:
-        inner, kind = self._compile(node.value)
+    def _subscript(self, node: ast.Subscript) -> _Kind:
+        kind = self.kind_of(node.value)
         if kind.type is not None and kind.depth == 0 and kind.type != "string":
             raise self._refusal(f"{ast.unparse(node.value)!r} is no array", node)
-        if isinstance(node.slice, ast.Slice):
-            bounds = [self._plain(b) if b else _nothing for b in (node.slice.lower, node.slice.upper, node.slice.step)]
-            return lambda names: inner(names)[slice(*[bound(names) for bound in bounds])], kind
-        index = self._plain(node.slice)
-        return lambda names: inner(names)[index(names)], _Kind(kind.type, max(kind.depth - 1, 0))
+        self.kind_of(node.slice)
+        return kind if isinstance(node.slice, ast.Slice) else _Kind(kind.type, max(kind.depth - 1, 0))
 
-
-def _parsed(text: str) -> ast.expr:
-    if len(text) > _LONGEST:
-        raise ExpressionError(f"the expression is longer than {_LONGEST} characters")
-    try:
-        return ast.parse(text.strip(), mode="eval").body
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        reason = getattr(error, "msg", None) or str(error) or "too deep"
-        raise ExpressionError(f"{text!r} is not a valid expression: {reason}") from None
+    def _refusal(self, reason: str, node: ast.AST) -> ExpressionError:
+        place = getattr(node, "col_offset", 0) + 1
+        return ExpressionError(f"{self._text!r} is not a valid expression: {reason} (at character {place})")
 
 
 def _of_math(node: ast.expr) -> str | None:
     """`pi` of `math.pi`."""
-    is_math = isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "math"
-    return node.attr if is_math and isinstance(node, ast.Attribute) else None
-
-
-def _method(value: Any, name: str) -> Callable[..., Any]:
-    methods = _TEXT_METHODS if isinstance(value, str) else _LIST_METHODS if isinstance(value, list) else ()
-    if name not in methods:
-        raise TypeError(f"{value!r} has no {name}()")
-    function: Callable[..., Any] = getattr(value, name)
-    return function
-
-
-def _nothing(_names: Names) -> None:
+    if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "math":
+        return node.attr
     return None
 
 
-def _number(value: Any) -> Any:
-    if isinstance(value, int | float):
-        return value
-    raise TypeError(f"{value!r} is no number")
-
-
-def _converter(type_name: str, is_array: bool) -> Callable[[Any], Any]:
-    """From the wire's form to what a comparison wants: null is not a number, base64 is numbers."""
-    if is_array and type_name in BYTES:
-        return byte_values
-    if type_name in FLOATS:
-        return _floats if is_array else _float
-    return _itself
-
-
-def _itself(value: Any) -> Any:
-    return value
-
-
-def _float(value: float | None) -> float:
-    return math.nan if value is None else value
-
-
-def _floats(values: list[float | None]) -> list[float]:
-    return [math.nan if value is None else value for value in values]
-
-
-_TIME_METHODS: dict[str, Callable[[Mapping[str, int]], Any]] = {
-    "to_sec": lambda time: time["secs"] + 1e-9 * time["nsecs"],
-    "to_nsec": lambda time: time["secs"] * 10**9 + time["nsecs"],
-}
+def _is_text(node: ast.expr) -> bool:
+    return isinstance(node, ast.Constant) and isinstance(node.value, str)

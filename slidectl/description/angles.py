@@ -34,9 +34,17 @@ def angle(text: str, tag: str) -> float:
             return float(_inside(text, "deg")) * math.pi / 180.0
         except ValueError:
             raise ValueError("expected one number of degrees; rad(...) takes a sum") from None
-    from slidectl.description.arithmetic import arithmetic
+    from slidectl.expressions import ExpressionError, compute
 
-    return arithmetic(_inside(text, "rad"))
+    try:
+        value = compute(_inside(text, "rad"), {"pi": math.pi})
+    except (SyntaxError, NameError, TypeError, ExpressionError):
+        raise ValueError("expected an expression of numbers and pi") from None
+    if type(value) not in (int, float):
+        raise ValueError("expected an expression of numbers and pi")
+    if not math.isfinite(value):
+        raise OverflowError("the result is not finite")
+    return float(value)
 
 
 def _inside(text: str, word: str) -> str:

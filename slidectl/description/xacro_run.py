@@ -25,8 +25,7 @@ from slidectl.description.robot import Notice
 from slidectl.description.xacro_dom import LocatedElement, to_document, to_element
 from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile, SlidectlError, listing
-from slidectl.operators.functions import FUNCTIONS
-from slidectl.operators.mathematics import MATH
+from slidectl.expressions import FUNCTIONS, MATH
 
 
 def expand(

@@ -15,9 +15,7 @@ from typing import Any
 import xacro
 
 from slidectl.description import xacro_yaml
-from slidectl.operators.evaluator import compute
-from slidectl.operators.functions import FUNCTIONS
-from slidectl.operators.mathematics import MATH
+from slidectl.expressions import FUNCTIONS, MATH, compute
 
 _DIRECT = ("list", "dict", "map", "len", "str", "float", "int", "bool", "min", "max", "round")
 _DEPRECATED = {"sorted": "python", "range": "python", "load_yaml": "xacro", "abs_filename": "xacro", "dotify": "xacro"}

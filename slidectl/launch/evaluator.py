@@ -1,6 +1,6 @@
 """What `$(eval ...)` of launch files may compute, and what is said when it cannot.
 
-The walk over the expression is that of operators/evaluator.py, which all languages of expressions here share.
+The walk over the expression is that of slidectl/expressions.py, which all languages of expressions here share.
 """
 
 from __future__ import annotations
@@ -8,9 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from slidectl.operators.evaluator import ExpressionError, compute
-from slidectl.operators.functions import FUNCTIONS
-from slidectl.operators.mathematics import MATH
+from slidectl.expressions import FUNCTIONS, MATH, ExpressionError, compute
 
 __all__ = ["ExpressionError", "evaluate"]
 

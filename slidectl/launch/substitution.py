@@ -12,10 +12,10 @@ from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 from slidectl.errors import SlidectlError, closest, listing
+from slidectl.expressions import MATH
 from slidectl.launch.evaluator import ExpressionError, evaluate
 from slidectl.launch.protected import plain, protect
 from slidectl.launch.typed import automatic
-from slidectl.operators.mathematics import MATH
 
 COMMANDS = ("find", "env", "optenv", "dirname", "anon", "arg")
 OPEN = "$("
