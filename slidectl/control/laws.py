@@ -79,12 +79,14 @@ def _getter(names: Sequence[str]) -> Callable[[object], tuple[Any, ...]]:
 
 @dataclass(frozen=True, slots=True)
 class Compiled:
-    """How a controller runs compiled: the kind of its rows (by which the cycle knows its law), and their columns.
+    """How a controller runs compiled: the law of its `update`, and the columns of its row.
 
-    `Columns.places` of a kind begin with `pid` when it has one, and `joint` when it drives one.
+    `update(row, joints, pids, time_ns, period_s)` is a law: it does to the rows what the method does to the objects,
+    and returns True when `publish` is due. `Columns.places` are `pid` where there is a PID, `joint` where there is one
+    joint, and `wanted` where there is a publisher, in this order: indices into `pids` and `joints`, and a flag.
     """
 
-    kind: str
+    update: Callable[[Any, Any, Any, int, float], bool]
     columns: Columns
 
 

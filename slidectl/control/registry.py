@@ -12,6 +12,7 @@ from pkgutil import iter_modules
 from typing import Protocol, TypeVar
 
 from slidectl.control.controller import ControllerBase
+from slidectl.control.laws import Compiled
 from slidectl.errors import UnknownName
 
 C = TypeVar("C", bound=type[ControllerBase])
@@ -95,6 +96,14 @@ def find(type_name: str) -> type[ControllerBase]:
 def create(type_name: str) -> ControllerBase:
     """A fresh controller of that type. Raises UnknownType."""
     return find(type_name)()
+
+
+def compiled_forms() -> dict[type[ControllerBase], Compiled]:
+    """The classes that declare how they run compiled, with that declaration, by name: the same order in any process."""
+    _import_shipped()
+    classes = {cls for registered in _known.values() for cls in registered.__mro__ if issubclass(cls, ControllerBase)}
+    by_name = sorted(classes, key=lambda cls: f"{cls.__module__}.{cls.__qualname__}")
+    return {cls: form for cls in by_name if (form := vars(cls).get("compiled")) is not None}
 
 
 @cache

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import ExitStack
-from typing import TYPE_CHECKING
 
 from slidectl import names
 from slidectl.control.duration import from_seconds
@@ -23,9 +22,6 @@ from slidectl.simulation.cycle import ControlCycle
 from slidectl.simulation.loop import Loop
 from slidectl.simulation.manager_services import ManagerServices
 from slidectl.simulation.node import GraphNode
-
-if TYPE_CHECKING:
-    from slidectl.simulation.compiled.seat import Seat
 
 Pose = tuple[tuple[float, float, float], tuple[float, float, float, float]]
 """Position in m, and quaternion x y z w."""
@@ -59,8 +55,6 @@ class SpawnedRobot:
         self.body: Body
         self.parts = ControlParts()
         self.services: ManagerServices
-        self.seat: Seat | None = None
-        """Where it is in the tables of the compiled cycle."""
 
     def watch_entries(self, callback: Callable[[], None]) -> None:
         """Call back before anybody outside of the cycle looks at the robot's control, or changes it."""

@@ -12,13 +12,12 @@ from typing import TYPE_CHECKING
 from slidectl.errors import Refused, SlidectlError
 from slidectl.physics import Diverged, EngineError, World
 from slidectl.simulation.compiled.engine import Engine
-from slidectl.simulation.compiled.rows import CHECK_EVERY
 from slidectl.simulation.graph import WORLD_NODE, Graph
 from slidectl.simulation.run_state import RunState
+from slidectl.simulation.runner import CHECK_EVERY, PlainRunner, Runner
 
 if TYPE_CHECKING:
     from slidectl.simulation.assembly import SpawnedRobot
-    from slidectl.simulation.compiled.cycles import CompiledCycles
 
 FEW = 16
 """Fewer cycles than these are not worth the way into the tables and back, which is made when nobody drives."""
@@ -36,7 +35,7 @@ class Loop:
         """True when somebody else (the daemon) calls `step` as `run` says; else time moves only when asked."""
         self.in_cycle = False
         self.robots: tuple[SpawnedRobot, ...] = ()
-        self._cycles: tuple[Callable[[int], None], ...] = ()
+        self.plain = PlainRunner(self)
         self._data = world.data
         self.engine = Engine(self, engine)
         world.on_rebuild(self._world_changed)
@@ -44,17 +43,23 @@ class Loop:
     def take_robots(self, robots: tuple[SpawnedRobot, ...]) -> None:
         """These are the robots from now on, in this order."""
         self.robots = robots
-        self._cycles = tuple(robot.parts.cycle.run for robot in robots)
-        if self.engine.cycles is not None:
-            self.engine.cycles.take_robots(robots)
-            for robot in robots:
-                robot.watch_entries(partial(self.engine.cycles.release, robot))
+        for runner in self._runners():
+            runner.take_robots(robots)
+        for robot in robots:
+            robot.watch_entries(partial(self._give_back, robot))
+
+    def _runners(self) -> list[Runner]:
+        return [self.plain] if self.engine.compiled is None else [self.plain, self.engine.compiled]
+
+    def _give_back(self, robot: SpawnedRobot) -> None:
+        if self.engine.compiled is not None:
+            self.engine.compiled.give_back(robot)
 
     def _world_changed(self) -> None:
         if self.world.data is not self._data:
             self._data = self.world.data
-            if self.engine.cycles is not None:
-                self.engine.cycles.follow_world()
+            for runner in self._runners():
+                runner.follow_world()
 
     @property
     def stands_still(self) -> bool:
@@ -77,8 +82,8 @@ class Loop:
 
     def settle(self) -> None:
         """Somebody is about to look at handles and controllers that he holds: let them be what they should be."""
-        if self.engine.cycles is not None:
-            self.engine.cycles.release_all()
+        for runner in self._runners():
+            runner.give_back_all()
 
     def step(self, cycles: int = 1) -> int:
         """Run so many cycles. Returns how many: fewer only when the physics diverges and `driven`.
@@ -90,11 +95,12 @@ class Loop:
             self.between_cycles("step")
         if not self.engine.is_settled:
             self.engine.advance(cycles)
-        compiled = self.engine.cycles if self.driven or cycles >= FEW else None
+        compiled = self.engine.compiled
+        runner = self.plain if compiled is None or not (self.driven or cycles >= FEW) else compiled
         left, run = cycles, self.run
         try:
             while left > 0:
-                done, trouble = self._burst(run.until_answer(left) if run.requests else left, compiled)
+                done, trouble = self._burst(run.until_answer(left) if run.requests else left, runner)
                 left -= done
                 if run.requests:
                     run.took(done)
@@ -102,19 +108,16 @@ class Loop:
                     self._give_up(trouble)
                     break
         finally:
-            if compiled is not None and not self.driven:
-                compiled.release_all()
+            if not self.driven:
+                runner.give_back_all()
         return cycles - left
 
-    def _burst(self, count: int, compiled: CompiledCycles | None) -> tuple[int, SlidectlError | None]:
+    def _burst(self, count: int, runner: Runner) -> tuple[int, SlidectlError | None]:
         """At most `count` cycles: how many, and what is wrong with the physics when that was looked at."""
         clock = self.graph.clock
         before = clock.cycles
         try:
-            if compiled is not None:
-                done = compiled.run(count)
-            else:
-                done = self._run_cycles(min(count, CHECK_EVERY - before % CHECK_EVERY))
+            done = runner.run(count)
             if clock.cycles % CHECK_EVERY == 0:
                 self.world.check()
         except Diverged as trouble:
@@ -129,29 +132,3 @@ class Loop:
         self.graph.log("fatal", WORLD_NODE, str(trouble))
         if not self.driven:
             raise trouble
-
-    def _run_cycles(self, count: int) -> int:
-        """At most `count` cycles, up to and with the first after which a timer is due. The innermost loop."""
-        graph, world, step_ns, robots = self.graph, self.world, self.step_ns, self._cycles
-        clock, timers, clock_topic = graph.clock, graph.timers, graph.clock_topic
-        clock_publisher = clock_topic.publisher
-        time_ns = clock.time_ns
-        done = 0
-        self.in_cycle = True
-        try:
-            for done in range(1, count + 1):  # noqa: B007 - counted for after the loop
-                time_ns += step_ns
-                clock.time_ns = time_ns
-                if clock_publisher.wanted:
-                    clock_topic.tick(time_ns, step_ns)
-                for robot in robots:
-                    robot(time_ns)
-                world.step()
-                if time_ns >= timers.next_ns:
-                    break
-        finally:
-            self.in_cycle = False
-            clock.cycles += done
-        if time_ns >= timers.next_ns:
-            timers.fire()
-        return done

@@ -29,7 +29,7 @@ from slidectl.control.pid import Pid, next_command, next_command_from, pid_law  
 from slidectl.physics import drives  # noqa: E402
 from slidectl.physics.drives import Drive  # noqa: E402
 from slidectl.physics.effort import truncated  # noqa: E402
-from slidectl.simulation.compiled import rows  # noqa: E402
+from slidectl.simulation.compiled import tables  # noqa: E402
 from slidectl.simulation.compiled.compiler import column_type, teach_laws  # noqa: E402
 
 DATA = Path(__file__).parent.parent / "data"
@@ -136,7 +136,7 @@ def test_every_recorded_limit_comes_out_of_the_compiled_law() -> None:
         limits = JointLimits(**{k: v if isinstance(v, bool) else float(v) for k, v in case["limits"].items()})
         soft = SoftJointLimits(**{key: float(value) for key, value in case.get("soft_limits", {}).items()})
         handle: Any = getattr(limit_handles, case["handle"].removesuffix("Handle"))(joint, limits, soft)
-        limit_row, joint_row = Rows(LimitHandle.columns, handle), Rows(rows.JOINT, joint)
+        limit_row, joint_row = Rows(LimitHandle.columns, handle), Rows(tables.JOINT, joint)
         for k, (step, output) in enumerate(zip(case["steps"], case["outputs"], strict=True)):
             if k in case["resets"]:
                 handle.reset()
@@ -156,7 +156,7 @@ def test_what_a_drive_makes_of_a_command_is_the_same_to_the_bit(kind: int) -> No
     dice = random.Random(kind)
     drive: Any = SimpleNamespace(kind=kind, lower=-2.0, upper=1.5, limit=7.0)
     pid, joint = Pid(p=5.0, i=2.0, d=0.5, i_max=3.0, i_min=-1.0), JointHandle("joint")
-    drive_row, pid_row, joint_row = Rows(Drive.columns, drive), Rows(Pid.columns, pid), Rows(rows.JOINT, joint)
+    drive_row, pid_row, joint_row = Rows(Drive.columns, drive), Rows(Pid.columns, pid), Rows(tables.JOINT, joint)
     for _ in range(500):
         joint.position, joint.velocity, joint.command = (dice.uniform(-4, 4) for _ in range(3))
         joint_row.fill()

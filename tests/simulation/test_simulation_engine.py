@@ -17,7 +17,7 @@ from slidectl.control.registry import controller
 from slidectl.errors import Refused, UsageError
 from slidectl.physics import Diverged, EngineError
 from slidectl.simulation import Simulation
-from slidectl.simulation.compiled import cache, engine, object_file, tables
+from slidectl.simulation.compiled import cache, engine, object_file, runner
 
 needs_numba = pytest.mark.skipif(not object_file.is_possible(), reason="numba is not installed")
 
@@ -375,7 +375,7 @@ def test_what_diverges_is_noticed_in_the_same_cycle() -> None:
 def test_an_error_of_the_physics_is_an_error_and_no_end_of_the_process() -> None:
     _, simulation = play(lambda simulation: add(simulation, "a", arm(), usual()), "compiled", driven=True)
     simulation.step(10)
-    cycles = simulation.engine.cycles
+    cycles = simulation.engine.compiled
     assert cycles is not None
     from ctypes import addressof, c_void_p, cast, create_string_buffer
 
@@ -409,20 +409,21 @@ def test_what_is_told_between_steps_counts_and_what_is_shown_is_new() -> None:
 def test_a_robot_that_comes_or_switches_leaves_the_others_in_their_rows() -> None:
     _, simulation = play(lambda simulation: add(simulation, "a", arm(), usual()), "compiled", driven=True)
     simulation.step(10)
-    settled = simulation.robots.get("a").seat
+    cycles = simulation.engine.compiled
+    assert cycles is not None
+    settled = cycles._rows_of[simulation.robots.get("a")]
     simulation.step(10)
     add(simulation, "b", arm(("continuous",)), {"one": {"type": POSITION, "joint": "joint1", "pid": GAINS}})
     simulation.step(10)
     switch(simulation, "b", stop=["one"])
     simulation.step(10)
-    assert simulation.robots._robots["a"].seat is settled
-    assert settled is not None
-    assert settled.is_taken
+    assert cycles._rows_of[simulation.robots._robots["a"]] is settled
+    assert settled.is_loaded
 
 
 @needs_numba
 def test_rows_that_are_left_over_do_not_pile_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tables, "_FEW", 10)
+    monkeypatch.setattr(runner, "_FEW_ROWS", 10)
 
     def scene(simulation: Simulation) -> None:
         add(simulation, "a", arm(), usual())
@@ -434,7 +435,7 @@ def test_rows_that_are_left_over_do_not_pile_up(monkeypatch: pytest.MonkeyPatch)
                 simulation.step(20)
 
     simulation = assert_same(scene)
-    cycles = simulation.engine.cycles
+    cycles = simulation.engine.compiled
     assert cycles is not None
     assert sum(map(len, cycles._tables.content.values())) < 20_000
 

@@ -5,7 +5,7 @@ Parameter `joint`. No PID, no limits, no state topic.
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from slidectl.control import params
 from slidectl.control.handles import JointHandle
@@ -28,11 +28,18 @@ def hand_on(goal: ForwardController, joint: JointHandle) -> None:
     joint.command = goal.set_point
 
 
+@law
+def update_forward(goal: Any, joints: Any, pids: Any, time_ns: int, period_s: float) -> bool:  # noqa: ARG001
+    """The update on rows."""
+    hand_on(goal, joints[goal.joint])
+    return False
+
+
 class ForwardController(ScalarController):
     """joint command = the last command, 0 until there is one."""
 
     parameters: ClassVar[tuple[Parameter, ...]] = (JOINT,)
-    compiled = Compiled("forward", Columns(fixed="set_point", places="joint", whole="joint"))
+    compiled = Compiled(update_forward, Columns(fixed="set_point", places="joint", whole="joint"))
     _joint: JointHandle
 
     def init(self, interface: JointCommandInterface, node: NodeHandle) -> None:

@@ -7,6 +7,7 @@ command, not this law.
 from __future__ import annotations
 
 from math import inf
+from typing import Any
 
 from slidectl.control import params
 from slidectl.control.angles import distance_with_large_limits, shortest_angular_distance
@@ -40,11 +41,18 @@ def track_position(goal: JointPositionController, pid: Pid, joint: JointHandle, 
         joint.command = next_command(pid, goal.error, period_s)
 
 
+@law
+def update_position(goal: Any, joints: Any, pids: Any, time_ns: int, period_s: float) -> bool:  # noqa: ARG001
+    """The update on rows."""
+    track_position(goal, pids[goal.pid], joints[goal.joint], period_s)
+    return state_is_due(goal) and goal.wanted != 0
+
+
 class JointPositionController(PidController):
     """command = pid(set point - position), the difference taken on the circle for a joint that turns."""
 
     compiled = Compiled(
-        "joint_position",
+        update_position,
         Columns(
             changing="error updates_to_state states",
             fixed="set_point set_velocity has_set_velocity lower upper turns",

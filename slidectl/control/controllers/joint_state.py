@@ -37,6 +37,12 @@ def states_are_due(rhythm: JointStateController, time_ns: int) -> bool:
     return True
 
 
+@law
+def update_states(rhythm: Any, joints: Any, pids: Any, time_ns: int, period_s: float) -> bool:  # noqa: ARG001
+    """The update on rows."""
+    return states_are_due(rhythm, time_ns) and rhythm.wanted != 0
+
+
 class ExtraJoint(NamedTuple):
     """A joint that the hardware does not have, with a state that never changes."""
 
@@ -52,7 +58,7 @@ class JointStateController(Controller[JointStateInterface]):
 
     interface_type = JointStateInterface
     compiled = Compiled(
-        "joint_state",
+        update_states,
         Columns(
             changing="due_ns messages", fixed="period_ns", places="wanted", whole="due_ns messages period_ns wanted"
         ),

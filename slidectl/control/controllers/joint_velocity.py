@@ -5,6 +5,8 @@ Parameters `joint`, `pid/*`. It needs no robot description.
 
 from __future__ import annotations
 
+from typing import Any
+
 from slidectl.control import params
 from slidectl.control.handles import JointHandle
 from slidectl.control.interfaces import EffortJointInterface, JointCommandInterface
@@ -23,13 +25,20 @@ def track_velocity(goal: JointVelocityController, pid: Pid, joint: JointHandle, 
     joint.command = next_command(pid, goal.error, period_s)
 
 
+@law
+def update_velocity(goal: Any, joints: Any, pids: Any, time_ns: int, period_s: float) -> bool:  # noqa: ARG001
+    """The update on rows."""
+    track_velocity(goal, pids[goal.pid], joints[goal.joint], period_s)
+    return state_is_due(goal) and goal.wanted != 0
+
+
 @controller("effort_controllers/JointVelocityController")
 class JointVelocityController(PidController):
     """effort = pid(commanded velocity - velocity)."""
 
     interface_type = EffortJointInterface
     compiled = Compiled(
-        "joint_velocity",
+        update_velocity,
         Columns(
             changing="error updates_to_state states",
             fixed="set_point",

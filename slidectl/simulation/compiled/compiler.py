@@ -24,7 +24,7 @@ from numba.extending import overload, register_jitable
 from slidectl.control.laws import LAWS, Columns
 from slidectl.simulation.compiled import cache, guard, kernel, object_file
 from slidectl.simulation.compiled.object_file import machine
-from slidectl.simulation.compiled.rows import ARRAYS, TABLES, Progress
+from slidectl.simulation.compiled.tables import ARRAYS, CYCLE_TABLES, FORMS, TABLES, Progress, form_table
 
 types: Any = numba.types
 carray: Any = numba.carray  # type: ignore[attr-defined]
@@ -62,10 +62,26 @@ def compile_cycle() -> bytes:
     def _physics_step(step_: Any, model: Any, data: Any, error_hook: Any) -> Any:  # noqa: ARG001
         return lambda step_, model, data, error_hook: step(step_, model, data, error_hook)
 
+    @overload(kernel.update_controller, strict=False)
+    def _update_controller(kind: Any, row: Any, tables: Any, time_ns: Any, period_s: Any) -> Any:  # noqa: ARG001
+        return _dispatch()
+
     # numba links what it compiled at once, though it is never called here.
     llvm.add_symbol(guard.STEP, ctypes.cast(ctypes.CDLL(None).abort, ctypes.c_void_p).value)
     function = numba.cfunc(types.int64(*_arguments()))(_on_pointers())
     return _object_file(function.inspect_llvm(), function.native_name.removeprefix("cfunc."))
+
+
+def _dispatch() -> Callable[..., bool]:
+    """`kernel.update_controller`: one branch for each registered form. numba wants the branches written out."""
+    forms = tuple(FORMS.values())
+    lines = [
+        f"    if kind == {kind}:\n"
+        f"        return law{kind}(tables.forms[{kind}][row], tables.joints, tables.pids, time_ns, period_s)\n"
+        for kind in range(len(forms))
+    ]
+    source = f"def update_controller(kind, row, tables, time_ns, period_s):\n{''.join(lines)}    return False\n"
+    return _made(source, "update_controller", {f"law{kind}": form.update for kind, form in enumerate(forms)})
 
 
 def _arguments() -> list[Any]:
@@ -77,14 +93,24 @@ def _arguments() -> list[Any]:
 
 def _on_pointers() -> Callable[..., int]:
     """`kernel.run` on addresses of tables. One argument after the other: numba wants them written out."""
-    run: Any = register_jitable(kernel.run)
     names = ("progress", *TABLES, *ARRAYS)
-    tables = ", ".join(f"carray({name}, room)" for name in names[1:])
-    source = f"def cycle({', '.join(names)}):\n    return run(carray(progress, 1)[0], {tables})\n"
-    space: dict[str, Any] = {"run": run, "carray": carray, "room": _ROOM}
+    table = {name: f"carray({name}, room)" for name in names[1:]}
+    cycle = ", ".join(table[name] for name in CYCLE_TABLES)
+    forms = "".join(table[form_table(kind)] + ", " for kind in range(len(FORMS)))
+    arrays = ", ".join(table[name] for name in ARRAYS)
+    source = (
+        f"def cycle({', '.join(names)}):\n"
+        f"    return run(carray(progress, 1)[0], CycleTables({cycle}, ({forms}), {arrays}))\n"
+    )
+    space = {"run": register_jitable(kernel.run), "CycleTables": kernel.CycleTables, "carray": carray, "room": _ROOM}
+    return _made(source, "cycle", space)
+
+
+def _made(source: str, name: str, space: dict[str, Any]) -> Callable[..., Any]:
+    """The function of that name that the source defines, which sees what is in `space`."""
     exec(source, space)
-    made: Callable[..., int] = space["cycle"]
-    return made
+    function: Callable[..., Any] = space[name]
+    return function
 
 
 def _object_file(code: str, entry: str) -> bytes:

@@ -18,7 +18,7 @@ from slidectl.simulation.compiled import cache, object_file
 from slidectl.simulation.graph import WORLD_NODE
 
 if TYPE_CHECKING:
-    from slidectl.simulation.compiled.cycles import CompiledCycles
+    from slidectl.simulation.compiled.runner import CompiledRunner
     from slidectl.simulation.loop import Loop
 
 PLAIN, COMPILED, AUTO = ENGINES = ("plain", "compiled", "auto")
@@ -27,7 +27,7 @@ WORTH_COMPILING = 10_000
 
 
 class Engine:
-    """`chosen` is one of ENGINES. `cycles` is what runs compiled, None while the interpreter runs all."""
+    """`chosen` is one of ENGINES. `compiled` runs the cycles as machine code, None while the interpreter runs all."""
 
     def __init__(self, loop: Loop, chosen: str) -> None:
         """Raises UsageError: no such engine. Refused: `compiled` without numba."""
@@ -40,14 +40,14 @@ class Engine:
         self._compiling: subprocess.Popen[bytes] | None = None
         self._trouble = ""
         self._has_looked = False
-        self.cycles: CompiledCycles | None = None
+        self.compiled: CompiledRunner | None = None
         self.is_welcome = True
         """False while a driver has more urgent things to do than to wait for code to be loaded."""
         self.is_settled = chosen == PLAIN or not object_file.is_possible()
         """True when nothing will change any more."""
 
     def __str__(self) -> str:
-        if self.cycles is not None:
+        if self.compiled is not None:
             return COMPILED
         if self._trouble:
             return f"plain: {self._trouble}"
@@ -82,7 +82,7 @@ class Engine:
 
     def complete(self) -> None:
         """Compile, if need be, and load, now. Raises Refused when that fails."""
-        if self.cycles is not None:
+        if self.compiled is not None:
             return
         if not object_file.is_possible():
             raise Refused("the compiled engine needs numba", "install it: pip install 'slidectl[fast]'")
@@ -92,12 +92,12 @@ class Engine:
                 if not object_file.is_there():
                     raise Refused(_what_failed(code))
             self._load()
-            if self.cycles is not None:
+            if self.compiled is not None:
                 return
         raise Refused(self._trouble or "the compiled code has gone again")
 
     def _load(self) -> None:
-        from slidectl.simulation.compiled.cycles import CompiledCycles
+        from slidectl.simulation.compiled.runner import CompiledRunner
 
         try:
             code = object_file.load()
@@ -108,7 +108,7 @@ class Engine:
             self._give_up(f"the compiled code cannot be loaded: {error}")
             return
         self.is_settled = True
-        self.cycles = CompiledCycles(self._loop, code)
+        self.compiled = CompiledRunner(self._loop, code)
         self._loop.take_robots(self._loop.robots)
 
     def _give_up(self, trouble: str) -> None:

@@ -25,6 +25,7 @@ _SOURCES = (
     "physics/drives.py",
     "physics/divergence.py",
     "simulation/cycle.py",
+    "simulation/runner.py",
     "simulation/compiled",
 )
 

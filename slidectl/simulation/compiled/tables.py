@@ -1,6 +1,6 @@
-"""The memory of the rows, and who is seated where in it.
+"""The tables of the compiled cycle: their columns and their memory, and the numbers by which it tells how far it is.
 
-It grows behind what is there: a robot that comes, or whose controllers changed, costs its own rows only.
+Controllers, PIDs, limits and drives declare their own columns beside their laws; here are those of the cycle itself.
 Nothing runs here.
 """
 
@@ -8,52 +8,129 @@ from __future__ import annotations
 
 import ctypes
 
-from slidectl.simulation.assembly import SpawnedRobot
-from slidectl.simulation.compiled import rows
-from slidectl.simulation.compiled.seat import Seat
+from slidectl.control.laws import Columns
+from slidectl.control.limits import LimitHandle
+from slidectl.control.pid import Pid
+from slidectl.control.registry import compiled_forms
+from slidectl.physics.drives import Drive
 
-_FEW = 1000
-"""Rows that nobody uses and nobody minds."""
+JOINT = Columns(
+    changing="position velocity effort command",
+    places="qpos dof turns is_pushed max_effort max_velocity",
+    whole="qpos dof turns is_pushed",
+)
+"""`qpos` and `dof` are indices into MuJoCo's arrays, `turns` is true for angles; the bounds are Gazebo's.
+`is_pushed`: the command is the effort, else a drive makes one of it."""
+
+ROBOT = Columns(
+    changing="last_update_ns last_write_ns period_ns write_period_ns period_s write_period_s",
+    fixed="control_period_ns",
+    places="is_plain first_joint joints first_controller controllers first_limit limits first_drive drives",
+    whole="last_update_ns last_write_ns period_ns write_period_ns control_period_ns "
+    "is_plain first_joint joints first_controller controllers first_limit limits first_drive drives",
+)
+"""A ControlCycle, and where the robot's rows are in the other tables. `is_plain`: the interpreter has the robot."""
+
+CONTROLLER = Columns(places="kind row", whole="kind row")
+"""The controllers of all robots in their order: `kind` is a place in FORMS, and `row` a row of that form's table."""
+
+INTERPRETED = -1
+"""The kind of a controller that runs in the interpreter."""
+
+FORMS = compiled_forms()
+"""Controller class -> its compiled form; the position in it is the kind."""
+KINDS = {cls: kind for kind, cls in enumerate(FORMS)}
+
+
+def form_table(kind: int) -> str:
+    """The name of the table of a compiled form."""
+    return f"form{kind}"
+
+
+CYCLE_TABLES: dict[str, Columns] = {
+    "robots": ROBOT,
+    "joints": JOINT,
+    "controllers": CONTROLLER,
+    "limits": LimitHandle.columns,
+    "drives": Drive.columns,
+    "pids": Pid.columns,
+}
+TABLES = CYCLE_TABLES | {form_table(kind): form.columns for kind, form in enumerate(FORMS.values())}
+"""All tables, in the order of the cycle's arguments; MuJoCo's arrays follow."""
+CONSTANT = {"controllers", "drives"}
+"""Tables of what never changes while it exists."""
+RANGES = ("joints", "controllers", "limits", "drives")
+"""Tables of which each robot has a range of rows, as ROBOT has it."""
+ARRAYS = ("qpos", "qvel", "forces", "outside")
+
+DONE, ROBOT_IN_PYTHON, CONTROLLER_IN_PYTHON, PUBLICATION, STEP_IN_PYTHON, DIVERGED, FAILED = range(7)
+"""What the compiled cycle returns for: all cycles are done, the interpreter has its turn, or there is trouble."""
+
+NEW_CYCLE = -1
+
+
+class Progress(ctypes.Structure):
+    """How far the cycles are: `robot` and `controller` have the next turn, in the cycle at `time_ns`."""
+
+    _fields_ = [
+        (name, ctypes.c_int64)
+        for name in (
+            "time_ns",
+            "step_ns",
+            "cycles",
+            "left",
+            "robot",
+            "controller",
+            "robots",
+            "positions",
+            "dofs",
+            "has_outside",
+            "step",
+            "model",
+            "data",
+            "error_hook",
+        )
+    ]
+    time_ns: int
+    step_ns: int
+    cycles: int
+    left: int
+    robot: int
+    controller: int
+    robots: int
+    positions: int
+    dofs: int
+    has_outside: int
+    step: int
+    """Address of mj_step; 0: somebody else makes the steps."""
+    model: int
+    data: int
+    error_hook: int
+    """Address of MuJoCo's variable `mju_user_error`, or 0."""
 
 
 class Tables:
-    """Rows of all robots. `seats` are in the order of the robots."""
+    """The memory of all rows. It grows at its end: rows keep their numbers, and a table may move when it grows."""
 
     def __init__(self) -> None:
-        self.content = {name: bytearray(columns.size) for name, columns in rows.TABLES.items()}
-        self._counts = dict.fromkeys(rows.TABLES, 0)
-        self.seats: list[Seat] = []
-        self._abandoned = 0
-
-    def seat(self, robot: SpawnedRobot) -> Seat:
-        """A place behind the others."""
-        seat = Seat(robot, self.add("robots"))
-        self.seats.append(seat)
-        seat.settle(self)
-        return seat
-
-    def seat_anew(self, old: Seat) -> Seat:
-        """Other rows for a robot that is not what it was; those that it had are left over."""
-        self._abandoned += old.rows
-        seat = self.seats[old.number] = Seat(old.robot, old.number)
-        seat.settle(self)
-        return seat
-
-    @property
-    def is_wasteful(self) -> bool:
-        """True when it would be better to begin again."""
-        return self._abandoned > _FEW + sum(self._counts.values()) // 2
+        self.content = {name: bytearray(columns.size) for name, columns in TABLES.items()}
+        self._counts = dict.fromkeys(TABLES, 0)
 
     def count(self, table: str) -> int:
         """Rows so far."""
         return self._counts[table]
+
+    @property
+    def rows(self) -> int:
+        """Rows of all tables."""
+        return sum(self._counts.values())
 
     def add(self, table: str) -> int:
         """One more row; its number. Its table may lie elsewhere afterwards."""
         number = self._counts[table]
         self._counts[table] += 1
         if number > 0:
-            self.content[table].extend(bytes(rows.TABLES[table].size))
+            self.content[table].extend(bytes(TABLES[table].size))
         return number
 
     def addresses(self) -> list[int]:

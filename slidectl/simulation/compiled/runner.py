@@ -1,7 +1,8 @@
-"""Runs compiled cycles: gives the machine code its turns, and the interpreter those that are its own.
+"""The runner of compiled cycles: it calls the machine code, and does what that leaves to the interpreter.
 
-Stands in for `Loop`'s own cycles, with the same results to the bit. Robots are seated in the tables as long as nobody
-looks at them; whoever does makes `release` be called before.
+The machine code returns for a robot or a controller that has no rows, for a publication, and for a step that MuJoCo
+cannot make alone (each is a turn of the interpreter); then it goes on from there. Robots stay in the tables as long as
+nobody looks at them.
 """
 
 from __future__ import annotations
@@ -12,12 +13,11 @@ from typing import TYPE_CHECKING
 
 from slidectl.physics import EngineError
 from slidectl.physics.engine import error_hook_address, step_address
-from slidectl.simulation.compiled import rows
+from slidectl.simulation.compiled import tables as turns
 from slidectl.simulation.compiled.object_file import Cycle
-from slidectl.simulation.compiled.row import Guest
-from slidectl.simulation.compiled.rows import NEW_CYCLE, Progress
-from slidectl.simulation.compiled.seat import Seat
-from slidectl.simulation.compiled.tables import Tables
+from slidectl.simulation.compiled.robot_rows import InterpretedUpdate, RobotRows
+from slidectl.simulation.compiled.tables import NEW_CYCLE, Progress, Tables
+from slidectl.simulation.runner import CHECK_EVERY
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -26,7 +26,11 @@ if TYPE_CHECKING:
     from slidectl.simulation.loop import Loop
 
 
-class CompiledCycles:
+_FEW_ROWS = 1000
+"""Rows that nobody uses and that are not worth beginning again."""
+
+
+class CompiledRunner:
     """The cycles of a loop's robots, by `code`."""
 
     def __init__(self, loop: Loop, code: Cycle) -> None:
@@ -36,12 +40,18 @@ class CompiledCycles:
         self._code = code
         self._progress = Progress(robot=NEW_CYCLE, error_hook=error_hook_address())
         self._step_address = step_address()
-        self._robots: Sequence[SpawnedRobot] = ()
         self._tables = Tables()
+        self._robots: Sequence[SpawnedRobot] = ()
+        self._rows: list[RobotRows] = []
+        """In the order of the robots."""
+        self._rows_of: dict[SpawnedRobot, RobotRows] = {}
         self._is_new = True
         """Robots have come, or the world was rebuilt, since all had their rows."""
-        self._released: list[Seat] = []
-        self._acting: Guest | None = None
+        self._given_back: list[RobotRows] = []
+        """Of robots that are not loaded, until they are again."""
+        self._left_over = 0
+        """Rows that nobody uses any more."""
+        self._acting: InterpretedUpdate | None = None
         """The controller without a row that has its turn."""
         self._topic_changes = -1
         self._addresses = array("Q")
@@ -55,79 +65,86 @@ class CompiledCycles:
 
     def take_robots(self, robots: Sequence[SpawnedRobot]) -> None:
         """These are the robots now: those that were there and more behind them, or others."""
-        seated = len(self._tables.seats)
-        if robots[:seated] != self._robots[:seated]:
+        if robots[: len(self._rows)] != self._robots[: len(self._rows)]:
             self._begin_again()
         self._robots = robots
         self._is_new = True
 
     def follow_world(self) -> None:
-        """The world was rebuilt: robots that it placed elsewhere come out of the tables."""
-        for seat in self._tables.seats:
-            if seat.has_moved():
-                self._release(seat)
+        """The world was rebuilt: robots that it placed elsewhere are given back."""
+        for rows in self._rows:
+            if rows.has_moved():
+                self._unload(rows)
         self._is_new = True
 
     def _begin_again(self) -> None:
-        self.release_all()
+        self.give_back_all()
         self._tables = Tables()
-        self._released.clear()
+        self._left_over = 0
+        self._rows.clear()
+        self._rows_of.clear()
+        self._given_back.clear()
 
-    def release(self, robot: SpawnedRobot) -> None:
+    def give_back(self, robot: SpawnedRobot) -> None:
         """Somebody is about to look at the robot, or to change it."""
-        if robot.seat is not None:
-            self._release(robot.seat)
+        rows = self._rows_of.get(robot)
+        if rows is not None:
+            self._unload(rows)
 
-    def release_all(self) -> None:
+    def give_back_all(self) -> None:
         """All robots are as if the interpreter had run their cycles."""
-        for seat in self._tables.seats:
-            self._release(seat)
+        for rows in self._rows:
+            self._unload(rows)
 
-    def _release(self, seat: Seat) -> None:
-        if seat.is_taken:
-            if self._acting is not None and self._acting.seat is seat:  # its commands are newer than the rows
+    def _unload(self, rows: RobotRows) -> None:
+        if rows.is_loaded:
+            if self._acting is not None and self._acting.rows is rows:  # its commands are newer than the rows
                 self._acting.take_commands()
-            self._released.append(seat)
-            seat.release()
+            self._given_back.append(rows)
+            rows.unload()
 
     def _prepare(self) -> None:
-        if self._is_new or any(seat.is_outdated() for seat in self._released):
-            self._seat_robots()
-        for seat in self._released:
-            if not seat.is_taken and seat.fits():
-                seat.take()
-        self._released = [seat for seat in self._released if not seat.is_taken]
+        if self._is_new or any(rows.is_outdated() for rows in self._given_back):
+            self._make_rows()
+        for rows in self._given_back:
+            if not rows.is_loaded and rows.fits():
+                rows.load()
+        self._given_back = [rows for rows in self._given_back if not rows.is_loaded]
         if self._topic_changes != self._graph.topics.changes:
-            self._look_for_listeners(self._tables)
+            self._look_for_listeners()
 
-    def _seat_robots(self) -> None:
+    def _make_rows(self) -> None:
         """Rows for robots that have come, and other rows for those that are not what they were."""
-        if self._tables.is_wasteful:
+        if self._left_over > _FEW_ROWS + self._tables.rows // 2:
             self._begin_again()
-        tables = self._tables
-        self._released = [tables.seat_anew(seat) if seat.is_outdated() else seat for seat in self._released]
-        self._released += [tables.seat(robot) for robot in self._robots[len(tables.seats) :]]
-        for seat in self._released:
-            seat.robot.seat = seat
-        self._find_memory(tables)
+        outdated = [rows for rows in self._given_back if rows.is_outdated()]
+        for rows in outdated:
+            self._left_over += rows.count
+            self._rows[rows.number] = RobotRows(rows.robot, rows.number, self._tables)
+        self._given_back = [self._rows[rows.number] for rows in self._given_back]
+        for robot in self._robots[len(self._rows) :]:
+            self._rows.append(RobotRows(robot, self._tables.add("robots"), self._tables))
+            self._given_back.append(self._rows[-1])
+        self._rows_of = {rows.robot: rows for rows in self._rows}
+        self._find_memory()
         self._is_new = False
 
-    def _find_memory(self, tables: Tables) -> None:
+    def _find_memory(self) -> None:
         """Where all tables and arrays lie, for the machine code."""
         memory, progress = self._world.memory(), self._progress
-        progress.robots = len(tables.seats)
+        progress.robots = len(self._rows)
         progress.model, progress.data = memory.model, memory.data
         progress.positions, progress.dofs = memory.positions, memory.dofs
         self._outside = array("d", bytes(8 * max(memory.dofs, 1)))
         state = [memory.qpos, memory.qvel, memory.forces, self._outside.buffer_info()[0]]
-        self._addresses = array("Q", [ctypes.addressof(progress), *tables.addresses(), *state])
+        self._addresses = array("Q", [ctypes.addressof(progress), *self._tables.addresses(), *state])
 
-    def _look_for_listeners(self, tables: Tables) -> None:
+    def _look_for_listeners(self) -> None:
         """Which publishers are wanted now?"""
         self._topic_changes = self._graph.topics.changes
-        for seat in tables.seats:
-            for speaker in seat.speakers.values():
-                speaker.look()
+        for rows in self._rows:
+            for publication in rows.publications.values():
+                publication.update_wanted()
 
     def _look_outside(self) -> None:
         """Who makes the steps, and what pushes from outside."""
@@ -147,29 +164,29 @@ class CompiledCycles:
         before = clock.cycles
         progress.time_ns, progress.step_ns, progress.cycles = clock.time_ns, loop.step_ns, before
         # At real time this is called for every cycle, with cold caches: what has not changed is not looked at again.
-        if self._is_new or self._released or self._topic_changes != self._graph.topics.changes:
+        if self._is_new or self._given_back or self._topic_changes != self._graph.topics.changes:
             self._prepare()
         if self._step is not world.step or self._has_outside or world.loads.efforts:
             self._look_outside()
         loop.in_cycle = True
         try:
-            self._turns(self._tables, before + count)
+            self._run_turns(before + count)
         finally:
             loop.in_cycle = False
             clock.time_ns = progress.time_ns
             clock.cycles = progress.cycles
             if progress.robot != NEW_CYCLE:  # an error ended a cycle half-way
                 clock.cycles += 1
-                self.release_all()
+                self.give_back_all()
                 progress.robot, progress.controller = NEW_CYCLE, 0
         done = clock.cycles - before
         if clock.time_ns >= self._graph.timers.next_ns:
             if not loop.driven:  # a script's own timers look at what the script holds
-                self.release_all()
+                self.give_back_all()
             self._graph.timers.fire()
         return done
 
-    def _turns(self, tables: Tables, end: int) -> None:
+    def _run_turns(self, end: int) -> None:
         """Turn by turn, until all cycles are done or one of them is the last for now."""
         progress, code, addresses = self._progress, self._code.run, self._addresses.buffer_info()[0]
         graph, world = self._graph, self._world
@@ -180,37 +197,37 @@ class CompiledCycles:
                 progress.left = 1
             elif timers.next_ns != next_ns or clock_publisher.wanted:
                 next_ns = timers.next_ns
-                self._allow(tables, end)
+                self._allow(end)
             turn = code(addresses)
             clock.time_ns = progress.time_ns
-            if turn == rows.DONE or turn == rows.DIVERGED:
+            if turn == turns.DONE or turn == turns.DIVERGED:
                 if progress.cycles >= end or self._is_last(end, turn):
                     break
                 next_ns = -1
                 continue
-            self._take_turn(tables, turn)
+            self._take_turn(turn)
             if world.step is not self._step:
                 self._look_outside()
             if topics.changes != self._topic_changes:
-                self._look_for_listeners(tables)
-            if turn == rows.STEP_IN_PYTHON and self._is_last(end, turn):
+                self._look_for_listeners()
+            if turn == turns.STEP_IN_PYTHON and self._is_last(end, turn):
                 break
 
-    def _allow(self, tables: Tables, end: int) -> None:
+    def _allow(self, end: int) -> None:
         """Say how many cycles may come before the interpreter must look again."""
         progress = self._progress
         progress.left = self._until_timer(end - progress.cycles)
         if self._graph.clock_topic.publisher.wanted:
             progress.left = 1
             if progress.robot == NEW_CYCLE:
-                self._begin_cycle(tables)
+                self._begin_cycle()
 
     def _is_last(self, end: int, turn: int) -> bool:
         """All done, or a timer is due; or the physics is to be looked at, which the machine code does when it steps."""
         progress = self._progress
-        to_check = turn == rows.STEP_IN_PYTHON and progress.cycles % rows.CHECK_EVERY == 0
+        to_check = turn == turns.STEP_IN_PYTHON and progress.cycles % CHECK_EVERY == 0
         is_timely = progress.time_ns >= self._graph.timers.next_ns
-        return is_timely or progress.cycles >= end or turn == rows.DIVERGED or to_check
+        return is_timely or progress.cycles >= end or turn == turns.DIVERGED or to_check
 
     def _until_timer(self, count: int) -> int:
         """Cycles up to and with the one after which a timer is due: at most `count`, and at least one."""
@@ -220,7 +237,7 @@ class CompiledCycles:
             until += 1
         return max(1, min(count, until))
 
-    def _begin_cycle(self, tables: Tables) -> None:
+    def _begin_cycle(self) -> None:
         """/clock has listeners: each cycle begins with it."""
         progress, clock = self._progress, self._graph.clock
         progress.time_ns += progress.step_ns
@@ -228,22 +245,22 @@ class CompiledCycles:
         progress.robot = 0
         self._graph.clock_topic.tick(progress.time_ns, progress.step_ns)
         if self._topic_changes != self._graph.topics.changes:
-            self._look_for_listeners(tables)
+            self._look_for_listeners()
 
     # -- the interpreter's turns -----------------------------------------------------------------------------------
 
-    def _take_turn(self, tables: Tables, turn: int) -> None:
+    def _take_turn(self, turn: int) -> None:
         progress = self._progress
-        if turn == rows.STEP_IN_PYTHON:
+        if turn == turns.STEP_IN_PYTHON:
             self._make_step()
-        elif turn == rows.FAILED:
+        elif turn == turns.FAILED:
             raise EngineError(self._code.error_text().decode(errors="replace"))
-        elif turn == rows.ROBOT_IN_PYTHON:
-            self._run_robot(tables.seats[progress.robot])
-        elif turn == rows.PUBLICATION:
-            self._publish(tables.seats[progress.robot], progress.controller - 1)
+        elif turn == turns.ROBOT_IN_PYTHON:
+            self._run_robot(self._rows[progress.robot])
+        elif turn == turns.PUBLICATION:
+            self._publish(self._rows[progress.robot], progress.controller - 1)
         else:
-            self._update(tables.seats[progress.robot], progress.controller - 1)
+            self._update(self._rows[progress.robot], progress.controller - 1)
 
     def _make_step(self) -> None:
         progress = self._progress
@@ -253,40 +270,40 @@ class CompiledCycles:
         progress.cycles += 1
         self._look_outside()
 
-    def _run_robot(self, seat: Seat) -> None:
-        """The whole cycle of a robot that is not seated; afterwards it is, when that is possible."""
-        seat.parts.cycle.run(self._progress.time_ns)
+    def _run_robot(self, rows: RobotRows) -> None:
+        """The whole cycle of a robot that is not loaded; afterwards it is, when that is possible."""
+        rows.parts.cycle.run(self._progress.time_ns)
         self._progress.robot += 1
-        if seat.fits():
-            seat.take()
-            self._released = [other for other in self._released if other is not seat]
+        if rows.fits():
+            rows.load()
+            self._given_back = [other for other in self._given_back if other is not rows]
 
-    def _publish(self, seat: Seat, position: int) -> None:
-        speaker = seat.speakers[position]
-        speaker.show(self._tables.content["joints"])
-        self._try(seat, position, speaker.controller.publish)
+    def _publish(self, rows: RobotRows, position: int) -> None:
+        publication = rows.publications[position]
+        publication.show(self._tables.content["joints"])
+        self._try(rows, position, publication.controller.publish)
 
-    def _update(self, seat: Seat, position: int) -> None:
-        guest = seat.guests[position]
-        seat.show_joints()
-        self._acting = guest
-        self._try(seat, position, guest.update)
-        if seat.is_taken:
-            guest.take_commands()
+    def _update(self, rows: RobotRows, position: int) -> None:
+        interpreted = rows.interpreted[position]
+        rows.show_joints()
+        self._acting = interpreted
+        self._try(rows, position, interpreted.update)
+        if rows.is_loaded:
+            interpreted.take_commands()
 
-    def _try(self, seat: Seat, position: int, action: Callable[[int, float], None]) -> None:
+    def _try(self, rows: RobotRows, position: int, action: Callable[[int, float], None]) -> None:
         """Act for one controller. If that fails, or somebody looks at the robot, the interpreter ends its cycle."""
-        time_ns, period_s = self._progress.time_ns, seat.period_s()
+        time_ns, period_s = self._progress.time_ns, rows.period_s()
         failure: Exception | None = None
         try:
             action(time_ns, period_s)
         except Exception as raised:
             failure = raised
-            self._release(seat)
+            self._unload(rows)
         finally:
             self._acting = None
-        if not seat.is_taken:
-            seat.parts.manager.finish_update(position + 1, time_ns, period_s, failure)
-            seat.parts.cycle.write(time_ns)
+        if not rows.is_loaded:
+            rows.parts.manager.finish_update(position + 1, time_ns, period_s, failure)
+            rows.parts.cycle.write(time_ns)
             self._progress.controller = 0
             self._progress.robot += 1

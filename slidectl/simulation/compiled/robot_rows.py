@@ -1,0 +1,316 @@
+"""One robot's rows in the tables of the compiled cycle: its state goes in, and comes back.
+
+While a robot is loaded its rows are the truth, and the objects behind it (handles, PIDs, controllers, its cycle) are
+not looked at. Nothing runs here.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from struct import Struct
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from slidectl.control.controller import ControllerBase
+from slidectl.control.handles import JointStateHandle
+from slidectl.control.laws import Columns, Compiled, Parts
+from slidectl.control.pid import Pid
+from slidectl.physics import MujocoRobotHW
+from slidectl.physics.drives import MOTOR, Drive
+from slidectl.simulation.compiled.tables import (
+    CONSTANT,
+    FORMS,
+    INTERPRETED,
+    JOINT,
+    KINDS,
+    RANGES,
+    ROBOT,
+    TABLES,
+    Tables,
+    form_table,
+)
+
+if TYPE_CHECKING:
+    from slidectl.simulation.assembly import SpawnedRobot
+
+Update = Callable[[int, float], None]
+
+_FLAG = Struct("=q")
+_NUMBER = Struct("=d")
+_JOINT_STATE = Struct("=4d")
+_COMMAND_OFFSET = 8 * JOINT.names.index("command")
+_PERIOD_OFFSET = 8 * ROBOT.names.index("period_s")
+_PLAIN_OFFSET = 8 * ROBOT.names.index("is_plain")
+
+
+class RobotRows:
+    """The rows of one robot. `is_loaded`: they are the truth."""
+
+    def __init__(self, robot: SpawnedRobot, number: int, tables: Tables) -> None:
+        """Reserve rows for everything that the robot consists of, or one alone that says that it is plain."""
+        self.robot = robot
+        self.parts = robot.parts
+        self.number = number
+        self.updates: tuple[Update, ...] = self.parts.manager.updates
+        self.is_loaded = False
+        self.publications: dict[int, Publication] = {}
+        """By the controller's position in the order of updates."""
+        self.interpreted: dict[int, InterpretedUpdate] = {}
+        """The controllers without a row, by the same position."""
+        self._places = robot.body.joints
+        self._tables = tables.content
+        self._living: list[Row] = []
+        """Rows of objects that may change while the robot is not loaded."""
+        self._changing: list[Row] = []
+        """Those in which laws change something."""
+        self._constant: list[Row] = []
+        self._handles: list[tuple[Any, int]] = []
+        """Each handle with the offset of its row."""
+        self._is_possible = self._reserve(tables)
+
+    def fits(self) -> bool:
+        """Is the robot still as it was when the rows were made, and does it do nothing that rows cannot?"""
+        cycle, hardware, manager = self.parts.cycle, self.parts.hardware, self.parts.manager
+        special = hardware.estop or cycle.is_stopped or manager.switching
+        return self._is_possible and not special and not self.is_outdated()
+
+    def is_outdated(self) -> bool:
+        """Do other controllers run now than those that have rows, or has the robot moved in MuJoCo's arrays?"""
+        return self.parts.manager.updates is not self.updates or self.has_moved()
+
+    def has_moved(self) -> bool:
+        """Has the robot other places in MuJoCo's arrays than its rows say?"""
+        return self.robot.body.joints is not self._places
+
+    def load(self) -> None:
+        """From now on the rows are the truth."""
+        for row in self._living:
+            row.fill()
+        for publication in self.publications.values():
+            publication.update_wanted()
+        self.is_loaded = True
+
+    def unload(self) -> None:
+        """From now on the objects are the truth again. If a Ctrl-C comes in between it is done once more, whole."""
+        if not self.is_loaded:
+            return
+        for row in self._changing:
+            row.give()
+        self._mark_plain()
+        self.is_loaded = False
+
+    @property
+    def count(self) -> int:
+        """How many rows it has in all tables."""
+        return len(self._living) + len(self._constant)
+
+    def period_s(self) -> float:
+        """The period of the controllers' present update."""
+        found: float = _NUMBER.unpack_from(self._tables["robots"], self.number * ROBOT.size + _PERIOD_OFFSET)[0]
+        return found
+
+    def show_joints(self) -> None:
+        """Let the handles be as the rows are, for a controller that has no row."""
+        joints = self._tables["joints"]
+        for handle, offset in self._handles:
+            _show(joints, offset, handle)
+
+    def _mark_plain(self) -> None:
+        _FLAG.pack_into(self._tables["robots"], self.number * ROBOT.size + _PLAIN_OFFSET, True)
+
+    # -- making the rows -------------------------------------------------------------------------------------------
+
+    def _reserve(self, tables: Tables) -> bool:
+        """True when the robot can run compiled."""
+        starts = [tables.count(name) for name in RANGES]
+        limits, drives = self.parts.hardware.limits(), self.parts.hardware.drives
+        controllers = [_compiled(update) for update in self.updates]
+        is_possible = (
+            type(self.parts.hardware) is MujocoRobotHW
+            and all(_is_compiled(drive) for drive in drives)
+            and (not controllers or any(controllers))
+        )
+        if is_possible:
+            places = self._reserve_joints(tables)
+            for position, controller in enumerate(controllers):
+                self._reserve_controller(tables, position, controller, places)
+            for limit in limits:
+                self._reserve_row(tables, "limits", limit, places[id(limit.handle)])
+            for drive in drives:
+                pid = self._reserve_pid(tables, drive.pid)
+                self._reserve_row(tables, "drives", drive, pid, places[id(drive.handle)])
+        counts = [tables.count(name) for name in RANGES]
+        ranges = [part for start, end in zip(starts, counts, strict=True) for part in (start, end - start)]
+        self._reserve_row(tables, "robots", self.parts.cycle, False, *ranges)
+        for row in self._constant:
+            row.fill()
+        self._mark_plain()
+        return is_possible
+
+    def _reserve_joints(self, tables: Tables) -> dict[int, int]:
+        """Row numbers by the identity of the handles."""
+        places = {}
+        for joint in self.parts.hardware.driven():
+            places[id(joint.handle)] = tables.count("joints")
+            self._handles.append((joint.handle, tables.count("joints") * JOINT.size))
+            self._reserve_row(tables, "joints", *joint)
+        return places
+
+    def _reserve_controller(
+        self, tables: Tables, position: int, compiled: CompiledController | None, places: dict[int, int]
+    ) -> None:
+        if compiled is None or any(id(handle) not in places for handle in compiled.parts.handles()):
+            self._reserve_row(tables, "controllers", None, INTERPRETED, 0)
+            self.interpreted[position] = self._interpreted_update(position)
+            return
+        controller, kind, parts = compiled
+        own: list[float] = []
+        if parts.pid is not None:
+            own.append(self._reserve_pid(tables, parts.pid))
+        if parts.joint is not None:
+            own.append(places[id(parts.joint)])
+        if parts.publisher is not None:
+            own.append(False)
+        self._reserve_row(tables, "controllers", None, kind, tables.count(form_table(kind)))
+        row = self._reserve_row(tables, form_table(kind), controller, *own)
+        if parts.publisher is not None:
+            shown = [(handle, places[id(handle)] * JOINT.size) for handle in parts.shown]
+            self.publications[position] = Publication(controller, parts.publisher, row, shown)
+
+    def _reserve_pid(self, tables: Tables, pid: Pid | None) -> int:
+        """Its row number; 0, which nobody looks at, without one."""
+        if pid is None:
+            return 0
+        number = tables.count("pids")
+        self._reserve_row(tables, "pids", pid)
+        return number
+
+    def _interpreted_update(self, position: int) -> InterpretedUpdate:
+        update = self.updates[position]
+        owner = getattr(update, "__self__", None)
+        claims = owner.claimed_resources if isinstance(owner, ControllerBase) else ()
+        names = {name for claim in claims for name in claim.resources}
+        claimed = [(handle, offset) for handle, offset in self._handles if handle.name in names]
+        return InterpretedUpdate(self, update, self._tables["joints"], claimed)
+
+    def _reserve_row(self, tables: Tables, table: str, source: object, *places: float) -> Row:
+        columns = TABLES[table]
+        number = self.number if table == "robots" else tables.add(table)
+        row = Row(tables.content[table], columns, number, source, places)
+        (self._constant if table in CONSTANT else self._living).append(row)
+        if columns.changing:
+            self._changing.append(row)
+        return row
+
+
+class Row:
+    """One object's row: `places` are the columns that no attribute fills."""
+
+    __slots__ = ("_columns", "_number", "_places", "_source", "table")
+
+    def __init__(
+        self, table: bytearray, columns: Columns, number: int, source: object, places: tuple[float, ...]
+    ) -> None:
+        self.table = table
+        self._columns = columns
+        self._number = number
+        self._source = source
+        self._places = places
+
+    @property
+    def end(self) -> int:
+        """Where the row ends in its table, bytes."""
+        return (self._number + 1) * self._columns.size
+
+    def fill(self) -> None:
+        """From the object, all columns."""
+        self._columns.fill(self.table, self._number, self._source, *self._places)
+
+    def give(self) -> None:
+        """To the object, what laws change."""
+        self._columns.give(self.table, self._number, self._source)
+
+
+class Publication:
+    """A compiled controller that publishes: its flag `wanted`, the last column, and what `publish` looks at."""
+
+    __slots__ = ("_flag", "_publisher", "_row", "_shown", "controller")
+
+    def __init__(
+        self, controller: ControllerBase, publisher: Any, row: Row, shown: list[tuple[JointStateHandle, int]]
+    ) -> None:
+        self.controller = controller
+        self._publisher = publisher
+        self._row = row
+        self._flag = row.end - _FLAG.size
+        self._shown = shown
+
+    def update_wanted(self) -> None:
+        """Put into the row whether somebody listens."""
+        _FLAG.pack_into(self._row.table, self._flag, self._publisher.wanted)
+
+    def show(self, joints: bytearray) -> None:
+        """Let the controller and its joints' handles be as they are in the rows, as far as `publish` looks at them."""
+        self._row.give()
+        for handle, offset in self._shown:
+            _show(joints, offset, handle)
+
+
+class InterpretedUpdate:
+    """A controller without a row: it sees all handles of its robot, and the commands of those that it claims count."""
+
+    __slots__ = ("_claimed", "_joints", "rows", "update")
+
+    def __init__(self, rows: RobotRows, update: Update, joints: bytearray, claimed: list[tuple[Any, int]]) -> None:
+        self.rows = rows
+        self.update = update
+        self._joints = joints
+        self._claimed = [(handle, offset + _COMMAND_OFFSET) for handle, offset in claimed]
+
+    def take_commands(self) -> None:
+        """Let the rows be as the controller left the handles."""
+        for handle, offset in self._claimed:
+            _NUMBER.pack_into(self._joints, offset, handle.command)
+
+
+def _show(joints: bytearray, offset: int, handle: Any) -> None:
+    """Let a handle be as its row is."""
+    handle.position, handle.velocity, handle.effort, command = _JOINT_STATE.unpack_from(joints, offset)
+    handle.command = command
+
+
+def _is_compiled(drive: Drive) -> bool:
+    """Motors have no law, and a PID that publishes each step does so in the interpreter."""
+    return drive.kind != MOTOR and (drive.pid is None or drive.pid.observer is None)
+
+
+class CompiledController(NamedTuple):
+    """A controller that runs compiled."""
+
+    controller: ControllerBase
+    kind: int
+    parts: Parts
+
+
+def _compiled(update: Update) -> CompiledController | None:
+    """The controller behind an `update`, when it runs compiled.
+
+    A class or an instance that has an `update`, a `publish` or a column of its own, say as a property, means it: what
+    its parent declares does not hold for it.
+    """
+    controller = getattr(update, "__self__", None)
+    if not isinstance(controller, ControllerBase):
+        return None
+    owner: Any = next(cls for cls in type(controller).__mro__ if "update" in vars(cls))
+    if owner not in KINDS or _is_overridden(controller, owner, FORMS[owner]):
+        return None
+    parts = controller.parts()
+    return None if parts is None else CompiledController(controller, KINDS[owner], parts)
+
+
+def _is_overridden(controller: ControllerBase, owner: type[ControllerBase], form: Compiled) -> bool:
+    heirs = itertools.takewhile(lambda cls: cls is not owner, type(controller).__mro__)
+    methods = {"update", "publish"}
+    return not methods.isdisjoint(vars(controller)) or any(
+        not vars(heir).keys().isdisjoint({*methods, *form.columns.names}) for heir in heirs
+    )
