@@ -1,4 +1,4 @@
-"""Writes docs/commands.md from the help texts of the commands themselves. `--check` only compares.
+"""Writes docs/commands.md and the man page from the help texts of the commands. `--check` only compares.
 
 python scripts/command_reference.py [--check]
 """
@@ -14,15 +14,20 @@ import click
 from slidectl.cli.context import Context
 from slidectl.cli.main import root
 
-PAGE = Path(__file__).parent.parent / "docs" / "commands.md"
+ROOT = Path(__file__).parent.parent
+PAGE = ROOT / "docs" / "commands.md"
+MAN_PAGE = ROOT / "docs" / "man" / "slidectl.1"
 WIDTH = 100
 
 HEAD = """# Commands
 
 Every command with its `--help`, written by `python scripts/command_reference.py`.
 
-The options `-i`, `--socket`, `--ns`, `-o`, `--json`, `-q`, `-v` and `--timeout` are understood before the command
-and after it.
+Every command takes the common options too, before its name or after it:
+
+```text
+@COMMON@
+```
 
 | exit code | meaning |
 | ---: | --- |
@@ -37,8 +42,58 @@ Results go to stdout, all else to stderr. A reader that closes the pipe ends a c
 """
 
 
+MAN_HEAD = r""".TH SLIDECTL 1
+.SH NAME
+slidectl \- run the ros_control and Gazebo tutorials without ROS and without Gazebo
+.SH SYNOPSIS
+.B slidectl
+[common options] COMMAND [options] [arguments]
+.SH DESCRIPTION
+A daemon holds a simulated world and its controller managers, and listens on a local socket. Every command but those
+that only read files talks to it. Start with
+.B slidectl daemon start
+and
+.BR "slidectl spawn slider" .
+.SH COMMON OPTIONS
+.nf
+@COMMON@
+.fi
+.SH EXIT STATUS
+.nf
+0    done
+1    refused or failed: the service said no, the condition is false, the name does not exist
+2    wrong usage, an ambiguous name, or a bad file
+3    no daemon answers
+4    timed out
+130  interrupted
+.fi
+.SH FILES
+.TP
+.I $XDG_RUNTIME_DIR/slidectl/NAME/
+Socket, lock and log of the instance NAME.
+.SH COMMANDS
+"""
+
+
 def commands() -> Iterator[tuple[str, str]]:
-    """Full name and help text of every command, groups before their members."""
+    """Full name and help text of every command, without the common options; groups before their members."""
+    for name, text in _helps():
+        yield name, _parted(text)[0]
+
+
+def common_options() -> str:
+    """The common options as a help text lists them."""
+    return _parted(next(text for _, text in _helps()))[1]
+
+
+def _parted(text: str) -> tuple[str, str]:
+    """A help text without its section of common options, and the lines of that section."""
+    before, _, rest = text.partition("Common options:\n")
+    section, _, after = rest.partition("\n\n")
+    return (before + after).rstrip(), section.rstrip()
+
+
+def _helps() -> Iterator[tuple[str, str]]:
     context = click.Context(root, info_name="slidectl", obj=Context(), terminal_width=WIDTH, max_content_width=WIDTH)
     yield "slidectl", root.get_help(context)
     yield from _below(root, context)
@@ -60,18 +115,32 @@ def page() -> str:
     for name, text in commands():
         lines = "\n".join(line.rstrip() for line in text.splitlines())
         blocks.append(f"{'##' if name.count(' ') <= 1 else '###'} {name}\n\n```text\n{lines}\n```\n")
-    return HEAD + "\n" + "\n".join(blocks)
+    return HEAD.replace("@COMMON@", common_options()) + "\n" + "\n".join(blocks)
+
+
+def man_page() -> str:
+    """All commands as one page for man(1)."""
+    blocks = [f".SS {name}\n.nf\n{_troff(text)}\n.fi\n" for name, text in commands()]
+    return MAN_HEAD.replace("@COMMON@", _troff(common_options())) + "".join(blocks)
+
+
+def _troff(text: str) -> str:
+    """Text as it is: no line is a request, a backslash is one, and a hyphen can be copied."""
+    lines = (line.rstrip().replace("\\", "\\e").replace("-", "\\-") for line in text.splitlines())
+    return "\n".join(f"\\&{line}" if line.startswith((".", "'")) else line for line in lines)
 
 
 def main(arguments: list[str]) -> int:
-    """Write the page, or with `--check` exit 1 when it is not what it should be."""
-    text = page()
+    """Write the pages, or with `--check` exit 1 when they are not what they should be."""
+    texts = {PAGE: page(), MAN_PAGE: man_page()}
     if "--check" in arguments:
-        same = PAGE.exists() and PAGE.read_text(encoding="utf-8") == text
-        if not same:
-            print("docs/commands.md is behind; run: python scripts/command_reference.py", file=sys.stderr)
-        return 0 if same else 1
-    PAGE.write_text(text, encoding="utf-8")
+        behind = [p for p, text in texts.items() if not p.exists() or p.read_text(encoding="utf-8") != text]
+        for path in behind:
+            print(f"{path.relative_to(ROOT)} is behind; run: python scripts/command_reference.py", file=sys.stderr)
+        return 1 if behind else 0
+    for path, text in texts.items():
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(text, encoding="utf-8")
     return 0
 
 

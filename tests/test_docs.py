@@ -68,3 +68,11 @@ def test_the_reference_script_is_a_plain_module() -> None:
 
 def test_every_service_type_of_slidectl_is_its_own_data() -> None:
     assert {"slidectl/Status", "slidectl/Step", "slidectl/Wait"} <= set(msgs.service_names())
+
+
+def test_the_man_page_shows_every_command_and_no_line_of_it_is_taken_for_a_request() -> None:
+    text = read("docs/man/slidectl.1")
+    for name in COMMANDS:
+        assert f".SS slidectl {name}\n" in text
+    requests = set(re.findall(r"^[.'](\w+)", text, re.MULTILINE))
+    assert requests == {"TH", "SH", "SS", "B", "BR", "TP", "I", "nf", "fi"}
