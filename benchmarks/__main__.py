@@ -1,4 +1,6 @@
-"""`make bench`: runs the measurements, prints a table, writes JSON, and puts the table into README.md.
+"""`make bench`: runs the measurements, prints a table, writes JSON, and puts the table into docs/performance.md.
+
+README.md gets the rows of HEADLINES.
 
     python -m benchmarks [NAME ...] [--no-write]
 
@@ -20,7 +22,20 @@ from benchmarks.harness import Row
 
 HERE = Path(__file__).parent
 README = HERE.parent / "README.md"
+PERFORMANCE = HERE.parent / "docs" / "performance.md"
 NAMES = ("commands", "cycles", "realtime", "latency", "streams", "spawns", "compare")
+HEADLINES = (
+    "slidectl pub command 1.0",
+    "slidectl pub command 1.0, beside import click",
+    "slidectl daemon start",
+    "slidectl launch my_slider slider.launch, from nothing",
+    "slider, compiled: ratio to bare mj_step",
+    "rrbot, compiled: ratio to bare mj_step",
+    "100 RRBots, compiled: ratio to bare mj_step",
+    "rrbot at real time: processor use of one core",
+    "publish to effort, real time: p50",
+    "memory of the daemon with rrbot, plain",
+)
 BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
 
 
@@ -36,12 +51,13 @@ def main(arguments: list[str]) -> int:
     for name in names:
         print(f"measuring {name} ...", file=sys.stderr, flush=True)
         results[name] = importlib.import_module(f"benchmarks.{name}").measure()
-    table = markdown([row for rows in results.values() for row in rows])
-    print(table)
+    rows = [row for group in results.values() for row in group]
+    print(markdown(rows))
     if write:
         save(results)
         if names == list(NAMES):
-            into_readme(table)
+            put_table(PERFORMANCE, markdown(rows))
+            put_table(README, markdown([row for name in HEADLINES for row in rows if row.name == name]))
     return 0
 
 
@@ -74,11 +90,11 @@ def save(results: dict[str, list[Row]]) -> None:
     print(f"written: {path.relative_to(HERE.parent)}", file=sys.stderr)
 
 
-def into_readme(table: str) -> None:
-    """Replace the table between the two marks of README.md."""
-    text = README.read_text(encoding="utf-8")
+def put_table(page: Path, table: str) -> None:
+    """Replace the table between the two marks of a page."""
+    text = page.read_text(encoding="utf-8")
     pattern = re.compile(re.escape(BEGIN) + ".*?" + re.escape(END), re.DOTALL)
-    README.write_text(pattern.sub(lambda _: f"{BEGIN}\n{table}\n{END}", text), encoding="utf-8")
+    page.write_text(pattern.sub(lambda _: f"{BEGIN}\n{table}\n{END}", text), encoding="utf-8")
 
 
 if __name__ == "__main__":
