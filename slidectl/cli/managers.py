@@ -1,6 +1,6 @@
 """Controller managers as the command line sees them: which exist, which one a name means, and their services.
 
-Only service calls. The reasons of a refusal are the lines that the manager logs on /rosout meanwhile.
+Only service calls. The reasons of a refusal come with its answer.
 """
 
 from __future__ import annotations
@@ -29,9 +29,7 @@ class Manager(ManagerServices):
         return self.context.call(names.join(self.namespace, f"controller_manager/{verb}"), request)
 
     def act(self, verb: str, **request: Any) -> tuple[bool, list[str]]:
-        with self.context.client.rosout() as lines:
-            answer = self.ask(verb, **request)
-        return answer["ok"], [str(line["msg"]) for line in lines]
+        return self.ask(verb, **request)["ok"], self.context.client.reasons
 
     def warn(self, text: str) -> None:
         self.context.warn(text)

@@ -80,7 +80,6 @@ class Shell:
         if self._client is None:
             context = self.context
             self._client = Client(context.instance, context.socket, timeout=context.wait_limit(DEFAULT_TIMEOUT_S))
-            self._client.keep_log()
             self.picture = Picture(self._client)
         return self._client
 

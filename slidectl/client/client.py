@@ -16,14 +16,12 @@ from slidectl import names, paths
 from slidectl.client import naming
 from slidectl.client.lines import LONGEST_LINE, BadLine, encode
 from slidectl.client.link import Link, command
-from slidectl.client.log import Listening, Log
 from slidectl.client.replies import Replies
 from slidectl.client.subscription import Subscription
 from slidectl.errors import MessageRefused, NoDaemon, TimedOut
 
 Message = dict[str, Any]
 
-_WARN = 4  # rosgraph_msgs/Log
 _PROBE_S = 0.5
 _SYNCHRONIZE = "/rosapi/get_time"
 """A service that changes nothing: its answer says that all that was sent before it has been taken in."""
@@ -52,7 +50,6 @@ class Client:
         self._subscriptions: dict[str, list[Subscription]] = {}
         self._advertised: dict[tuple[str, str | None, bool], str] = {}
         self._published = False
-        self._log = Log(self, self._next_id("subscribe"))
 
     # --- services -----------------------------------------------------------------------------------------------
 
@@ -82,6 +79,14 @@ class Client:
                 replies.forget(call_id)
                 raise
         return replies.answer(call_id)
+
+    @property
+    def reasons(self) -> list[str]:
+        """What the daemon warned of, or gave as an error, while it carried out the request answered last.
+
+        That is the last `call`, `answer`, `deliver` or `flush`, whether it raised or not.
+        """
+        return self._replies.reasons
 
     def is_answered(self, call_id: str) -> bool:
         """True when the response to an earlier `call_async` is here: `answer` will not wait."""
@@ -149,14 +154,10 @@ class Client:
         """
         subscription = Subscription(self, names.join("/", topic), self._next_id("subscribe"), queue_length)
         options: Message = {"queue_length": queue_length, "throttle_rate": throttle_rate}
-        self.begin(subscription, options | ({} if type is None else {"type": type}))
-        return subscription
-
-    def begin(self, subscription: Subscription, options: Message) -> None:
-        """What `subscribe` does with a subscription of any kind. Raises as it does."""
+        kind = {} if type is None else {"type": type}
         self._subscriptions.setdefault(subscription.topic, []).append(subscription)
         try:
-            self._send(op="subscribe", id=subscription.id, topic=subscription.topic, **options)
+            self._send(op="subscribe", id=subscription.id, topic=subscription.topic, **options, **kind)
             self.call(_SYNCHRONIZE)
             self._replies.raise_refusal(subscription.id)
         except MessageRefused:
@@ -165,6 +166,7 @@ class Client:
         except BaseException:
             self.unsubscribe(subscription)
             raise
+        return subscription
 
     def unsubscribe(self, subscription: Subscription) -> None:
         """What `Subscription.close` does."""
@@ -174,14 +176,6 @@ class Client:
         receivers.remove(subscription)
         with suppress(NoDaemon):  # a dead daemon has unsubscribed us already
             self._send(op="unsubscribe", id=subscription.id, topic=subscription.topic)
-
-    def rosout(self, level: int = _WARN) -> Listening:
-        """`with client.rosout() as lines` collects the /rosout messages of at least `level` that arrive meanwhile."""
-        return Listening(self._log, level)
-
-    def keep_log(self) -> None:
-        """Stay subscribed to /rosout from the next `rosout` on: only the first one takes a round trip then."""
-        self._log.keep = True
 
     # --- names --------------------------------------------------------------------------------------------------
 

@@ -229,6 +229,6 @@ def _call_once(ctx: Context, full: str, request: dict[str, Any], response: Typed
         raise Failure("\n".join([f"ERROR: service [{full}] responded with an error: {text}", *rest]), _FAILED) from None
     output.write(as_yaml(answer.response, response))
     if not answer.refusal:
-        for line in answer.logged:
+        for line in answer.reasons:
             ctx.warn(line)
     return answer.refusal
