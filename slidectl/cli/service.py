@@ -142,6 +142,10 @@ def call(ctx: Context, name: str, given: tuple[str, ...], stdin: bool) -> None:
     """
     full, kind = _typed(ctx, name)
     forms = servicecall.forms(ctx, kind)
+    if len(given) > 1:
+        from slidectl.cli.values import check_quotes
+
+        check_quotes(given, forms.request[0]["fieldnames"])
     if not given and not stdin and forms.request[0]["fieldnames"]:
         fields = ", ".join(forms.request[0]["fieldnames"])
         raise UsageError(f"no VALUE given for {full} ({kind})", f"the request has the fields: {fields}")

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Any
 
-from slidectl import names, paths
+from slidectl import __version__, names, paths
 from slidectl.client import naming
 from slidectl.client.lines import LONGEST_LINE, BadLine, encode
 from slidectl.client.link import Link, command
@@ -50,6 +50,9 @@ class Client:
         self._subscriptions: dict[str, list[Subscription]] = {}
         self._advertised: dict[tuple[str, str | None, bool], str] = {}
         self._published = False
+        self._first_call: str | None = None
+        self.on_other_version: Callable[[str], None] = _ignore
+        """Called once, with the version of a daemon that is not this client's; empty for one that does not say."""
 
     # --- services -----------------------------------------------------------------------------------------------
 
@@ -66,7 +69,11 @@ class Client:
         """Send a call and return its id at once; `answer` waits for the response."""
         call_id, full = self._next_id("call"), names.join("/", service)
         self._replies.expect(call_id)
-        self._write(encode({"op": "call_service", "id": call_id, "service": full, "args": request or {}}))
+        message = {"op": "call_service", "id": call_id, "service": full, "args": request or {}}
+        if self._first_call is None:  # it asks for the daemon's version too, which costs no round trip
+            self._first_call = call_id
+            message["version"] = __version__
+        self._write(encode(message))
         return call_id
 
     def answer(self, call_id: str, *, timeout: float | None = None) -> Message:
@@ -230,6 +237,9 @@ class Client:
                 subscription.put(message["msg"])
         elif op == "status":
             self._take_status(message)
+        elif message.get("id") == self._first_call and message.get("version") != __version__:
+            self._first_call = ""
+            self.on_other_version(str(message.get("version", "")))
         self._replies.take_in(message)
 
     def _take_status(self, status: Message) -> None:
@@ -291,3 +301,7 @@ class Client:
                 self.flush()
         finally:
             self.close()
+
+
+def _ignore(_version: str) -> None:
+    """For a script that does not mind the daemon's version."""

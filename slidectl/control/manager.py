@@ -249,6 +249,10 @@ class ControllerManager:
             self._node.log(
                 "warn", "a switch should say its strictness, BEST_EFFORT (1) or STRICT (2); this one is BEST_EFFORT"
             )
+        elif strictness not in (BEST_EFFORT, STRICT):
+            self._node.log(
+                "warn", f"strictness {strictness} is neither BEST_EFFORT (1) nor STRICT (2); it counts as BEST_EFFORT"
+            )
         plan = plan_switch(self._loaded, start, stop, strict=strictness == STRICT, node=self._node)
         conflicts = self._hw.check_for_conflict(plan.running)
         if conflicts:

@@ -16,8 +16,18 @@ from slidectl.control.params import BOOLEAN, INTEGER, NUMBER, NUMBERS, TEXT, TEX
 from slidectl.errors import Refused, UnknownName, listing
 
 __all__ = [
-    *("BOOLEAN", "FLOAT", "INTEGER", "LIST", "NUMBER", "NUMBERS", "TEXT", "TEXTS"),
-    *("Guard", "Parameter", "check_values", "within"),
+    "BOOLEAN",
+    "FLOAT",
+    "INTEGER",
+    "LIST",
+    "NUMBER",
+    "NUMBERS",
+    "TEXT",
+    "TEXTS",
+    "Guard",
+    "Parameter",
+    "check_values",
+    "within",
 ]
 
 LIST = Kind("a list", lambda value: value if isinstance(value, list) else None)
@@ -139,7 +149,8 @@ class Guard:
             if change.known_only:
                 every = {*known, *(place for place in readable if "[" not in place and "<" not in place)}
                 error = UnknownName("parameter", full, [names.join(self._node.namespace, each) for each in every])
-                error.hint = f"{self._node.namespace} is a loaded controller; it reads: {listing(every)}\n--new sets it all the same"
+                reads = f"{self._node.namespace} is a loaded controller; it reads: {listing(every)}"
+                error.hint = f"{reads}\n--new sets it all the same"
                 raise error
             if len(readable) > 1:
                 self._node.log("warn", f"parameter {full} has no effect: the controller does not read it")

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Protocol
 
+import slidectl
 from slidectl import msgs
 from slidectl.client.lines import BadLine, decode, encode
 from slidectl.control.node import Reasons
@@ -134,7 +135,7 @@ class Session:
         """Tell the client; who called a service gets an answer even when it is this one."""
         if message.get("op") == "call_service" and isinstance(message.get("service"), str):
             asked = {"op": "service_response", "service": message["service"]}
-            self._connection.send(encode(asked | wire.given_id(message) | _failure(error) | self._reasons()))
+            self._connection.send(encode(asked | _returned(message) | _failure(error) | self._reasons()))
         elif self._level <= LEVELS["error"] or message.get("ack"):
             status = {"op": "status", "level": "error", "msg": str(error), "exit_code": error.exit_code}
             self._connection.send(encode(status | wire.given_id(message) | self._reasons()))
@@ -214,7 +215,7 @@ class Session:
         pending = self._graph.services.call(service, request)
         if not pending.done:
             self._calls.add(pending)
-        call_id, reasons = wire.given_id(message), self._graph.log.reasons
+        call_id, reasons = _returned(message), self._graph.log.reasons
         pending.then(lambda answered: self._answer(answered, service, call_id, reasons))
 
     def _by_name(self, service: str, values: Any) -> Any:
@@ -285,6 +286,11 @@ class Session:
         if level not in LEVELS:
             raise UsageError(f"unknown level {level!r}", f"levels: {', '.join(LEVELS)}")
         self._level = LEVELS[level]
+
+
+def _returned(call: Message) -> Message:
+    """What the answer to a call brings back: the id, and our version to a client that has given its own."""
+    return wire.given_id(call) | ({"version": slidectl.__version__} if "version" in call else {})
 
 
 def _failure(error: SlidectlError) -> Message:

@@ -84,11 +84,26 @@ def _run_steps(simulation: Simulation, cycles: int) -> Pending:
 
 
 def _cycles(simulation: Simulation, request: Message) -> int:
-    """Whole cycles: those that were asked for, or as many as make up at least the time that was asked for."""
+    """Whole cycles: those that were asked for, or as many as make up the time that was asked for.
+
+    Raises Refused for a time that is no whole number of cycles: the world would stop elsewhere than was asked.
+    """
     seconds: float = request["seconds"]
     if not 0 <= seconds < LONGEST_S:
         raise Refused(f"seconds must be 0 or more (and less than {LONGEST_S:g}), not {seconds:g}")
-    cycles: int = request["cycles"] or -(-from_seconds(seconds) // simulation.timestep_ns)
+    cycles: int = request["cycles"]
+    if cycles:
+        return cycles
+    step_ns, asked_ns = simulation.timestep_ns, from_seconds(seconds)
+    cycles = round(asked_ns / step_ns)
+    # A time step such as 1/240 s is rounded to nanoseconds, so a second of it is up to one off for each cycle.
+    if abs(cycles * step_ns - asked_ns) > cycles:
+        near = [
+            f"{count * step_ns * 1e-9:.9g}s" for count in range(asked_ns // step_ns, asked_ns // step_ns + 2) if count
+        ]
+        raise Refused(
+            f"{seconds:.9g} s is no whole number of cycles of {step_ns * 1e-9:g} s", f"possible: {' or '.join(near)}"
+        )
     return cycles
 
 

@@ -103,7 +103,10 @@ class Parameters:
         self._set(list(_leaves(checked, path)) if merge else [(path, checked)])
 
     def set_all(self, values: Mapping[str, Any], known_only: bool = False) -> None:
-        """Set several, all of them or none. With `known_only` guards refuse names that nobody reads. Raises as `set`."""
+        """Set several, all of them or none. Raises as `set`.
+
+        With `known_only` the guards refuse names that nobody reads.
+        """
         self._set([_settable(name, value) for name, value in values.items()], known_only)
 
     def _set(self, leaves: list[tuple[Path, Any]], known_only: bool = False) -> None:

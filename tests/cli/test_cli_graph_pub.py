@@ -435,3 +435,34 @@ def test_the_warning_of_another_client_is_not_printed(world: World) -> None:
             assert "nobody" not in done.stderr
         finally:
             other.kill()
+
+
+@pytest.mark.parametrize(
+    ("words", "typed"),
+    [
+        (["pub", "command", "data:", "1.0"], "slidectl pub command 'data: 1.0'"),
+        (["pub", "/f", "std_msgs/Float64", "{data:", "1.0}", "-1"], "'{data: 1.0}' -1"),
+        (["pub", "/js", "name:", "[slide]", "position:", "[0.1]"], "'{name: [slide], position: [0.1]}'"),
+        (
+            ["service", "call", "load_controller", "name:", "joint1_position_controller"],
+            "slidectl service call load_controller 'name: joint1_position_controller'",
+        ),
+        (
+            ["ros", "rostopic", "pub", "-1", "/f", "std_msgs/Float64", "data:", "1.0"],
+            "rostopic pub -1 /f std_msgs/Float64 'data: 1.0'",
+        ),
+        (
+            ["ros", "rosservice", "call", "/slider/controller_manager/load_controller", "name:", "x"],
+            "rosservice call /slider/controller_manager/load_controller 'name: x'",
+        ),
+        (["ros", "rosservice", "call", "/rosapi/topic_type", "{topic:", "/f}"], "'{topic: /f}'"),
+    ],
+)
+def test_lost_quotes_are_named_with_the_line_to_type(
+    world: World, ears: dict[str, Subscription], words: list[str], typed: str
+) -> None:
+    assert ears
+    done = world.slidectl(*words)
+    assert done.returncode in (1, 2)
+    assert "the shell made" in done.stderr
+    assert f"{typed}\n" in done.stderr

@@ -107,7 +107,7 @@ class TestOffers:
         }
         assert written["i_clamp"] == 5.0
 
-    def test_a_reload_finds_what_was_written_back(self, graph, live):
+    def test_a_reload_finds_what_was_written_back(self, graph):
         graph.set(NS, {"p": 1.0, "i": 1.0, "i_clamp": 5.0})
         node = graph.node(NS)
         LivePid(node)
