@@ -175,21 +175,28 @@ class Group(_Shared, click.Group):
             ctx.exit(2)
         return super().parse_args(ctx, args)
 
+    def elsewhere(self, ctx: click.Context, name: str) -> list[str]:  # noqa: ARG002
+        """The full commands that a name may mean which this group has not."""
+        return []
+
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         name = args[0]
         if not ctx.resilient_parsing and not name.startswith("-") and name not in self.list_commands(ctx):
-            raise UnknownCommand(name, self.list_commands(ctx), ctx)
+            raise UnknownCommand(name, self.list_commands(ctx), ctx, self.elsewhere(ctx, name))
         return super().resolve_command(ctx, args)
 
 
 class UnknownCommand(click.UsageError):
-    """No such command: suggests the closest, lists all."""
+    """No such command: says which full commands may be meant, else suggests the closest and lists all."""
 
-    def __init__(self, name: str, known: Sequence[str], ctx: click.Context) -> None:
+    def __init__(self, name: str, known: Sequence[str], ctx: click.Context, meant: Sequence[str] = ()) -> None:
         from slidectl.errors import closest
 
+        if meant:
+            super().__init__(f"no command {name!r}; there is: {', '.join(meant)}", ctx)
+            return
         near = closest(name, known)
         suggestion = f" Did you mean {ctx.command_path + ' ' + near!r}?" if near else ""
         super().__init__(f"no command {name!r}.{suggestion}\ncommands: {', '.join(known)}", ctx)

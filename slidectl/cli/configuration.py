@@ -86,23 +86,24 @@ def leaves(tree: Tree, namespace: str = "/") -> Iterator[tuple[str, Any]]:
             yield name, value
 
 
-def store(ctx: Context, parameters: Tree) -> None:
-    """Set them all; others that are there stay. A controller that cannot take one of its own says so: a warning.
+def store(ctx: Context, parameters: Tree, known_only: bool = False) -> list[str]:
+    """Set them all, or none; others that are there stay. What controllers say to it is a warning.
 
-    Raises UsageError before the first when JSON cannot carry a value.
+    Args:
+        known_only: a name below a loaded controller that it does not read is an error.
+
+    Returns:
+        The names that were not set before.
+
+    Raises:
+        Refused: a loaded controller cannot take a value. UsageError: JSON cannot carry a value.
     """
-    texts = {name: _as_json(name, value) for name, value in parameters.items()}
-    with ctx.client.rosout() as lines:
-        calls = [ctx.client.call_async("/rosapi/set_param", {"name": n, "value": text}) for n, text in texts.items()]
-        for call in calls:
-            ctx.client.answer(call)
-    for line in lines:
-        if any(_is_about(name, line["msg"]) for name in parameters):
-            ctx.warn(line["msg"])
-
-
-def _is_about(parameter: str, text: str) -> bool:
-    return parameter in text or f"{names.parent(parameter)}: {parameter.rpartition('/')[2]} " in text
+    texts = [_as_json(name, value) for name, value in parameters.items()]
+    request = {"names": list(parameters), "values": texts, "known_only": known_only}
+    created = ctx.call("/slidectl/set_params", request)["created"]
+    for reason in ctx.client.reasons:
+        ctx.warn(reason)
+    return list(created)
 
 
 def _as_json(name: str, value: Any) -> str:

@@ -63,7 +63,17 @@ class Context:
             if self.instance and self.socket:
                 raise UsageError("--instance and --socket exclude each other")
             self._client = Client(self.instance, self.socket, timeout=self.wait_limit(DEFAULT_TIMEOUT_S))
+            self._client.on_other_version = self.say_other_version
         return self._client
+
+    def say_other_version(self, theirs: str) -> None:
+        """Say that the daemon was started by another version of this program: the two may not understand each other."""
+        from slidectl import __version__
+        from slidectl.client.link import command
+
+        version = f"version {theirs}" if theirs else "another version"
+        restart = command(self.client.paths, "daemon restart")
+        self.warn(f"the daemon is of {version}, this command of {__version__}; to have one: {restart}")
 
     @property
     def uri(self) -> str:

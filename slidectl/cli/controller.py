@@ -11,7 +11,7 @@ from slidectl.cli import live
 from slidectl.cli.bringup import Report, bring_up, check_started, each, wait_for_owner
 from slidectl.cli.commands import Variadic, group
 from slidectl.cli.context import Context
-from slidectl.cli.managers import UNLOADED, Manager, chosen, owner
+from slidectl.cli.managers import UNLOADED, Manager, chosen, owner, owner_of_some
 from slidectl.client.manager import BEST_EFFORT, STRICT
 from slidectl.errors import UsageError
 
@@ -174,9 +174,10 @@ def switch(
 def _switch(
     ctx: Context, manager: str | None, start: Sequence[str], stop: Sequence[str], strict: bool, asap: bool
 ) -> None:
-    target, local = owner(ctx, manager, [*start, *stop])
+    target, local = (owner if strict else owner_of_some)(ctx, manager, [*start, *stop])
     starting, stopping = local[: len(start)], local[len(start) :]
-    with Report(ctx, target, local):
+    known = local if strict else [name for name in local if name in target.known()]
+    with Report(ctx, target, known):
         target.switch(starting, stopping, STRICT if strict else BEST_EFFORT, asap)
         if strict:
             check_started(target, starting)

@@ -32,7 +32,7 @@ def _world(function: Callable[..., Any]) -> Callable[..., Any]:
     """The options of a new world."""
     options = [
         click.option("--rtf", default="1.0", metavar="FACTOR|max", help="Real-time factor, or as fast as possible."),
-        click.option("--paused", is_flag=True, help="Begin paused."),
+        click.option("--paused/--running", default=False, help="Begin paused, or running (the default)."),
         click.option("--timestep", type=float, default=0.001, metavar="S", help="Length of a cycle (0.001 s)."),
         click.option("--gravity", type=float, nargs=3, default=(0.0, 0.0, -9.8), metavar="X Y Z", help="In m/s^2."),
         click.option("--ground/--no-ground", default=True, help="With a floor at height 0, or without."),
@@ -132,19 +132,45 @@ def _stop(ctx: Context) -> int | None:
 def restart(click_context: click.Context, /, **world: Any) -> None:
     """Stop the daemon if it runs, and start a new one with an empty world.
 
-    Options that are not given are those that the old one was started with. JSON keys as those of start.
+    Options that are not given are those that the old one was started with, and a line on stderr says which. JSON keys
+    as those of start.
     """
     ctx: Context = click_context.obj
-    options = _changed(_old_options(ctx), _options(**world), _given(click_context))
+    given = _given(click_context)
+    old = _old_options(ctx)
+    options = _options(**world) if old is None else _changed(old, _options(**world), given)
     _stop(ctx)
     _start(ctx, options)
+    kept = [] if old is None else _shown(old, [name for name in _WORLD if name not in given])
+    if kept:
+        ctx.say(f"as before: {' '.join(kept)}")
 
 
-def _old_options(ctx: Context) -> DaemonOptions:
-    from slidectl.daemon import lifecycle, options
+_WORLD = ("rtf", "paused", "timestep", "gravity", "ground", "engine")
+
+
+def _shown(options: DaemonOptions, names: list[str]) -> list[str]:
+    """Those of the options that are not as they are without any, as they stand on a command line."""
+    import math
+
+    usual = type(options)()
+    texts = {
+        "rtf": "--rtf max" if math.isinf(options.rtf) else f"--rtf {options.rtf:g}",
+        "paused": "--paused" if options.paused else "--running",
+        "timestep": f"--timestep {options.timestep:g}",
+        "gravity": "--gravity " + " ".join(f"{component:g}" for component in options.gravity),
+        "ground": "--ground" if options.ground else "--no-ground",
+        "engine": f"--engine {options.engine}",
+    }
+    return [texts[name] for name in names if getattr(options, name) != getattr(usual, name)]
+
+
+def _old_options(ctx: Context) -> DaemonOptions | None:
+    """What the daemon that runs was started with; None when none runs, or that cannot be read."""
+    from slidectl.daemon import lifecycle
 
     pid = lifecycle.running(ctx.paths)
-    return (lifecycle.options_of(pid) if pid else None) or options.DaemonOptions()
+    return lifecycle.options_of(pid) if pid else None
 
 
 def _changed(old: DaemonOptions, new: DaemonOptions, given: list[str]) -> DaemonOptions:

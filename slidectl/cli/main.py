@@ -65,10 +65,19 @@ COMMANDS = {
     "version": Entry("slidectl", "version", "Print the version."),
 }
 
+_CALLED_ELSEWHERE = {
+    "kill": ("daemon stop", "delete ROBOT", "ros rosnode kill NODE"),
+    "run": ("launch FILE", "ros rosrun PACKAGE NODE"),
+    "start": ("launch FILE",),
+    "switch_controller": ("controller switch",),
+    **{tool: (f"ros {tool}",) for tool in ("roslaunch", "rostopic", "rosservice", "rosparam", "rosrun", "rosnode")},
+}
+"""Words that people type for a command -> the commands."""
+
 HELP = """Run the ros_control and Gazebo tutorials from the shell, without ROS and without Gazebo.
 
 A daemon holds the simulated world; every other command talks to it. Start with 'slidectl daemon start' and
-'slidectl spawn slider'.
+'slidectl spawn slider'. 'slidectl help COMMAND' is 'slidectl COMMAND --help'.
 
 \b
 Exit codes:
@@ -96,6 +105,27 @@ class Root(Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
         entry = COMMANDS.get(cmd_name)
         return None if entry is None else load(cmd_name, entry)
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args[0] != "help":
+            return super().resolve_command(ctx, args)
+        if not args[1:]:
+            from slidectl.cli import output
+
+            output.write(ctx.get_help())
+            ctx.exit()
+        return super().resolve_command(ctx, [*args[1:], "--help"])
+
+    def elsewhere(self, ctx: click.Context, name: str) -> list[str]:
+        """The full commands that a name may mean: the groups that have one of that name, or what others call it."""
+        found = []
+        for group_name in COMMANDS:
+            group = self.get_command(ctx, group_name)
+            if isinstance(group, Group) and name in group.list_commands(ctx):
+                found.append(f"slidectl {group_name} {name}")
+        return found + [f"slidectl {meant}" for meant in _CALLED_ELSEWHERE.get(name, ())]
 
     def make_context(self, *args: Any, **extra: Any) -> click.Context:
         extra.setdefault("obj", Context())
@@ -158,7 +188,7 @@ def run(argv: Sequence[str]) -> int:
         return _complete(os.environ[COMPLETION_VARIABLE])
     for stream in (sys.stdout, sys.stderr):
         stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
-    return guard(lambda: _invoke(list(argv), context), context)
+    return guard(lambda: _invoke(list(argv), context), context, argv)
 
 
 def _invoke(argv: list[str], context: Context) -> None:

@@ -1,6 +1,6 @@
 """Controller managers as the command line sees them: which exist, which one a name means, and their services.
 
-Only service calls. The reasons of a refusal are the lines that the manager logs on /rosout meanwhile.
+Only service calls. The reasons of a refusal come with its answer.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any
 from slidectl import names
 from slidectl.cli.context import Context
 from slidectl.client.manager import ManagerServices
-from slidectl.errors import AmbiguousName, Refused, UnknownName, UsageError
+from slidectl.errors import AmbiguousName, Refused, UnknownName, UsageError, listing
 
 UNLOADED = "unloaded"
 _LIST = "controller_manager/list_controllers"
@@ -29,9 +29,7 @@ class Manager(ManagerServices):
         return self.context.call(names.join(self.namespace, f"controller_manager/{verb}"), request)
 
     def act(self, verb: str, **request: Any) -> tuple[bool, list[str]]:
-        with self.context.client.rosout() as lines:
-            answer = self.ask(verb, **request)
-        return answer["ok"], [str(line["msg"]) for line in lines]
+        return self.ask(verb, **request)["ok"], self.context.client.reasons
 
     def warn(self, text: str) -> None:
         self.context.warn(text)
@@ -91,6 +89,39 @@ def owner(context: Context, wanted: str | None, controllers: Sequence[str]) -> t
     return manager, [places[name][manager.namespace] for name in controllers]
 
 
+def owner_of_some(context: Context, wanted: str | None, controllers: Sequence[str]) -> tuple[Manager, list[str]]:
+    """As `owner`, but it is enough when the manager knows some of them, or is the only one: for best effort."""
+    candidates = chosen(context, wanted)
+    known = [name for name in controllers if _places(candidates, name)]
+    manager, _ = owner(context, wanted, known)
+    return manager, [name.removeprefix(manager.namespace.rstrip("/") + "/") for name in controllers]
+
+
+def next_step(context: Context, topic: str) -> str | None:
+    """The command that is missing before a controller takes messages on `topic`; None when none is."""
+    controller = names.parent(names.join("/", topic)).strip("/").rpartition("/")[2]
+    found = managers(context)
+    idle = {}
+    for manager in found:
+        states, configured = manager.states(), manager.configured()
+        waiting = [name for name in configured if name not in states]
+        if controller in waiting:
+            return f"{controller} is not loaded; load and start it: slidectl controller spawn {controller}"
+        if waiting:
+            idle[manager.namespace] = waiting
+        elif not states and not configured:
+            idle[manager.namespace] = []
+    if topic.rpartition("/")[2] != "command":
+        return None
+    if not found:
+        return "no robot with controllers is in the world; spawn one: slidectl spawn slider"
+    for namespace, waiting in idle.items():
+        if waiting:
+            return f"not loaded in {namespace}: {listing(waiting)}; load and start: slidectl controller spawn NAME"
+        return f"{namespace} has no controllers yet; load their configuration: slidectl controller config FILE.yaml"
+    return None
+
+
 def _places(candidates: Sequence[Manager], name: str) -> dict[str, str]:
     """Namespace of each manager that knows the controller -> its name there."""
     found = {}
@@ -106,7 +137,9 @@ def _nowhere(candidates: Sequence[Manager], places: dict[str, dict[str, str]]) -
         if not found:
             known = sorted({known for manager in candidates for known in manager.known()})
             where = f"in {candidates[0].namespace}" if len(candidates) == 1 else ""
-            return UnknownName("controller", name, known, where)
+            error = UnknownName("controller", name, known, where)
+            error.hint = f"{error.hint}\nload its configuration first: slidectl controller config FILE.yaml"
+            return error
     listed = "; ".join(f"{name} of {', '.join(sorted(found))}" for name, found in places.items())
     return UsageError(f"no controller manager has all of these: {listed}", "one command for each robot, please")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import click
@@ -12,7 +12,7 @@ from slidectl import names
 from slidectl.cli import live, output, parameters
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
-from slidectl.errors import BadFile, Refused, UnknownName, UsageError, listing
+from slidectl.errors import AmbiguousName, BadFile, Refused, UnknownName, UsageError, closest, listing
 from slidectl.writing import write_whole
 
 _INDEXED = re.compile(r"(?P<name>[^\[\]]+)(?P<indices>(\[-?\d+\])+)\Z")
@@ -103,13 +103,17 @@ def as_rosparam(value: Any) -> str:
 @click.argument("name", shell_complete=live.parameters)
 @click.argument("value", required=False)
 @click.option("-t", "--textfile", shell_complete=live.files, metavar="FILE", help="The text of a file as the value.")
+@click.option("--new", is_flag=True, help="Set it although nobody reads it, or a short NAME says something else.")
 @click.pass_obj
-def set_parameter(ctx: Context, name: str, value: str | None, textfile: str | None) -> None:
+def set_parameter(ctx: Context, name: str, value: str | None, textfile: str | None, new: bool) -> None:
     """Set a parameter.
 
     VALUE is YAML; deg(90) and rad(pi/2) are angles in radians, '' is an empty text. A mapping is merged into what is
-    there, all else replaces it. A short NAME means the parameter that ends so, if there is one. One that belongs to a
-    running controller takes effect at its next cycle. JSON keys: parameter, value.
+    there, all else replaces it. A short NAME means the parameter that ends so, if there is one.
+
+    A gain of a loaded controller takes effect at its next cycle, and is refused when the controller cannot take it.
+    Below a loaded controller only names that it reads can be set, unless with --new. Elsewhere a line on stderr says
+    when the parameter is new. JSON keys: parameter, value.
     """
     from slidectl.cli.configuration import store
     from slidectl.cli.documents import text_of
@@ -117,20 +121,54 @@ def set_parameter(ctx: Context, name: str, value: str | None, textfile: str | No
     if (value is None) == (textfile is None):
         raise UsageError("give a VALUE or -t FILE")
     content = text_of(textfile) if textfile is not None else parameters.typed(value or "")
-    full = _name_to_set(ctx, name)
-    store(ctx, parameters.settings(content, full))
+    full = _name_to_set(ctx, name, new)
+    created = store(ctx, parameters.settings(content, full), known_only=not new)
     if full != names.join(ctx.namespace, name):
         ctx.say(f"set {full}")
+    if created and not new:
+        _say_new(ctx, created)
     ctx.detail(f"set parameter [{full}] to [{content}]")
     ctx.emit({"parameter": full, "value": content}, "")
 
 
-def _name_to_set(ctx: Context, name: str) -> str:
-    """An existing parameter's full name, else a new one in the namespace. Raises AmbiguousName, BadName."""
+def _name_to_set(ctx: Context, name: str, new: bool) -> str:
+    """An existing parameter's full name, else a new one in the namespace.
+
+    Raises:
+        AmbiguousName, BadName. UnknownName: a short name whose beginning means a namespace that is elsewhere.
+    """
+    full = names.check_parameter(names.join(ctx.namespace, name))
+    if new:
+        return full
     try:
         return _resolved(ctx, name)
+    except UnknownName as unknown:
+        if not name.startswith("/") and _means_elsewhere(ctx, name, full):
+            unknown.hint = f"{unknown.hint}\n--new makes {full}"
+            raise
+        return full
+
+
+def _means_elsewhere(ctx: Context, name: str, full: str) -> bool:
+    """True for `pid/P` when there is a `.../pid`, and /pid is not there."""
+    if "/" not in name.rstrip("/"):
+        return False
+    above, _, last = name.rstrip("/").rpartition("/")
+    try:
+        found = _resolved(ctx, above)
+    except AmbiguousName:
+        return True
     except UnknownName:
-        return names.check_parameter(names.join(ctx.namespace, name))
+        return _means_elsewhere(ctx, above, names.parent(full))
+    return names.join(found, last) != full
+
+
+def _say_new(ctx: Context, created: Sequence[str]) -> None:
+    """Say that parameters are new, and which one of those that were there may have been meant."""
+    others = [name for name in ctx.names("parameter") if name not in created]
+    for name in created:
+        near = closest(name, others) if names.parent(name) != "/" else None
+        ctx.say(f"{name} is new" + (f"; did you mean {near}?" if near else ""))
 
 
 @param.command("delete", examples=["slidectl param delete /limit", "slidectl param delete /slider"])

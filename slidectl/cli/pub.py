@@ -119,13 +119,13 @@ def _target(
     """The topic, and what is left of the words when TYPE is taken away. Raises as `look_up` does."""
     try:
         target = look_up(ctx, name, SUBSCRIBERS, with_field=False, last_words="--allow-unheard publishes all the same")
-    except Unused:
+    except Unused as error:
         if not allow_unheard:
-            raise
+            raise _with_next_step(ctx, name, error) from None
         target = look_up(ctx, name, None, with_field=False)
     except UnknownName as error:
         if not allow_unheard:
-            raise _with_last_words(error) from None
+            raise _with_next_step(ctx, name, _with_last_words(error)) from None
         return _new_topic(ctx, name, given)
     has_type = bool(given) and _is_type(given, target, from_elsewhere)
     if has_type and given[0] != target.type:
@@ -138,6 +138,16 @@ def _target(
 
 def _with_last_words(error: UnknownName) -> UnknownName:
     error.hint = f"{error.hint}\n--allow-unheard publishes on a new topic: give its TYPE"
+    return error
+
+
+def _with_next_step(ctx: Context, name: str, error: SlidectlError) -> SlidectlError:
+    """Where controllers are not loaded yet, the error says which command comes first."""
+    from slidectl.cli.managers import next_step
+
+    step = next_step(ctx, name)
+    if step is not None:
+        error.hint = f"{str(error.hint).splitlines()[0]}\n{step}"
     return error
 
 
@@ -171,8 +181,9 @@ def without_once(given: list[str], fields: int) -> tuple[list[str], bool]:
 
 def _from_words(target: Target, given: Sequence[str], rate: float | None, count: int | None) -> Iterator[Values]:
     """The values on the command line: for ever at a rate, else `count` times or once."""
-    from slidectl.cli.values import read
+    from slidectl.cli.values import check_quotes, read
 
+    check_quotes(given, target.typedefs[0]["fieldnames"])
     if not given and target.typedefs[0]["fieldnames"]:
         fields = ", ".join(target.typedefs[0]["fieldnames"])
         raise UsageError(f"no VALUE given for {target.topic} ({target.type})", f"it has the fields: {fields}")

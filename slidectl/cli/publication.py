@@ -11,7 +11,6 @@ from time import monotonic
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
-from slidectl import names
 from slidectl.cli.values import is_numeric
 from slidectl.errors import TimedOut
 from slidectl.msgs.fill import fields_from, fill
@@ -26,8 +25,8 @@ Values = Sequence[Any]
 
 _FELL_BEHIND_S = 1.0
 _KEPT_UP = 0.95
-_WARN = 4
-"""The level of a warning in rosgraph_msgs/Log."""
+_MOST_TOLD = 5
+"""Different warnings that one command passes on: a wave beyond the limits has a new one in every message."""
 
 
 class Publication:
@@ -41,7 +40,7 @@ class Publication:
         self._type = target.type if advertise else None
         self._fields_of = fields_from(target.typedefs)
         self._began = self._latest = 0.0
-        self._remarks: list[dict[str, Any]] = []
+        self._told: set[str] = set()
         self.published = 0
 
     def __enter__(self) -> Publication:
@@ -81,13 +80,12 @@ class Publication:
         """
         previous: Values | None = None
         template: Template | None = None
-        with self._ctx.client.rosout() as self._remarks:
-            self._began = monotonic()
-            for index, values in enumerate(sources):
-                if values is not previous:
-                    template, previous = self._template(values), values
-                self._wait_for(index)
-                self._send(values if template is None else template.at(index, index / (self._rate or 1.0)), template)
+        self._began = monotonic()
+        for index, values in enumerate(sources):
+            if values is not previous:
+                template, previous = self._template(values), values
+            self._wait_for(index)
+            self._send(values if template is None else template.at(index, index / (self._rate or 1.0)), template)
 
     def hold(self) -> None:
         """Stay connected, so that a latched message stays. Raises TimedOut after `--timeout`, NoDaemon."""
@@ -127,14 +125,11 @@ class Publication:
         client.deliver(target.topic, message, self._type, self._latch)
         self.published += 1
         self._latest = monotonic()
-        self._pass_on_remarks()
+        self._pass_on(client.reasons)
 
-    def _pass_on_remarks(self) -> None:
-        """What a subscriber warned of on /rosout: a controller that is not running says that the command is lost."""
-        if not self._remarks:
-            return
-        owner = names.parent(self._target.topic) + " "
-        for line in self._remarks:
-            if line["level"] == _WARN and line["msg"].startswith(owner):
-                self._ctx.warn(line["msg"])
-        self._remarks.clear()
+    def _pass_on(self, reasons: Sequence[str]) -> None:
+        """What the subscribers say of a message that they took; the same words once, and no more than a few."""
+        for reason in reasons:
+            if reason not in self._told and len(self._told) < _MOST_TOLD:
+                self._told.add(reason)
+                self._ctx.warn(reason)

@@ -133,11 +133,15 @@ def call(ctx: Context, name: str, given: tuple[str, ...], stdin: bool) -> None:
     """Call a service and print its response.
 
     VALUE is YAML: one mapping of fields ('{}' for the defaults), or one value for each field. Exits 1 when the call
-    fails, or when the response has a field 'ok' or 'success' that is false; the reasons on /rosout go to stderr. It
+    fails, or when the response has a field 'ok' or 'success' that is false; the reasons go to stderr. It
     waits for a minute at most, or for --timeout. With --json it prints the response as one object.
     """
     full, kind = _typed(ctx, name)
     forms = servicecall.forms(ctx, kind)
+    if len(given) > 1:
+        from slidectl.cli.values import check_quotes
+
+        check_quotes(given, forms.request[0]["fieldnames"])
     if not given and not stdin and forms.request[0]["fieldnames"]:
         fields = ", ".join(forms.request[0]["fieldnames"])
         raise UsageError(f"no VALUE given for {full} ({kind})", f"the request has the fields: {fields}")
@@ -145,8 +149,8 @@ def call(ctx: Context, name: str, given: tuple[str, ...], stdin: bool) -> None:
     for values in _requests(given, stdin):
         answer = servicecall.call(ctx, full, _filled(ctx, forms, values))
         ctx.emit(answer.response, forms.printer(answer.response))
-        for line in [] if answer.refusal else answer.logged:
-            ctx.warn(line)
+        for reason in [] if answer.refusal else answer.reasons:
+            ctx.warn(reason)
         refusals += answer.refusal
     if refusals:
         raise Refused("\n".join(refusals))

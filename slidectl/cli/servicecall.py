@@ -22,13 +22,13 @@ Typedefs = list[dict[str, Any]]
 class Answer(NamedTuple):
     """What came of a call.
 
-    `refusal`: when the response says no (a false `ok` or `success`) the lines that say so, with the reasons that it
-    gives or that were logged. `logged`: what was logged on /rosout meanwhile, warnings and errors.
+    `refusal`: when the response says no (a false `ok` or `success`) the lines that say so, with the reasons.
+    `reasons`: the warnings and errors of the call.
     """
 
     response: dict[str, Any]
     refusal: list[str]
-    logged: list[str]
+    reasons: list[str]
 
 
 def ask_each(ctx: Context, question: str, services: Iterable[str], key: str) -> dict[str, str]:
@@ -88,18 +88,17 @@ def _printer(parts: Typedefs) -> Callable[[dict[str, Any]], str]:
 
 
 def call(ctx: Context, full: str, request: dict[str, Any]) -> Answer:
-    """Call it and collect what is logged meanwhile. Raises as Client.call; TimedOut after a minute."""
-    with ctx.client.rosout() as lines:
-        response = ctx.call(full, request, ctx.wait_limit(CALL_TIMEOUT_S))
-    logged = [str(line["msg"]) for line in lines]
-    return Answer(response, _refusal(full, response, logged), logged)
+    """Call it. Raises as Client.call; TimedOut after a minute."""
+    response = ctx.call(full, request, ctx.wait_limit(CALL_TIMEOUT_S))
+    reasons = ctx.client.reasons
+    return Answer(response, _refusal(full, response, reasons), reasons)
 
 
-def _refusal(full: str, response: dict[str, Any], logged: Sequence[str]) -> list[str]:
+def _refusal(full: str, response: dict[str, Any], given: Sequence[str]) -> list[str]:
     verdict = next((field for field in _VERDICTS if response.get(field) is False), None)
     if verdict is None:
         return []
     reasons = [str(response[field]) for field in _REASONS if response.get(field)]
-    reasons += [line for line in logged if line not in reasons][-2:]
+    reasons += [reason for reason in given if reason not in reasons][-2:]
     indented = [f"  {line}" for reason in reasons for line in reason.splitlines()]
     return [f"{full} answered {verdict}: false", *indented]

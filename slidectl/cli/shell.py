@@ -63,7 +63,8 @@ class Shell:
         if self._client is None:
             context = self.context
             self._client = Client(context.instance, context.socket, timeout=context.wait_limit(DEFAULT_TIMEOUT_S))
-            self._client.keep_log()
+            context._client = self._client
+            self._client.on_other_version = context.say_other_version
         return self._client
 
     def run(self, line: str) -> int:
@@ -77,7 +78,7 @@ class Shell:
                 self._invoke(words, context)
 
         try:
-            code = guard(act, context)
+            code = guard(act, context, words)
         finally:
             output.leave_reader_alone()
             context.close()

@@ -123,6 +123,7 @@ def parse_speed(text: str) -> float:
 def step(ctx: Context, amount: str) -> None:
     """Do N cycles, or so many simulated seconds, and return when they are done.
 
+    A time is a whole number of cycles (of 0.001 s, unless the daemon was started otherwise); another one is refused.
     Pauses the world first if it runs. Without --timeout it waits a minute longer than the steps take at a tenth of
     real time.
     """

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+import sys
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from slidectl.errors import BadFile, UsageError
@@ -43,6 +44,54 @@ def read(text: str) -> Any:
         if value is not _UNKNOWN:
             return value
     return read_yaml(text, shown(text))
+
+
+class LostQuotes(UsageError):
+    """One value that the shell took apart at its blanks. The hint is the line to type."""
+
+    def __init__(self, words: Sequence[str], whole: str) -> None:
+        super().__init__(f"the shell made {len(words)} words of one value: it needs quotes", _retyped(words, whole))
+
+
+def check_quotes(words: Sequence[str], fields: Iterable[str] = ()) -> None:
+    """Raises LostQuotes for `data: 1.0` and `{data: 1.0}` in two words. `fields` are those of the message."""
+    if len(words) < 2:
+        return
+    first, whole = words[0], " ".join(words)
+    is_field = first.endswith(":") and first[:-1] in fields
+    is_open = first[:1] in ("{", "[") and _depth(first) > 0 and _depth(whole) == 0
+    if not is_field and not is_open:
+        return
+    if is_field and len(words) > 2 and not _is_yaml(whole):
+        whole = "{" + re.sub(r"\s(?=\w+:(\s|$))", ", ", whole) + "}"
+    raise LostQuotes(words, whole)
+
+
+def _depth(text: str) -> int:
+    """How many brackets stay open."""
+    return sum(text.count(mark) for mark in "{[") - sum(text.count(mark) for mark in "}]")
+
+
+def _is_yaml(text: str) -> bool:
+    try:
+        read_yaml(text)
+    except UsageError:
+        return False
+    return True
+
+
+def _retyped(words: Sequence[str], whole: str) -> str:
+    """The command line of this process with `whole` in quotes in the place of the words."""
+    from shlex import quote
+
+    typed = sys.argv[1:]
+    for start in range(len(typed) - len(words) + 1):
+        if typed[start : start + len(words)] == list(words):
+            before, after = typed[:start], typed[start + len(words) :]
+            program = [] if before[:1] == ["ros"] else ["slidectl"]
+            before = before[1:] if before[:1] == ["ros"] else before
+            return "type: " + " ".join([*program, *map(quote, before), quote(whole), *map(quote, after)])
+    return f"type it as: {quote(whole)}"
 
 
 def is_numeric(value: Any) -> bool:

@@ -12,18 +12,16 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Any
 
-from slidectl import names, paths
+from slidectl import __version__, names, paths
 from slidectl.client import naming
 from slidectl.client.lines import LONGEST_LINE, BadLine, encode
 from slidectl.client.link import Link, command
-from slidectl.client.log import Listening, Log
 from slidectl.client.replies import Replies
 from slidectl.client.subscription import Subscription
 from slidectl.errors import MessageRefused, NoDaemon, TimedOut
 
 Message = dict[str, Any]
 
-_WARN = 4  # rosgraph_msgs/Log
 _PROBE_S = 0.5
 _SYNCHRONIZE = "/rosapi/get_time"
 """A service that changes nothing: its answer says that all that was sent before it has been taken in."""
@@ -52,7 +50,9 @@ class Client:
         self._subscriptions: dict[str, list[Subscription]] = {}
         self._advertised: dict[tuple[str, str | None, bool], str] = {}
         self._published = False
-        self._log = Log(self, self._next_id("subscribe"))
+        self._first_call: str | None = None
+        self.on_other_version: Callable[[str], None] = _ignore
+        """Called once, with the version of a daemon that is not this client's; empty for one that does not say."""
 
     # --- services -----------------------------------------------------------------------------------------------
 
@@ -69,7 +69,11 @@ class Client:
         """Send a call and return its id at once; `answer` waits for the response."""
         call_id, full = self._next_id("call"), names.join("/", service)
         self._replies.expect(call_id)
-        self._write(encode({"op": "call_service", "id": call_id, "service": full, "args": request or {}}))
+        message = {"op": "call_service", "id": call_id, "service": full, "args": request or {}}
+        if self._first_call is None:  # it asks for the daemon's version too, which costs no round trip
+            self._first_call = call_id
+            message["version"] = __version__
+        self._write(encode(message))
         return call_id
 
     def answer(self, call_id: str, *, timeout: float | None = None) -> Message:
@@ -82,6 +86,14 @@ class Client:
                 replies.forget(call_id)
                 raise
         return replies.answer(call_id)
+
+    @property
+    def reasons(self) -> list[str]:
+        """What the daemon warned of, or gave as an error, while it carried out the request answered last.
+
+        That is the last `call`, `answer`, `deliver` or `flush`, whether it raised or not.
+        """
+        return self._replies.reasons
 
     def is_answered(self, call_id: str) -> bool:
         """True when the response to an earlier `call_async` is here: `answer` will not wait."""
@@ -145,14 +157,10 @@ class Client:
         """
         subscription = Subscription(self, names.join("/", topic), self._next_id("subscribe"), queue_length)
         options: Message = {"queue_length": queue_length, "throttle_rate": throttle_rate}
-        self.begin(subscription, options | ({} if type is None else {"type": type}))
-        return subscription
-
-    def begin(self, subscription: Subscription, options: Message) -> None:
-        """What `subscribe` does with a subscription of any kind. Raises as it does."""
+        kind = {} if type is None else {"type": type}
         self._subscriptions.setdefault(subscription.topic, []).append(subscription)
         try:
-            self._send(op="subscribe", id=subscription.id, topic=subscription.topic, **options)
+            self._send(op="subscribe", id=subscription.id, topic=subscription.topic, **options, **kind)
             self.call(_SYNCHRONIZE)
             self._replies.raise_refusal(subscription.id)
         except MessageRefused:
@@ -161,6 +169,7 @@ class Client:
         except BaseException:
             self.unsubscribe(subscription)
             raise
+        return subscription
 
     def unsubscribe(self, subscription: Subscription) -> None:
         """What `Subscription.close` does."""
@@ -170,14 +179,6 @@ class Client:
         receivers.remove(subscription)
         with suppress(NoDaemon):  # a dead daemon has unsubscribed us already
             self._send(op="unsubscribe", id=subscription.id, topic=subscription.topic)
-
-    def rosout(self, level: int = _WARN) -> Listening:
-        """`with client.rosout() as lines` collects the /rosout messages of at least `level` that arrive meanwhile."""
-        return Listening(self._log, level)
-
-    def keep_log(self) -> None:
-        """Stay subscribed to /rosout from the next `rosout` on: only the first one takes a round trip then."""
-        self._log.keep = True
 
     # --- names --------------------------------------------------------------------------------------------------
 
@@ -224,6 +225,9 @@ class Client:
                 subscription.put(message["msg"])
         elif op == "status":
             self._take_status(message)
+        elif message.get("id") == self._first_call and message.get("version") != __version__:
+            self._first_call = ""
+            self.on_other_version(str(message.get("version", "")))
         self._replies.take_in(message)
 
     def _take_status(self, status: Message) -> None:
@@ -285,3 +289,7 @@ class Client:
                 self.flush()
         finally:
             self.close()
+
+
+def _ignore(_version: str) -> None:
+    """For a script that does not mind the daemon's version."""

@@ -28,11 +28,11 @@ class ManagerServices:
         raise NotImplementedError
 
     def act(self, verb: str, **request: Any) -> tuple[bool, list[str]]:
-        """Call one that answers `ok`: that, and what the world logged meanwhile."""
+        """Call one that answers `ok`: that, and the reasons that came with the answer."""
         raise NotImplementedError
 
     def warn(self, text: str) -> None:
-        """Say something that was logged although it went well."""
+        """Say a reason of something that went well."""
         raise NotImplementedError
 
     def parameters(self) -> Sequence[str]:
@@ -41,7 +41,7 @@ class ManagerServices:
 
     def refusal(self, what: str, reasons: Sequence[str]) -> Refused:
         """The error when the manager said no."""
-        return Refused("\n".join(reasons[-2:]) or f"cannot {what}, and no reason was logged")
+        return Refused("\n".join(reasons[-2:]) or f"cannot {what}, and no reason was given")
 
     def _act(self, what: str, verb: str, **request: Any) -> None:
         ok, reasons = self.act(verb, **request)

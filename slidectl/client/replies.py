@@ -1,5 +1,7 @@
 """What the daemon has said to what a client sent: answers to who waits for them, and refusals, by the id of each.
 
+Each answer brings its reasons: the warnings and errors of the request.
+
 Bounded whatever the script does: answers that nobody waits for are not kept, and of refusals only the first ones are.
 """
 
@@ -22,6 +24,8 @@ class Replies:
         self._awaited: set[str] = set()
         self._answers: dict[str, Message] = {}
         self._refusals: dict[str, SlidectlError] = {}
+        self.reasons: list[str] = []
+        """Those of the answer that was asked for last."""
 
     def expect(self, sent_id: str) -> None:
         """Somebody will ask for the answer."""
@@ -48,6 +52,7 @@ class Replies:
         """The values of an answer that is here; it is forgotten. Raises Refused with the text and exit code in it."""
         self._awaited.discard(sent_id)
         answer = self._answers.pop(sent_id)
+        self.reasons = list(map(str, answer.get("reasons", ())))
         values = answer.get("values")
         if not answer.get("result", True):
             raise _refusal(Refused, str(values), answer)

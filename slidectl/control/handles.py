@@ -6,6 +6,8 @@ neither physics nor controllers.
 
 from __future__ import annotations
 
+from math import inf
+
 
 class JointStateHandle:
     """State of one joint: position (m or rad), velocity (m/s or rad/s), effort (N or N·m)."""
@@ -25,10 +27,13 @@ class JointStateHandle:
 class JointHandle(JointStateHandle):
     """State and command of one joint. The unit of `command` is that of the interface it is registered with."""
 
-    __slots__ = ("command",)
+    __slots__ = ("command", "highest", "lowest")
 
     def __init__(
         self, name: str, position: float = 0.0, velocity: float = 0.0, effort: float = 0.0, command: float = 0.0
     ) -> None:
         super().__init__(name, position, velocity, effort)
         self.command = command
+        self.lowest = -inf
+        """The hardware lets no command below this through, nor one above `highest`."""
+        self.highest = inf

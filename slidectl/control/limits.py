@@ -100,6 +100,10 @@ class LimitHandle:
         """Put the command within the limits, given the seconds since the last call."""
         raise NotImplementedError
 
+    def command_bounds(self) -> tuple[float, float]:
+        """The lowest and the highest command that may ever be let through, whatever the joint does."""
+        raise NotImplementedError
+
     def reset(self) -> None:
         """Be as on the first day."""
         self.previous = self.fresh
@@ -115,6 +119,9 @@ class EffortJointSaturation(LimitHandle):
     def enforce(self, period_s: float) -> None:  # noqa: ARG002 - this law has no memory
         saturate_effort(self, self.handle)
 
+    def command_bounds(self) -> tuple[float, float]:
+        return -self.max_effort, self.max_effort
+
 
 class EffortJointSoftLimits(LimitHandle):
     """Effort that keeps the measured velocity within what the distance to the soft limits allows."""
@@ -125,6 +132,9 @@ class EffortJointSoftLimits(LimitHandle):
 
     def enforce(self, period_s: float) -> None:  # noqa: ARG002 - this law has no memory
         slow_effort(self, self.handle)
+
+    def command_bounds(self) -> tuple[float, float]:
+        return -self.max_effort, self.max_effort
 
 
 class PositionJointSaturation(LimitHandle):
@@ -138,6 +148,9 @@ class PositionJointSaturation(LimitHandle):
     def enforce(self, period_s: float) -> None:
         saturate_position(self, self.handle, period_s)
 
+    def command_bounds(self) -> tuple[float, float]:
+        return self.min_position, self.max_position
+
 
 class PositionJointSoftLimits(LimitHandle):
     """Position that approaches its soft limits ever more slowly. The first step is from the measured position."""
@@ -150,6 +163,9 @@ class PositionJointSoftLimits(LimitHandle):
     def enforce(self, period_s: float) -> None:
         slow_position(self, self.handle, period_s)
 
+    def command_bounds(self) -> tuple[float, float]:
+        return self.min_position, self.max_position
+
 
 class VelocityJointSaturation(LimitHandle):
     """Clips velocity, and its change per step when there is an acceleration limit. The first step is from 0."""
@@ -161,6 +177,9 @@ class VelocityJointSaturation(LimitHandle):
     def enforce(self, period_s: float) -> None:
         saturate_velocity(self, self.handle, period_s)
 
+    def command_bounds(self) -> tuple[float, float]:
+        return -self.max_velocity, self.max_velocity
+
 
 class VelocityJointSoftLimits(LimitHandle):
     """Velocity that the distance to the soft limits allows, from the measured position and velocity."""
@@ -170,6 +189,9 @@ class VelocityJointSoftLimits(LimitHandle):
 
     def enforce(self, period_s: float) -> None:
         slow_velocity(self, self.handle, period_s)
+
+    def command_bounds(self) -> tuple[float, float]:
+        return -self.max_velocity, self.max_velocity
 
 
 SATURATION: dict[str, type[EffortJointSaturation | PositionJointSaturation | VelocityJointSaturation]] = {

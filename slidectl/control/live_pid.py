@@ -1,28 +1,30 @@
 """A PID whose gains live in the graph: read from parameters, changed by service or parameter while it runs.
 
 After control_toolbox's init and its dynamic_reconfigure server. Gains change between two cycles; the state of
-the PID is never touched here.
+the PID is never touched here. The parameters always say what the PID has: a change that it cannot follow is refused,
+and what it takes in another form (a clamp's sign) is written back.
 """
 
 from __future__ import annotations
 
 from math import isfinite, isnan
+from typing import Any
 
 from slidectl.control import gain_config, params
 from slidectl.control.duration import from_seconds, to_stamp
-from slidectl.control.node import Message, NodeHandle, Publisher
-from slidectl.control.parameters import BOOLEAN, NUMBER, Parameter
+from slidectl.control.node import Message, NodeHandle, ParameterChange, Publisher
+from slidectl.control.parameters import BOOLEAN, NUMBER, Parameter, check_values
 from slidectl.control.pid import Gains, Pid
 from slidectl.errors import Refused
 
 GAINS = (
-    Parameter("p", NUMBER, "proportional gain", required=True),
-    Parameter("i", NUMBER, "integral gain", default=0.0),
-    Parameter("d", NUMBER, "derivative gain", default=0.0),
-    Parameter("i_clamp", NUMBER, "bounds the integral term both ways", default=0.0),
-    Parameter("i_clamp_min", NUMBER, "bounds the integral term below; goes before i_clamp"),
-    Parameter("i_clamp_max", NUMBER, "bounds the integral term above; goes before i_clamp"),
-    Parameter("antiwindup", BOOLEAN, "bounds the integral itself, not only its term", default=False),
+    Parameter("p", NUMBER, "proportional gain", required=True, live=True),
+    Parameter("i", NUMBER, "integral gain", default=0.0, live=True),
+    Parameter("d", NUMBER, "derivative gain", default=0.0, live=True),
+    Parameter("i_clamp", NUMBER, "bounds the integral term both ways", default=0.0, live=True),
+    Parameter("i_clamp_min", NUMBER, "bounds the integral term below; goes before i_clamp", live=True),
+    Parameter("i_clamp_max", NUMBER, "bounds the integral term above; goes before i_clamp", live=True),
+    Parameter("antiwindup", BOOLEAN, "bounds the integral itself, not only its term", default=False, live=True),
     Parameter("publish_state", BOOLEAN, "publishes control_msgs/PidState", default=False),
 )
 """What a namespace of gains may hold, as control_toolbox reads it."""
@@ -39,20 +41,31 @@ class LivePid:
         """
         self._node = node
         self._writing = False
-        self._i_clamp = params.number(node, "i_clamp")
+        self._is_idle = False
         gains = gains_from_parameters(node)
         self.pid = Pid(*gains)
         if params.boolean(node, "publish_state"):
             self.pid.observer = _StatePublisher(self.pid, node).publish
         self._updates = self._offer()
+        i_clamp = params.number(node, "i_clamp")
         self.set_gains(gains)
+        # What the file says, though it be hidden by the other two: the same file again changes nothing.
+        self._i_clamp = None if i_clamp is None else abs(i_clamp)
+        node.guard_params(self._judge)
         node.watch_param(node.namespace, self._parameters_changed)
 
     def set_gains(self, gains: Gains) -> None:
         """Use these gains from the next cycle on, write them to the parameters and tell the subscribers."""
+        old = self.pid.gains
         self.pid.set_gains(gains)
-        if gains.i != 0.0 and gains.i_min == gains.i_max == 0.0:
+        for name in ("p", "i", "d"):
+            value = getattr(gains, name)
+            if value < 0.0 and value != getattr(old, name):
+                self._node.log("warn", f"{self._node.namespace}: {name} = {value} drives away from the set point")
+        is_idle = gains.i != 0.0 and gains.i_min == gains.i_max == 0.0
+        if is_idle and (gains.i != old.i or not self._is_idle):
             self._node.log("warn", f"{self._node.namespace}: i = {gains.i} has no effect without i_clamp")
+        self._is_idle = is_idle
         self._write_back(gains)
         self._updates.publish(gain_config.to_config(gains))
 
@@ -68,32 +81,56 @@ class LivePid:
         return {"config": gain_config.to_config(self.pid.gains)}
 
     def _write_back(self, gains: Gains) -> None:
+        """The six, and i_clamp where it is set, which is the upper bound as in the controller's state."""
+        values = gain_config.to_parameters(gains)
+        if self._node.has_param("i_clamp"):
+            values["i_clamp"] = self._i_clamp = gains.i_max
         self._writing = True
         try:
-            for name, value in gain_config.to_parameters(gains).items():
-                self._node.set_param(name, value)
+            for name, value in values.items():
+                if not _same(self._node.get_param(name, None), value):
+                    self._node.set_param(name, value)
         finally:
             self._writing = False
 
-    def _parameters_changed(self) -> None:
-        """Somebody set or deleted parameters. What is missing or unusable leaves its gain as it is."""
+    def _judge(self, change: ParameterChange) -> None:
+        """Refuse what the PID could not follow."""
         if self._writing:
             return
-        try:
-            gains = gains_from_parameters(self._node, self.pid.gains)
-        except Refused as refusal:
-            self._node.log("warn", str(refusal))
+        check_values(self._node, GAINS, change)
+        if change.deletes:
+            self._refuse_deletion(change)
+
+    def _refuse_deletion(self, change: ParameterChange) -> None:
+        after = change.after if isinstance(change.after, dict) else {}
+        gone = [name for name in gain_config.to_parameters(self.pid.gains) if name not in after]
+        if gone:
+            raise Refused(
+                f"{self._node.namespace}/{gone[0]} is a gain of a loaded controller and cannot be deleted",
+                "unload the controller first: slidectl controller unspawn NAME",
+            )
+
+    def _parameters_changed(self) -> None:
+        """Somebody set or deleted parameters. What is missing leaves its gain as it is, and is written back."""
+        if self._writing:
             return
-        self._warn_of_idle_clamp(gains)
+        gains = self._wanted()
         if gains != self.pid.gains:
             self.set_gains(gains)
+        else:
+            self._write_back(gains)
 
-    def _warn_of_idle_clamp(self, gains: Gains) -> None:
-        """i_clamp_min and i_clamp_max, which are written back at the start, hide i_clamp from then on."""
+    def _wanted(self) -> Gains:
+        """The gains that the parameters give now; an i_clamp that is new counts for both bounds.
+
+        i_clamp_min and i_clamp_max are always set by now, so a rule as at the start would never let i_clamp count.
+        """
+        old = self.pid.gains
+        gains = gains_from_parameters(self._node, old)
         i_clamp = params.number(self._node, "i_clamp")
-        if i_clamp not in (None, self._i_clamp, gains.i_max):
-            self._node.log("warn", f"{self._node.namespace}: i_clamp has no effect; set i_clamp_min and i_clamp_max")
-        self._i_clamp = i_clamp
+        if i_clamp is None or abs(i_clamp) == self._i_clamp or (gains.i_min, gains.i_max) != (old.i_min, old.i_max):
+            return gains
+        return gains._replace(i_min=-abs(i_clamp), i_max=abs(i_clamp))
 
 
 def gains_from_parameters(node: NodeHandle, base: Gains | None = None) -> Gains:
@@ -120,6 +157,11 @@ def gains_from_parameters(node: NodeHandle, base: Gains | None = None) -> Gains:
             antiwindup=base.antiwindup if antiwindup is None else antiwindup,
         ),
     )
+
+
+def _same(value: Any, other: float | bool) -> bool:
+    """Equal and of one type: `param get` prints 1, 1.0 and true differently."""
+    return type(value) is type(other) and bool(value == other)
 
 
 def _first(value: float | None, otherwise: float) -> float:

@@ -13,6 +13,7 @@ from slidectl import names
 from slidectl.control.controller import ControllerBase
 from slidectl.control.loaded import LoadedController, described
 from slidectl.control.node import NodeHandle
+from slidectl.control.parameters import Guard
 from slidectl.control.registry import ControllerLoader, RegistryLoader, UnknownType
 from slidectl.control.robot_hw import RobotHW
 from slidectl.control.switching import BEST_EFFORT, STRICT, Switch, plan_switch
@@ -71,7 +72,8 @@ class ControllerManager:
         switch = self._switch
         if switch is None:
             return
-        finished = switch.advance(self._hw, time_ns)
+        with self._node.answering(switch.reasons):
+            finished = switch.advance(self._hw, time_ns)
         self._refresh()
         if finished:
             self._switch = None
@@ -168,6 +170,7 @@ class ControllerManager:
         except BaseException:
             node.shutdown()
             raise
+        node.guard_params(Guard(node, controller.parameters).judge)
         return LoadedController(name, type_name, controller, node)
 
     def _create(self, type_name: str) -> ControllerBase:
@@ -246,6 +249,10 @@ class ControllerManager:
             self._node.log(
                 "warn", "a switch should say its strictness, BEST_EFFORT (1) or STRICT (2); this one is BEST_EFFORT"
             )
+        elif strictness not in (BEST_EFFORT, STRICT):
+            self._node.log(
+                "warn", f"strictness {strictness} is neither BEST_EFFORT (1) nor STRICT (2); it counts as BEST_EFFORT"
+            )
         plan = plan_switch(self._loaded, start, stop, strict=strictness == STRICT, node=self._node)
         conflicts = self._hw.check_for_conflict(plan.running)
         if conflicts:
@@ -254,7 +261,9 @@ class ControllerManager:
             raise Refused(f"resource conflict: {'; '.join(map(str, conflicts))}")
         if not self._hw.prepare_switch(plan.start, plan.stop):
             raise Refused("the hardware cannot run this combination of controllers")
-        return Switch(plan, asap=asap, timeout_s=timeout_s, init_time_ns=self._node.now_ns(), on_done=on_done)
+        switch = Switch(plan, asap=asap, timeout_s=timeout_s, init_time_ns=self._node.now_ns(), on_done=on_done)
+        switch.reasons = self._node.reasons
+        return switch
 
     def _refuse(self, reason: str) -> bool:
         self._node.log("error", reason)

@@ -7,7 +7,8 @@ knows no graph, no socket and no client.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from contextlib import AbstractContextManager
+from typing import Any, NamedTuple, Protocol
 
 Message = dict[str, Any]
 MessageCallback = Callable[[Message], None]
@@ -23,6 +24,23 @@ class _Missing:
 
 
 MISSING: Any = _Missing()
+
+
+class ParameterChange(NamedTuple):
+    """What a request is about to do to a parameter or namespace. MISSING stands for what is not set."""
+
+    before: Any
+    after: Any
+    deletes: bool = False
+    """True when the request deletes; else it sets."""
+    known_only: bool = False
+    """True when a name that nobody reads is an error, not a warning."""
+
+
+ParameterJudge = Callable[[ParameterChange], None]
+"""Raises SlidectlError to refuse a change; then nothing of the request is carried out."""
+Reasons = list[str]
+"""The warnings and errors of one request, as the lines of its answer."""
 
 
 class Publisher(Protocol):
@@ -61,6 +79,9 @@ class NodeHandle(Protocol):
     def watch_param(self, name: str, callback: Callable[[], None]) -> None:
         """Call back whenever the parameter, or one below it, is set or deleted by anybody."""
 
+    def guard_params(self, judge: ParameterJudge) -> None:
+        """Ask `judge` before anybody sets or deletes something in this namespace, below it or above it."""
+
     def advertise(self, topic: str, type_name: str, latch: bool = False) -> Publisher:
         """Publish `topic` with messages of `pkg/Type`."""
 
@@ -71,7 +92,17 @@ class NodeHandle(Protocol):
         """Answer calls of `service`, between two cycles. The handler raises SlidectlError to fail the call."""
 
     def log(self, severity: str, text: str) -> None:
-        """One line on /rosout; severity is `debug`, `info`, `warn`, `error` or `fatal`."""
+        """One line on /rosout; severity is `debug`, `info`, `warn`, `error` or `fatal`.
+
+        From `warn` on it is also a reason in the answer to the request that is being carried out.
+        """
+
+    @property
+    def reasons(self) -> Reasons | None:
+        """The reasons of the request that is being carried out; None outside of any. A line may be added to them."""
+
+    def answering(self, reasons: Reasons | None) -> AbstractContextManager[None]:
+        """Inside, what is logged belongs to the request with these reasons: for work that a request left for later."""
 
     def now_ns(self) -> int:
         """Simulated time in nanoseconds, that of the last cycle."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 from typing import ClassVar
 
 from slidectl.control.duration import to_stamp
-from slidectl.control.handles import JointHandle
 from slidectl.control.laws import Parts, law
 from slidectl.control.live_pid import GAINS, LivePid
 from slidectl.control.node import Message, NodeHandle, Publisher
@@ -34,7 +33,6 @@ class PidController(ScalarController):
     """A joint, its PID, and its state on every tenth update."""
 
     parameters: ClassVar[tuple[Parameter, ...]] = (JOINT, *within("pid", GAINS))
-    _joint: JointHandle
     _pid: Pid
     _live_pid: LivePid
     _state: Publisher

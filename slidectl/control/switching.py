@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from slidectl.control.duration import to_seconds
 from slidectl.control.loaded import LoadedController
-from slidectl.control.node import NodeHandle
+from slidectl.control.node import NodeHandle, Reasons
 from slidectl.control.robot_hw import ControllerInfo, RobotHW, SwitchState
 from slidectl.errors import Refused, UnknownName
 
@@ -100,6 +100,8 @@ class Switch:
         self._init_time_ns = init_time_ns
         self._begun = False
         self.on_done = on_done
+        self.reasons: Reasons | None = None
+        """Those of the request, for what goes wrong in later cycles."""
 
     def advance(self, hw: RobotHW, time_ns: int) -> bool:
         """One cycle of the switch: stop, then start what the hardware is ready for. True when it is finished."""

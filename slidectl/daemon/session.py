@@ -9,8 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Protocol
 
+import slidectl
 from slidectl import msgs
 from slidectl.client.lines import BadLine, decode, encode
+from slidectl.control.node import Reasons
 from slidectl.daemon import wire
 from slidectl.daemon.connection import Connection
 from slidectl.daemon.feed import Feed, Publications
@@ -75,6 +77,8 @@ class Session:
     def take(self, line: bytes) -> None:
         """Carry out one line; whatever is wrong with it is told to the client."""
         message: Message = {}
+        log = self._graph.log
+        log.reasons = []
         try:
             message = decode(line)
             wire.check_id(message)
@@ -84,6 +88,8 @@ class Session:
         except Exception as error:
             self.unexpected(f"{self.node} sent {line[:200]!r}")
             self._complain(Refused(f"internal error: {error!r}; the daemon's log has more"), message)
+        finally:
+            log.reasons = None
 
     def _operation(self, message: Message) -> Callable[[Message], None]:
         op = message.get("op")
@@ -129,10 +135,15 @@ class Session:
         """Tell the client; who called a service gets an answer even when it is this one."""
         if message.get("op") == "call_service" and isinstance(message.get("service"), str):
             asked = {"op": "service_response", "service": message["service"]}
-            self._connection.send(encode(asked | wire.given_id(message) | _failure(error)))
+            self._connection.send(encode(asked | _returned(message) | _failure(error) | self._reasons()))
         elif self._level <= LEVELS["error"] or message.get("ack"):
             status = {"op": "status", "level": "error", "msg": str(error), "exit_code": error.exit_code}
-            self._connection.send(encode(status | wire.given_id(message)))
+            self._connection.send(encode(status | wire.given_id(message) | self._reasons()))
+
+    def _reasons(self) -> Message:
+        """The warnings and errors so far of the line that is being carried out, as a part of its answer."""
+        reasons = self._graph.log.reasons
+        return {"reasons": reasons} if reasons else {}
 
     # --- topics -------------------------------------------------------------------------------------------------
 
@@ -164,9 +175,8 @@ class Session:
         else:
             publisher.publish(msgs.check(self._graph.topics.type_of(topic), content))
         if message.get("ack"):
-            self._connection.send(
-                encode({"op": "status", "level": "info", **wire.given_id(message), "msg": "delivered"})
-            )
+            status = {"op": "status", "level": "info", **wire.given_id(message), "msg": "delivered"}
+            self._connection.send(encode(status | self._reasons()))
 
     def _subscribe(self, message: Message) -> None:
         topic = wire.name(message, "topic")
@@ -205,8 +215,8 @@ class Session:
         pending = self._graph.services.call(service, request)
         if not pending.done:
             self._calls.add(pending)
-        call_id = wire.given_id(message)
-        pending.then(lambda answered: self._answer(answered, service, call_id))
+        call_id, reasons = _returned(message), self._graph.log.reasons
+        pending.then(lambda answered: self._answer(answered, service, call_id, reasons))
 
     def _by_name(self, service: str, values: Any) -> Any:
         """Arguments may come as a list, in the order of the fields."""
@@ -217,9 +227,11 @@ class Session:
             raise UsageError(f"{service} takes {len(fields)} arguments, not {len(values)}")
         return {field.name: value for field, value in zip(fields, values, strict=False)}
 
-    def _answer(self, pending: Pending, service: str, call_id: Message) -> None:
+    def _answer(self, pending: Pending, service: str, call_id: Message, reasons: Reasons | None) -> None:
         self._calls.discard(pending)
         response: Message = {"op": "service_response", **call_id, "service": service}
+        if reasons:
+            response["reasons"] = reasons
         if pending.error is None:
             response |= {"values": pending.result(), "result": True}
         else:
@@ -274,6 +286,11 @@ class Session:
         if level not in LEVELS:
             raise UsageError(f"unknown level {level!r}", f"levels: {', '.join(LEVELS)}")
         self._level = LEVELS[level]
+
+
+def _returned(call: Message) -> Message:
+    """What the answer to a call brings back: the id, and our version to a client that has given its own."""
+    return wire.given_id(call) | ({"version": slidectl.__version__} if "version" in call else {})
 
 
 def _failure(error: SlidectlError) -> Message:

@@ -47,7 +47,11 @@ class Manager(ManagerServices):
         for earlier in self.run.heard():
             self.warn(earlier)
         ok = self.ask(verb, **request)["ok"]
-        return ok, self.run.heard()
+        reasons = self.run.client.reasons
+        for other in self.run.heard():  # the log has what others did, too
+            if other not in reasons:
+                self.warn(other)
+        return ok, reasons
 
     def warn(self, text: str) -> None:
         self.run.console.warn(text)
@@ -56,4 +60,4 @@ class Manager(ManagerServices):
         return list(self.run.call("/rosapi/get_param_names")["names"])
 
     def refusal(self, what: str, reasons: Sequence[str]) -> Refused:
-        return Refused(f"cannot {what}: {'; '.join(reasons[-2:]) or 'no reason was logged'}")
+        return Refused(f"cannot {what}: {'; '.join(reasons[-2:]) or 'no reason was given'}")

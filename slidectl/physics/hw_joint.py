@@ -112,6 +112,7 @@ class HardwareJoint:
             self.bounds.effort = limits.max_effort
         soft = soft_limits_from_joint(self.joint)
         self.limit = limit_handle(self.interface.type_name, self.handle, limits, soft)
+        self.handle.lowest, self.handle.highest = self.limit.command_bounds()
 
 
 def hardware_joints(body: Body) -> list[HardwareJoint]:

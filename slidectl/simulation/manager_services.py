@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from slidectl.control.node import Message
+from slidectl.control.node import Message, Reasons
 from slidectl.errors import SlidectlError
 from slidectl.simulation.pending import Pending
 
@@ -36,7 +36,7 @@ class ManagerServices:
         self._node = node
         self._look = look
         self._loop = loop
-        self._queue: deque[tuple[Callable[[Pending], None], Pending]] = deque()
+        self._queue: deque[tuple[Callable[[Pending], None], Pending, Reasons | None]] = deque()
         self._switch: Pending | None = None
         self._advertise()
 
@@ -62,7 +62,7 @@ class ManagerServices:
     def _queued(self, act: Act) -> Callable[[Message], Pending]:
         def handle(request: Message) -> Pending:
             pending = Pending()
-            self._queue.append((lambda answer: act(request, answer), pending))
+            self._queue.append((lambda answer: act(request, answer), pending, self._node.reasons))
             self._work()
             return pending
 
@@ -71,9 +71,10 @@ class ManagerServices:
     def _work(self) -> None:
         """Carry out what is queued, up to the next switch that needs a cycle."""
         while self._queue and self._switch is None:
-            act, pending = self._queue.popleft()
+            act, pending, reasons = self._queue.popleft()
             if not pending.cancelled:
-                self._carry_out(act, pending)
+                with self._node.answering(reasons):  # it may have waited for the switch of another request
+                    self._carry_out(act, pending)
 
     def _carry_out(self, act: Callable[[Pending], None], pending: Pending) -> None:
         try:

@@ -6,10 +6,11 @@ Implements control.node.NodeHandle on the graph. Holds no state of its own but w
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from slidectl import names
-from slidectl.control.node import MISSING, MessageCallback, Publisher
+from slidectl.control.node import MISSING, MessageCallback, ParameterJudge, Publisher, Reasons
 from slidectl.simulation.services import Handler
 from slidectl.simulation.topics import NodePublisher
 
@@ -61,6 +62,10 @@ class GraphNode:
         """Call back whenever the parameter, or one below it, is set or deleted by anybody."""
         self._taken.append(self._graph.parameters.watch(self._absolute(name), self._entering(callback)).close)
 
+    def guard_params(self, judge: ParameterJudge) -> None:
+        """Ask `judge` before anybody sets or deletes something in this namespace, below it or above it."""
+        self._taken.append(self._graph.parameters.guard(self.namespace, judge).close)
+
     def advertise(self, topic: str, type_name: str, latch: bool = False) -> Publisher:
         """Publish `topic`. Raises BadName, TypeConflict, UnknownName (no such type)."""
         publisher = self._graph.topics.advertise(self._absolute(topic), type_name, self.name, latch, NodePublisher)
@@ -82,8 +87,20 @@ class GraphNode:
         self._taken.append(provided.close)
 
     def log(self, severity: str, text: str) -> None:
-        """One line on /rosout; severity is `debug`, `info`, `warn`, `error` or `fatal`."""
+        """One line on /rosout, and from `warn` on a reason in the answer to the request under way.
+
+        `severity` is `debug`, `info`, `warn`, `error` or `fatal`.
+        """
         self._graph.log(severity, self.name, text)
+
+    @property
+    def reasons(self) -> Reasons | None:
+        """The reasons of the request that is being carried out; None outside of any."""
+        return self._graph.log.reasons
+
+    def answering(self, reasons: Reasons | None) -> AbstractContextManager[None]:
+        """Inside, what is logged belongs to the request with these reasons."""
+        return self._graph.log.answering(reasons)
 
     def now_ns(self) -> int:
         """Simulated time in nanoseconds, that of the last cycle begun."""

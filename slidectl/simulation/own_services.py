@@ -1,4 +1,4 @@
-"""`/slidectl/status`, `step`, `set_speed`, `sleep` and `list_robots`: what ROS has no service for.
+"""`/slidectl/status`, `step`, `set_speed`, `set_params`, `sleep`, `list_robots`: no service of ROS.
 
 `wait` has a module of its own, and `shutdown` is the daemon's.
 """
@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 import slidectl
 from slidectl.control.duration import from_seconds
 from slidectl.control.node import Message
-from slidectl.errors import Refused, SlidectlError
+from slidectl.errors import Refused, SlidectlError, UsageError
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.robot_info import robot_info
+from slidectl.simulation.rosapi_parameters import absolute, from_json
 
 if TYPE_CHECKING:
     from slidectl.simulation.simulation import Simulation
@@ -28,6 +29,7 @@ def advertise(simulation: Simulation) -> None:
     node.advertise_service("status", "slidectl/Status", lambda _: _status(simulation))
     node.advertise_service("step", "slidectl/Step", lambda request: _step(simulation, request))
     node.advertise_service("set_speed", "slidectl/SetSpeed", lambda request: _set_speed(simulation, request))
+    node.advertise_service("set_params", "slidectl/SetParams", lambda request: _set_params(simulation, request))
     node.advertise_service("sleep", "slidectl/Sleep", lambda request: _sleep(simulation, request))
     node.advertise_service("list_robots", "slidectl/ListRobots", lambda request: _list_robots(simulation, request))
 
@@ -81,11 +83,26 @@ def _run_steps(simulation: Simulation, cycles: int) -> Pending:
 
 
 def _cycles(simulation: Simulation, request: Message) -> int:
-    """Whole cycles: those that were asked for, or as many as make up at least the time that was asked for."""
+    """Whole cycles: those that were asked for, or as many as make up the time that was asked for.
+
+    Raises Refused for a time that is no whole number of cycles: the world would stop elsewhere than was asked.
+    """
     seconds: float = request["seconds"]
     if not 0 <= seconds < LONGEST_S:
         raise Refused(f"seconds must be 0 or more (and less than {LONGEST_S:g}), not {seconds:g}")
-    cycles: int = request["cycles"] or -(-from_seconds(seconds) // simulation.timestep_ns)
+    cycles: int = request["cycles"]
+    if cycles:
+        return cycles
+    step_ns, asked_ns = simulation.timestep_ns, from_seconds(seconds)
+    cycles = round(asked_ns / step_ns)
+    # A time step such as 1/240 s is rounded to nanoseconds, so a second of it is up to one off for each cycle.
+    if abs(cycles * step_ns - asked_ns) > cycles:
+        near = [
+            f"{count * step_ns * 1e-9:.9g}s" for count in range(asked_ns // step_ns, asked_ns // step_ns + 2) if count
+        ]
+        raise Refused(
+            f"{seconds:.9g} s is no whole number of cycles of {step_ns * 1e-9:g} s", f"possible: {' or '.join(near)}"
+        )
     return cycles
 
 
@@ -96,6 +113,17 @@ def _set_speed(simulation: Simulation, request: Message) -> Message:
         return {"success": False, "message": str(error)}
     speed = simulation.run.speed
     return {"success": True, "message": "as fast as possible" if math.isinf(speed) else f"real-time factor {speed:g}"}
+
+
+def _set_params(simulation: Simulation, request: Message) -> Message:
+    given, texts = request["names"], request["values"]
+    if len(given) != len(texts):
+        raise UsageError(f"{len(given)} names and {len(texts)} values: one value for each name")
+    parameters = simulation.parameters
+    values = {absolute(name): from_json(text) for name, text in zip(given, texts, strict=True)}
+    created = [name for name in values if not parameters.has(name)]
+    parameters.set_all(values, request["known_only"])
+    return {"created": created}
 
 
 def _sleep(simulation: Simulation, request: Message) -> Pending:

@@ -1,4 +1,6 @@
-"""The parameter tree: values by name, subtrees as dicts, search upwards, and watchers.
+"""The parameter tree: values by name, subtrees as dicts, search upwards, guards and watchers.
+
+Guards are asked before a change and may refuse it; watchers are told after it.
 
 Semantics of the ROS parameter server, without its silent corners: names are checked, and null is no value.
 """
@@ -6,15 +8,16 @@ Semantics of the ROS parameter server, without its silent corners: names are che
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from copy import deepcopy
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from slidectl import names
-from slidectl.control.node import MISSING
+from slidectl.control.node import MISSING, ParameterChange, ParameterJudge
 from slidectl.errors import UnknownName, UsageError
 
 Path = tuple[str, ...]
+C = TypeVar("C")
 DEEPEST = 64
 """Levels of namespaces, mappings and lists above a value."""
 
@@ -23,19 +26,47 @@ class UnknownParameter(UnknownName, KeyError):
     """A parameter that is not set."""
 
 
-class Watch:
-    """One watcher of one name."""
+class Hook(Generic[C]):
+    """One watcher or guard of one name."""
 
-    __slots__ = ("_on_close", "callback", "path")
+    __slots__ = ("_hooks", "callback", "path")
 
-    def __init__(self, path: Path, callback: Callable[[], None], on_close: Callable[[Watch], None]) -> None:
+    def __init__(self, path: Path, callback: C, hooks: Hooks[C]) -> None:
         self.path = path
         self.callback = callback
-        self._on_close = on_close
+        self._hooks = hooks
 
     def close(self) -> None:
         """The callback is not called any more."""
-        self._on_close(self)
+        self._hooks.forget(self)
+
+
+class Hooks(Generic[C]):
+    """All watchers, or all guards, by the first part of their names: robots that are many do not slow each other."""
+
+    def __init__(self) -> None:
+        self._groups: dict[str, dict[Hook[C], None]] = {}
+
+    def add(self, path: Path, callback: C) -> Hook[C]:
+        """Call back for what happens at `path`, below it or above it, until the hook is closed."""
+        hook = Hook(path, callback, self)
+        self._groups.setdefault(_first(path), {})[hook] = None
+        return hook
+
+    def concerned(self, changed: list[Path]) -> Iterator[Hook[C]]:
+        """The hooks that a change of these paths concerns. One that is closed on the way is passed over."""
+        firsts = {"", *map(_first, changed)} if all(changed) else self._groups.keys()
+        near = [hook for first in firsts if first in self._groups for hook in self._groups[first]]
+        for hook in near:
+            is_open = hook in self._groups.get(_first(hook.path), ())
+            if is_open and any(_related(hook.path, path) for path in changed):
+                yield hook
+
+    def forget(self, hook: Hook[C]) -> None:
+        group = self._groups.get(_first(hook.path), {})
+        group.pop(hook, None)
+        if not group:
+            self._groups.pop(_first(hook.path), None)
 
 
 class Parameters:
@@ -43,8 +74,8 @@ class Parameters:
 
     def __init__(self) -> None:
         self._root: dict[str, Any] = {}
-        # By the first part of their names, so that robots that are many do not slow each other down.
-        self._watches: dict[str, dict[Watch, None]] = {}
+        self._watches: Hooks[Callable[[], None]] = Hooks()
+        self._guards: Hooks[ParameterJudge] = Hooks()
 
     def get(self, name: str, default: Any = MISSING) -> Any:
         """The value, a dict for a namespace. Raises UnknownParameter (a KeyError too) when unset without default."""
@@ -64,22 +95,34 @@ class Parameters:
 
         Raises:
             BadName: a name or a key that cannot be one. UsageError: a value that no parameter can have, or a root that
-            is no mapping.
+            is no mapping. SlidectlError: a guard refused it.
         """
-        path = _path(names.check_parameter(name))
-        checked = _checked(value, name, len(path))
-        if not path and not isinstance(checked, dict):
-            raise UsageError("the root of the parameters is a mapping", "give a name")
-        leaves = list(_leaves(checked, path)) if merge else [(path, checked)]
+        path, checked = _settable(name, value)
+        self._set(list(_leaves(checked, path)) if merge else [(path, checked)])
+
+    def set_all(self, values: Mapping[str, Any], known_only: bool = False) -> None:
+        """Set several, all of them or none. Raises as `set`.
+
+        With `known_only` the guards refuse names that nobody reads.
+        """
+        self._set([_settable(name, value) for name, value in values.items()], known_only)
+
+    def _set(self, leaves: list[tuple[Path, Any]], known_only: bool = False) -> None:
+        self._judge(leaves, known_only=known_only)
         for leaf, content in leaves:
             self._put(leaf, content)
         self._tell([leaf for leaf, _ in leaves])
 
     def delete(self, name: str) -> None:
-        """Delete a parameter or a whole namespace. Raises UnknownParameter when it is not set."""
+        """Delete a parameter or a whole namespace.
+
+        Raises:
+            UnknownParameter: it is not set. SlidectlError: a guard refused it.
+        """
         path = _path(name)
         if self._find(path) is MISSING:
             raise UnknownParameter("parameter", name, self.names())
+        self._judge([(path, MISSING)], deletes=True)
         if path:
             del self._find(path[:-1])[path[-1]]
             self._prune(path[:-1])
@@ -104,11 +147,22 @@ class Parameters:
                 return "/" + "/".join((*base[:depth], *wanted))
         return None
 
-    def watch(self, name: str, callback: Callable[[], None]) -> Watch:
+    def watch(self, name: str, callback: Callable[[], None]) -> Hook[Callable[[], None]]:
         """Call back whenever the parameter, one below or a namespace above it is set or deleted; once for each call."""
-        watch = Watch(_path(name), callback, self._forget)
-        self._watches.setdefault(_first(watch.path), {})[watch] = None
-        return watch
+        return self._watches.add(_path(name), callback)
+
+    def guard(self, name: str, judge: ParameterJudge) -> Hook[ParameterJudge]:
+        """Ask `judge` before the parameter, one below or a namespace above it is set or deleted; once for each call."""
+        return self._guards.add(_path(name), judge)
+
+    def _judge(self, leaves: list[tuple[Path, Any]], *, deletes: bool = False, known_only: bool = False) -> None:
+        """Raises what the first guard raises that refuses."""
+        for guard in self._guards.concerned([leaf for leaf, _ in leaves]):
+            before = self._find(guard.path)
+            after = _copied(before)
+            for leaf, content in leaves:
+                after = _with(after, guard.path, leaf, content)
+            guard.callback(ParameterChange(before, after, deletes, known_only))
 
     def _find(self, path: Path) -> Any:
         node: Any = self._root
@@ -139,28 +193,51 @@ class Parameters:
     def _tell(self, changed: list[Path]) -> None:
         """What one watcher fails at is no reason for the others not to hear of it."""
         failure: Exception | None = None
-        for watch in self._near(changed):
-            if self._is_watching(watch) and any(_related(watch.path, path) for path in changed):
-                try:
-                    watch.callback()
-                except Exception as error:
-                    failure = failure or error
+        for watch in self._watches.concerned(changed):
+            try:
+                watch.callback()
+            except Exception as error:
+                failure = failure or error
         if failure is not None:
             raise failure
 
-    def _near(self, changed: list[Path]) -> list[Watch]:
-        """Those that may be concerned: of the same first parts, and of the root."""
-        firsts = {"", *map(_first, changed)} if all(changed) else self._watches.keys()
-        return [watch for first in firsts if first in self._watches for watch in self._watches[first]]
 
-    def _is_watching(self, watch: Watch) -> bool:
-        return watch in self._watches.get(_first(watch.path), ())
+def _copied(value: Any) -> Any:
+    """A copy whose mappings may be written; lists are shared."""
+    return {key: _copied(below) for key, below in value.items()} if isinstance(value, dict) else value
 
-    def _forget(self, watch: Watch) -> None:
-        group = self._watches.get(_first(watch.path), {})
-        group.pop(watch, None)
-        if not group:
-            self._watches.pop(_first(watch.path), None)
+
+def _with(value: Any, place: Path, leaf: Path, content: Any) -> Any:
+    """`value`, which stands at `place`, as it is when `content` (MISSING: nothing) stands at `leaf`."""
+    if not _related(place, leaf):
+        return value
+    if len(leaf) <= len(place):
+        for part in place[len(leaf) :]:
+            if not isinstance(content, dict):
+                return content
+            content = content.get(part, MISSING)
+        return _copied(content)
+    node = value = value if isinstance(value, dict) else {}
+    *above, last = leaf[len(place) :]
+    for part in above:
+        below = node.get(part)
+        if not isinstance(below, dict):
+            below = node[part] = {}
+        node = below
+    if content is MISSING:
+        node.pop(last, None)
+    else:
+        node[last] = _copied(content)
+    return value
+
+
+def _settable(name: str, value: Any) -> tuple[Path, Any]:
+    """Path and checked copy. Raises BadName, UsageError."""
+    path = _path(names.check_parameter(name))
+    checked = _checked(value, name, len(path))
+    if not path and not isinstance(checked, dict):
+        raise UsageError("the root of the parameters is a mapping", "give a name")
+    return path, checked
 
 
 def _path(name: str) -> Path:

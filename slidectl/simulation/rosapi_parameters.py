@@ -20,14 +20,14 @@ def parameter_services(parameters: Parameters) -> dict[str, tuple[str, Callable[
 
     def get(request: Message) -> Message:
         default = _text_or_json(request["default"]) if request["default"] else MISSING
-        return {"value": json.dumps(parameters.get(_absolute(request["name"]), default))}
+        return {"value": json.dumps(parameters.get(absolute(request["name"]), default))}
 
     def put(request: Message) -> Message:
-        parameters.set(_absolute(request["name"]), _from_json(request["value"]))
+        parameters.set(absolute(request["name"]), from_json(request["value"]))
         return {}
 
     def delete(request: Message) -> Message:
-        parameters.delete(_absolute(request["name"]))
+        parameters.delete(absolute(request["name"]))
         return {}
 
     def search(request: Message) -> Message:
@@ -38,16 +38,18 @@ def parameter_services(parameters: Parameters) -> dict[str, tuple[str, Callable[
         "set_param": ("SetParam", put),
         "delete_param": ("DeleteParam", delete),
         "search_param": ("SearchParam", search),
-        "has_param": ("HasParam", lambda request: {"exists": parameters.has(_absolute(request["name"]))}),
+        "has_param": ("HasParam", lambda request: {"exists": parameters.has(absolute(request["name"]))}),
         "get_param_names": ("GetParamNames", lambda _: {"names": parameters.names()}),
     }
 
 
-def _absolute(name: str) -> str:
+def absolute(name: str) -> str:
+    """The name of a request: relative ones stand in the root."""
     return names.join("/", name.rstrip("/") or "/")
 
 
-def _from_json(text: str) -> Any:
+def from_json(text: str) -> Any:
+    """The value of a request. Raises BadMessage."""
     try:
         return json.loads(text)
     except (ValueError, RecursionError) as error:

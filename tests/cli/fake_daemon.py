@@ -12,6 +12,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import slidectl
+
 Answer = dict[str, Any] | Callable[[dict[str, Any]], dict[str, Any]]
 NEVER: dict[str, Any] = {"never": True}
 DIE: dict[str, Any] = {"die": True}
@@ -63,6 +65,7 @@ class FakeDaemon:
         if answer is not NEVER and answer is not DIE:
             values: Any = answer if answer is not None else f"no service {service!r}"
             reply = {"op": "service_response", "id": message["id"], "service": service, "values": values}
+            reply |= {"version": slidectl.__version__} if "version" in message else {}
             connection.sendall((json.dumps({**reply, "result": answer is not None}) + "\n").encode())
         self.asked.set()
         return answer is not DIE

@@ -256,3 +256,50 @@ def test_a_robot_in_the_root_namespace_does_not_hide_the_others(slider: CommandL
     slider.ok("controller", "spawn", STATES, "--cm", "/slider")
     assert states(slider) == {f"/ {STATES}": "running", f"/slider {STATES}": "running"}
     assert states(slider, "--cm", "/") == {f"/ {STATES}": "running"}
+
+
+def test_best_effort_goes_on_without_the_names_that_are_unknown(slider: CommandLine) -> None:
+    slider.ok("controller", "load", STATES)
+    done = slider("controller", "switch", "--best-effort", "--start", "nobody", STATES, "--stop", "nothing")
+    assert (done.returncode, done.stdout) == (0, f"{STATES}: running (was initialized)\n")
+    assert "warning: no controller 'nobody' to start; the rest of the request goes on\n" in done.stderr
+    assert "warning: no controller 'nothing' to stop; the rest of the request goes on\n" in done.stderr
+    done = slider("controller", "switch", "--best-effort", "--start", "nobody")
+    assert (done.returncode, done.stdout) == (0, "")
+    assert slider("controller", "switch", "--start", "nobody").returncode == 1
+
+
+@pytest.mark.parametrize(("strictness", "said"), [(7, "strictness 7 is neither"), (-1, "strictness -1 is neither")])
+def test_an_odd_strictness_is_best_effort_and_says_so(slider: CommandLine, strictness: int, said: str) -> None:
+    slider.ok("controller", "load", STATES)
+    request = f"{{start_controllers: [nobody, {STATES}], strictness: {strictness}}}"
+    done = slider("service", "call", "switch_controller", request)
+    assert (done.returncode, done.stdout) == (0, "ok: True\n\n")
+    assert f"warning: {said} BEST_EFFORT (1) nor STRICT (2); it counts as BEST_EFFORT\n" in done.stderr
+    record = json.loads(slider.ok("controller", "list", "--json"))
+    assert (record["name"], record["state"]) == (STATES, "running")
+
+
+def test_without_a_configuration_every_way_to_a_controller_says_what_comes_first(world: CommandLine) -> None:
+    world.ok("spawn", "slider")
+    for words in (
+        ["controller", "spawn", POSITION],
+        ["controller", "load", POSITION],
+        ["service", "call", "load_controller", f"name: {POSITION}"],
+        ["pub", "command", "1.0"],
+        ["pub", f"/slider/{POSITION}/command", "std_msgs/Float64", "data: 1.0"],
+    ):
+        done = world(*words)
+        assert done.returncode == 1
+        assert "slidectl controller config FILE.yaml" in done.stderr, words
+
+
+def test_a_message_for_a_controller_that_is_not_loaded_says_how_to_load_it(slider: CommandLine) -> None:
+    done = slider("pub", f"{POSITION}/command", "1.0")
+    assert done.returncode == 1
+    assert f"load and start it: slidectl controller spawn {POSITION}" in done.stderr
+    assert "slidectl controller spawn NAME" in slider("pub", "command", "1.0").stderr
+
+
+def test_without_a_robot_a_command_says_what_comes_first(world: CommandLine) -> None:
+    assert "slidectl spawn slider" in world("pub", "command", "1.0").stderr

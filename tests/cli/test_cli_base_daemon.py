@@ -6,12 +6,16 @@ import json
 import os
 import signal
 import stat
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from command_line import CommandLine
 from daemon_fixture import Runtime
+
+from slidectl import __version__
 
 
 @pytest.fixture
@@ -271,3 +275,33 @@ def test_quiet_says_nothing(slidectl: CommandLine) -> None:
     for words in (["start"], ["start", "--paused"], ["restart"], ["stop"], ["stop"]):
         done = slidectl("-q", "daemon", *words)
         assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_restart_says_which_options_it_keeps_and_lets_each_be_given_anew(slidectl: CommandLine) -> None:
+    slidectl.ok("daemon", "start", "--paused", "--rtf", "max", "--no-ground")
+    assert slidectl("daemon", "restart").stderr == "as before: --rtf max --paused --no-ground\n"
+    assert slidectl("daemon", "restart", "--running", "--rtf", "2").stderr == "as before: --no-ground\n"
+    status = json.loads(slidectl.ok("sim", "status", "--json"))
+    assert (status["paused"], status["speed"]) == (False, 2.0)
+    assert slidectl("daemon", "restart", "--rtf", "1", "--ground").stderr == ""
+    assert slidectl("daemon", "restart").stderr == ""
+
+
+def test_a_daemon_of_another_version_is_told_once_with_what_helps(slidectl: CommandLine, runtime: Runtime) -> None:
+    script = "import slidectl\nslidectl.__version__ = '0.0.9'\nimport sys\nfrom slidectl.daemon.process import main\n"
+    script += "sys.exit(main(sys.argv[1:]))"
+    words = [sys.executable, "-c", script, "--instance", "default", "--foreground", "--paused"]
+    with subprocess.Popen(words, env=slidectl.environment, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        assert "answers on" in process.stderr.readline()
+        said = f"warning: the daemon is of version 0.0.9, this command of {__version__}; to have one: "
+        said += "slidectl daemon restart\n"
+        for command in ("robots", "sim status", "topic list"):
+            done = slidectl(*command.split())
+            assert said in done.stderr
+        assert slidectl("shell", stdin="robots\ntopic list\nsim status\n").stderr.count(said) == 1
+        assert said not in slidectl("-q", "sim", "status").stderr
+        process.terminate()
+        process.wait(30)
+    slidectl.ok("daemon", "start", "--paused")
+    assert slidectl("sim", "status").stderr == ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -204,3 +205,69 @@ def test_a_traceback_is_shown_only_when_v_is_given_twice(slidectl: CommandLine) 
     assert "Traceback" in done.stderr
     assert "NoDaemon" in done.stderr
     assert slidectl("-v", "robots", "-v").stderr == slidectl("-v", "-v", "robots").stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        ("start", ["slidectl daemon start", "slidectl controller start"]),
+        ("stop", ["slidectl daemon stop", "slidectl controller stop"]),
+        ("status", ["slidectl daemon status", "slidectl sim status"]),
+        ("list", ["slidectl controller list", "slidectl topic list", "slidectl param list"]),
+        ("load joint1_position_controller", ["slidectl controller load", "slidectl param load"]),
+        ("switch", ["slidectl controller switch"]),
+        ("run", ["slidectl daemon run", "slidectl ros rosrun"]),
+        ("kill", ["slidectl daemon stop"]),
+        ("pause", ["slidectl sim pause"]),
+        ("rostopic list", ["slidectl ros rostopic"]),
+    ],
+)
+def test_a_word_that_is_a_command_elsewhere_leads_there(slidectl: CommandLine, words: str, meant: list[str]) -> None:
+    done = slidectl(*words.split())
+    assert (done.returncode, done.stdout) == (2, "")
+    for command in meant:
+        assert command in done.stderr
+
+
+def test_help_is_the_help_option(slidectl: CommandLine) -> None:
+    assert slidectl.ok("help") == slidectl.ok("--help")
+    assert slidectl.ok("help", "sim", "step") == slidectl.ok("sim", "step", "--help")
+    done = slidectl("help", "spwan")
+    assert (done.returncode, "Did you mean 'slidectl spawn'?" in done.stderr) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("words", "first", "second"),
+    [
+        ("sim pause slidectl sim step", "slidectl sim pause", "slidectl sim step"),
+        ("sim pause sim step 10", "slidectl sim pause", "slidectl sim step 10"),
+        ("robots slider spawn rrbot", "slidectl robots slider", "slidectl spawn rrbot"),
+        ("pause slidectl step", "slidectl pause", None),
+        ("spawn slider slidectl robots", "slidectl spawn slider", "slidectl robots"),
+    ],
+)
+def test_a_lost_line_break_between_two_commands_is_recognised(
+    slidectl: CommandLine, words: str, first: str, second: str | None
+) -> None:
+    done = slidectl(*words.split())
+    assert done.returncode == 2
+    assert (f"{first}; {second}" in done.stderr) == (second is not None)
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "error", "hint"),
+    [
+        ("robots --json", 3, "no daemon answers on", "start it with: slidectl daemon start"),
+        ("--json robots", 3, "no daemon answers on", "start it with: slidectl daemon start"),
+        ("-o json spawn /no/file.urdf", 2, "/no/file.urdf", ""),
+        ("robots --bogus --json", 2, "No such option", "see 'slidectl robots --help'"),
+        ("spwan --json", 2, "no command 'spwan'", "see 'slidectl --help'"),
+    ],
+)
+def test_with_json_an_error_is_one_object(slidectl: CommandLine, words: str, code: int, error: str, hint: str) -> None:
+    done = slidectl(*words.split())
+    record = json.loads(done.stderr)
+    assert (done.returncode, done.stdout, list(record)) == (code, "", ["error", "hint", "exit_code"])
+    assert record["exit_code"] == code
+    assert error in record["error"]
+    assert hint in (record["hint"] or "")

@@ -6,10 +6,13 @@ import json
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
 from cli_graph_world import World, slider_world
+
+from slidectl.errors import Refused
 
 PID = "/slider/joint1_position_controller/pid"
 
@@ -227,9 +230,167 @@ def test_no_daemon_is_exit_code_3(world: World) -> None:
     assert world.slidectl("-i", "nowhere", "param", "get", "/x").returncode == 3
 
 
-def test_a_gain_that_the_running_controller_cannot_take_is_a_warning(world: World) -> None:
-    done = world.slidectl("param", "set", f"{PID}/d", "much")
-    assert done.returncode == 0
-    assert done.stderr.startswith(f"warning: parameter {PID}/d has no effect: it must be a number")
+def test_a_negative_gain_and_one_without_effect_are_taken_with_a_warning(world: World) -> None:
     assert world.slidectl("param", "set", f"{PID}/d", "10.0").stderr == ""
-    assert "i = 0.02 has no effect without i_clamp" in world.slidectl("param", "set", f"{PID}/i", "0.02").stderr
+    done = world.slidectl("param", "set", f"{PID}/i", "0.02")
+    assert (done.returncode, done.stderr) == (0, f"warning: {PID}: i = 0.02 has no effect without i_clamp\n")
+    done = world.slidectl("param", "set", f"{PID}/p", "-5")
+    assert (done.returncode, done.stderr) == (0, f"warning: {PID}: p = -5.0 drives away from the set point\n")
+    agrees(world)
+
+
+def reported(world: World) -> dict[str, Any]:
+    """The gains that the running controller has, as its own service tells them."""
+    config = {"bools": [], "ints": [], "strs": [], "doubles": [], "groups": []}
+    answer = world.client.call(f"{PID}/set_parameters", {"config": config})["config"]
+    return {entry["name"]: entry["value"] for entry in [*answer["doubles"], *answer["bools"]]}
+
+
+def agrees(world: World) -> None:
+    """Asserts that the parameters say what the controller has, and the controller's state says it too."""
+    gains = world.client.call("/rosapi/get_param", {"name": PID})["value"]
+    held = json.loads(gains)
+    assert {name: value for name, value in held.items() if name != "i_clamp"} == reported(world)
+    assert held.get("i_clamp", held["i_clamp_max"]) == held["i_clamp_max"]
+    state = world.client.subscribe("/slider/joint1_position_controller/state")
+    with state:
+        message = state.get()
+    assert [message[name] for name in ("p", "i", "d", "i_clamp", "antiwindup")] == [
+        held[name] for name in ("p", "i", "d", "i_clamp_max", "antiwindup")
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("p", "abc", "must be a number, not the string 'abc'"),
+        ("p", "true", "must be a number, not True"),
+        ("p", '"150"', "a number has no quotes"),
+        ("p", "[1.0]", "must be a number, not [1.0]"),
+        ("p", "{a: 1}", "must be a number"),
+        ("p", ".nan", "parameters hold finite numbers"),
+        ("p", "-.inf", "parameters hold finite numbers"),
+        ("i_clamp", "wide", "must be a number"),
+        ("antiwindup", "1", "must be true or false, not 1"),
+        ("antiwindup", '"true"', "must be true or false"),
+        ("publish_state", "1", "must be true or false"),
+    ],
+)
+def test_a_gain_that_the_controller_cannot_take_is_refused(world: World, name: str, value: str, said: str) -> None:
+    before = world.slidectl.ok("param", "get", PID)
+    done = world.slidectl("param", "set", f"{PID}/{name}", value)
+    assert done.returncode in (1, 2)
+    assert said in done.stderr
+    assert world.slidectl.ok("param", "get", PID) == before
+    agrees(world)
+
+
+@pytest.mark.parametrize(
+    ("service", "request_", "said"),
+    [
+        ("/rosapi/set_param", {"name": f"{PID}/p", "value": '"fast"'}, "must be a number"),
+        ("/rosapi/set_param", {"name": f"{PID}/p", "value": "NaN"}, "no finite number"),
+        ("/rosapi/set_param", {"name": f"{PID}/p", "value": "-Infinity"}, "no finite number"),
+        ("/rosapi/set_param", {"name": f"{PID}/p", "value": "null"}, "null is no value"),
+        ("/rosapi/set_param", {"name": PID, "value": "5"}, "is a namespace of parameters"),
+        ("/rosapi/set_param", {"name": "/slider", "value": "[]"}, "is a namespace of parameters"),
+        ("/rosapi/set_param", {"name": PID, "value": '{"p": "x", "i": 3}'}, "must be a number"),
+        ("/slidectl/set_params", {"names": ["/x", f"{PID}/p"], "values": ["1", '"x"']}, "must be a number"),
+        ("/slidectl/set_params", {"names": [f"{PID}/q"], "values": ["1"], "known_only": True}, "Did you mean"),
+        ("/slidectl/set_params", {"names": [f"{PID}/p"], "values": []}, "one value for each name"),
+        ("/rosapi/delete_param", {"name": f"{PID}/d"}, "is a gain of a loaded controller"),
+        ("/rosapi/delete_param", {"name": "/slider"}, "is a gain of a loaded controller"),
+        ("/rosapi/delete_param", {"name": "/"}, "is a gain of a loaded controller"),
+        (f"{PID}/set_parameters", {"config": {"doubles": [{"name": "p", "value": None}]}}, "must be a number"),
+        (f"{PID}/set_parameters", {"config": {"doubles": [{"name": "q", "value": 1.0}]}}, "no gain 'q'"),
+    ],
+)
+def test_what_is_refused_over_the_wire_changes_nothing(
+    world: World, service: str, request_: dict[str, Any], said: str
+) -> None:
+    before = world.client.call("/rosapi/get_param", {"name": "/slider"})
+    with pytest.raises(Refused, match=said):
+        world.client.call(service, request_)
+    assert world.client.call("/rosapi/get_param", {"name": "/slider"}) == before
+    assert world.client.call("/rosapi/has_param", {"name": "/x"}) == {"exists": False}
+    agrees(world)
+
+
+@pytest.mark.parametrize(
+    ("service", "request_", "gains"),
+    [
+        ("/rosapi/set_param", {"name": f"{PID}/i_clamp_min", "value": "3"}, {"i_clamp_min": -3.0}),
+        ("/rosapi/set_param", {"name": f"{PID}/i_clamp_max", "value": "-3"}, {"i_clamp_max": 3.0}),
+        ("/rosapi/set_param", {"name": f"{PID}/i_clamp", "value": "-7"}, {"i_clamp_min": -7.0, "i_clamp_max": 7.0}),
+        ("/rosapi/set_param", {"name": PID, "value": '{"p": 12}'}, {"p": 12.0}),
+        (f"{PID}/set_parameters", {"config": {"doubles": [{"name": "d", "value": 1e9}]}}, {"d": 1000.0}),
+        (f"{PID}/set_parameters", {"config": {"bools": [{"name": "antiwindup", "value": True}]}}, {"antiwindup": True}),
+    ],
+)
+def test_what_is_taken_in_another_form_is_written_back(
+    world: World, service: str, request_: dict[str, Any], gains: dict[str, Any]
+) -> None:
+    world.client.call(service, request_)
+    assert gains.items() <= reported(world).items()
+    agrees(world)
+
+
+def test_the_files_and_the_ros_tool_meet_the_same_refusal(world: World, tmp_path: Path) -> None:
+    (tmp_path / "bad.yaml").write_text("pid: {p: 100.0, d: fast}\n")
+    name = "/slider/joint1_position_controller"
+    for words in (
+        ["param", "load", str(tmp_path / "bad.yaml"), name],
+        ["ros", "rosparam", "load", str(tmp_path / "bad.yaml"), name],
+        ["ros", "rosparam", "set", f"{PID}/d", "fast"],
+        ["ros", "rosparam", "delete", f"{PID}/d"],
+        ["param", "delete", f"{PID}/d"],
+    ):
+        before = world.slidectl.ok("param", "get", PID)
+        done = world.slidectl(*words)
+        assert done.returncode == 1
+        assert f"{PID}/d" in done.stderr
+        assert world.slidectl.ok("param", "get", PID) == before
+        agrees(world)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        (f"{PID}/P", f"Did you mean '{PID}/p'?"),
+        ("/slider/joint1_position_controller/pdi/p", f"Did you mean '{PID}/p'?"),
+        ("pid/P", f"Did you mean '{PID}/p'?"),
+        ("joint1_position_controller/jiont", "Did you mean '/slider/joint1_position_controller/joint'?"),
+    ],
+)
+def test_a_slip_below_a_loaded_controller_is_an_error(world: World, name: str, said: str) -> None:
+    before = world.slidectl.ok("param", "list")
+    done = world.slidectl("param", "set", name, "5")
+    assert done.returncode == 1
+    assert said in done.stderr
+    assert "--new" in done.stderr
+    assert world.slidectl.ok("param", "list") == before
+
+
+def test_new_sets_what_the_controller_does_not_read(world: World) -> None:
+    name = "/slider/joint1_position_controller/note"
+    done = world.slidectl("param", "set", name, "mine", "--new")
+    assert done.returncode == 0
+    assert "the controller does not read it" in done.stderr
+    assert world.slidectl.ok("param", "get", name) == "mine\n"
+    world.slidectl.ok("param", "delete", name)
+
+
+def test_elsewhere_a_new_parameter_says_that_it_is_new(world: World) -> None:
+    wrong = "/slider/joint1_position_controler/pid/p"
+    done = world.slidectl("param", "set", wrong, "5")
+    assert (done.returncode, done.stderr) == (0, f"{wrong} is new; did you mean {PID}/p?\n")
+    assert world.slidectl("param", "set", wrong, "6").stderr == ""
+    world.slidectl.ok("param", "delete", "/slider/joint1_position_controler")
+    assert world.slidectl("param", "set", "/fresh", "5").stderr == "/fresh is new\n"
+
+
+def test_what_a_controller_reads_only_when_it_is_loaded_says_so(world: World) -> None:
+    done = world.slidectl("param", "set", "/slider/joint_state_controller/publish_rate", "20")
+    assert done.returncode == 0
+    assert "counts when the controller is loaded again" in done.stderr
+    world.slidectl.ok("param", "set", "/slider/joint_state_controller/publish_rate", "50")

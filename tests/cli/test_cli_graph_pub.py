@@ -389,5 +389,80 @@ def test_a_command_to_a_controller_that_is_not_running_is_a_warning(world: World
     finally:
         world.slidectl("controller", "start", "joint1_position_controller")
     assert (done.returncode, done.stdout) == (0, "")
-    assert done.stderr == "warning: /slider/joint1_position_controller is not running: the command has no effect\n"
+    idle = "warning: /slider/joint1_position_controller is not running: the command has no effect\n"
+    assert done.stderr == idle
     assert world.slidectl("pub", COMMAND, "0.5").stderr == ""
+
+
+def test_a_command_beyond_the_limits_is_taken_cut_and_said(world: World) -> None:
+    said = "warning: /slider/joint1_position_controller: {} is beyond the {} limit of joint 'joint1'; it gets {}\n"
+    for value, side, limit in (("100", "upper", 1.0), ("100", "upper", 1.0), ("-7.5", "lower", -1.0)):
+        done = world.slidectl("pub", COMMAND, value)
+        assert (done.returncode, done.stderr) == (0, said.format(value, side, f"{limit:g}"))
+        state = json.loads(world.slidectl.ok("echo", "joint1_position_controller/state", "-n", "1", "--json"))
+        assert state["set_point"] == limit
+    assert world.slidectl("pub", COMMAND, "0.5").stderr == ""
+
+
+def test_a_wave_beyond_the_limits_is_told_a_few_times_only(world: World) -> None:
+    done = world.slidectl("pub", COMMAND, "-r", "500", "-n", "50", "100 + i")
+    assert done.returncode == 0
+    assert 1 <= done.stderr.count("is beyond the upper limit") <= 5
+    world.slidectl.ok("pub", COMMAND, "0")
+
+
+def test_the_warning_of_another_client_is_not_printed(world: World) -> None:
+    """Two clients at the same time: one fails all the while, the other succeeds and hears nothing of it."""
+    script = "import sys\nfrom slidectl import Client\nclient = Client(socket=sys.argv[1])\nprint('up', flush=True)\n"
+    script += "while True:\n    client.call('/slider/controller_manager/load_controller', {'name': 'nobody'})\n"
+    words = [world.slidectl.argv()[0], "-c", script, world.daemon.paths.socket_text]
+    other = subprocess.Popen(words, env=world.slidectl.environment, stdout=subprocess.PIPE, text=True)
+    with other:
+        try:
+            assert other.stdout is not None
+            assert other.stdout.readline() == "up\n"
+            for words in (
+                ["controller", "stop", "joint1_position_controller"],
+                ["controller", "start", "joint1_position_controller"],
+                ["param", "set", "/quiet", "1"],
+                ["pub", COMMAND, "0.5"],
+                ["service", "call", "list_controllers"],
+            ):
+                done = world.slidectl(*words)
+                assert (done.returncode, "nobody" in done.stderr) == (0, False), done.stderr
+            done = world.slidectl("controller", "load", "joint_state_controller")
+            assert "loaded already" in done.stderr
+            assert "nobody" not in done.stderr
+        finally:
+            other.kill()
+
+
+@pytest.mark.parametrize(
+    ("words", "typed"),
+    [
+        (["pub", "command", "data:", "1.0"], "slidectl pub command 'data: 1.0'"),
+        (["pub", "/f", "std_msgs/Float64", "{data:", "1.0}", "-1"], "'{data: 1.0}' -1"),
+        (["pub", "/js", "name:", "[slide]", "position:", "[0.1]"], "'{name: [slide], position: [0.1]}'"),
+        (
+            ["service", "call", "load_controller", "name:", "joint1_position_controller"],
+            "slidectl service call load_controller 'name: joint1_position_controller'",
+        ),
+        (
+            ["ros", "rostopic", "pub", "-1", "/f", "std_msgs/Float64", "data:", "1.0"],
+            "rostopic pub -1 /f std_msgs/Float64 'data: 1.0'",
+        ),
+        (
+            ["ros", "rosservice", "call", "/slider/controller_manager/load_controller", "name:", "x"],
+            "rosservice call /slider/controller_manager/load_controller 'name: x'",
+        ),
+        (["ros", "rosservice", "call", "/rosapi/topic_type", "{topic:", "/f}"], "'{topic: /f}'"),
+    ],
+)
+def test_lost_quotes_are_named_with_the_line_to_type(
+    world: World, ears: dict[str, Subscription], words: list[str], typed: str
+) -> None:
+    assert ears
+    done = world.slidectl(*words)
+    assert done.returncode in (1, 2)
+    assert "the shell made" in done.stderr
+    assert f"{typed}\n" in done.stderr

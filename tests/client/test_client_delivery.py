@@ -1,4 +1,4 @@
-"""Messages that are delivered in one round trip, lines that are too long, and the log as a client hears it."""
+"""Messages that are delivered in one round trip, and lines that are too long."""
 
 from __future__ import annotations
 
@@ -24,22 +24,3 @@ def test_what_fits_no_line_is_refused_before_it_leaves(client: Client) -> None:
     with pytest.raises(UsageError, match="more than the 16777216 that fit a line"):
         client.call("/rosapi/set_param", {"name": "/long", "value": "x" * 2**24})
     assert client.call("/rosapi/has_param", {"name": "/long"}) == {"exists": False}
-
-
-def test_a_log_that_is_kept_gives_each_listener_its_own_lines(client: Client) -> None:
-    client.keep_log()
-    for text in ("one", "two"):
-        with client.rosout() as lines:
-            client.publish("/rosout", {"level": 8, "msg": text})
-            client.flush()
-        client.publish("/rosout", {"level": 8, "msg": "nobody listens"})
-        client.flush()
-        assert [line["msg"] for line in lines] == [text]
-    assert client.call("/rosapi/subscribers", {"topic": "/rosout"})["subscribers"]
-
-
-def test_a_log_that_is_not_kept_leaves_no_subscription(client: Client) -> None:
-    with client.rosout(), client.rosout():
-        pass
-    client.flush()
-    assert client.call("/rosapi/subscribers", {"topic": "/rosout"})["subscribers"] == []

@@ -149,7 +149,7 @@ def test_a_call_that_needs_time_says_that_the_world_is_paused(client: Client) ->
 def test_an_earlier_refusal_is_no_reason_not_to_subscribe(client: Client) -> None:
     with client.subscribe("/strict", "std_msgs/Int32") as strict:
         client.publish("/strict", {"data": "seven"})
-        with client.subscribe("/other", "std_msgs/Int32") as other, client.rosout():
+        with client.subscribe("/other", "std_msgs/Int32") as other:
             client.publish("/other", {"data": 7})
             with pytest.raises(MessageRefused, match="data"):
                 client.flush()
@@ -178,14 +178,6 @@ def test_a_subscription_that_was_not_answered_is_taken_back(daemon: Runtime) -> 
 
 def test_services_are_found_by_their_end(client: Client) -> None:
     assert client.resolve_service("set_speed") == "/slidectl/set_speed"
-
-
-def test_lines_of_the_log_that_come_during_a_call_are_collected(client: Client) -> None:
-    with client.rosout() as lines:
-        client.publish("/rosout", {"level": 8, "msg": "trouble"})
-        client.publish("/rosout", {"level": 2, "msg": "chatter"})
-        client.call("/slidectl/status")
-    assert [line["msg"] for line in lines] == ["trouble"]
 
 
 def test_events_are_what_is_on_the_wire(client: Client) -> None:

@@ -5,11 +5,21 @@ Implements control/node.py's protocol. Names are joined, not checked; messages a
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from copy import deepcopy
 from typing import Any
 
 from slidectl import names
-from slidectl.control.node import MISSING, Message, MessageCallback, ServiceHandler
+from slidectl.control.node import (
+    MISSING,
+    Message,
+    MessageCallback,
+    ParameterChange,
+    ParameterJudge,
+    Reasons,
+    ServiceHandler,
+)
 
 
 class FakePublisher:
@@ -36,6 +46,8 @@ class FakeGraph:
         self.services: dict[str, ServiceHandler] = {}
         self.types: dict[str, str] = {}
         self.watches: list[tuple[str, Callable[[], None]]] = []
+        self.guards: list[tuple[str, ParameterJudge]] = []
+        self.reasons: Reasons | None = None
         self.log: list[tuple[str, str]] = []
         for name, value in (parameters or {}).items():
             self.set(name, value)
@@ -66,18 +78,37 @@ class FakeGraph:
 
     def set(self, name: str, value: Any) -> None:
         *above, last = _keys(name)
-        tree = self.parameters
-        for key in above:
-            tree = tree.setdefault(key, {})
-        tree[last] = value
-        self._tell(name)
+
+        def change() -> None:
+            tree = self.parameters
+            for key in above:
+                tree = tree.setdefault(key, {})
+            tree[last] = value
+
+        self._carry_out(name, change, deletes=False)
 
     def delete(self, name: str) -> None:
         *above, last = _keys(name)
-        tree = self.parameters
-        for key in above:
-            tree = tree[key]
-        del tree[last]
+
+        def change() -> None:
+            tree = self.parameters
+            for key in above:
+                tree = tree[key]
+            del tree[last]
+
+        self._carry_out(name, change, deletes=True)
+
+    def _carry_out(self, name: str, change: Callable[[], None], deletes: bool) -> None:
+        """Ask the guards with the tree as it would be, and put the old one back when one of them refuses."""
+        old = deepcopy(self.parameters)
+        concerned = [guard for guard in self.guards if names.is_under(name, guard[0]) or names.is_under(guard[0], name)]
+        change()
+        try:
+            for place, judge in concerned:
+                judge(ParameterChange(_nearest(old, place), _nearest(self.parameters, place), deletes))
+        except BaseException:
+            self.parameters = old
+            raise
         self._tell(name)
 
     def _tell(self, name: str) -> None:
@@ -126,6 +157,11 @@ class FakeNode:
         self.graph.watches.append(watch)
         self._taken.append(lambda: self.graph.watches.remove(watch))
 
+    def guard_params(self, judge: ParameterJudge) -> None:
+        guard = (self.namespace, judge)
+        self.graph.guards.append(guard)
+        self._taken.append(lambda: self.graph.guards.remove(guard))
+
     def advertise(self, topic: str, type_name: str, latch: bool = False) -> FakePublisher:
         full = self._full(topic)
         publisher = self.graph.publishers[full] = FakePublisher(full, type_name, latch)
@@ -147,6 +183,16 @@ class FakeNode:
     def log(self, severity: str, text: str) -> None:
         self.graph.log.append((severity, text))
 
+    @property
+    def reasons(self) -> Reasons | None:
+        return self.graph.reasons
+
+    @contextmanager
+    def answering(self, reasons: Reasons | None) -> Iterator[None]:
+        before, self.graph.reasons = self.graph.reasons, reasons
+        yield
+        self.graph.reasons = before
+
     def now_ns(self) -> int:
         return self.graph.time_ns
 
@@ -158,6 +204,15 @@ class FakeNode:
 
     def _full(self, name: str) -> str:
         return names.join(self.namespace, name)
+
+
+def _nearest(tree: Any, name: str) -> Any:
+    """What stands at a name, or the value above it that leaves no room for it."""
+    for key in _keys(name):
+        if not isinstance(tree, dict):
+            return tree
+        tree = tree.get(key, MISSING)
+    return tree
 
 
 def _keys(name: str) -> list[str]:

@@ -57,9 +57,13 @@ class TestReading:
         assert (gains.i_min, gains.i_max) == (i_min, i_max)
 
     def test_antiwindup_is_a_boolean_and_nothing_else(self, graph, live):
-        assert live(p=1.0, antiwindup=True).pid.gains.antiwindup
         assert not live(p=1.0, antiwindup=1).pid.gains.antiwindup
         assert "antiwindup has no effect" in graph.lines("warn")
+        assert graph.get(f"{NS}/antiwindup") is False
+        graph.set(f"{NS}/antiwindup", True)
+        with pytest.raises(Refused, match=f"{NS}/antiwindup must be true or false, not 1"):
+            graph.set(f"{NS}/antiwindup", 1)
+        assert graph.get(f"{NS}/antiwindup") is True
 
     def test_gains_beyond_the_ranges_are_taken_from_a_file_as_they_are(self, live):
         assert live(p=1e9, d=5000.0).pid.gains[:3] == (1e9, 0.0, 5000.0)
@@ -82,11 +86,11 @@ class TestNotices:
         live(**parameters)
         assert graph.log == []
 
-    def test_editing_i_clamp_after_the_limits_were_written_back_has_no_effect_and_says_so(self, graph, live):
-        pid = live(p=1.0, i=1.0, i_clamp=5.0).pid
-        graph.set(f"{NS}/i_clamp", 7.0)
-        assert pid.gains.i_max == 5.0
-        assert "i_clamp has no effect; set i_clamp_min and i_clamp_max" in graph.lines("warn")
+    def test_a_negative_gain_is_taken_with_a_warning(self, graph, live):
+        pid = live(p=1.0).pid
+        graph.set(f"{NS}/p", -2)
+        assert pid.gains.p == graph.get(f"{NS}/p") == -2.0
+        assert graph.lines("warn") == f"{NS}: p = -2.0 drives away from the set point"
 
 
 class TestOffers:
@@ -101,13 +105,16 @@ class TestOffers:
             "i_clamp_max": 5.0,
             "antiwindup": False,
         }
-        assert written["i_clamp"] == 5
+        assert written["i_clamp"] == 5.0
 
-    def test_a_reload_finds_what_was_written_back(self, graph, live):
-        live(p=1.0, i=1.0, i_clamp=5.0)
-        graph.node(NS).shutdown()
+    def test_a_reload_finds_what_was_written_back(self, graph):
+        graph.set(NS, {"p": 1.0, "i": 1.0, "i_clamp": 5.0})
+        node = graph.node(NS)
+        LivePid(node)
+        node.shutdown()
         graph.set(f"{NS}/i_clamp", 9.0)
         assert LivePid(graph.node(NS)).pid.gains.i_max == 5.0
+        assert graph.get(f"{NS}/i_clamp") == 5.0
 
     def test_the_gains_and_their_ranges_are_published_for_whoever_comes_later(self, graph, live):
         live(p=3.0, i_clamp=2.0)
@@ -206,18 +213,53 @@ class TestParameters:
         graph.set("/bot/controller", {"pid": {"p": 2.0, "i": 3.0, "i_clamp": 4.0}})
         assert pid.gains == Gains(p=2.0, i=3.0, i_max=4.0, i_min=-4.0)
 
-    @pytest.mark.parametrize("value", ["fast", True, float("nan")])
-    def test_what_is_no_number_leaves_the_gain_and_is_pointed_out(self, graph, live, value):
+    @pytest.mark.parametrize("value", ["fast", True, 10**400, [1.0], {"a": 1.0}, {}])
+    def test_what_is_no_number_is_refused(self, graph, live, value):
         pid = live(p=1.0).pid
-        graph.set(f"{NS}/p", value)
-        assert pid.gains.p == 1.0
-        assert f"{NS}" in graph.lines("warn")
+        with pytest.raises(Refused, match=f"parameter {NS}/p must be a number"):
+            graph.set(f"{NS}/p", value)
+        assert pid.gains.p == graph.get(f"{NS}/p") == 1.0
 
-    def test_deleted_parameters_leave_the_gains_and_stay_deleted(self, graph, live):
+    @pytest.mark.parametrize(("name", "value"), [(NS, 5), ("/bot/controller", "text"), ("/bot", [])])
+    def test_a_namespace_of_gains_cannot_become_a_value(self, graph, live, name, value):
+        live(p=1.0)
+        with pytest.raises(Refused, match=f"{NS} is a namespace of parameters"):
+            graph.set(name, value)
+        assert graph.get(f"{NS}/p") == 1.0
+
+    @pytest.mark.parametrize("name", [f"{NS}/p", f"{NS}/antiwindup", NS, "/bot"])
+    def test_gains_in_use_cannot_be_deleted(self, graph, live, name):
         pid = live(p=1.0, d=2.0).pid
-        graph.delete(NS)
+        with pytest.raises(Refused, match="is a gain of a loaded controller"):
+            graph.delete(name)
         assert pid.gains == Gains(p=1.0, d=2.0)
-        assert not graph.node(NS).has_param("p")
+        assert graph.get(f"{NS}/d") == 2.0
+
+    def test_gains_that_a_mapping_leaves_out_are_written_back(self, graph, live):
+        live(p=1.0, d=2.0)
+        graph.set(NS, {"p": 3})
+        assert graph.get(NS) == {
+            "p": 3.0, "i": 0.0, "d": 2.0, "i_clamp_min": 0.0, "i_clamp_max": 0.0, "antiwindup": False,
+        }  # fmt: skip
+
+    @pytest.mark.parametrize(
+        ("name", "value", "bounds"),
+        [
+            ("i_clamp", 7, (-7.0, 7.0)),
+            ("i_clamp", -7.0, (-7.0, 7.0)),
+            ("i_clamp_min", 3.0, (-3.0, 5.0)),
+            ("i_clamp_max", -3.0, (-5.0, 3.0)),
+            ("i_clamp_max", -5.0, (-5.0, 5.0)),
+        ],
+    )
+    def test_clamps_are_written_back_as_they_were_taken(self, graph, live, name, value, bounds):
+        pid = live(p=1.0, i=1.0, i_clamp=5.0).pid
+        graph.set(f"{NS}/{name}", value)
+        assert (pid.gains.i_min, pid.gains.i_max) == bounds
+        assert (graph.get(f"{NS}/i_clamp_min"), graph.get(f"{NS}/i_clamp_max")) == bounds
+        assert graph.get(f"{NS}/i_clamp") == bounds[1]
+        graph.set(f"{NS}/i_clamp", 5.0)
+        assert (pid.gains.i_min, pid.gains.i_max) == (-5.0, 5.0) if bounds[1] != 5.0 else bounds
 
     def test_after_its_node_is_shut_down_a_pid_does_not_listen(self, graph):
         graph.set(NS, {"p": 1.0})

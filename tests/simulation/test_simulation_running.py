@@ -67,9 +67,24 @@ def test_step_runs_at_once_when_nobody_drives(simulation: Simulation) -> None:
     assert (answer["success"], answer["time"], answer["cycles"]) == (True, 0.007, 7)
 
 
-@pytest.mark.parametrize(("seconds", "cycles"), [(0.5, 500), (0.0015, 2), (1e-9, 1)])
+@pytest.mark.parametrize(("seconds", "cycles"), [(0.5, 500), (0.001, 1), (0.3, 300), (1000.001, 1000001)])
 def test_a_step_in_seconds_is_at_least_that_long(simulation: Simulation, seconds: float, cycles: int) -> None:
     assert simulation.call("/slidectl/step", {"seconds": seconds})["cycles"] == cycles
+
+
+@pytest.mark.parametrize(("seconds", "possible"), [(0.0005, "possible: 0.001s"), (0.0015, "0.001s or 0.002s")])
+def test_a_time_that_is_no_whole_number_of_cycles_is_refused(
+    simulation: Simulation, seconds: float, possible: str
+) -> None:
+    before = simulation.cycles
+    with pytest.raises(Refused, match="is no whole number of cycles of 0.001 s") as refusal:
+        simulation.call("/slidectl/step", {"seconds": seconds})
+    assert possible in str(refusal.value)
+    assert simulation.cycles == before
+
+
+def test_a_time_step_that_is_rounded_to_nanoseconds_divides_a_second() -> None:
+    assert Simulation(timestep=1 / 240).call("/slidectl/step", {"seconds": 1.0})["cycles"] == 240
 
 
 @pytest.mark.parametrize("seconds", [-1.0, math.nan, math.inf, 1e300])

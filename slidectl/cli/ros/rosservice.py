@@ -16,6 +16,7 @@ from slidectl.cli.ros.failure import Failure
 from slidectl.cli.ros.naming import pause, resolve, without_remappings
 from slidectl.cli.ros.verbs import Tool, Verb
 from slidectl.cli.servicecall import Typedefs, argument_names, as_yaml, ask_each
+from slidectl.cli.values import check_quotes
 from slidectl.errors import Refused, TimedOut
 
 TOOL = Tool(
@@ -138,10 +139,12 @@ def call(ctx: Context, argv: Sequence[str]) -> None:
     given = _CALL.parse(without_remappings(argv, payload_from=1))
     if not given.words:
         _CALL.error("service must be specified")
+    check_quotes(given.words[1:])
     values = [_value(word) for word in given.words[1:]]
     full = resolve(ctx, given.words[0], "rosservice")
     kind = _awaited(ctx, full) if given.wait else _available(ctx, full)
     request, response = servicecall.typedefs(ctx, kind)
+    check_quotes(given.words[1:], request[0]["fieldnames"])
     refusals: list[str] = []
     for each in _requests(values, bool(request[0]["fieldnames"])):
         message = _filled(ctx, kind, request, each)
@@ -229,6 +232,6 @@ def _call_once(ctx: Context, full: str, request: dict[str, Any], response: Typed
         raise Failure("\n".join([f"ERROR: service [{full}] responded with an error: {text}", *rest]), _FAILED) from None
     output.write(as_yaml(answer.response, response))
     if not answer.refusal:
-        for line in answer.logged:
+        for line in answer.reasons:
             ctx.warn(line)
     return answer.refusal

@@ -18,7 +18,8 @@ from slidectl.cli.ros.arguments import Arguments, Option, Parser, begins_as_numb
 from slidectl.cli.ros.failure import Failure
 from slidectl.cli.ros.naming import resolve_remapped, without_remappings
 from slidectl.cli.topics import SUBSCRIBERS, Target, Unused, details, look_up, users_of
-from slidectl.errors import BadMessage, Refused, SlidectlError, UnknownName
+from slidectl.cli.values import check_quotes
+from slidectl.errors import BadMessage, Refused, SlidectlError, UnknownName, UsageError
 
 _ONCE = "-1"
 _PAYLOAD = 2
@@ -63,8 +64,10 @@ def pub(ctx: Context, argv: Sequence[str]) -> None:
     topic, type_name = _topic_and_type(given)
     if given.file is not None and given.words[2:]:
         _PARSER.error("args conflict with -f setting")
+    _check_quotes(given.words[2:])
     values = [_value(word) for word in given.words[2:]]
     target, nobody = _target(ctx, resolve_remapped(ctx, topic, "rostopic", argv, _PAYLOAD), type_name)
+    _check_quotes(given.words[2:], target.typedefs[0]["fieldnames"])
     values, marked = _without_once(target, given.words[2:], values)
     run = _Run(ctx, given, target, nobody, given.once or marked)
     if values or not target.typedefs[0]["fieldnames"]:
@@ -97,6 +100,13 @@ def _topic_and_type(given: Arguments) -> tuple[str, str]:
     if len(given.words) == 1:
         _PARSER.error("topic type must be specified")
     return given.words[0], given.words[1]
+
+
+def _check_quotes(words: Sequence[str], fields: Sequence[str] = ()) -> None:
+    try:
+        check_quotes(words, fields)
+    except UsageError as error:
+        raise Failure(f"ERROR: {error}") from None
 
 
 def _value(word: str) -> Any:

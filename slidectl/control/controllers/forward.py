@@ -40,7 +40,6 @@ class ForwardController(ScalarController):
 
     parameters: ClassVar[tuple[Parameter, ...]] = (JOINT,)
     compiled = Compiled(update_forward, Columns(fixed="set_point", places="joint", whole="joint"))
-    _joint: JointHandle
 
     def init(self, interface: JointCommandInterface, node: NodeHandle) -> None:
         """Raises SlidectlError: the parameter or the joint is missing."""

@@ -83,6 +83,10 @@ class JointPositionController(PidController):
         self.set_command(self._joint.position)
         self._pid.reset()
 
+    def bounds(self) -> tuple[float, float]:
+        """Those of the joint's position; what the hardware makes of the effort or velocity is another matter."""
+        return self.lower, self.upper
+
     def set_command(self, value: float, velocity: float | None = None) -> None:
         """Go to this position (m or rad), brought within the limits; with this velocity when one is given."""
         self.set_point = self.upper if value > self.upper else self.lower if value < self.lower else value

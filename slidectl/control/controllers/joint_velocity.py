@@ -5,6 +5,7 @@ Parameters `joint`, `pid/*`. It needs no robot description.
 
 from __future__ import annotations
 
+from math import inf
 from typing import Any
 
 from slidectl.control import params
@@ -58,6 +59,10 @@ class JointVelocityController(PidController):
         """Stand still."""
         self.set_point = 0.0
         self._pid.reset()
+
+    def bounds(self) -> tuple[float, float]:
+        """None: the hardware bounds the effort, not the set point."""
+        return -inf, inf
 
     def set_command(self, value: float) -> None:
         """Move at this velocity (m/s or rad/s)."""
