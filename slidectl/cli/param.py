@@ -138,12 +138,10 @@ def _name_to_set(ctx: Context, name: str, new: bool) -> str:
         AmbiguousName, BadName. UnknownName: a short name whose beginning means a namespace that is elsewhere.
     """
     full = names.check_parameter(names.join(ctx.namespace, name))
-    if new:
-        return full
     try:
         return _resolved(ctx, name)
     except UnknownName as unknown:
-        if not name.startswith("/") and _means_elsewhere(ctx, name, full):
+        if not new and not name.startswith("/") and _means_elsewhere(ctx, name, full):
             unknown.hint = f"{unknown.hint}\n--new makes {full}"
             raise
         return full
@@ -160,7 +158,8 @@ def _means_elsewhere(ctx: Context, name: str, full: str) -> bool:
         return True
     except UnknownName:
         return _means_elsewhere(ctx, above, names.parent(full))
-    return names.join(found, last) != full
+    is_namespace = any(known.startswith(f"{found}/") for known in ctx.names("parameter"))
+    return is_namespace and names.join(found, last) != full
 
 
 def _say_new(ctx: Context, created: Sequence[str]) -> None:

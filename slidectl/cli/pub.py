@@ -1,6 +1,6 @@
 """`slidectl pub`: one message, one at a rate, or those of a file or a pipe; done when they have been taken in.
 
-The everyday case (`slidectl pub command 1.0`) takes four round trips, in a shell mostly one, and loads neither YAML
+The everyday case (`slidectl pub command 1.0`) takes three round trips, in a shell mostly one, and loads neither YAML
 nor the evaluator.
 """
 

@@ -26,6 +26,7 @@ from slidectl.control.node import NodeHandle
 from slidectl.description.robot import Joint, TransmissionInfo, TransmissionJoint
 from slidectl.errors import Refused, SlidectlError, listing
 from slidectl.physics.body import Body
+from slidectl.physics.effort import EffortTruncation
 from slidectl.physics.parts import BadPart
 
 INTERFACES: dict[str, type[JointCommandInterface]] = {
@@ -113,6 +114,9 @@ class HardwareJoint:
         soft = soft_limits_from_joint(self.joint)
         self.limit = limit_handle(self.interface.type_name, self.handle, limits, soft)
         self.handle.lowest, self.handle.highest = self.limit.command_bounds()
+        if self.interface is EffortJointInterface:  # Gazebo cuts by the URDF, whatever the parameters say
+            most = EffortTruncation.of(self.joint).effort
+            self.handle.lowest, self.handle.highest = max(self.handle.lowest, -most), min(self.handle.highest, most)
 
 
 def hardware_joints(body: Body) -> list[HardwareJoint]:

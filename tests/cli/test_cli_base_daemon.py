@@ -287,7 +287,7 @@ def test_restart_says_which_options_it_keeps_and_lets_each_be_given_anew(slidect
     assert slidectl("daemon", "restart").stderr == ""
 
 
-def test_a_daemon_of_another_version_is_told_once_with_what_helps(slidectl: CommandLine, runtime: Runtime) -> None:
+def test_a_daemon_of_another_version_is_told_once_with_what_helps(slidectl: CommandLine) -> None:
     script = "import slidectl\nslidectl.__version__ = '0.0.9'\nimport sys\nfrom slidectl.daemon.process import main\n"
     script += "sys.exit(main(sys.argv[1:]))"
     words = [sys.executable, "-c", script, "--instance", "default", "--foreground", "--paused"]

@@ -378,6 +378,14 @@ def test_new_sets_what_the_controller_does_not_read(world: World) -> None:
     assert "the controller does not read it" in done.stderr
     assert world.slidectl.ok("param", "get", name) == "mine\n"
     world.slidectl.ok("param", "delete", name)
+    done = world.slidectl("param", "set", "pid", "{p: 110, kd: 3}", "--new")
+    assert (done.returncode, f"set {PID}\n" in done.stderr) == (0, True)
+    assert world.slidectl.ok("param", "get", f"{PID}/kd") == "3\n"
+    assert reported(world)["p"] == 110.0
+    world.slidectl.ok("param", "delete", f"{PID}/kd")
+    assert world.slidectl("param", "set", "pid/Q", "1", "--new").returncode == 0
+    assert world.slidectl.ok("param", "get", "/pid/Q") == "1\n"
+    world.slidectl.ok("param", "delete", "/pid")
 
 
 def test_elsewhere_a_new_parameter_says_that_it_is_new(world: World) -> None:

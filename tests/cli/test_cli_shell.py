@@ -176,7 +176,10 @@ class Feeding:
 
     def _complaint(self) -> str:
         assert self.process.stderr is not None
-        line = self.process.stderr.readline().strip().removeprefix("error: ")
+        line = self.process.stderr.readline().strip()
+        if line.startswith("{"):
+            error = json.loads(line)
+            line = f"{error['error']} {error['hint']}"
         if not line.startswith("no command"):
             return line
         while "line" not in self.process.stderr.readline():

@@ -95,3 +95,24 @@ class TestForwarding:
         assert not bench_with(type_name, [interface], joint=None).manager.load("arm")
         assert not bench_with(type_name, [interface], joint="joint9").manager.load("arm")
         assert not bench_with(type_name, ()).manager.load("arm")
+
+
+@pytest.mark.parametrize(("type_name", "interface"), FORWARDING)
+def test_a_command_that_the_hardware_will_cut_is_handed_on_and_said(type_name, interface):
+    bench = bench_with(type_name, commands=(interface,))
+    joint = bench.robot.joints["joint1"]
+    joint.lowest, joint.highest = -2.0, 3.0
+    bench.start("arm")
+    for value, text in ((100.0, "100 is beyond the upper limit"), (-2.5, "-2.5 is beyond the lower limit")):
+        bench.graph.log.clear()
+        bench.graph.reasons = []
+        send(bench, value)
+        send(bench, value)
+        bench.run()
+        assert joint.command == value
+        assert text in bench.graph.lines("warn")
+        assert len(bench.graph.log) == 1, "the log has it once a second"
+        assert len(bench.graph.reasons) == 1, "and whoever asks again, in the answer"
+    bench.graph.log.clear()
+    send(bench, 3.0)
+    assert bench.graph.log == []

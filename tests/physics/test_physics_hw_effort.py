@@ -125,6 +125,7 @@ def test_the_truncation_goes_by_the_urdf_even_when_parameters_widen_the_limits(b
     bench.cycle(joint1=40.0)
     assert bench.handle().command == 40.0
     assert bench.handle().effort == 3.0
+    assert (bench.handle().lowest, bench.handle().highest) == (-3.0, 3.0)
 
 
 def test_parameters_can_tighten_the_limits_and_give_them_to_joints_that_have_none(bench: Bench) -> None:
@@ -132,6 +133,7 @@ def test_parameters_can_tighten_the_limits_and_give_them_to_joints_that_have_non
     bench.take(driven(one_joint("continuous"), EFFORT), joint_limits={"joint1": tight})
     bench.cycle(joint1=40.0)
     assert bench.handle().effort == 2.0
+    assert (bench.handle().lowest, bench.handle().highest) == (-2.0, 2.0)
 
 
 def test_soft_limits_stand_in_for_the_saturation(bench: Bench) -> None:

@@ -77,7 +77,7 @@ def test_a_time_that_is_no_whole_number_of_cycles_is_refused(
     simulation: Simulation, seconds: float, possible: str
 ) -> None:
     before = simulation.cycles
-    with pytest.raises(Refused, match="is no whole number of cycles of 0.001 s") as refusal:
+    with pytest.raises(Refused, match="is no whole number of cycles") as refusal:
         simulation.call("/slidectl/step", {"seconds": seconds})
     assert possible in str(refusal.value)
     assert simulation.cycles == before
