@@ -107,6 +107,7 @@ class Surface:
     """What `<gazebo reference="LINK">` says of a link; None where it says nothing."""
 
     mu1: float | None = None
+    """0 or more; may be infinite."""
     mu2: float | None = None
     turn_gravity_off: bool = False
     self_collide: bool | None = None
