@@ -17,6 +17,7 @@ from slidectl.physics import engine
 from slidectl.physics.body import Body
 from slidectl.physics.builder import RobotBuilder
 from slidectl.physics.solids import mesh_names, put_friction
+from slidectl.physics.touching import put_robots
 from slidectl.rotations import Vector
 
 GROUND = "ground_plane"
@@ -62,7 +63,7 @@ class WorldSpec:
         RobotBuilder(self._spec, body.robot, body.name).build(body.spawn_pose)
 
     def remove(self, body: Body) -> None:
-        """Take a robot out, without a trace. What names its parts (excludes, mimic joints) goes with them."""
+        """Take a robot out, without a trace. What names its parts (mimic joints) goes with them."""
         self._spec.delete(self._spec.body(f"{body.name}/{body.robot.root}"))
         for mesh in mesh_names(body.robot, body.name):
             self._spec.delete(self._spec.mesh(mesh))
@@ -78,6 +79,7 @@ class WorldSpec:
             raise _explained(str(error), newest) from error
         # Older versions scale the solver's tolerance with the mean inertia of the whole world.
         model.stat.meaninertia = 1.0
+        put_robots(model)
         return model
 
 

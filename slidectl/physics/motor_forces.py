@@ -80,7 +80,7 @@ class RobotMotors:
         if not moment.has_constraints:
             return None
         jacobian = np.ascontiguousarray(moment.jacobian[:, self._part])
-        own = jacobian.any(axis=1)
+        own = np.asarray(jacobian.any(axis=1))
         self.is_constrained = bool(own.any())
         pushing = own & (moment.weights > 0.0)
         touching = own[moment.contact_rows].any(axis=1) & moment.contact_hessians.any(axis=(1, 2))

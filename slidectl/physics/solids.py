@@ -36,8 +36,8 @@ class BadShape(BadPart):
         super().__init__(robot, link, f"collision shape{place(shape.file, shape.line)}: {trouble}")
 
 
-def put_shapes(spec: Any, body: Any, robot: str, link: Link) -> None:
-    """Add one geom per collision of the link.
+def put_shapes(spec: Any, body: Any, robot: str, link: Link, bits: tuple[int, int]) -> None:
+    """Add one geom per collision of the link, with these bits (contype, conaffinity) of what it may touch.
 
     Raises:
         BadShape: a size that is not positive, or a mesh that cannot be read.
@@ -45,6 +45,7 @@ def put_shapes(spec: Any, body: Any, robot: str, link: Link) -> None:
     for number, shape in enumerate(link.collisions):
         geom = body.add_geom(name=_geom_name(robot, link, number), pos=shape.origin.xyz)
         geom.quat = wxyz(from_rpy(shape.origin.rpy))
+        geom.contype, geom.conaffinity = bits
         put_friction(geom, sliding_friction(link.surface))
         if isinstance(shape.geometry, Mesh):
             _put_mesh(spec, geom, robot, link, shape)
