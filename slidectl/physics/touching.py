@@ -1,4 +1,4 @@
-"""Which links may touch each other: Gazebo's rule, as bits of MuJoCo's geoms. It finds no contacts.
+"""Which links may touch each other (Gazebo's rule, as bits of MuJoCo's geoms), and which do at one moment.
 
 Robots touch each other and the ground. Two links of one robot touch only when both say
 `<selfCollide>true</selfCollide>` and no joint connects them; links that fixed joints weld together are one here.
@@ -15,6 +15,7 @@ import itertools
 from collections.abc import Iterator
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from slidectl.description.robot import Robot
@@ -81,6 +82,25 @@ def _sets() -> Iterator[int]:
         lowest = bits & -bits
         carried = bits + lowest
         bits = carried | ((bits ^ carried) >> 2) // lowest
+
+
+def depths(model: Any, data: Any, root: int) -> dict[tuple[int, int], float]:
+    """How deep bodies of the robot with this root body are in others now, m, by the pair (own body, other body).
+
+    It looks at a copy, so that the world goes on as if nobody had looked.
+    """
+    copy = mujoco.MjData(model)
+    copy.qpos[:] = data.qpos
+    mujoco.mj_kinematics(model, copy)
+    mujoco.mj_collision(model, copy)
+    bodies = model.geom_bodyid[copy.contact.geom]
+    own = model.body_rootid[bodies] == root
+    found: dict[tuple[int, int], float] = {}
+    for (first, second), (is_first, is_second), gap in zip(bodies.tolist(), own, copy.contact.dist, strict=True):
+        if is_first != is_second:
+            pair = (first, second) if is_first else (second, first)
+            found[pair] = max(found.get(pair, 0.0), -float(gap))
+    return found
 
 
 def weld_groups(robot: Robot) -> dict[str, str]:
