@@ -1,4 +1,5 @@
-"""A world that fills up: the hundredth RRBot beside ninety-nine that run, and the longest halt that they see meanwhile.
+"""A world that fills up: the hundredth RRBot beside ninety-nine that run, and the longest halt that they see meanwhile;
+and a robot of a thousand links that come and go.
 
 A halt is a gap between two messages of /clock, which is published in every cycle.
 """
@@ -23,6 +24,7 @@ ROBOTS = 105
 MEASURED = 9
 SETTLE_S = 0.05
 MANAGER = "controller_manager"
+LINKS = 1000
 
 
 def measure() -> list[Row]:
@@ -47,7 +49,44 @@ def measure() -> list[Row]:
         Row("spawn of the 100th RRBot, running", 1e3 * statistics.median(taken), "ms", 50, note="five service calls"),
         Row("longest halt of the others meanwhile", 1e3 * statistics.median(halts), "ms", 20, note=note),
         Row(f"memory of the daemon with {ROBOTS} RRBots", status["memory"] / 2**20, "MiB"),
+        *_many_links(),
     ]
+
+
+def _many_links(runs: int = 5) -> list[Row]:
+    """A robot of many links with collision shapes, in a world that stands still, beside an RRBot."""
+    spawned, deleted = [], []
+    with daemon("--paused") as instance, instance.client() as client:
+        _call(client, "/gazebo/spawn_urdf_model", {"model_name": "rrbot", "model_xml": load("rrbot").xml})
+        for _ in range(runs):
+            request = {"model_name": "bush", "model_xml": bush(LINKS)}
+            spawned.append(timed(lambda request=request: _call(client, "/gazebo/spawn_urdf_model", request)))
+            deleted.append(timed(lambda: _call(client, "/gazebo/delete_model", {"model_name": "bush"})))
+    return [
+        Row(f"spawn of a robot of {LINKS} colliding links", statistics.median(spawned), "s", 1.0),
+        Row("its deletion", statistics.median(deleted), "s", 0.1),
+    ]
+
+
+def bush(links: int) -> str:
+    """The URDF of so many cubes, in chains of ten that hang side by side from the world."""
+    parts = ['<robot name="bush">', '<link name="world"/>']
+    for i in range(links):
+        parent, place = (f"l{i - 1}", "0 0 -0.3") if i % 10 else ("world", f"{0.3 * (i // 10)} 5 4")
+        parts.append(
+            f'<link name="l{i}"><inertial><mass value="1"/>'
+            '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>'
+            '<collision><geometry><box size="0.1 0.1 0.1"/></geometry></collision></link>'
+            f'<joint name="j{i}" type="continuous"><parent link="{parent}"/><child link="l{i}"/>'
+            f'<origin xyz="{place}"/><axis xyz="1 0 0"/></joint>'
+        )
+    return "".join([*parts, "</robot>"])
+
+
+def _call(client: Client, service: str, request: dict[str, Any]) -> None:
+    answer = client.call(service, request)
+    if not answer["success"]:
+        raise RuntimeError(answer["status_message"])
 
 
 def spawn(client: Client, xml: str, parameters: dict[str, Any], number: int) -> None:

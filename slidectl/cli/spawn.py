@@ -74,8 +74,10 @@ def spawn(
         configuration.store(ctx, configuration.read(ctx, controllers, [namespace]))
     manager = Manager(ctx, namespace)
     _check_configured(manager, start)
-    _request(ctx, wanted, xml, pose)
+    warnings = _request(ctx, wanted, xml, pose)
     _tell_report(ctx, wanted, document)
+    for warning in warnings:
+        ctx.warn(warning)
     try:
         bring_up(manager, start)
     except Refused:
@@ -159,11 +161,13 @@ def _check_configured(manager: Manager, start: Sequence[str]) -> None:
             raise UnknownName("controller", name, known, f"in the parameters of {manager.namespace}")
 
 
-def _request(ctx: Context, name: str, xml: str, pose: dict[str, Any]) -> None:
+def _request(ctx: Context, name: str, xml: str, pose: dict[str, Any]) -> list[str]:
+    """Spawn it. What the world says of the place, a line for each robot that it was put into."""
     request = {"model_name": name, "model_xml": xml, "initial_pose": pose}
     answer = ctx.call("/gazebo/spawn_urdf_model", request, ctx.wait_limit(SPAWN_LIMIT_S))
     if not answer["success"]:
         raise Refused(f"cannot spawn {name}: {answer['status_message']}")
+    return list(answer["status_message"].split("\n")[1:])
 
 
 def _tell_report(ctx: Context, name: str, document: Document) -> None:

@@ -5,6 +5,7 @@ Texts are read as sdformat reads them: an attribute `value` goes before the text
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import replace
 from itertools import islice
@@ -113,7 +114,7 @@ class GazeboReader:
     def _of_link(self, link: str, child: Element, element: Element) -> None:
         place = f"{element.title}/{child.title}"
         if child.tag in ("mu1", "mu2"):
-            self._set(link, **{child.tag: self._friction(child, link)})
+            self._set(link, **{child.tag: self._friction(child, f"link {link!r}: <{child.tag}>")})
         elif child.tag in ("turnGravityOff", "selfCollide"):
             field = "turn_gravity_off" if child.tag == "turnGravityOff" else "self_collide"
             self._set(link, **{field: self._truth(child, place)})
@@ -129,10 +130,12 @@ class GazeboReader:
     def _set(self, link: str, **fields: Any) -> None:
         self.surfaces[link] = replace(self.surfaces.get(link, Surface()), **fields)
 
-    def _friction(self, child: Element, link: str) -> float:
-        value = values.parse_number(_text(child), child, f"link {link!r}: <{child.tag}>")
+    def _friction(self, child: Element, place: str) -> float:
+        """`Inf` is a value here, and what is below 0 means the same, as in Gazebo."""
+        value = values.parse_number(_text(child), child, place, finite=False)
         if value < 0:
-            raise child.error(f"link {link!r}: <{child.tag}> is {value:g}; it must not be negative")
+            self.report.converted(child, f"{value:g} is below 0 and counts as infinite, as in Gazebo", place)
+            return math.inf
         return value
 
     def _truth(self, child: Element, place: str) -> bool:

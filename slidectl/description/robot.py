@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 Vector = tuple[float, float, float]
@@ -107,6 +108,7 @@ class Surface:
     """What `<gazebo reference="LINK">` says of a link; None where it says nothing."""
 
     mu1: float | None = None
+    """0 or more; may be infinite."""
     mu2: float | None = None
     turn_gravity_off: bool = False
     self_collide: bool | None = None
@@ -229,9 +231,16 @@ class Robot:
     plugin: ControlPlugin | None = None
     report: Sequence[Notice] = field(default=())
 
-    def children_of(self, link: str) -> list[Joint]:
+    def children_of(self, link: str) -> Sequence[Joint]:
         """The joints whose parent is `link`, in the order of the file."""
-        return [joint for joint in self.joints.values() if joint.parent == link]
+        return self._children.get(link, ())
+
+    @cached_property
+    def _children(self) -> dict[str, list[Joint]]:
+        children: dict[str, list[Joint]] = {}
+        for joint in self.joints.values():
+            children.setdefault(joint.parent, []).append(joint)
+        return children
 
     @property
     def is_fixed_to_world(self) -> bool:

@@ -14,6 +14,7 @@ from slidectl.description.robot import Pose, Vector
 from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile, closest, listing
 
+_INFINITE = ("inf", "infinity")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
@@ -25,19 +26,21 @@ def unknown(element: Element, place: str, kind: str, name: str, known: Collectio
     return element.error(f"{place}: no {kind} {name!r}.{suggestion}", f"{kind}s: {listing(known)}")
 
 
-def parse_number(text: str, element: Element, what: str) -> float:
-    """`text` as a finite number. `what` names the value in the error."""
+def parse_number(text: str, element: Element, what: str, finite: bool = True) -> float:
+    """`text` as a number, and a finite one unless `finite` is False. `what` names the value in the error."""
     stripped = text.strip()
+    if not finite and stripped.lower().lstrip("+-") in _INFINITE:
+        return float(stripped)
     if not _NUMBER.fullmatch(stripped):
         raise element.error(f"{what} is {text!r}, which is {_why_not(stripped)}")
     value = float(stripped)
-    if not math.isfinite(value):
+    if finite and not math.isfinite(value):
         raise element.error(f"{what} is {text!r}, which is too large for a number")
     return value
 
 
 def _why_not(text: str) -> str:
-    if text.lower().lstrip("+-") in {"nan", "inf", "infinity"}:
+    if text.lower().lstrip("+-") in {"nan", *_INFINITE}:
         return "not a finite number"
     if _NUMBER.fullmatch(text.replace(",", ".", 1)):
         return "not a number (the decimal sign is a point)"

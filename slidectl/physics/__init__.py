@@ -8,6 +8,6 @@ from slidectl.physics.core import GRAVITY
 from slidectl.physics.divergence import Diverged
 from slidectl.physics.engine import EngineError, take_warnings
 from slidectl.physics.robot_hw import MujocoRobotHW
-from slidectl.physics.world import Snapshot, World
+from slidectl.physics.world import Overlap, Snapshot, World
 
-__all__ = ["GRAVITY", "Body", "Diverged", "EngineError", "MujocoRobotHW", "Snapshot", "World", "take_warnings"]
+__all__ = ["GRAVITY", "Body", "Diverged", "EngineError", "MujocoRobotHW", "Overlap", "Snapshot", "World", "take_warnings"]

@@ -217,10 +217,10 @@ def _slices(model: Any, root: int, links: int) -> dict[str, slice]:
     joints = np.searchsorted(model.jnt_bodyid, ends)
     starts = np.append(model.jnt_qposadr, model.nq)
     dofs = np.searchsorted(model.dof_bodyid, ends)
-    ties = [i for i in range(model.neq) if joints[0] <= model.eq_obj1id[i] < joints[1]]
+    ties = np.flatnonzero((model.eq_obj1id >= joints[0]) & (model.eq_obj1id < joints[1]))
     return {
         "body": slice(root, root + links),
         "dof": slice(int(dofs[0]), int(dofs[1])),
         "qpos": slice(int(starts[joints[0]]), int(starts[joints[1]])),
-        "tie": slice(ties[0], ties[-1] + 1) if ties else slice(0, 0),
+        "tie": slice(int(ties[0]), int(ties[-1]) + 1) if len(ties) else slice(0, 0),
     }

@@ -14,8 +14,8 @@ from slidectl.description.robot import Joint, Link, Robot
 from slidectl.physics.inertia import BadInertia, put_inertia
 from slidectl.physics.parts import BadPart
 from slidectl.physics.rotation import Pose, perpendicular, unit, wxyz
-from slidectl.physics.selfcollision import pairs_apart
 from slidectl.physics.solids import put_shapes
+from slidectl.physics.touching import ORDINARY, self_colliding
 from slidectl.rotations import Vector, from_rpy
 
 UNDAMPED = 1e-200
@@ -49,6 +49,7 @@ class RobotBuilder:
         self.spec = spec
         self.robot = robot
         self.name = name
+        self._self_colliding = self_colliding(robot)
 
     def build(self, pose: Pose) -> None:
         """Add everything, the root at `pose`: welded there when the root link is called `world`, free otherwise.
@@ -60,14 +61,12 @@ class RobotBuilder:
         check_moving_masses(self.robot, self.name)
         bodies = {self.robot.root: self._root(pose)}
         waiting = [self.robot.root]
-        while waiting:
-            for joint in self.robot.children_of(waiting.pop(0)):
+        for link in waiting:
+            for joint in self.robot.children_of(link):
                 bodies[joint.child] = self._child(bodies[joint.parent], joint)
                 waiting.append(joint.child)
         for joint in self.robot.joints.values():
             self._mimic(joint)
-        for first, second in pairs_apart(self.robot):
-            self.spec.add_exclude(bodyname1=self._named(first), bodyname2=self._named(second))
 
     def _named(self, part: str) -> str:
         return f"{self.name}/{part}"
@@ -97,7 +96,7 @@ class RobotBuilder:
     def _fill(self, body: Any, link: Link) -> None:
         put_inertia(body, self.name, link)
         body.gravcomp = 1.0 if link.surface.turn_gravity_off else 0.0
-        put_shapes(self.spec, body, self.name, link)
+        put_shapes(self.spec, body, self.name, link, self._self_colliding.get(link.name, ORDINARY))
 
     def _scalar(self, body: Any, joint: Joint) -> None:
         made = body.add_joint(name=self._named(joint.name), type=SCALAR_TYPES[joint.type], axis=self._axis(joint))

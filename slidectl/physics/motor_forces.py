@@ -16,6 +16,7 @@ from slidectl.physics.divergence import Diverged
 
 _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
 _FRICTION = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF)
+_CONTACT = int(mujoco.mjtConstraint.mjCNSTR_CONTACT_ELLIPTIC)
 
 
 class Moment:
@@ -29,7 +30,8 @@ class Moment:
             self.jacobian = np.zeros((data.nefc, model.nv))
             rows = (data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind.ravel())
             mujoco.mju_sparse2dense(self.jacobian, data.efc_J.ravel(), *rows)
-            self.pushing = _pushing(data)
+            self.weights = _weights(data)
+            self.contact_rows, self.contact_hessians = _contacts(model, data)
 
 
 class RobotMotors:
@@ -77,14 +79,20 @@ class RobotMotors:
         self.is_constrained = False
         if not moment.has_constraints:
             return None
-        rows = np.ascontiguousarray(moment.jacobian[:, self._part])
-        own = rows.any(axis=1)
+        jacobian = np.ascontiguousarray(moment.jacobian[:, self._part])
+        own = np.asarray(jacobian.any(axis=1))
         self.is_constrained = bool(own.any())
-        pushing = own & moment.pushing
-        if not pushing.any():
+        pushing = own & (moment.weights > 0.0)
+        touching = own[moment.contact_rows].any(axis=1) & moment.contact_hessians.any(axis=(1, 2))
+        if not pushing.any() and not touching.any():
             return None
-        rows = rows[pushing]
-        stiffness: Array = (rows.T * moment.data.efc_D[pushing]) @ rows
+        rows = jacobian[pushing]
+        stiffness: Array = (rows.T * moment.weights[pushing]) @ rows
+        if touching.any():
+            contacts = jacobian[moment.contact_rows[touching]]
+            weighted = moment.contact_hessians[touching] @ contacts
+            flat = (-1, contacts.shape[2])
+            stiffness += contacts.reshape(flat).T @ weighted.reshape(flat)
         return stiffness
 
 
@@ -108,16 +116,49 @@ def bounded_solution(response: Array, change: Array, bounds: Array) -> Array:
     return forces
 
 
-def _pushing(data: Any) -> Array:
-    """Which constraint rows answer a small change of velocity: those whose force is not at its bound.
+def _weights(data: Any) -> Array:
+    """How stiff each row answers a small change of acceleration; 0 where its force is at its bound, and for contacts.
 
     Told by the forces: MuJoCo fills its own record of it (efc_state) only when it solves without islands.
     """
     kind, force = data.efc_type, data.efc_force
     friction = (kind == _FRICTION) & (np.abs(force) < data.efc_frictionloss)
-    one_sided = (kind != _FRICTION) & (force > 0.0)
-    pushing: Array = (kind == _EQUALITY) | friction | one_sided
-    return pushing
+    one_sided = (kind != _FRICTION) & (kind != _CONTACT) & (force > 0.0)
+    pushing = (kind == _EQUALITY) | friction | one_sided
+    weights: Array = np.where(pushing, data.efc_D, 0.0)
+    return weights
+
+
+def _contacts(model: Any, data: Any) -> tuple[Array, Array]:
+    """The rows (contacts, 3) of each contact, and the second derivatives (contacts, 3, 3) of its cost.
+
+    The formulas are those of MuJoCo for elliptic cones. u = (n, t) is the violation, scaled so that the cone of
+    friction is round: the contact is open where n >= mu |t|, holds where mu n + |t| <= 0, and slides in between.
+    """
+    contact = data.contact
+    active = contact.efc_address >= 0
+    rows: Array = contact.efc_address[active][:, None] + np.arange(3)
+    mu = contact.mu[active]
+    scale = np.column_stack((mu, contact.friction[active][:, :2]))
+    violation = np.zeros(data.nefc)
+    mujoco.mj_mulJacVec(model, data, violation, data.qacc)  # sparse: the sums of a robot are those when it is alone
+    u = (violation - data.efc_aref)[rows] * scale
+    n, t = u[:, 0], np.hypot(u[:, 1], u[:, 2])
+    weights = data.efc_D[rows]
+    hessians = np.zeros((len(rows), 3, 3))
+    holds = (n < mu * t) | (n < 0.0)
+    slides = holds & (mu * n + t > 0.0) & (t > 0.0)
+    holds &= ~slides
+    hessians[holds] = weights[holds][:, :, None] * np.eye(3)
+    mu, n, t, u, scale = mu[slides], n[slides], t[slides], u[slides], scale[slides]
+    sliding = np.zeros((len(mu), 3, 3))
+    sliding[:, 0, 0] = 1.0
+    sliding[:, 0, 1:] = sliding[:, 1:, 0] = -(mu / t)[:, None] * u[:, 1:]
+    sliding[:, 1:, 1:] = (mu * n / (t * t * t))[:, None, None] * u[:, 1:, None] * u[:, None, 1:]
+    sliding[:, 1:, 1:] += (mu * mu - mu * n / t)[:, None, None] * np.eye(2)
+    sliding *= scale[:, :, None] * scale[:, None, :]
+    hessians[slides] = sliding * (weights[slides, 0] / (mu * mu * (1.0 + mu * mu)))[:, None, None]
+    return rows, hessians
 
 
 def _full_inertia(model: Any, data: Any) -> Array:

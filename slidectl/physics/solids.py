@@ -6,6 +6,7 @@ Visuals never come here: the simulated world has no picture.
 from __future__ import annotations
 
 import os
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,9 @@ from slidectl.rotations import from_rpy
 GAZEBO_FRICTION = 1.0
 """Gazebo's mu of a surface that says nothing, and MuJoCo's sliding friction too."""
 
+LARGEST_FRICTION = 1e6
+"""What every larger coefficient counts as, `Inf` included: nothing slides at it, and its square is an exact number."""
+
 _BINARY_STL_HEADER = 84
 
 
@@ -32,8 +36,8 @@ class BadShape(BadPart):
         super().__init__(robot, link, f"collision shape{place(shape.file, shape.line)}: {trouble}")
 
 
-def put_shapes(spec: Any, body: Any, robot: str, link: Link) -> None:
-    """Add one geom per collision of the link.
+def put_shapes(spec: Any, body: Any, robot: str, link: Link, bits: tuple[int, int]) -> None:
+    """Add one geom per collision of the link, with these bits (contype, conaffinity) of what it may touch.
 
     Raises:
         BadShape: a size that is not positive, or a mesh that cannot be read.
@@ -41,7 +45,8 @@ def put_shapes(spec: Any, body: Any, robot: str, link: Link) -> None:
     for number, shape in enumerate(link.collisions):
         geom = body.add_geom(name=_geom_name(robot, link, number), pos=shape.origin.xyz)
         geom.quat = wxyz(from_rpy(shape.origin.rpy))
-        geom.friction[0] = sliding_friction(link.surface)
+        geom.contype, geom.conaffinity = bits
+        put_friction(geom, sliding_friction(link.surface))
         if isinstance(shape.geometry, Mesh):
             _put_mesh(spec, geom, robot, link, shape)
         else:
@@ -56,6 +61,16 @@ def mesh_names(robot: Robot, name: str) -> list[str]:
 
 def _geom_name(robot: str, link: Link, number: int) -> str:
     return f"{robot}/{link.name}/{number}"
+
+
+def put_friction(geom: Any, mu: float) -> None:
+    """Between two geoms the smaller coefficient counts, as in Gazebo.
+
+    MuJoCo takes the larger one, unless one geom has priority: so the lower the friction, the higher the priority. The
+    bits of positive single-precision numbers, read as integers, are in the order of the numbers.
+    """
+    geom.friction[0] = mu = min(mu, LARGEST_FRICTION)
+    geom.priority = -struct.unpack("<i", struct.pack("<f", mu))[0]
 
 
 def sliding_friction(surface: Surface) -> float:

@@ -17,7 +17,21 @@ from slidectl.physics.forces import JointForce, Wrench
 from slidectl.physics.motors import Asked
 from slidectl.physics.observer import Twist
 from slidectl.physics.rotation import Pose
+from slidectl.physics.touching import depths
 from slidectl.rotations import Vector, normalized
+
+
+@dataclass(frozen=True)
+class Overlap:
+    """A link that is in something else: in a link of another robot, or in the ground."""
+
+    link: str
+    robot: str | None
+    """The other robot, or None for the ground."""
+    other: str | None
+    """The other robot's link."""
+    depth: float
+    """m."""
 
 
 @dataclass(frozen=True)
@@ -107,6 +121,16 @@ class World(WorldCore):
         if velocity is not None:
             self.data.qvel[place.dof] = number(velocity)
         self._observer.invalidate()
+
+    def overlaps(self, name: str, least: float) -> list[Overlap]:
+        """Where links of the robot are in others by more than `least` (m), the deepest first. Raises UnknownName."""
+        body = self.body(name)
+        links = {index: (owner.name, link) for owner in self._bodies.values() for link, index in owner.links.items()}
+        found = []
+        for (own, other), depth in depths(self.model, self.data, body.root_id).items():
+            if depth > least:
+                found.append(Overlap(links[own][1], *links.get(other, (None, None)), depth))
+        return sorted(found, key=lambda overlap: -overlap.depth)
 
     # -- forces from outside ---------------------------------------------------------------------------------------
 

@@ -5,6 +5,7 @@ Each thing that is brought up leaves its undoing on a stack, so a failure half-w
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from contextlib import ExitStack
 
@@ -15,7 +16,7 @@ from slidectl.control.node import Message
 from slidectl.description.gazebo_tags import SIM_TYPES
 from slidectl.description.robot import ControlPlugin, Robot
 from slidectl.errors import BadFile
-from slidectl.physics import World
+from slidectl.physics import EngineError, Overlap, World
 from slidectl.physics.body import Body
 from slidectl.physics.robot_hw import MujocoRobotHW
 from slidectl.simulation.cycle import ControlCycle
@@ -27,6 +28,10 @@ Pose = tuple[tuple[float, float, float], tuple[float, float, float, float]]
 """Position in m, and quaternion x y z w."""
 ORIGIN: Pose = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 DESCRIPTION = "robot_description"
+STANDING = 0.001
+"""m. What is in something else by no more than this stands on it, or beside it."""
+MOST_NAMED = 5
+"""Robots, and pairs of links of each, that one spawn warns of."""
 _SEVERITIES = {"wrong": "warn", "ignored": "warn", "converted": "info"}
 
 
@@ -55,6 +60,8 @@ class SpawnedRobot:
         self.body: Body
         self.parts = ControlParts()
         self.services: ManagerServices
+        self.warnings: list[str] = []
+        """What was wrong with the place at which it was spawned."""
 
     def watch_entries(self, callback: Callable[[], None]) -> None:
         """Call back before anybody outside of the cycle looks at the robot's control, or changes it."""
@@ -120,6 +127,49 @@ def report(robot: SpawnedRobot) -> None:
     for notice in robot.paper.report:
         if notice.verdict in _SEVERITIES:
             robot.node.log(_SEVERITIES[notice.verdict], f"{robot.name}: {notice}")
+
+
+def warn_of_overlaps(robot: SpawnedRobot, world: World) -> None:
+    """Say, and keep in `robot.warnings`, into what it was put: such bodies push each other away, or jam."""
+    try:
+        overlaps = world.overlaps(robot.name, STANDING)
+    except EngineError:  # contacts beyond number: the first step says so
+        return
+    others: dict[str | None, list[Overlap]] = {}
+    for overlap in overlaps:
+        others.setdefault(overlap.robot, []).append(overlap)
+    texts = [_in_ground(found) if other is None else _in_robot(other, found) for other, found in others.items()]
+    if len(texts) > MOST_NAMED:
+        texts[MOST_NAMED:] = [f"it was put into {len(texts) - MOST_NAMED} robots more"]
+    for text in texts:
+        robot.warnings.append(f"{robot.name}: {text}")
+        robot.node.log("warn", robot.warnings[-1])
+
+
+def _in_ground(found: list[Overlap]) -> str:
+    links = _deepest([f"{overlap.link} {_millimetres(overlap)}" for overlap in found])
+    height = math.ceil(found[0].depth * 1e3) * 1e-3
+    return (
+        f"it was put into the ground, which pushes it out or jams it: {links} deep;"
+        f" {height:.3f} m higher it is free (--at X Y Z)"
+    )
+
+
+def _in_robot(other: str, found: list[Overlap]) -> str:
+    pairs = _deepest([f"{overlap.link} in {other}::{overlap.other} {_millimetres(overlap)}" for overlap in found])
+    return (
+        f"it was put into the robot {other!r}, and the two push each other away or jam: {pairs} deep;"
+        " give it another place (--at X Y Z)"
+    )
+
+
+def _deepest(pairs: list[str]) -> str:
+    rest = len(pairs) - MOST_NAMED
+    return ", ".join(pairs[:MOST_NAMED]) + (f" and {rest} more" if rest > 0 else "")
+
+
+def _millimetres(overlap: Overlap) -> str:
+    return f"{overlap.depth * 1e3:.0f} mm"
 
 
 def _put_description(robot: SpawnedRobot, loop: Loop, stack: ExitStack) -> None:

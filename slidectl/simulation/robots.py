@@ -11,7 +11,7 @@ from slidectl import description, names
 from slidectl.description.robot import Robot
 from slidectl.errors import Refused, UnknownName
 from slidectl.physics import World
-from slidectl.simulation.assembly import ORIGIN, Companion, Pose, SpawnedRobot, assemble, report
+from slidectl.simulation.assembly import ORIGIN, Companion, Pose, SpawnedRobot, assemble, report, warn_of_overlaps
 from slidectl.simulation.loop import Loop
 
 RESERVED = ("world", "map")
@@ -64,6 +64,7 @@ class Robots:
         self._robots[name] = robot
         self._tell_loop()
         report(robot)
+        warn_of_overlaps(robot, self._world)
         return robot
 
     def delete(self, name: str) -> None:

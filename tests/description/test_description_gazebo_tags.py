@@ -119,6 +119,8 @@ def test_gravity_is_turned_off_by_any_word_for_yes(text: str, off: bool) -> None
         ("<gazebo><static>true</static></gazebo>", "ignored", "use --fixed"),
         (of_cart("<kp>1000</kp>"), "ignored", '<gazebo reference="cart">/<kp>: has no effect here'),
         (of_cart('<sensor name="eye"/>'), "ignored", '<sensor name="eye">: has no effect here'),
+        (of_cart("<mu1>-1</mu1>"), "converted", "<mu1>: -1 is below 0 and counts as infinite, as in Gazebo"),
+        (of_cart("<minDepth>0.001</minDepth>"), "ignored", "<minDepth>: has no effect here"),
         (of_cart("<turnGravityOff>perhaps</turnGravityOff>"), "wrong", "neither true nor false"),
         (
             '<gazebo reference="slide"><implicitSpringDamper>1</implicitSpringDamper></gazebo>',
@@ -135,7 +137,7 @@ def test_a_tag_without_effect_is_reported_with_its_line(notices: Notices, text: 
     assert reason in line
 
 
-@pytest.mark.parametrize("inside", ["<mu1>slippery</mu1>", "<mu2>-1</mu2>", "<mu1/>"])
+@pytest.mark.parametrize("inside", ["<mu1>slippery</mu1>", "<mu2>nan</mu2>", "<mu1/>"])
 def test_an_impossible_friction_is_refused(refuse: Refuse, inside: str) -> None:
     error = refuse(cart(of_cart(inside)))
     assert "link 'cart': <mu" in str(error)

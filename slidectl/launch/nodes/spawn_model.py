@@ -131,9 +131,12 @@ class SpawnModel(Task):
         if halt:  # no moment passes between the two
             run.call("/gazebo/pause_physics")
         try:
-            _act(run, "/gazebo/spawn_urdf_model", request, SPAWN_LIMIT_S)
+            warnings = _act(run, "/gazebo/spawn_urdf_model", request, SPAWN_LIMIT_S)
             if self.joints:
-                self._set_joints(run)
+                self._set_joints(run)  # which may bring it out of what it was put into
+            else:
+                for warning in warnings:
+                    self.warn(run, warning.replace("(--at X Y Z)", "(-x, -y, -z)"))
         finally:
             if halt:
                 run.call("/gazebo/unpause_physics")
@@ -188,11 +191,13 @@ def _manager_of(node: Node) -> str:
     return names.join(node.namespace, given[-1]) if given else node.namespace
 
 
-def _act(run: Run, service: str, request: dict[str, Any], timeout: float | None = None) -> None:
+def _act(run: Run, service: str, request: dict[str, Any], timeout: float | None = None) -> list[str]:
+    """Call a service of gazebo_ros. The lines of its answer behind the first are warnings."""
     answer = run.call(service, request, timeout)
+    first, _, rest = answer["status_message"].partition("\n")
     if not answer["success"]:
-        first, _, rest = answer["status_message"].partition("\n")
         raise Refused(first, rest.replace("(-n)", "(-model)") or None)
+    return list(rest.splitlines())
 
 
 def _pose(words: Words) -> dict[str, Any]:

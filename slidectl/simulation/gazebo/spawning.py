@@ -28,7 +28,8 @@ def _spawn(simulation: Simulation, request: Message) -> Answer:
     place = compose(frame(simulation, request["reference_frame"]).pose, pose(request["initial_pose"]))
     namespace = request["robot_namespace"] or None
     robot = simulation.spawn(request["model_xml"], request["model_name"], namespace, place)
-    return f"spawned {robot.name!r} in the namespace {robot.namespace}", {}
+    lines = [f"spawned {robot.name!r} in the namespace {robot.namespace}", *robot.warnings]
+    return "\n".join(lines), {}
 
 
 def _refuse_sdf(request: Message) -> Answer:
