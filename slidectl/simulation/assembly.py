@@ -113,7 +113,8 @@ def assemble(robot: SpawnedRobot, world: World, loop: Loop, pose: Pose, companio
         parts.hardware = MujocoRobotHW(world, robot.body, robot.paper, robot.node, robot.namespace)
         robot.look()
         parts.manager = ControllerManager(parts.hardware, robot.node)
-        parts.cycle = ControlCycle(parts.hardware, parts.manager, _control_period(plugin, loop.step_ns, robot))
+        period_ns = _control_period(plugin, loop.step_ns, robot)
+        parts.cycle = ControlCycle(parts.hardware, parts.manager, period_ns, loop.graph.clock.time_ns)
         robot.services = ManagerServices(parts.manager, robot.node, robot.look, loop)
         _subscribe_emergency_stop(robot, plugin)
         for companion in companions:
