@@ -154,7 +154,7 @@ def _mesh_bounds(link: Link, shape: Shape, mesh: Mesh, findings: Findings) -> Bo
     try:
         triangles = meshes.load(mesh.path, mesh.scale)
         if collides and meshes.is_flat(triangles.vertices):
-            raise BadFile("all of it lies in one plane, and what is flat cannot collide; a thin <box> can", mesh.path)
+            raise BadFile(meshes.FLAT, mesh.path)
     except BadFile as error:
         findings.add("wrong", subject, str(error), shape.file or "", shape.line)
         if collides:

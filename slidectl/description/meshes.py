@@ -31,7 +31,10 @@ _STL_FACET = 50
 _LONGEST_NUMBER = 64
 """Bytes. numpy gives each text of an array the room of the longest."""
 _VERTEX = re.compile(rb"\bvertex\s+(\S{1,64})\s+(\S{1,64})\s+(\S{1,64})(?!\S)", re.IGNORECASE)
-_FLAT = 1e-12
+_THINNEST = 1e-12
+_FARTHEST = 1e12
+FLAT = "all of it lies in one plane, and what is flat cannot collide; a thin <box> can"
+"""What is wrong with a mesh that collides and `is_flat`."""
 
 
 class BadMesh(BadFile):
@@ -79,6 +82,8 @@ def load(path: str | Path, scale: Vector = (1.0, 1.0, 1.0)) -> Triangles:
         vertices = vertices * np.asarray(scale)
     if not np.isfinite(vertices).all():
         raise BadMesh("the mesh has infinite coordinates", path)
+    if np.abs(vertices).max() > _FARTHEST:
+        raise BadMesh(f"the mesh has coordinates of more than {_FARTHEST:g} m", path)
     # Mirroring turns triangles inside out; turn them back.
     return Triangles(vertices, faces[:, ::-1].copy() if np.prod(scale) < 0 else faces)
 
@@ -97,7 +102,7 @@ def is_flat(vertices: NDArray[np.float64]) -> bool:
     if spans[0] > 1e-10 * spans[2]:
         return False
     exact = np.linalg.svd(centred / spread, compute_uv=False)
-    return bool(exact[2] <= _FLAT * exact[0])
+    return bool(exact[2] <= _THINNEST * exact[0])
 
 
 def check_faces(count: int, path: str | Path) -> None:
