@@ -16,6 +16,7 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
 
 from slidectl.daemon.loop import READ, EventLoop
 from slidectl.description.meshes import BadMesh
@@ -88,12 +89,12 @@ class MeshReader:
                 job.pending.reject(Refused(f"no process can be started to read meshes: {error.strerror}"))
                 continue
             self._running[descriptor] = job
-            self._loop.watch(descriptor, READ, lambda _, descriptor=descriptor: self._take(descriptor))
+            self._loop.watch(descriptor, READ, partial(self._take, descriptor))
 
     def _drop(self, job: _Job) -> None:
         job.end()  # its pipe ends too then, and it is reaped
 
-    def _take(self, descriptor: int) -> None:
+    def _take(self, descriptor: int, _: int) -> None:
         """More of what a process says, or its end."""
         job = self._running[descriptor]
         piece = os.read(descriptor, _PIECE)

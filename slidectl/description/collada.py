@@ -1,7 +1,7 @@
 """The scene of a DAE (COLLADA) file as one surface: geometries where the nodes of the scene put them.
 
 Units count, `<up_axis>` does not: Gazebo and RViz pay no heed to it, and robots are drawn for them. Nodes may be
-instanced again and again, so a file of 3 kB can ask for a million million of them: they are counted as they are visited.
+instanced again and again, so a file of 3 kB can ask for a million million of them: they are counted when visited.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from slidectl.errors import BadFile
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-MOST_PARTS = 50_000
+MOST_PARTS = 20_000
 """Nodes of the scene with their transforms and instances, each counted as often as its node is instanced."""
 DEEPEST = 100
 """Nodes within nodes."""
@@ -227,7 +227,7 @@ def _corners(primitive: Element, offset: int, stride: int) -> NDArray[np.int64]:
 
 
 def _fans(corners: NDArray[np.int64], sizes: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Each polygon of so many corners as triangles that all have its first corner. Raises ValueError: too few corners."""
+    """Each polygon of so many corners as triangles that all have its first. Raises ValueError: too few corners."""
     if len(sizes) and (sizes.min() < 0 or sizes.max() > len(corners) or sizes.sum() > len(corners)):
         raise ValueError(f"{len(sizes)} polygons have not the {len(corners)} corners that are there")
     counts = np.maximum(sizes - 2, 0)

@@ -117,10 +117,11 @@ def _content(path: Path) -> bytes:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
     except (OSError, ValueError) as error:
         raise BadMesh(f"cannot read the mesh: {getattr(error, 'strerror', None) or error}", path) from None
+    status = os.fstat(descriptor)
+    if not stat.S_ISREG(status.st_mode):
+        os.close(descriptor)
+        raise BadMesh("is no file: a mesh is not read from a folder, a pipe or a device", path)
     with os.fdopen(descriptor, "rb") as stream:
-        status = os.fstat(descriptor)
-        if not stat.S_ISREG(status.st_mode):
-            raise BadMesh("is no file: a mesh is not read from a folder, a pipe or a device", path)
         _check_size(status.st_size, MOST_BYTES, path)
         try:
             content = stream.read(MOST_BYTES + 1)

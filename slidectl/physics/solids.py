@@ -92,7 +92,9 @@ def _put_mesh(spec: Any, geom: Any, robot: str, link: Link, shape: Shape, hulls:
         raise BadShape(robot, link, shape, f"mesh {source.uri!r} was not found")
     hull = hulls.get(source_of(source))
     if not isinstance(hull, Hull):
-        raise BadShape(robot, link, shape, f"mesh {hull.message if hull is not None else source.path + ' was not read'}")
+        raise BadShape(
+            robot, link, shape, f"mesh {hull.message if hull is not None else source.path + ' was not read'}"
+        )
     spec.assets[hull.name] = hull.stl
     mesh = spec.add_mesh(name=geom.name, file=hull.name)
     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX

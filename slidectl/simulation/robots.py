@@ -115,12 +115,13 @@ class Robots:
         self._loop.between_cycles("delete a robot")
         robot = self.get(name)
         self._world.detach(name)
-        for step in (lambda: robot.manager.stop_running(robot.node.now_ns()), robot.taken.close):
-            try:
-                step()
-            except Exception as error:
-                text = f"{name} is deleted, but not all went well: {type(error).__name__}: {error}"
-                self._loop.graph.log("error", robot.node.name, text)
+        try:
+            with ExitStack() as ending:  # what is put on last comes first, and the rest comes whatever fails
+                ending.callback(robot.taken.close)
+                robot.manager.stop_running(robot.node.now_ns())
+        except Exception as error:
+            text = f"{name} is deleted, but not all went well: {type(error).__name__}: {error}"
+            self._loop.graph.log("error", robot.node.name, text)
 
     def _forget(self, robot: SpawnedRobot) -> None:
         self._robots.pop(robot.name, None)
