@@ -75,8 +75,8 @@ class MeshReader:
         for descriptor, job in list(self._running.items()):
             job.end()
             # One that the kernel holds (a dead network drive) is not waited for; it ends with us.
-            select.select([descriptor], (), (), 1.0)
-            self._reap(descriptor)
+            is_over = bool(select.select([descriptor], (), (), 1.0)[0])
+            self._reap(descriptor, 0 if is_over else os.WNOHANG)
 
     def _begin(self) -> None:
         while self._waiting and len(self._running) < AT_ONCE:
@@ -108,13 +108,13 @@ class MeshReader:
             self._read.append(job)
             self._ring()
 
-    def _reap(self, descriptor: int) -> int:
+    def _reap(self, descriptor: int, options: int = 0) -> int:
+        """Its wait status. Memory is given back before descriptors are closed, so there is nothing to wait for."""
         job = self._running.pop(descriptor)
         self._loop.forget(descriptor)
         os.close(descriptor)
-        # Memory is given back before descriptors are closed: there is next to nothing to wait for.
         with suppress(ChildProcessError):
-            return os.waitpid(job.pid, 0 if not job.ended else os.WNOHANG)[1]
+            return os.waitpid(job.pid, options)[1]
         return 0
 
     # --- MuJoCo's part ------------------------------------------------------------------------------------------

@@ -128,6 +128,9 @@ def test_who_goes_away_takes_the_process_along(
     while any(map(_is_alive, readers)):
         wire.call("/slidectl/status")
     assert wire.call("/slidectl/list_robots")["values"]["robots"] == []
+    listed = f"/proc/{daemon.pid}/task/{daemon.pid}/children"
+    while set(map(int, Path(listed).read_text("ascii").split())) & set(readers):
+        wire.call("/slidectl/status")  # it is not kept as a zombie either
 
 
 def test_a_daemon_that_stops_leaves_no_process_behind(runtime: Runtime, slow: str) -> None:
