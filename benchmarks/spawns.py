@@ -1,5 +1,5 @@
 """A world that fills up: the hundredth RRBot beside ninety-nine that run, and the longest halt that they see meanwhile;
-and a robot of a thousand links that come and go.
+the longest halt of a running RRBot while robots with meshes come; and a robot of a thousand links that comes and goes.
 
 A halt is a gap between two messages of /clock, which is published in every cycle.
 """
@@ -9,10 +9,13 @@ from __future__ import annotations
 import json
 import socket
 import statistics
+import tempfile
 import threading
 import time
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from benchmarks.harness import RRBOT_CONTROLLERS, Daemon, Row, daemon, timed
 from slidectl import Client
@@ -23,6 +26,8 @@ from slidectl.paths import share
 ROBOTS = 105
 MEASURED = 9
 SETTLE_S = 0.05
+MESH_SETTLE_S = 0.5
+"""As long as a spawn with meshes takes, or so: longer times see longer halts of a busy machine."""
 MANAGER = "controller_manager"
 LINKS = 1000
 
@@ -46,6 +51,7 @@ def measure() -> list[Row]:
         status = client.call("/slidectl/status")
     note = f"{1e3 * statistics.median(quiet_halts):.1f} ms just before, without a spawn"
     return [
+        *_measure_meshes(xml, parameters),
         Row("spawn of the 100th RRBot, running", 1e3 * statistics.median(taken), "ms", 50, note="five service calls"),
         Row("longest halt of the others meanwhile", 1e3 * statistics.median(halts), "ms", 20, note=note),
         Row(f"memory of the daemon with {ROBOTS} RRBots", status["memory"] / 2**20, "MiB"),
@@ -57,11 +63,11 @@ def _many_links(runs: int = 5) -> list[Row]:
     """A robot of many links with collision shapes, in a world that stands still, beside an RRBot."""
     spawned, deleted = [], []
     with daemon("--paused") as instance, instance.client() as client:
-        _call(client, "/gazebo/spawn_urdf_model", {"model_name": "rrbot", "model_xml": load("rrbot").xml})
+        _accepted(client, "/gazebo/spawn_urdf_model", {"model_name": "rrbot", "model_xml": load("rrbot").xml})
         for _ in range(runs):
             request = {"model_name": "bush", "model_xml": bush(LINKS)}
-            spawned.append(timed(lambda request=request: _call(client, "/gazebo/spawn_urdf_model", request)))
-            deleted.append(timed(lambda: _call(client, "/gazebo/delete_model", {"model_name": "bush"})))
+            spawned.append(timed(lambda request=request: _accepted(client, "/gazebo/spawn_urdf_model", request)))
+            deleted.append(timed(lambda: _accepted(client, "/gazebo/delete_model", {"model_name": "bush"})))
     return [
         Row(f"spawn of a robot of {LINKS} colliding links", statistics.median(spawned), "s", 1.0),
         Row("its deletion", statistics.median(deleted), "s", 0.1),
@@ -83,10 +89,88 @@ def bush(links: int) -> str:
     return "".join([*parts, "</robot>"])
 
 
-def _call(client: Client, service: str, request: dict[str, Any]) -> None:
+def _measure_meshes(xml: str, parameters: dict[str, Any]) -> list[Row]:
+    """Each mesh is new to the daemon whenever it comes: its size is another."""
+    rows = []
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        daemon("--rtf", "1.0") as instance,
+        instance.client() as client,
+        Halts(instance) as clock,
+    ):
+        spawn(client, xml, parameters, 0)
+        for title, path in _mesh_files(Path(folder)).items():
+            halts, quiet_halts, taken = [], [], []
+            for number in range(MEASURED):
+                clock.begin()
+                time.sleep(MESH_SETTLE_S)
+                quiet_halts.append(clock.longest_s)
+                clock.begin()
+                request = {"model_name": "mesh", "model_xml": _robot_of(path, 1.0 + 0.01 * number)}
+                taken.append(timed(lambda request=request: _accepted(client, "/gazebo/spawn_urdf_model", request)))
+                time.sleep(SETTLE_S)
+                halts.append(clock.longest_s)
+                _accepted(client, "/gazebo/delete_model", {"model_name": "mesh"})
+            quiet = f"{1e3 * statistics.median(quiet_halts):.1f} ms just before"
+            note = f"{quiet}; the spawn takes {1e3 * statistics.median(taken):.0f} ms"
+            halt_ms = 1e3 * statistics.median(halts)
+            rows.append(Row(f"longest halt while {title} is spawned", halt_ms, "ms", 20, note=note))
+    return rows
+
+
+def _accepted(client: Client, service: str, request: dict[str, Any]) -> None:
     answer = client.call(service, request)
     if not answer["success"]:
         raise RuntimeError(answer["status_message"])
+
+
+def _mesh_files(folder: Path) -> dict[str, Path]:
+    """A mesh of each kind by what to call it: a binary STL of 20 000 triangles, a text STL and a DAE of 2 000."""
+    vertices, faces = _lumpy_ball(101, 100)
+    facets = np.zeros(len(faces), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
+    facets["corners"] = vertices[faces]
+    header = bytes(80) + len(faces).to_bytes(4, "little")
+    (folder / "binary.stl").write_bytes(header + facets.tobytes())
+    vertices, faces = _lumpy_ball(51, 20)
+    corners = [" ".join(map(repr, corner)) for corner in vertices[faces].reshape(-1, 3).tolist()]
+    loops = (f"facet\nouter loop\n{loop}\nendloop\nendfacet" for loop in _threes([f"vertex {c}" for c in corners]))
+    (folder / "text.stl").write_text("solid\n" + "\n".join(loops) + "\nendsolid\n", "ascii")
+    points, indices = (" ".join(map(str, array.ravel().tolist())) for array in (vertices, faces))
+    (folder / "scene.dae").write_text(_DAE.format(points=points, indices=indices), "ascii")
+    titles = {"an STL of 20 000 triangles": "binary.stl", "a text STL": "text.stl", "a DAE": "scene.dae"}
+    return {title: folder / name for title, name in titles.items()}
+
+
+def _threes(lines: list[str]) -> list[str]:
+    return ["\n".join(lines[k : k + 3]) for k in range(0, len(lines), 3)]
+
+
+def _lumpy_ball(rows: int, columns: int) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    """2 x (rows - 1) x columns triangles around a ball that is not quite round."""
+    along, around = np.meshgrid(np.linspace(0.05, np.pi - 0.05, rows), np.arange(columns) * 2 * np.pi / columns)
+    radius = 0.1 + 0.02 * np.random.default_rng(1).random(along.shape)
+    places = [np.sin(along) * np.cos(around), np.sin(along) * np.sin(around), np.cos(along)]
+    vertices = np.stack([radius * place for place in places], axis=-1).reshape(-1, 3)
+    first = (np.arange(columns)[:, None] * rows + np.arange(rows - 1)).ravel()
+    beside = (first + rows) % (rows * columns)
+    triangles = [np.stack([first, first + 1, beside], axis=1), np.stack([first + 1, beside + 1, beside], axis=1)]
+    return vertices, np.concatenate(triangles)
+
+
+def _robot_of(path: Path, scale: float) -> str:
+    """One free link, far from the others."""
+    return f"""<robot name="mesh"><link name="base">
+<inertial><mass value="1"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>
+<collision><origin xyz="0 -5 1"/><geometry><mesh filename="{path.as_uri()}" scale="{scale} 1 1"/></geometry></collision>
+</link></robot>"""
+
+
+_DAE = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+<library_geometries><geometry id="g"><mesh><source id="p"><float_array id="a">{points}</float_array></source>
+<vertices id="v"><input semantic="POSITION" source="#p"/></vertices>
+<triangles><input semantic="VERTEX" source="#v" offset="0"/><p>{indices}</p></triangles></mesh></geometry>
+</library_geometries><library_visual_scenes><visual_scene id="s"><node><instance_geometry url="#g"/></node>
+</visual_scene></library_visual_scenes><scene><instance_visual_scene url="#s"/></scene></COLLADA>"""
 
 
 def spawn(client: Client, xml: str, parameters: dict[str, Any], number: int) -> None:

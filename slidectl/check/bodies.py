@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from itertools import product
-from typing import TYPE_CHECKING
 
 from slidectl.check.findings import Findings
 from slidectl.check.stand_ins import STAND_IN
@@ -28,10 +27,6 @@ from slidectl.description.robot import (
     Verdict,
 )
 from slidectl.errors import BadFile
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
 
 DENSEST = 22590.0
 """Osmium, kg/m³."""
@@ -158,8 +153,8 @@ def _mesh_bounds(link: Link, shape: Shape, mesh: Mesh, findings: Findings) -> Bo
     subject = f"link {link.name!r}/<{'collision' if collides else 'visual'}>/<mesh>"
     try:
         triangles = meshes.load(mesh.path, mesh.scale)
-        if collides and _is_flat(triangles.vertices):
-            raise BadFile("all of it lies in one plane, and what is flat cannot collide; a thin <box> can", mesh.path)
+        if collides and meshes.is_flat(triangles.vertices):
+            raise BadFile(meshes.FLAT, mesh.path)
     except BadFile as error:
         findings.add("wrong", subject, str(error), shape.file or "", shape.line)
         if collides:
@@ -170,14 +165,6 @@ def _mesh_bounds(link: Link, shape: Shape, mesh: Mesh, findings: Findings) -> Bo
         findings.add("converted", subject, text, shape.file or "", shape.line)
     low, high = triangles.vertices.min(axis=0), triangles.vertices.max(axis=0)
     return (float(low[0]), float(low[1]), float(low[2])), (float(high[0]), float(high[1]), float(high[2]))
-
-
-def _is_flat(vertices: NDArray[np.float64]) -> bool:
-    """Whether points lie in a plane, but for the rounding of their numbers."""
-    import numpy as np
-
-    spans = np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)
-    return len(spans) < 3 or bool(spans[2] <= 1e-12 * spans[0])
 
 
 def _placed(pose: Pose, point: Vector) -> Vector:

@@ -19,6 +19,7 @@ import slidectl
 from slidectl.control.node import Message
 from slidectl.daemon.logfile import LogFile
 from slidectl.daemon.loop import READ, EventLoop
+from slidectl.daemon.mesh_reader import MeshReader
 from slidectl.daemon.options import Start
 from slidectl.daemon.pacing import Pacer
 from slidectl.daemon.server import Server
@@ -57,6 +58,8 @@ class Daemon:
         self._loop = EventLoop()
         self._pacer = Pacer(self.simulation.loop, knocked=self._loop.is_ready)
         self._server = Server(listener, self._loop, graph, self._unexpected)
+        self._mesh_reader = MeshReader(self._loop, self._unexpected)
+        self.simulation.read_meshes = self._mesh_reader.read
         self._watch_signals()
 
     def run(self) -> None:
@@ -131,6 +134,7 @@ class Daemon:
 
     def _end(self) -> None:
         self._log.write("info", self._stopping)
+        self._mesh_reader.close()
         self._server.close(f"the daemon was {self._stopping}")
         self._loop.close()
 

@@ -87,14 +87,14 @@ class Element:
         return BadFile(message, self.file, self.line, hint)
 
 
-def read(source: str | bytes, file: str) -> Element:
+def read(source: str | bytes, file: str, most_bytes: int = MOST_BYTES) -> Element:
     """The root element of an XML text. `file` is the name that messages show.
 
     Raises:
         BadFile: not well-formed, an entity or document type with declarations, too large or too deep.
     """
-    if len(source) > MOST_BYTES:
-        raise BadFile(f"is larger than {MOST_BYTES // 2**20} MiB", file)
+    if len(source) > most_bytes:
+        raise BadFile(f"is larger than {most_bytes // 2**20} MiB", file)
     return _Reader(file).read(source)
 
 

@@ -10,4 +10,14 @@ from slidectl.physics.engine import EngineError, take_warnings
 from slidectl.physics.robot_hw import MujocoRobotHW
 from slidectl.physics.world import Overlap, Snapshot, World
 
-__all__ = ["GRAVITY", "Body", "Diverged", "EngineError", "MujocoRobotHW", "Overlap", "Snapshot", "World", "take_warnings"]
+__all__ = [
+    "GRAVITY",
+    "Body",
+    "Diverged",
+    "EngineError",
+    "MujocoRobotHW",
+    "Overlap",
+    "Snapshot",
+    "World",
+    "take_warnings",
+]

@@ -15,6 +15,7 @@ import numpy as np
 from slidectl.description.robot import Joint, Robot
 from slidectl.errors import UnknownName
 from slidectl.physics.builder import SCALAR_TYPES
+from slidectl.physics.hulls import Hulls
 from slidectl.physics.rotation import Pose, wxyz
 
 Array = np.ndarray[Any, np.dtype[Any]]
@@ -57,10 +58,12 @@ class RobotState:
 class Body:
     """A robot that was attached under `name`."""
 
-    def __init__(self, name: str, robot: Robot, pose: Pose) -> None:
+    def __init__(self, name: str, robot: Robot, pose: Pose, hulls: Hulls | None = None) -> None:
         self.name = name
         self.robot = robot
         self.spawn_pose = pose
+        self.hulls: Hulls = hulls if hulls is not None else {}
+        """Of its meshes, kept because the world may be built anew when the files are others, or gone."""
         self.links: dict[str, int] = {}
         """Link name to MuJoCo's body id."""
         self.joints: dict[str, JointPlace] = {}

@@ -11,6 +11,7 @@ from typing import Any
 import mujoco
 
 from slidectl.description.robot import Joint, Link, Robot
+from slidectl.physics.hulls import Hulls
 from slidectl.physics.inertia import BadInertia, put_inertia
 from slidectl.physics.parts import BadPart
 from slidectl.physics.rotation import Pose, perpendicular, unit, wxyz
@@ -45,11 +46,12 @@ class BadJoint(BadPart):
 class RobotBuilder:
     """Adds one robot to a specification."""
 
-    def __init__(self, spec: Any, robot: Robot, name: str) -> None:
+    def __init__(self, spec: Any, robot: Robot, name: str, hulls: Hulls) -> None:
         self.spec = spec
         self.robot = robot
         self.name = name
         self._self_colliding = self_colliding(robot)
+        self.hulls = hulls
 
     def build(self, pose: Pose) -> None:
         """Add everything, the root at `pose`: welded there when the root link is called `world`, free otherwise.
@@ -96,7 +98,7 @@ class RobotBuilder:
     def _fill(self, body: Any, link: Link) -> None:
         put_inertia(body, self.name, link)
         body.gravcomp = 1.0 if link.surface.turn_gravity_off else 0.0
-        put_shapes(self.spec, body, self.name, link, self._self_colliding.get(link.name, ORDINARY))
+        put_shapes(self.spec, body, self.name, link, self._self_colliding.get(link.name, ORDINARY), self.hulls)
 
     def _scalar(self, body: Any, joint: Joint) -> None:
         made = body.add_joint(name=self._named(joint.name), type=SCALAR_TYPES[joint.type], axis=self._axis(joint))

@@ -60,13 +60,16 @@ class WorldSpec:
 
     def add(self, body: Body) -> None:
         """One more robot, behind the others. Raises BadInertia, BadJoint, BadShape."""
-        RobotBuilder(self._spec, body.robot, body.name).build(body.spawn_pose)
+        RobotBuilder(self._spec, body.robot, body.name, body.hulls).build(body.spawn_pose)
 
     def remove(self, body: Body) -> None:
         """Take a robot out, without a trace. What names its parts (mimic joints) goes with them."""
         self._spec.delete(self._spec.body(f"{body.name}/{body.robot.root}"))
         for mesh in mesh_names(body.robot, body.name):
             self._spec.delete(self._spec.mesh(mesh))
+        used = {mesh.file for mesh in self._spec.meshes}
+        for name in [name for name in self._spec.assets if name not in used]:
+            del self._spec.assets[name]
 
     def compile(self, newest: str = "") -> Any:
         """The MjModel. Raises BadModel about a robot; `newest` is named when MuJoCo does not say which."""

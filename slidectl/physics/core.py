@@ -7,7 +7,8 @@ between steps is in `world.py`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -15,11 +16,12 @@ import mujoco
 
 from slidectl.description.robot import Robot
 from slidectl.errors import Refused, UnknownName
-from slidectl.physics import engine
+from slidectl.physics import engine, hulls
 from slidectl.physics.body import Body
 from slidectl.physics.carrying import carry_over
 from slidectl.physics.compiler import Settings, WorldSpec
 from slidectl.physics.divergence import check_divergence
+from slidectl.physics.hulls import Hulls
 from slidectl.physics.loads import Loads
 from slidectl.physics.observer import Observer
 from slidectl.physics.rotation import ORIGIN, Pose
@@ -42,6 +44,14 @@ class Memory(NamedTuple):
     dofs: int
 
 
+class _State(NamedTuple):
+    """What a world is, for the way back when a robot cannot come or go after all."""
+
+    bodies: dict[str, Body]
+    model: Any
+    data: Any
+
+
 class WorldCore:
     """A ground, a light, gravity, and robots."""
 
@@ -61,8 +71,10 @@ class WorldCore:
 
     # -- robots ----------------------------------------------------------------------------------------------------
 
-    def attach(self, robot: Robot, name: str, pose: Pose = ORIGIN) -> Body:
+    def attach(self, robot: Robot, name: str, pose: Pose = ORIGIN, hulls_read: Hulls | None = None) -> Body:
         """Put a robot into the world under `name`, all or nothing; the others go on as if nothing had happened.
+
+        `hulls_read` has what its meshes collide as; without it their files are read now.
 
         Raises:
             Refused: the name is taken, or the pose is not finite. BadInertia, BadJoint, BadShape, BadModel: MuJoCo
@@ -70,38 +82,44 @@ class WorldCore:
         """
         if name in self._bodies:
             raise Refused(f"a robot named {name!r} is in the world already", "give another name, or delete it first")
-        body = Body(name, robot, (finite(pose[0]), normalized(finite4(pose[1]))))
+        known = hulls.read_all(robot) if hulls_read is None else hulls_read
+        body = Body(name, robot, (finite(pose[0]), normalized(finite4(pose[1]))), known)
         spec = WorldSpec(self._settings, (body,))
         model = spec.compile(name)
         body.bind(model, None)
         if self._bodies:
-            model = self._compile_with(body)
-        else:
-            self._spec = spec
-        self._rebuild({**self._bodies, name: body}, model)
+            spec, self._spec = self._spec or WorldSpec(self._settings, self._bodies.values()), None
+            spec.add(body)  # only the newcomer is built, the others are in the specification
+            model = spec.compile(name)
+        self._rebuild({**self._bodies, name: body}, model, spec)
         return body
 
-    def _compile_with(self, newcomer: Body) -> Any:
-        """The model of all robots and this one: only the newcomer is built, the others are in the specification."""
-        spec, self._spec = self._spec or WorldSpec(self._settings, self._bodies.values()), None
-        spec.add(newcomer)
-        model = spec.compile(newcomer.name)
-        self._spec = spec  # nothing of a newcomer that failed stays in it
-        return model
+    @contextmanager
+    def attached(self, robot: Robot, name: str, pose: Pose = ORIGIN, hulls_read: Hulls | None = None) -> Iterator[Body]:
+        """The same; the robot stays if the block ends well. Else the world is what it was before, the old model again:
+        nothing is compiled, so the way back cannot fail. No step may be made inside.
+        """
+        before = self._state()
+        body = self.attach(robot, name, pose, hulls_read)
+        try:
+            yield body
+        except BaseException:
+            self.loads.forget(body)
+            self._go_back(before)
+            raise
 
     def detach(self, name: str) -> None:
-        """Take a robot out, with the forces on it. Raises UnknownName."""
+        """Take a robot out, with the forces on it, all or nothing. Raises UnknownName."""
         gone = self.body(name)
-        self.loads.forget(gone)
         bodies = {key: body for key, body in self._bodies.items() if body is not gone}
         spec, self._spec = self._spec, None
         if spec is not None:
             spec.remove(gone)
         else:
             spec = WorldSpec(self._settings, bodies.values())
-        model = spec.compile()
-        self._spec = spec
-        self._rebuild(bodies, model, gone)
+        self._rebuild(bodies, spec.compile(), spec, gone)
+        self.loads.forget(gone)
+        self._loads_changed()
 
     def names(self) -> list[str]:
         """The robots in the order of their coming."""
@@ -118,35 +136,65 @@ class WorldCore:
         """Call back whenever `model`, `data` or `step` were replaced."""
         self._listeners.append(callback)
 
-    def _rebuild(self, bodies: dict[str, Body], model: Any, gone: Body | None = None) -> None:
-        """Go on with these robots, whose model it is: those that were there, without `gone`, then a newcomer."""
-        before, old_model, old_data = list(self._bodies), self.model, self.data
-        unmoved = before.index(gone.name) if gone is not None else len(before)
-        self._bodies = bodies
-        self._install(model, old_data.time)
-        carry_over(old_model, old_data, model, self.data, gone)
-        for place, (name, body) in enumerate(bodies.items()):
-            if place < unmoved:
-                body.follow(model, self.data)
-            else:
-                body.bind(model, self.data)
-            if name not in before:
-                body.put_at_spawn()
-        for body in bodies.values():
+    def _rebuild(self, bodies: dict[str, Body], model: Any, spec: WorldSpec | None, gone: Body | None = None) -> None:
+        """Go on with these robots, whose model it is: those that were there, without `gone`, then a newcomer.
+
+        If anything fails on the way, a listener too, the world is what it was before.
+        """
+        before = self._state()
+        try:
+            self._bodies = bodies
+            self._install(model, self.data.time)
+            carry_over(before.model, before.data, model, self.data, gone)
+            unmoved = list(before.bodies).index(gone.name) if gone is not None else len(before.bodies)
+            for place, (name, body) in enumerate(bodies.items()):
+                if place < unmoved:
+                    body.follow(model, self.data)
+                else:
+                    body.bind(model, self.data)
+                if name not in before.bodies:
+                    body.put_at_spawn()
+            self._announce_all()
+        except BaseException:
+            self._go_back(before)
+            raise
+        self._spec = spec
+
+    def _state(self) -> _State:
+        return _State(self._bodies, self.model, self.data)
+
+    def _go_back(self, before: _State) -> None:
+        """Be again what the world was before somebody came or went; no step has been made since.
+
+        The specification holds what came of the change half-way: it is made anew when it is needed.
+        """
+        self._spec = None
+        self._bodies = before.bodies
+        self._use(before.model, before.data)
+        for body in before.bodies.values():
+            body.bind(before.model, before.data)
+        self._announce_all()
+
+    def _announce_all(self) -> None:
+        for body in self._bodies.values():
             body.announce()
         self._announce()
 
     def _mend(self) -> None:
         """After an EngineError MjData has lost its bearings; then go on with a new one."""
         if self.data.pstack:
-            self._rebuild(self._bodies, self.model)
+            self._rebuild(self._bodies, self.model, self._spec)
 
     def _install(self, model: Any, time: float) -> None:
-        self.model, self.data = model, mujoco.MjData(model)
-        self.data.time = time
-        self.views = Views.of(self.data)
-        self._observer = Observer(model, self.data)
-        self._advance = partial(mujoco.mj_step, model, self.data)
+        data = mujoco.MjData(model)
+        data.time = time
+        self._use(model, data)
+
+    def _use(self, model: Any, data: Any) -> None:
+        self.model, self.data = model, data
+        self.views = Views.of(data)
+        self._observer = Observer(model, data)
+        self._advance = partial(mujoco.mj_step, model, data)
         self.step = self._advance if self.loads.is_empty else self._step_with_loads
 
     def _announce(self) -> None:

@@ -1,19 +1,18 @@
 """Collision shapes as MuJoCo geoms: boxes, cylinders, spheres and meshes, each with the friction of its link.
 
-Visuals never come here: the simulated world has no picture.
+Visuals never come here: the simulated world has no picture. The files of meshes are read once, before a robot is
+attached: see hulls.py.
 """
 
 from __future__ import annotations
 
-import os
 import struct
-from pathlib import Path
 from typing import Any
 
 import mujoco
 
 from slidectl.description.robot import Box, Cylinder, Link, Mesh, Robot, Shape, Sphere, Surface
-from slidectl.errors import SlidectlError
+from slidectl.physics.hulls import Hull, Hulls, source_of
 from slidectl.physics.parts import BadPart, place
 from slidectl.physics.rotation import wxyz
 from slidectl.rotations import from_rpy
@@ -23,8 +22,6 @@ GAZEBO_FRICTION = 1.0
 
 LARGEST_FRICTION = 1e6
 """What every larger coefficient counts as, `Inf` included: nothing slides at it, and its square is an exact number."""
-
-_BINARY_STL_HEADER = 84
 
 
 class BadShape(BadPart):
@@ -36,11 +33,13 @@ class BadShape(BadPart):
         super().__init__(robot, link, f"collision shape{place(shape.file, shape.line)}: {trouble}")
 
 
-def put_shapes(spec: Any, body: Any, robot: str, link: Link, bits: tuple[int, int]) -> None:
+def put_shapes(spec: Any, body: Any, robot: str, link: Link, bits: tuple[int, int], hulls: Hulls) -> None:
     """Add one geom per collision of the link, with these bits (contype, conaffinity) of what it may touch.
 
+    `hulls` has what its meshes collide as.
+
     Raises:
-        BadShape: a size that is not positive, or a mesh that cannot be read.
+        BadShape: a size that is not positive, or a mesh that could not be read.
     """
     for number, shape in enumerate(link.collisions):
         geom = body.add_geom(name=_geom_name(robot, link, number), pos=shape.origin.xyz)
@@ -48,7 +47,7 @@ def put_shapes(spec: Any, body: Any, robot: str, link: Link, bits: tuple[int, in
         geom.contype, geom.conaffinity = bits
         put_friction(geom, sliding_friction(link.surface))
         if isinstance(shape.geometry, Mesh):
-            _put_mesh(spec, geom, robot, link, shape)
+            _put_mesh(spec, geom, robot, link, shape, hulls)
         else:
             geom.type, geom.size = _primitive(robot, link, shape)
 
@@ -98,43 +97,22 @@ def _primitive(robot: str, link: Link, shape: Shape) -> tuple[Any, list[float]]:
     return kind, size
 
 
-def _put_mesh(spec: Any, geom: Any, robot: str, link: Link, shape: Shape) -> None:
-    """A mesh collides as its convex hull; files that MuJoCo cannot read go through description.meshes."""
+def _put_mesh(spec: Any, geom: Any, robot: str, link: Link, shape: Shape, hulls: Hulls) -> None:
+    """A mesh collides as its convex hull, which is a file in the specification's memory.
+
+    Of a file MuJoCo keeps what it has computed for the next compilation, of vertices in the specification it does not;
+    the file's name says its content, so equal meshes are one.
+    """
     source = shape.geometry
     assert isinstance(source, Mesh)
     if source.path is None:
         raise BadShape(robot, link, shape, f"mesh {source.uri!r} was not found")
-    if not os.access(source.path, os.R_OK):
-        raise BadShape(robot, link, shape, f"mesh {source.path} cannot be read")
-    mesh = spec.add_mesh(name=geom.name)
+    hull = hulls.get(source_of(source))
+    if not isinstance(hull, Hull):
+        raise BadShape(
+            robot, link, shape, f"mesh {hull.message if hull is not None else source.path + ' was not read'}"
+        )
+    spec.assets[hull.name] = hull.stl
+    mesh = spec.add_mesh(name=geom.name, file=hull.name)
     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
-    if _is_native(Path(source.path)):
-        mesh.file, mesh.scale = source.path, source.scale
-    else:
-        _fill(mesh, source, robot, link, shape)
     geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_MESH, mesh.name
-
-
-def _fill(mesh: Any, source: Mesh, robot: str, link: Link, shape: Shape) -> None:
-    from slidectl.description import meshes
-
-    assert source.path is not None
-    try:
-        vertices, faces = meshes.load(source.path, source.scale)
-    except SlidectlError as error:
-        raise BadShape(robot, link, shape, error.message) from error
-    mesh.uservert, mesh.userface = vertices.ravel(), faces.ravel()
-
-
-def _is_native(path: Path) -> bool:
-    """MuJoCo reads OBJ, and STL in its binary form (the text form begins with `solid` and has another length)."""
-    suffix = path.suffix.lower()
-    return suffix == ".obj" or (suffix == ".stl" and _is_binary_stl(path))
-
-
-def _is_binary_stl(path: Path) -> bool:
-    with path.open("rb") as file:
-        header = file.read(_BINARY_STL_HEADER)
-    if len(header) < _BINARY_STL_HEADER:
-        return False
-    return path.stat().st_size == _BINARY_STL_HEADER + 50 * int.from_bytes(header[80:84], "little")

@@ -129,7 +129,8 @@ class World(WorldCore):
         found = []
         for (own, other), depth in depths(self.model, self.data, body.root_id).items():
             if depth > least:
-                found.append(Overlap(links[own][1], *links.get(other, (None, None)), depth))
+                robot, link = links.get(other, (None, None))
+                found.append(Overlap(links[own][1], robot, link, depth))
         return sorted(found, key=lambda overlap: -overlap.depth)
 
     # -- forces from outside ---------------------------------------------------------------------------------------

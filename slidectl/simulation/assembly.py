@@ -97,29 +97,24 @@ Companion = Callable[[SpawnedRobot], Callable[[], None]]
 """Something that every robot gets beside its controllers (a state publisher, say); what it returns takes it back."""
 
 
-def assemble(robot: SpawnedRobot, world: World, loop: Loop, pose: Pose, companions: list[Companion]) -> None:
-    """Bring the robot up in `world`.
+def assemble(robot: SpawnedRobot, world: World, loop: Loop, companions: list[Companion], undoing: ExitStack) -> None:
+    """Bring up all that belongs to a robot whose body is in `world`. What takes it back goes on the stack `undoing`.
 
     Raises:
-        SlidectlError: it cannot be; then nothing of it is left behind.
+        SlidectlError: it cannot be.
     """
-    plugin = robot.paper.plugin or ControlPlugin()
-    _check_hardware_type(plugin)
-    with ExitStack() as stack:
-        stack.callback(robot.node.shutdown)
-        _put_description(robot, loop, stack)
-        robot.body = world.attach(robot.paper, robot.name, pose)
-        stack.callback(world.detach, robot.name)
-        parts = robot.parts
-        parts.hardware = MujocoRobotHW(world, robot.body, robot.paper, robot.node, robot.namespace)
-        robot.look()
-        parts.manager = ControllerManager(parts.hardware, robot.node)
-        parts.cycle = ControlCycle(parts.hardware, parts.manager, _control_period(plugin, loop.step_ns, robot))
-        robot.services = ManagerServices(parts.manager, robot.node, robot.look, loop)
-        _subscribe_emergency_stop(robot, plugin)
-        for companion in companions:
-            stack.callback(companion(robot))
-        robot.taken = stack.pop_all()
+    undoing.callback(robot.node.shutdown)
+    _put_description(robot, loop, undoing)
+    parts, plugin = robot.parts, robot.paper.plugin or ControlPlugin()
+    parts.hardware = MujocoRobotHW(world, robot.body, robot.paper, robot.node, robot.namespace)
+    robot.look()
+    parts.manager = ControllerManager(parts.hardware, robot.node)
+    period_ns = _control_period(plugin, loop.step_ns, robot)
+    parts.cycle = ControlCycle(parts.hardware, parts.manager, period_ns, loop.graph.clock.time_ns)
+    robot.services = ManagerServices(parts.manager, robot.node, robot.look, loop)
+    _subscribe_emergency_stop(robot, plugin)
+    for companion in companions:
+        undoing.callback(companion(robot))
 
 
 def report(robot: SpawnedRobot) -> None:
@@ -184,7 +179,9 @@ def _put_description(robot: SpawnedRobot, loop: Loop, stack: ExitStack) -> None:
     stack.callback(take_back)
 
 
-def _check_hardware_type(plugin: ControlPlugin) -> None:
+def check_hardware_type(paper: Robot) -> None:
+    """Raises BadFile for a robot whose plugin asks for hardware that is not simulated."""
+    plugin = paper.plugin or ControlPlugin()
     if plugin.robot_sim_type not in SIM_TYPES:
         raise BadFile(
             f"<robotSimType> {plugin.robot_sim_type!r} is no simulated hardware; there is {SIM_TYPES[0]}",

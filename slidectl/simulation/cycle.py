@@ -60,14 +60,15 @@ class ControlCycle:
         "write_period_s",
     )
 
-    def __init__(self, hardware: RobotHW, manager: ControllerManager, control_period_ns: int) -> None:
+    def __init__(self, hardware: RobotHW, manager: ControllerManager, control_period_ns: int, time_ns: int) -> None:
+        """`time_ns` is now. Counted from 0, the first period of a newcomer would be the whole time of the world."""
         self._read = hardware.read
         self._update = manager.update
         self._write = hardware.write
         self.control_period_ns = control_period_ns
         self.emergency_stop = False
         self._was_stopped = False
-        self.rewind(0)
+        self.rewind(time_ns)
 
     @property
     def is_stopped(self) -> bool:

@@ -6,7 +6,7 @@ Implements control.node.NodeHandle on the graph. Holds no state of its own but w
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, ExitStack
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from slidectl import names
@@ -107,13 +107,18 @@ class GraphNode:
         return self._graph.clock.time_ns
 
     def shutdown(self) -> None:
-        """Take back all that was advertised, subscribed and watched through this handle and its children."""
+        """Take back all that was advertised, subscribed and watched through this handle and its children.
+
+        All of it, even if somebody who is told of it fails; the last such error is raised then.
+        """
         if self._parent is not None and self in self._parent._children:
             self._parent._children.remove(self)
-        for child in list(self._children):
-            child.shutdown()
-        while self._taken:
-            self._taken.pop()()
+        taken, self._taken = self._taken, []
+        with ExitStack() as closing:  # the last is the first
+            for close in taken:
+                closing.callback(close)
+            for child in reversed(self._children):
+                closing.callback(child.shutdown)
 
     def enter(self) -> None:
         """Somebody is about to call into what stands behind this handle."""

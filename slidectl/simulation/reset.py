@@ -6,6 +6,7 @@ publishers' clocks begin afresh. ros_control leaves these behind.
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from slidectl.simulation.assembly import SpawnedRobot
@@ -39,8 +40,9 @@ def _reset_robots(simulation: Simulation) -> None:
     simulation.robots.settle_switches()
     simulation.world.reset()
     simulation.run.trouble = ""
-    for robot in simulation.robots:
-        _restart(robot, simulation.time_ns)
+    with ExitStack() as restarting:  # all of them, even if one fails; what is put on last comes first
+        for robot in reversed(tuple(simulation.robots)):
+            restarting.callback(_restart, robot, simulation.time_ns)
 
 
 def _restart(robot: SpawnedRobot, time_ns: int) -> None:

@@ -6,16 +6,37 @@ The registry and its rules about names. Knows no requests of clients; those come
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import ExitStack
+from typing import NamedTuple
 
 from slidectl import description, names
 from slidectl.description.robot import Robot
 from slidectl.errors import Refused, UnknownName
 from slidectl.physics import World
-from slidectl.simulation.assembly import ORIGIN, Companion, Pose, SpawnedRobot, assemble, report, warn_of_overlaps
+from slidectl.physics.hulls import Hulls
+from slidectl.simulation.assembly import (
+    ORIGIN,
+    Companion,
+    Pose,
+    SpawnedRobot,
+    assemble,
+    check_hardware_type,
+    report,
+    warn_of_overlaps,
+)
 from slidectl.simulation.loop import Loop
 
 RESERVED = ("world", "map")
 """What gazebo_ros takes for the world wherever it could be a model: such a robot could not be told from it."""
+
+
+class Newcomer(NamedTuple):
+    """A robot that was read and not spawned yet: its full namespace, what it is on paper, and its URDF."""
+
+    name: str
+    namespace: str
+    paper: Robot
+    xml: str
 
 
 class Robots:
@@ -46,35 +67,67 @@ class Robots:
             raise UnknownName("robot", name, self.names())
         return self._robots[name]
 
-    def spawn(self, xml: str, name: str, namespace: str | None = None, pose: Pose = ORIGIN) -> SpawnedRobot:
-        """Parse, attach, and bring up hardware, controller manager and services.
+    def spawn(
+        self, xml: str, name: str, namespace: str | None = None, pose: Pose = ORIGIN, hulls: Hulls | None = None
+    ) -> SpawnedRobot:
+        """Parse, attach, and bring up hardware, controller manager and services: all or nothing.
 
-        The namespace is the one given, else the plugin's robotNamespace, else `/name`.
+        The namespace is the one given, else the plugin's robotNamespace, else `/name`. `hulls` has what its meshes
+        collide as; without it their files are read now.
 
         Raises:
             BadFile: the URDF is broken (file, line). Refused: the name or the namespace is taken. BadName.
             SlidectlError: the world or the hardware cannot take it. Nothing is left behind then.
         """
-        self._loop.between_cycles("spawn a robot")
+        return self._spawn(self.read(xml, name, namespace), pose, hulls)
+
+    def read(self, xml: str, name: str, namespace: str | None = None) -> Newcomer:
+        """A robot that may be spawned as far as one can tell without its meshes. Raises as `spawn`."""
         self._check_name(name)
         paper = description.parse(xml)
-        place = self._namespace(name, namespace, paper)
-        robot = SpawnedRobot(name, place, paper, xml, self._loop.graph.node(place))
-        assemble(robot, self._world, self._loop, pose, self.companions)
-        self._robots[name] = robot
-        self._tell_loop()
-        report(robot)
-        warn_of_overlaps(robot, self._world)
+        check_hardware_type(paper)
+        return Newcomer(name, self._namespace(name, namespace, paper), paper, xml)
+
+    def spawn_read(self, newcomer: Newcomer, pose: Pose, hulls: Hulls) -> SpawnedRobot:
+        """Spawn what was read some cycles ago. Raises as `spawn`: others may have come meanwhile."""
+        self._check_name(newcomer.name)
+        self._check_namespace(newcomer.namespace)
+        return self._spawn(newcomer, pose, hulls)
+
+    def _spawn(self, newcomer: Newcomer, pose: Pose, hulls: Hulls | None) -> SpawnedRobot:
+        self._loop.between_cycles("spawn a robot")
+        name, place, paper = newcomer.name, newcomer.namespace, newcomer.paper
+        robot = SpawnedRobot(name, place, paper, newcomer.xml, self._loop.graph.node(place))
+        with self._world.attached(paper, name, pose, hulls) as robot.body, ExitStack() as undoing:
+            assemble(robot, self._world, self._loop, self.companions, undoing)
+            undoing.callback(self._forget, robot)
+            self._robots[name] = robot
+            self._tell_loop()
+            report(robot)
+            warn_of_overlaps(robot, self._world)
+            robot.taken = undoing.pop_all()
         return robot
 
     def delete(self, name: str) -> None:
-        """Stop its controllers, and take all that belongs to the robot out of the world. Raises UnknownName."""
+        """Take all that belongs to the robot out of the world, and stop its controllers. Raises UnknownName.
+
+        What can fail is done first, all or nothing. After that the robot is gone, whatever its controllers and those
+        who listen make of it: their errors are on the log.
+        """
         self._loop.between_cycles("delete a robot")
         robot = self.get(name)
-        robot.manager.stop_running(robot.node.now_ns())
-        del self._robots[name]
+        self._world.detach(name)
+        try:
+            with ExitStack() as ending:  # what is put on last comes first, and the rest comes whatever fails
+                ending.callback(robot.taken.close)
+                robot.manager.stop_running(robot.node.now_ns())
+        except Exception as error:
+            text = f"{name} is deleted, but not all went well: {type(error).__name__}: {error}"
+            self._loop.graph.log("error", robot.node.name, text)
+
+    def _forget(self, robot: SpawnedRobot) -> None:
+        self._robots.pop(robot.name, None)
         self._tell_loop()
-        robot.taken.close()
 
     def settle_switches(self) -> None:
         """The world has come to a stand: what waits for a cycle is finished now."""
@@ -100,10 +153,13 @@ class Robots:
     def _namespace(self, name: str, asked: str | None, paper: Robot) -> str:
         written = asked or (paper.plugin.robot_namespace if paper.plugin else None) or name
         namespace = names.check(names.join("/", written).rstrip("/") or "/")
+        self._check_namespace(namespace)
+        return namespace
+
+    def _check_namespace(self, namespace: str) -> None:
         taken = {robot.namespace: robot.name for robot in self}
         if namespace in taken:
             raise Refused(
                 f"the namespace {namespace} belongs to robot {taken[namespace]!r} already",
                 "give this one another namespace",
             )
-        return namespace

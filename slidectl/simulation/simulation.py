@@ -5,19 +5,21 @@ Knows no wall time, no sockets and no threads: the same calls give the same bits
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from slidectl.control.duration import from_seconds
 from slidectl.control.node import Message, MessageCallback
 from slidectl.errors import Refused
-from slidectl.physics import World
+from slidectl.physics import World, hulls
+from slidectl.physics.hulls import Source
 from slidectl.simulation import gazebo, own_services, reset, rosapi, state_publisher, waits
 from slidectl.simulation.assembly import ORIGIN, Pose, SpawnedRobot
 from slidectl.simulation.compiled.engine import Engine
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.loop import Loop
 from slidectl.simulation.parameters import Parameters
+from slidectl.simulation.pending import Pending
 from slidectl.simulation.robots import Robots
 from slidectl.simulation.run_state import RunState
 from slidectl.simulation.topics import Subscription
@@ -56,6 +58,9 @@ class Simulation:
         self.robots = Robots(self.world, self.loop)
         self.monitor: Callable[[], dict[str, Any]] = dict
         """What the driver adds to `/slidectl/status`: wall times, connections, memory."""
+        self.read_meshes: Callable[[Sequence[Source]], Pending] = _read_here
+        """How `/gazebo/spawn_urdf_model` gets the hulls (physics.hulls.Hulls) of meshes. A driver puts its own, which
+        may answer later."""
         self.world.clock = self.graph.clock.now_ns
         self.run.on_halt = self.robots.settle_switches
         self.graph.parameters.set("/use_sim_time", True)
@@ -118,7 +123,7 @@ class Simulation:
         return self.loop.step(cycles)
 
     def spawn(self, xml: str, name: str, namespace: str | None = None, pose: Pose = ORIGIN) -> SpawnedRobot:
-        """A robot from the text of its URDF; see Robots.spawn."""
+        """A robot from the text of its URDF, with its meshes read here and now; see Robots.spawn."""
         return self.robots.spawn(xml, name, namespace, pose)
 
     def delete(self, name: str) -> None:
@@ -181,3 +186,7 @@ class Simulation:
     def reset_world(self) -> None:
         """The world back to the beginning, time goes on; controllers stay loaded and running."""
         reset.reset_world(self)
+
+
+def _read_here(sources: Sequence[Source]) -> Pending:
+    return Pending.of({source: hulls.read(source) for source in sources})

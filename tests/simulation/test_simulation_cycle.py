@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from sim_robots import Probe, cart, command, logged, put_probe, running_cart, state
+import pytest
+from engine_scenes import arm
+from sim_robots import Probe, cart, command, logged, put_probe, running_cart, state, switch
 
 from slidectl.simulation import Simulation
+from slidectl.simulation.compiled import object_file
 
 MS = 1_000_000
+
+needs_numba = pytest.mark.skipif(not object_file.is_possible(), reason="numba is not installed")
 
 
 def probed(plugin: str = "", timestep: float = 0.001, before: int = 0) -> tuple[Simulation, Probe]:
@@ -55,16 +60,75 @@ def test_a_control_period_above_the_step_is_reported() -> None:
     assert [severity for severity, text in lines if "controlPeriod" in text] == ["warn"]
 
 
-def test_the_first_period_after_a_spawn_is_the_whole_time_so_far() -> None:
-    simulation = Simulation(ground=False)
-    simulation.step(500)
-    robot = simulation.spawn(cart(), "cart")
-    periods: list[tuple[float, float]] = []
-    read, write = robot.cycle._read, robot.cycle._write
-    robot.cycle._read = lambda time, period: (periods.append(("read", period)), read(time, period))
-    robot.cycle._write = lambda time, period: (periods.append(("write", period)), write(time, period))
-    simulation.step(2)
-    assert periods == [("read", 0.501), ("write", 0.501), ("read", 0.001), ("write", 0.001)]
+ENGINES = ["plain", pytest.param("compiled", marks=needs_numba)]
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_no_first_period_is_longer_than_the_time_since_the_spawn_or_the_reset(engine: str) -> None:
+    """Several robots, each spawned at another time, two of them with a control period of their own."""
+    simulation = Simulation(ground=False, engine=engine)
+    if engine == "compiled":
+        simulation.engine.complete()
+    periods = {"": 0.001, "<controlPeriod>0.003</controlPeriod>": 0.003, "<controlPeriod>0.0045</controlPeriod>": 0.005}
+    probes: list[tuple[Probe, float]] = []
+
+    def look() -> None:
+        for probe, expected in probes:
+            assert probe.periods
+            assert set(probe.periods) == {expected}
+            probe.periods.clear()
+
+    for number, (plugin, expected) in enumerate([*periods.items(), *periods.items()]):
+        simulation.step((1, 500, 7, 100_000, 3, 40)[number])
+        robot = simulation.spawn(cart(plugin), f"cart{number}")
+        probes.append((put_probe(simulation, robot), expected))
+        assert switch(simulation, start=["probe"], namespace=robot.namespace)
+        simulation.step(17)
+        look()
+    for reset in (simulation.reset_world, simulation.reset_simulation, simulation.reset_simulation):
+        simulation.step(1_001)
+        look()
+        reset()
+        simulation.step(16)
+        look()
+        simulation.pause()
+        simulation.resume()
+        simulation.call("/cart0/controller_manager/unload_controller", {"name": "absent"})
+        simulation.step(16)
+        look()
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("before", [0, 1, 1_000_000])
+def test_soft_limits_and_drives_of_a_newcomer_do_the_same_whenever_it_comes(engine: str, before: int) -> None:
+    """It begins outside of its soft limits: what brings it back depends on the period. The same bits at any time."""
+
+    def course(simulation: Simulation) -> list[tuple[float, float, float]]:
+        course = []
+        for _ in range(20):
+            simulation.step(1)
+            course.append(state(simulation, "arm"))
+        simulation.step(100)
+        return [*course, state(simulation, "arm")]
+
+    def spawned(before: int) -> Simulation:
+        simulation = Simulation(ground=False, engine=engine)
+        if engine == "compiled":
+            simulation.engine.complete()
+        simulation.step(before)
+        simulation.parameters.set("/arm/gazebo_ros_control/pid_gains/joint2", {"p": 40.0, "i": 9.0, "i_clamp": 5.0})
+        xml = arm(("revolute", "prismatic"), safety=True, interface="Position")
+        xml = xml.replace('upper="2.5"', 'upper="-0.07"').replace('soft_upper_limit="1"', 'soft_upper_limit="-0.07"')
+        simulation.spawn(xml, "arm")
+        return simulation
+
+    simulation = spawned(before)
+    first = course(simulation)
+    assert max(abs(position) for position, _, _ in first) < 0.1
+    assert first == course(spawned(0))
+    for reset in (simulation.reset_world, simulation.reset_simulation):
+        reset()
+        assert course(simulation) == first
 
 
 def test_another_time_step_makes_another_period() -> None:

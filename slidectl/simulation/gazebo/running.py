@@ -61,6 +61,7 @@ def _set(simulation: Simulation, request: Message) -> Answer:
         raise Refused(f"time_step is between {SHORTEST_S:g} s and {LONGEST_S:g} s, not {timestep:g}")
     if not (math.isfinite(rate) and rate >= 0):
         raise Refused(f"max_update_rate must be 0 or more, not {rate:g}")
+    simulation.loop.between_cycles("set the properties of the physics")  # all or nothing
     simulation.world.set_gravity(vector(request["gravity"]))
     simulation.set_timestep(timestep)
     simulation.set_speed(rate * timestep)

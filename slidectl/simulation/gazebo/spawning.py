@@ -5,12 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from slidectl.control.node import Message
-from slidectl.errors import Refused
+from slidectl.errors import Refused, SlidectlError
+from slidectl.physics import hulls
 from slidectl.physics.frames import compose
+from slidectl.simulation.assembly import SpawnedRobot
 from slidectl.simulation.gazebo.answers import Answer, provide
 from slidectl.simulation.gazebo.entities import frame
 from slidectl.simulation.gazebo.shapes import pose
 from slidectl.simulation.graph import WORLD_NODE
+from slidectl.simulation.pending import Pending
 
 if TYPE_CHECKING:
     from slidectl.simulation.simulation import Simulation
@@ -24,10 +27,30 @@ def advertise(simulation: Simulation) -> None:
     provide(node, "delete_model", "DeleteModel", lambda request: _delete(simulation, request))
 
 
-def _spawn(simulation: Simulation, request: Message) -> Answer:
+def _spawn(simulation: Simulation, request: Message) -> Answer | Pending:
+    """At once, or as soon as its meshes are read: a driver lets the world go on meanwhile."""
     place = compose(frame(simulation, request["reference_frame"]).pose, pose(request["initial_pose"]))
-    namespace = request["robot_namespace"] or None
-    robot = simulation.spawn(request["model_xml"], request["model_name"], namespace, place)
+    robots = simulation.robots
+    newcomer = robots.read(request["model_xml"], request["model_name"], request["robot_namespace"] or None)
+    wanted = hulls.sources(newcomer.paper)
+    if not wanted:
+        return _spawned(robots.spawn_read(newcomer, place, {}))
+    reading = simulation.read_meshes(wanted)
+    answer = Pending(on_cancel=reading.cancel)
+
+    def go_on(read: Pending) -> None:
+        try:
+            answer.resolve(_spawned(robots.spawn_read(newcomer, place, read.result())))
+        except SlidectlError as error:
+            answer.reject(error)
+        except Exception as error:  # nobody but the one who asked would hear of it
+            answer.reject(Refused(f"{newcomer.name!r} cannot be spawned: {type(error).__name__}: {error}"))
+
+    reading.then(go_on)
+    return answer
+
+
+def _spawned(robot: SpawnedRobot) -> Answer:
     lines = [f"spawned {robot.name!r} in the namespace {robot.namespace}", *robot.warnings]
     return "\n".join(lines), {}
 
