@@ -74,8 +74,7 @@ class LaunchNodes:
 
     def _robot(self, task: SpawnModel) -> SpawnedOnPaper:
         found = self._model(task)
-        asked = task.words.one("-robot_namespace")
-        namespace = names.join(task.node.namespace, asked) if asked else None
+        namespace = task.asked_namespace
         if found is not None:
             namespace = task.home(found.robot, self.plan.nodes)
             found = replace(found, namespace=namespace)

@@ -49,7 +49,7 @@ class Robots:
     def spawn(self, xml: str, name: str, namespace: str | None = None, pose: Pose = ORIGIN) -> SpawnedRobot:
         """Parse, attach, and bring up hardware, controller manager and services.
 
-        The namespace is the one given, else the plugin's robotNamespace, else `/name`.
+        The namespace is the one given, else the plugin's robotNamespace (an empty one is the root), else `/name`.
 
         Raises:
             BadFile: the URDF is broken (file, line). Refused: the name or the namespace is taken. BadName.
@@ -97,8 +97,8 @@ class Robots:
             )
 
     def _namespace(self, name: str, asked: str | None, paper: Robot) -> str:
-        written = asked or (paper.plugin.robot_namespace if paper.plugin else None) or name
-        namespace = names.check(names.join("/", written).rstrip("/") or "/")
+        home = names.join("/", asked).rstrip("/") or "/" if asked else description.namespace_of(paper, name)
+        namespace = names.check(home)
         taken = {robot.namespace: robot.name for robot in self}
         if namespace in taken:
             raise Refused(

@@ -88,6 +88,39 @@ def test_a_robot_is_put_where_it_is_told_with_its_joints_as_told(world: CommandL
     assert json.loads(world.ok("sim", "status", "--json"))["paused"] is False
 
 
+def test_a_namespace_asked_of_spawn_model_is_taken_as_typed_inside_a_group(world: CommandLine, write: Write) -> None:
+    inside = spawn("-robot_namespace champ") + control("joint_state_controller").replace("/slider", "/champ")
+    path = write('<group ns="champ">' + YAML.replace("<rosparam", '<rosparam ns="/"') + inside + "</group>")
+    text = Path(path).read_text().replace("$(find my_slider)/config/slider_control.yaml", "$(dirname)/c.yaml")
+    Path(path).write_text(text)
+    (Path(path).parent / "c.yaml").write_text(
+        "champ: {joint_state_controller: {type: joint_state_controller/JointStateController, publish_rate: 50}}"
+    )
+    checked = world("check", path)
+    assert "wrong" not in checked.stdout.replace("0 wrong", ""), checked.stdout
+    launched = Launched(world, path)
+    assert "slider spawned in /champ, joints" in launched.up()
+    assert "/champ/joint_states" in world.ok("topic", "list")
+    launched.interrupt()
+
+
+def test_joints_may_be_named_with_their_model(world: CommandLine, write: Write) -> None:
+    world.ok("sim", "pause")
+    world.ok("launch", write(spawn("-J slider::joint1 0.75")))
+    request = "joint_name: 'slider::joint1'"
+    asked = json.loads(world.ok("service", "call", "/gazebo/get_joint_properties", request, "--json"))
+    assert asked["position"] == [pytest.approx(0.75)]
+    request = "{model_name: slider, joint_names: ['slider::joint1'], joint_positions: [0.5]}"
+    world.ok("service", "call", "/gazebo/set_model_configuration", request)
+    asked = json.loads(world.ok("service", "call", "/gazebo/get_joint_properties", "joint_name: joint1", "--json"))
+    assert asked["position"] == [pytest.approx(0.5)]
+    world.ok("delete", "slider")
+    done = world("launch", write(spawn("-J rrbot::joint1 0.75")))
+    assert done.returncode == 1
+    assert "no moving joint 'rrbot::joint1'" in done.stderr
+    assert "joint1" in done.stderr
+
+
 def test_a_file_can_be_spawned_without_a_parameter(world: CommandLine, write: Write) -> None:
     args = "-urdf -model s -file '$(find my_slider)/urdf/slider.xacro' -robot_namespace /s -package_to_model"
     done = world("launch", write(node("gazebo_ros/spawn_model", args)))

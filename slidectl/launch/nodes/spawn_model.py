@@ -48,7 +48,11 @@ class SpawnModel(Task):
             raise self._error("there is one world, and it is in /gazebo", "leave -gazebo_namespace out")
         self.model = self._name()
         self.pose = _pose(words)
-        self.joints = {joint: number(node, f"-J {joint}", value) for joint, value in words.given.get("-J", [])}
+        self.joints = {
+            joint.removeprefix(f"{self.model}::"): number(node, f"-J {joint}", value)
+            for joint, value in words.given.get("-J", [])
+        }
+        """Where joints begin, in rad or m, by their names without the model's."""
         self.bound = self.keeps_running = self.needs_presence = words.has("-b")
 
     def _name(self) -> str:
@@ -57,15 +61,20 @@ class SpawnModel(Task):
         except BadName as error:
             raise self._error(error.message, "give it another name (-model NAME)") from None
 
+    @property
+    def asked_namespace(self) -> str | None:
+        """What `-robot_namespace` says, from the root: Gazebo gets it as it is typed and knows no group of the launch."""
+        asked = self.words.one("-robot_namespace")
+        return names.join("/", asked).rstrip("/") or "/" if asked else None
+
     def home(self, robot: description.Robot, nodes: Sequence[Node]) -> str:
         """The namespace in which the robot will be, in a launch of these nodes.
 
         A plugin that names none gets the node's own from spawn_model, and else the model's name. Which of them is
         meant is seen from the nodes that speak to a controller manager.
         """
-        asked = self.words.one("-robot_namespace")
-        if asked:
-            return names.join(self.node.namespace, asked)
+        if self.asked_namespace is not None:
+            return self.asked_namespace
         is_open = robot.plugin is not None and robot.plugin.robot_namespace is None
         if is_open and self._is_spoken_to(nodes):
             return self.node.namespace
@@ -140,9 +149,8 @@ class SpawnModel(Task):
 
     def _asked_namespace(self, run: Run, document: description.Document) -> str:
         """Empty where the plugin says it, or the robot's name does."""
-        asked = self.words.one("-robot_namespace")
-        if asked:
-            return names.join(self.node.namespace, asked)
+        if self.asked_namespace is not None:
+            return self.asked_namespace
         is_open = self._is_spoken_to(run.plan.nodes)
         return self.home(description.parse(document.xml), run.plan.nodes) if is_open else ""
 
