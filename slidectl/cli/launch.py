@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -188,9 +189,10 @@ def _session(
 
 
 def _way_to_daemon(ctx: Context) -> dict[str, str]:
-    """For the programs of nodes, so that commands of this kind in them reach the same daemon."""
+    """For the programs of nodes, so that commands of this kind in them reach the same daemon, by the same slidectl."""
     paths = ctx.paths
     return {
+        "SLIDECTL_PYTHON": sys.executable,
         "SLIDECTL_SOCKET": paths.socket_text if paths.prefix else "",
         "SLIDECTL_INSTANCE": "" if paths.prefix else paths.name,
     }
