@@ -58,6 +58,7 @@ class Session:
     def __init__(self, run: Run, tasks: Sequence[Task], door: Door) -> None:
         self.run = run
         self.tasks = list(tasks)
+        run.tasks = self.tasks
         self.door = door
         self.begun: list[Task] = []
         self.is_up = False

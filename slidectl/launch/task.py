@@ -6,7 +6,7 @@ The families of nodes are in nodes/.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
@@ -80,6 +80,8 @@ class Run:
     owns_daemon: bool = False
     parameters: Mapping[str, Leaf] = field(default_factory=dict)
     """Those that the launch files set."""
+    tasks: Sequence[Task] = ()
+    """All of the launch, started or not."""
     spawned: list[str] = field(default_factory=list)
     """Robots that this run has put into the world and that are to leave it with the run."""
     _client: Client | None = None

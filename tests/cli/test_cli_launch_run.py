@@ -159,6 +159,32 @@ def test_two_robots_in_nested_namespaces_are_two_robots(slidectl: CommandLine, t
     nothing_is_left(slidectl.runtime)
 
 
+@pytest.mark.parametrize("order", [("one", "two"), ("two", "one")])
+def test_state_publishers_belong_each_to_its_own_robot_whichever_was_spawned_first(
+    slidectl: CommandLine, tmp_path: Path, order: tuple[str, str]
+) -> None:
+    """The robots are alike, and live elsewhere than the groups that spawn them; one publisher has no parameter."""
+    publisher = """<group ns="{0}"><node name="rsp" pkg="robot_state_publisher" type="robot_state_publisher">
+      <param name="publish_frequency" value="{1}"/></node></group>"""
+    spawn = """<group ns="{0}"><param name="tf_prefix" value="{0}_frames"/>
+      <param name="robot_description" command="$(find xacro)/xacro $(find my_slider)/urdf/slider.xacro"/>
+      <node name="urdf" pkg="gazebo_ros" type="spawn_model"
+            args="-urdf -model model_{0} -param robot_description -robot_namespace home_{0}"/></group>"""
+    content = publisher.format("two", 20.0) + spawn.format(order[0]) + publisher.format("one", 30.0)
+    launched = Launched(slidectl, write(tmp_path, "two.launch", content + spawn.format(order[1])))
+    text = launched.up()
+    assert "/one/rsp: the simulation publishes the frames of model_one at 30 Hz" in text
+    assert "/two/rsp: the simulation publishes the frames of model_two at 20 Hz" in text
+    frames = slidectl.ok("tf", "list")
+    assert "one_frames/link2" in frames
+    assert "two_frames/link2" in frames
+    for name in ("one", "two"):
+        prefix = slidectl.ok("param", "get", f"/home_{name}/robot_state_publisher/tf_prefix")
+        assert prefix.strip() == f"{name}_frames"
+    assert launched.interrupt() == 130
+    nothing_is_left(slidectl.runtime)
+
+
 def test_arguments_reach_the_world(slidectl: CommandLine) -> None:
     launched = Launched(slidectl, "slider", "paused:=true", "gui:=true")
     text = launched.up()

@@ -90,12 +90,13 @@ class SpawnModel(Task):
 
     @property
     def text(self) -> str:
-        source = f"file {self.words.one('-file')}" if self.words.has("-file") else f"parameter {self._parameter}"
+        source = f"file {self.words.one('-file')}" if self.words.has("-file") else f"parameter {self.parameter}"
         return f"spawn {self.model} from {source}"
 
     @property
-    def _parameter(self) -> str:
-        return self.node.resolve(self.words.one("-param"))
+    def parameter(self) -> str | None:
+        """The full name of the parameter with the description; None when that is in a file."""
+        return self.node.resolve(self.words.one("-param")) if self.words.has("-param") else None
 
     def start(self, run: Run) -> str | None:
         awaited = self.words.one("-wait")
@@ -117,15 +118,17 @@ class SpawnModel(Task):
             if not is_file(path):
                 raise Refused(f"there is no file {path}")
             return description.load(path, {}, packages)
+        name = self.parameter
+        assert name is not None
         # What the files say is what is meant, though another launch may have set the same name meanwhile.
-        own = run.parameters.get(self._parameter)
-        xml = own[0] if own is not None else run.parameter(self._parameter)
+        own = run.parameters.get(name)
+        xml = own[0] if own is not None else run.parameter(name)
         if not isinstance(xml, str):
-            known = [name for name in run.call("/rosapi/get_param_names")["names"] if name.endswith("description")]
+            known = [one for one in run.call("/rosapi/get_param_names")["names"] if one.endswith("description")]
             hint = f"descriptions there are: {', '.join(known) or 'none'}"
-            raise Refused(f"the parameter {self._parameter} is not set to a robot's description", hint)
+            raise Refused(f"the parameter {name} is not set to a robot's description", hint)
         if not xml.lstrip("\ufeff \t\r\n").startswith("<"):
-            raise Refused(f"the parameter {self._parameter} holds no XML")
+            raise Refused(f"the parameter {name} holds no XML")
         return description.load(xml, {}, packages)
 
     def _spawn(self, run: Run, document: description.Document) -> None:
