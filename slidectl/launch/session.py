@@ -220,6 +220,7 @@ class Session:
         died = {task: code for task, code in self._ended.items() if code}
         for task, code in died.items():
             if self._is_required(task):
+                self.run.failed = True
                 raise StepFailed(task, Refused(f"it is required, and it died: {reason(code)}"))
         if died:
             names = ", ".join(f"{task.node.full_name} ({reason(code)})" for task, code in died.items())
@@ -246,6 +247,7 @@ class Session:
         run = self.run
         run.interrupts.hold_for_good()
         run.console.closing()
+        run.failed = run.failed or not self.is_up
         processes = [task for task in self.begun if isinstance(task, Process)]
         for process in processes:
             process.ending = True

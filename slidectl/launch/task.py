@@ -78,6 +78,8 @@ class Run:
     """What the programs of nodes get beside the environment of this process: how to reach the daemon."""
     settings: WorldSettings = field(default_factory=WorldSettings)
     owns_daemon: bool = False
+    failed: bool = False
+    """True at the end of a launch that did not come up, or of which a required node died."""
     parameters: Mapping[str, Leaf] = field(default_factory=dict)
     """Those that the launch files set."""
     tasks: Sequence[Task] = ()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -137,6 +138,56 @@ def test_a_robot_stays_when_the_launch_that_spawned_it_ends_and_leaves_with_b(wo
     assert "slider" in world.ok("robots")
     assert launched.interrupt() == 130
     assert world.ok("robots", "--json") == ""
+
+
+def test_a_robot_of_a_launch_that_fails_does_not_stay_and_others_do(world: CommandLine, write: Write) -> None:
+    """Whether a node before the failure, in another include, or at the end spawned it; the daemon was there before."""
+    world.ok("spawn", "rrbot", "-n", "mine")
+    included = f'<include file="{write(spawn())}"/>'
+    nodes = {
+        "a spawn node": spawn() + control("no_such_controller"),
+        "an include": included + control("no_such_controller"),
+        "the last node": control("no_such_controller --timeout 60") + spawn(),
+        "a joint that there is not": spawn("-J no_such_joint 1"),
+        "a robot that is there": spawn() + spawn().replace("slider -param", "mine -param").replace('"urdf"', '"other"'),
+    }
+    for name, content in nodes.items():
+        done = world("launch", write(content))
+        assert done.returncode == 1, (name, done.stdout, done.stderr)
+        assert [json.loads(line)["name"] for line in world.ok("robots", "--json").splitlines()] == ["mine"], name
+    assert "there is a robot 'mine' already" in done.stderr
+
+
+def test_a_robot_of_a_launch_that_is_interrupted_before_it_is_up_does_not_stay(
+    world: CommandLine, write: Write
+) -> None:
+    waits = node("controller_manager/spawner", "joint_state_controller", 'ns="/nowhere"')
+    launched = Launched(world, write(spawn() + waits))
+    launched.until("waits for")
+    assert "slider" in world.ok("robots")
+    assert launched.interrupt() == 130
+    assert "/urdf: slider: deleted" in launched.text
+    assert world.ok("robots", "--json") == ""
+
+
+def test_a_robot_stays_with_a_program_that_dies_and_not_with_a_required_one(world: CommandLine, write: Write) -> None:
+    folder = Path(write("")).parent / "pkg"
+    (folder / "scripts").mkdir(parents=True)
+    (folder / "package.xml").write_text("<package><name>pkg</name></package>")
+    script = folder / "scripts" / "die"
+    script.write_text("#!/bin/sh\nread line < go\nexit 3\n")
+    script.chmod(0o755)
+    for attributes, stays in (("", True), ('required="true"', False)):
+        os.mkfifo(folder / "scripts" / "go")
+        path = write(spawn() + node("pkg/die", attributes=f'{attributes} cwd="node"'))
+        launched = Launched(world, "--package", f"pkg={folder}", path)
+        launched.up()
+        (folder / "scripts" / "go").write_text("go\n")
+        assert launched.end() == 1, launched.text
+        assert ("slider" in world.ok("robots")) is stays
+        (folder / "scripts" / "go").unlink()
+        if stays:
+            world.ok("delete", "slider")
 
 
 def test_spawning_can_wait_for_another_robot(world: CommandLine, write: Write) -> None:

@@ -103,8 +103,8 @@ class Gazebo(Task):
         if run.owns_daemon:
             return
         for name in reversed(run.spawned):
-            run.call("/gazebo/delete_model", {"model_name": name}, HOOK_LIMIT_S)
-            self.settled(run, f"{name}: deleted")
+            if run.call("/gazebo/delete_model", {"model_name": name}, HOOK_LIMIT_S)["success"]:
+                self.settled(run, f"{name}: deleted")
         run.spawned.clear()
 
 

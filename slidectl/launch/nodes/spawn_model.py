@@ -28,7 +28,10 @@ _REFUSED = {
 
 
 class SpawnModel(Task):
-    """The spawn script. Only with `-b` something of it stays: then the robot leaves with it."""
+    """The spawn script. Only with `-b` something of it stays: then the robot leaves with it.
+
+    The robot of a launch that fails does not stay in a world that was there before.
+    """
 
     family = "robot"
 
@@ -103,11 +106,18 @@ class SpawnModel(Task):
         if awaited and awaited not in run.call("/slidectl/status")["robots"]:
             return f"the model {awaited}"
         run.heard()
-        self._spawn(run, self._document(run))
+        document = self._document(run)
+        if self.model not in run.call("/slidectl/status")["robots"]:
+            run.spawned.append(self.model)  # before it is there: a call that is cut short may have been heard
+        try:
+            self._spawn(run, document)
+        except Refused:
+            if self.model in run.spawned:
+                run.spawned.remove(self.model)
+            raise
         if self.words.has("-unpause"):
             run.call("/gazebo/unpause_physics")
         self._tell(run)
-        run.spawned.append(self.model)
         return None
 
     def _document(self, run: Run) -> description.Document:
@@ -186,9 +196,11 @@ class SpawnModel(Task):
         self.settled(run, f"{self.model} spawned in {robot['namespace']}, joints: {joints}{more}", robot=self.model)
 
     def stop(self, run: Run) -> None:
-        if self.bound and self.model in run.spawned:
-            run.call("/gazebo/delete_model", {"model_name": self.model}, HOOK_LIMIT_S)
-            run.spawned.remove(self.model)
+        """The robot goes with `-b`, and with a launch that failed; where the daemon goes too, it goes with that."""
+        if not (self.bound or run.failed and not run.owns_daemon) or self.model not in run.spawned:
+            return
+        run.spawned.remove(self.model)
+        if run.call("/gazebo/delete_model", {"model_name": self.model}, HOOK_LIMIT_S)["success"]:
             self.settled(run, f"{self.model}: deleted")
 
 
