@@ -56,6 +56,8 @@ class Simulation:
         self.robots = Robots(self.world, self.loop)
         self.monitor: Callable[[], dict[str, Any]] = dict
         """What the driver adds to `/slidectl/status`: wall times, connections, memory."""
+        self.chosen: set[str] = set()
+        """What a user has asked for, of `speed`, `timestep` and `gravity`: the file of a world does not change it."""
         self.world.clock = self.graph.clock.now_ns
         self.run.on_halt = self.robots.settle_switches
         self.graph.parameters.set("/use_sim_time", True)

@@ -304,14 +304,16 @@ def test_parameters_are_set_leaf_by_leaf() -> None:
 
 ARM = """<robot name="arm"><link name="world"/>
 <joint name="fix" type="fixed"><parent link="world"/><child link="base"/></joint>
-<link name="base"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="base"><inertial><mass value="1"/>
+<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
 <joint name="j1" type="revolute"><parent link="base"/><child link="l1"/><axis xyz="0 1 0"/>
 <limit lower="-3" upper="3" effort="87" velocity="2"/></joint>
 <link name="l1"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
 <transmission name="t"><type>transmission_interface/SimpleTransmission</type>
 <joint name="j1"><hardwareInterface>hardware_interface/PositionJointInterface</hardwareInterface></joint>
 <actuator name="m"/></transmission>
-<gazebo><plugin name="c" filename="libgazebo_ros_control.so"><robotNamespace>{namespace}</robotNamespace></plugin></gazebo>
+<gazebo><plugin name="c" filename="libgazebo_ros_control.so">
+<robotNamespace>{namespace}</robotNamespace></plugin></gazebo>
 </robot>"""
 CONTROLLER = """joint_state_controller: {type: joint_state_controller/JointStateController, publish_rate: 100}
 j1_pos: {type: position_controllers/JointPositionController, joint: j1}

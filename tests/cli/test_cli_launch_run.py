@@ -196,6 +196,37 @@ def test_arguments_reach_the_world(slidectl: CommandLine) -> None:
     assert launched.interrupt() == 130
 
 
+def test_options_of_the_daemon_go_before_a_world_file(slidectl: CommandLine, tmp_path: Path) -> None:
+    (tmp_path / "moon.world").write_text(
+        '<sdf version="1.6"><world name="moon"><gravity>0 0 -1.62</gravity><physics type="ode">'
+        "<max_step_size>0.002</max_step_size><real_time_update_rate>500</real_time_update_rate></physics></world></sdf>"
+    )
+    node = '<node pkg="gazebo_ros" type="gzserver" name="gazebo" args="{}"/>'
+    path = write(tmp_path, "moon.launch", node.format(tmp_path / "moon.world"))
+
+    def physics() -> tuple[float, float, float]:
+        answer = json.loads(slidectl.ok("service", "call", "/gazebo/get_physics_properties", "--json"))
+        return answer["max_update_rate"] * answer["time_step"], answer["time_step"], answer["gravity"]["z"]
+
+    slidectl.ok("daemon", "start", "--rtf", "max")
+    done = slidectl("launch", path, "--detach")
+    assert "moon.world sets speed; what was chosen for the running world stays" in done.stderr
+    assert physics() == (0.0, 0.002, -1.62)
+    slidectl.ok("daemon", "restart", "--gravity", "0", "0", "-3", "--timestep", "0.004")
+    done = slidectl("launch", path, "--detach")
+    assert "sets gravity and speed and timestep; what was chosen" in done.stderr
+    assert physics() == (0.0, 0.004, -3)
+    slidectl.ok("daemon", "stop")
+    slidectl.ok("daemon", "start")
+    slidectl.ok("launch", path, "--detach")
+    assert physics() == pytest.approx((1.0, 0.002, -1.62))
+    slidectl.ok("sim", "speed", "max")
+    slidectl.ok("launch", path, "--detach")
+    assert physics() == (0.0, 0.002, -1.62)
+    slidectl.ok("daemon", "stop")
+    nothing_is_left(slidectl.runtime)
+
+
 def test_a_world_file_makes_the_world_that_is_started_for_it(slidectl: CommandLine, tmp_path: Path) -> None:
     (tmp_path / "moon.world").write_text(
         '<sdf version="1.6"><world name="moon"><gravity>0 0 -1.62</gravity><physics type="ode">'

@@ -83,6 +83,7 @@ class Gazebo(Task):
             self.warn(run, f"{self._file} has no ground plane, but the running world keeps its own")
         if asked.paused:
             run.call("/gazebo/pause_physics")
+        asked = self._without_chosen(run, asked)
         if asked.timestep is None and asked.gravity is None and asked.speed is None:
             return
         physics = run.call("/gazebo/get_physics_properties")
@@ -93,6 +94,20 @@ class Gazebo(Task):
         gravity = dict(zip("xyz", asked.gravity, strict=True)) if asked.gravity else physics["gravity"]
         request = {"time_step": step, "max_update_rate": rate, "gravity": gravity}
         run.call("/gazebo/set_physics_properties", request)
+
+    def _without_chosen(self, run: Run, asked: WorldSettings) -> WorldSettings:
+        """What is left to ask for: an option of the daemon's, or `sim speed`, goes before the file."""
+        chosen = run.call("/slidectl/status")["chosen"]
+        kept = [name for name in chosen if getattr(asked, name) is not None]
+        if kept:
+            self.warn(run, f"{self._file} sets {' and '.join(kept)}; what was chosen for the running world stays")
+        return WorldSettings(
+            asked.paused,
+            None if "timestep" in chosen else asked.timestep,
+            None if "gravity" in chosen else asked.gravity,
+            None if "speed" in chosen else asked.speed,
+            asked.ground,
+        )
 
     @property
     def _file(self) -> str:

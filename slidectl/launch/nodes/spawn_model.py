@@ -66,7 +66,7 @@ class SpawnModel(Task):
 
     @property
     def asked_namespace(self) -> str | None:
-        """What `-robot_namespace` says, from the root: Gazebo gets it as it is typed and knows no group of the launch."""
+        """What `-robot_namespace` says, from the root: Gazebo gets it as it is typed and knows no groups."""
         asked = self.words.one("-robot_namespace")
         return names.join("/", asked).rstrip("/") or "/" if asked else None
 
@@ -197,7 +197,7 @@ class SpawnModel(Task):
 
     def stop(self, run: Run) -> None:
         """The robot goes with `-b`, and with a launch that failed; where the daemon goes too, it goes with that."""
-        if not (self.bound or run.failed and not run.owns_daemon) or self.model not in run.spawned:
+        if not (self.bound or (run.failed and not run.owns_daemon)) or self.model not in run.spawned:
             return
         run.spawned.remove(self.model)
         if run.call("/gazebo/delete_model", {"model_name": self.model}, HOOK_LIMIT_S)["success"]:
