@@ -150,11 +150,12 @@ class ControllerCheck:
         self.check(tree, path)
 
     def _model(self, path: str) -> Model | None:
-        """The robot whose namespace a path is in."""
+        """The robot whose namespace a path is in; the nearest, where that of one is inside that of another."""
         if self.moved:
             return self.models[0]
         full = self.source.full(path)
-        return next((model for model in self.models if names.is_under(full, model.namespace)), None)
+        around = [model for model in self.models if names.is_under(full, model.namespace)]
+        return max(around, key=lambda model: len(model.namespace), default=None)
 
     def _controller(self, path: str, tree: Mapping[str, Any]) -> None:
         type_name = str(tree["type"])

@@ -24,7 +24,7 @@ from slidectl.launch.kinds import tasks
 from slidectl.launch.nodes.process import Process
 from slidectl.launch.nodes.spawn_model import SpawnModel
 from slidectl.launch.nodes.spawner import Spawner
-from slidectl.launch.nodes.state_publishers import HONOURED, WITHOUT_EFFECT, RobotStatePublisher
+from slidectl.launch.nodes.state_publishers import HONOURED, SEARCHED, WITHOUT_EFFECT, RobotStatePublisher
 from slidectl.launch.nodes.tools import Tool
 from slidectl.launch.plan import Node, Place, Plan, Remap
 from slidectl.launch.task import Task
@@ -74,8 +74,7 @@ class LaunchNodes:
 
     def _robot(self, task: SpawnModel) -> SpawnedOnPaper:
         found = self._model(task)
-        asked = task.words.one("-robot_namespace")
-        namespace = names.join(task.node.namespace, asked) if asked else None
+        namespace = task.asked_namespace
         if found is not None:
             namespace = task.home(found.robot, self.plan.nodes)
             found = replace(found, namespace=namespace)
@@ -106,6 +105,9 @@ class LaunchNodes:
                 return f"for the frames of {robot.name}"
         for task in self.tasks:
             node = task.node.full_name
+            is_above = names.is_under(node, names.parent(name)) and name.rpartition("/")[2] in SEARCHED
+            if isinstance(task, RobotStatePublisher) and is_above:
+                return f"for node {node}"
             if not names.is_under(name, node):
                 continue
             own = name[len(node) + 1 :]

@@ -49,11 +49,19 @@ def _world(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _options(
-    rtf: str, paused: bool, timestep: float, gravity: tuple[float, float, float], ground: bool, engine: str
+    chosen: list[str],
+    *,
+    rtf: str,
+    paused: bool,
+    timestep: float,
+    gravity: tuple[float, float, float],
+    ground: bool,
+    engine: str,
 ) -> DaemonOptions:
     from slidectl.daemon import options
 
-    return options.DaemonOptions(options.rtf(rtf), paused, timestep, gravity, ground, engine=engine)
+    factor = options.rtf(rtf)
+    return options.DaemonOptions(factor, paused, timestep, gravity, ground, engine=engine, chosen=tuple(chosen))
 
 
 @daemon.command("start", examples=["slidectl daemon start", "slidectl -i other daemon start --rtf max"])
@@ -65,8 +73,8 @@ def start(click_context: click.Context, /, **world: Any) -> None:
     One that runs already stays as it is (exit code 0). JSON keys: instance, pid, socket, log, already.
     """
     ctx: Context = click_context.obj
-    already = _start(ctx, _options(**world))
     given = _given(click_context)
+    already = _start(ctx, _options(given, **world))
     if already and given:
         ctx.warn(f"it runs already, so {', '.join('--' + name for name in given)} had no effect")
 
@@ -94,15 +102,16 @@ def _place(ctx: Context, pid: int | None) -> dict[str, Any]:
 
 @daemon.command("run", examples=["slidectl daemon run --rtf max"])
 @_world
-@click.pass_obj
-def run(ctx: Context, /, **world: Any) -> None:
+@click.pass_context
+def run(click_context: click.Context, /, **world: Any) -> None:
     """Run the daemon in the foreground, for containers and systemd.
 
     It logs to standard error too. SIGTERM and Ctrl-C stop it cleanly (exit code 0).
     """
     from slidectl.daemon import lifecycle
 
-    lifecycle.run(ctx.paths, _options(**world))
+    ctx: Context = click_context.obj
+    lifecycle.run(ctx.paths, _options(_given(click_context), **world))
 
 
 @daemon.command("stop", examples=["slidectl daemon stop"])
@@ -138,7 +147,7 @@ def restart(click_context: click.Context, /, **world: Any) -> None:
     ctx: Context = click_context.obj
     given = _given(click_context)
     old = _old_options(ctx)
-    options = _options(**world) if old is None else _changed(old, _options(**world), given)
+    options = _options(given, **world) if old is None else _changed(old, _options(given, **world), given)
     _stop(ctx)
     _start(ctx, options)
     kept = [] if old is None else _shown(old, [name for name in _WORLD if name not in given])
@@ -177,7 +186,8 @@ def _changed(old: DaemonOptions, new: DaemonOptions, given: list[str]) -> Daemon
     """The old options with those that were given now."""
     import dataclasses
 
-    return dataclasses.replace(old, **{name: getattr(new, name) for name in given})
+    chosen = tuple(dict.fromkeys((*old.chosen, *given)))
+    return dataclasses.replace(old, **{name: getattr(new, name) for name in given}, chosen=chosen)
 
 
 @daemon.command("status", examples=["slidectl daemon status", "slidectl daemon status --json"])

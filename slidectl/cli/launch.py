@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -188,9 +189,10 @@ def _session(
 
 
 def _way_to_daemon(ctx: Context) -> dict[str, str]:
-    """For the programs of nodes, so that commands of this kind in them reach the same daemon."""
+    """For the programs of nodes, so that commands of this kind in them reach the same daemon, by the same slidectl."""
     paths = ctx.paths
     return {
+        "SLIDECTL_PYTHON": sys.executable,
         "SLIDECTL_SOCKET": paths.socket_text if paths.prefix else "",
         "SLIDECTL_INSTANCE": "" if paths.prefix else paths.name,
     }
@@ -265,14 +267,19 @@ def _count(number: int, what: str) -> str:
 
 
 def _tell_running(session: Session, title: str, detach: bool, background: Any) -> None:
+    from slidectl.launch.nodes.process import reason
+
     run = session.run
     status = run.call("/slidectl/status")
-    what = f"{_count(len(session.begun), 'node')}, {_count(status['controllers_running'], 'controller')} running"
+    died = {task.node.full_name: reason(code) for task, code in session.died.items()}
+    nodes = len(session.begun) - len(died)
+    what = f"{_count(nodes, 'node')}, {_count(status['controllers_running'], 'controller')} running"
+    how = f"these nodes died: {', '.join(f'{name} ({why})' for name, why in died.items())}; the rest runs"
     end = "Ctrl-C ends it" if session.stays else "nothing is left to watch, so the launch ends"
     if detach:
         end = "slidectl daemon stop ends it" if run.owns_daemon or background is None else f"kill {os.getpid()} ends it"
         end += "" if background is None else f"; its log is {background.log}"
     run.console.step(
-        "running", f"{title}: everything runs ({what}); {end}", files=run.plan.files, nodes=len(session.begun),
-        controllers_running=status["controllers_running"],
+        "running", f"{title}: {how if died else 'everything runs'} ({what}); {end}", files=run.plan.files, nodes=nodes,
+        controllers_running=status["controllers_running"], died=died,
     )  # fmt: skip

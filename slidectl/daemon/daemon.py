@@ -31,6 +31,8 @@ _TIDY_EVERY_S = 1.0
 _FIRST_COMMANDS_S = 1.0
 """Compiled code takes 50 ms to load: not while those who have started the daemon send their first commands."""
 _YOUNG_OBJECTS = 2000
+_PROPERTIES = {"rtf": "speed", "timestep": "timestep", "gravity": "gravity"}
+"""The options that say how the world is, by their names in the status."""
 _PR_SET_TIMERSLACK = 29
 
 
@@ -51,6 +53,7 @@ class Daemon:
         self.simulation.engine.is_welcome = False
         self.simulation.run.paused = options.paused
         self.simulation.run.speed = options.rtf
+        self.simulation.chosen.update(_PROPERTIES[name] for name in options.chosen if name in _PROPERTIES)
         self.simulation.monitor = self._status
         graph = self.simulation.graph
         graph.log.sink = self._keep_line

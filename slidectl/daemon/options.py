@@ -28,6 +28,7 @@ class DaemonOptions:
 
     `rtf` is the real-time factor asked for (`inf`: as fast as possible), `timestep` in s, `gravity` in m/s² (x y z).
     With `child` it ends when the process that started it ends, however that ends. `engine` is one of ENGINES.
+    `chosen` are the names of the options that somebody gave, which no file of a world changes.
     """
 
     rtf: float = 1.0
@@ -37,6 +38,7 @@ class DaemonOptions:
     ground: bool = True
     child: bool = False
     engine: str = "auto"
+    chosen: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.rtf > 0:
@@ -54,6 +56,7 @@ class DaemonOptions:
         arguments += ["--gravity=" + ",".join(map(repr, self.gravity))]  # argparse takes -1e-05 alone for an option
         arguments += ["--paused"] if self.paused else []
         arguments += [] if self.ground else ["--no-ground"]
+        arguments += [f"--chosen={','.join(self.chosen)}"] if self.chosen else []
         return arguments + ([f"--parent={os.getpid()}"] if self.child else [])
 
 
@@ -87,6 +90,7 @@ def parse(arguments: Sequence[str]) -> Start:
         gravity=given.gravity,
         ground=not given.no_ground,
         engine=given.engine,
+        chosen=tuple(given.chosen.split(",")) if given.chosen else (),
     )
     where = paths.instance(given.instance, str(given.socket) if given.socket else None)
     return Start(where, options, given.ready_fd, given.foreground, given.parent)
@@ -111,6 +115,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--gravity", type=_gravity, default=usual.gravity, metavar="X,Y,Z", help="m/s²")
     parser.add_argument("--no-ground", action="store_true", help="a world without a floor")
     parser.add_argument("--engine", choices=ENGINES, default=usual.engine, help="who runs the cycles")
+    parser.add_argument("--chosen", metavar="OPTION,...", help="options that no file of a world changes")
     parser.add_argument("--ready-fd", type=int, help="where to tell that it answers (used by the starter)")
     parser.add_argument("--parent", type=int, help="end with the process of this id, which started it")
     parser.add_argument("--foreground", action="store_true", help="stay on the terminal: log to stderr too")

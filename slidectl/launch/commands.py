@@ -6,6 +6,9 @@ As roslaunch does it, there is no shell: words, quotes, and nothing is expanded.
 from __future__ import annotations
 
 import os
+import re
+import sys
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +21,7 @@ from slidectl.launch.files import shown
 from slidectl.launch.tag import Tag
 
 _XACRO = ("xacro", "xacro.py")
+_PYTHON = re.compile(r"python[\d.]*\Z")
 _FLAGS = ("--inorder", "-i", "-q", "-v", "--check-order", "--xacro-ns", "--debug")
 _WITHOUT_EFFECT = ("--verbosity",)
 
@@ -30,9 +34,10 @@ class Command:
         self.words = tag.words("command")
         if not self.words:
             raise tag.error("the attribute 'command' is empty")
-        self.is_xacro = _is_xacro(self.words)
-        if self.is_xacro:
-            self.file, self.arguments = _xacro_arguments(tag, _after_xacro(self.words))
+        before = _before_xacro(self.words)
+        self.is_xacro = before is not None
+        if before is not None:
+            self.file, self.arguments = _xacro_arguments(tag, self.words[before:])
         elif not tag.scope.launch.run_commands:
             raise tag.error(f"runs the program {self.words[0]!r}", "that is refused by --no-commands")
 
@@ -62,7 +67,7 @@ class Command:
     def _run(self) -> str:
         words = " ".join(self.words)
         try:
-            code, output = run(self.words, self.tag.scope.launch.environment, MOST_BYTES)
+            code, output = run(self.words, environment(self.tag.scope.launch.environment), MOST_BYTES)
         except OverflowError as error:
             raise self.tag.error(f"the command prints {error}", f"command: {words}") from None
         except (OSError, ValueError) as error:
@@ -76,17 +81,19 @@ class Command:
             raise self.tag.error("the command's output is no text", f"command: {words}") from None
 
 
-def _is_xacro(words: list[str]) -> bool:
-    """xacro itself, by whatever path, or through rosrun."""
-    return os.path.basename(words[0]) in _XACRO or _through_rosrun(words)
+def environment(own: Mapping[str, str]) -> dict[str, str]:
+    """What a program gets beside `own`, so that the xacro which is shipped here finds slidectl."""
+    return {**own, "SLIDECTL_PYTHON": sys.executable}
 
 
-def _through_rosrun(words: list[str]) -> bool:
-    return os.path.basename(words[0]) == "rosrun" and words[1:2] == ["xacro"] and words[2:3] in ([n] for n in _XACRO)
-
-
-def _after_xacro(words: list[str]) -> list[str]:
-    return words[3:] if _through_rosrun(words) else words[1:]
+def _before_xacro(words: list[str]) -> int | None:
+    """How many words lead up to xacro's arguments: xacro itself, by whatever path, through python or rosrun."""
+    program = os.path.basename(words[0])
+    if program in _XACRO:
+        return 1
+    if _PYTHON.match(program) and os.path.basename("".join(words[1:2])) in _XACRO:
+        return 2
+    return 3 if program == "rosrun" and words[1:2] == ["xacro"] and words[2:3] in ([n] for n in _XACRO) else None
 
 
 def _xacro_arguments(tag: Tag, words: list[str]) -> tuple[Path, dict[str, str]]:

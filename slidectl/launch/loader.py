@@ -44,7 +44,7 @@ def load(
     launch = Launch((packages or Packages()).starting_at(Path.cwd()), run_commands=run_commands, parse=parse)
     declared: set[str] = set()
     for source in sources:
-        scope = Scope(launch, source.path, namespace, given=dict(arguments))
+        scope = Scope(launch, source.path, namespace, dict(arguments), dict(arguments))
         scope.nesting = ((source.path, ()),)
         try:
             (_read_arguments if arguments_only else _read)(source, scope)
@@ -90,7 +90,7 @@ def _contents(parent: Tag) -> None:
 def _arg(tag: Tag) -> None:
     tag.knows(["name", "value", "default", "doc"])
     scope, name = tag.scope, tag.required("name")
-    if name in scope.arguments:
+    if name in scope.declared and not scope.lenient:
         raise tag.error(f"the argument {name!r} is declared twice")
     value, default = _value_or_default(tag)
     if value is not None and name in scope.given and not scope.lenient:
@@ -100,7 +100,7 @@ def _arg(tag: Tag) -> None:
     if value is None:
         if not scope.trail:
             tag.plan.arguments.setdefault(name, Argument(name, tag.get("default"), tag.get("doc")))
-        value = scope.given.get(name, default)
+        value = scope.arguments.get(name, default)
     if value is None:
         raise missing_argument(scope, name, tag)
     scope.arguments[name] = value
@@ -180,9 +180,12 @@ def _include(tag: Tag) -> None:
             _env(child)
         elif child.applies:
             name = child.required("name")
-            if name in own:
+            if name in own and not lenient:
                 raise child.error(f"the argument {name!r} is given twice")
-            own[name], given[name] = child, _passed(child)
+            own[name] = child
+            value, default = _passed(child)
+            if value is not None or name not in given:
+                given[name] = str(default if value is None else value)
     scope = inner.including(source.path, tag, given, lenient)
     _read(source, scope)
     for name, child in own.items():
@@ -191,12 +194,17 @@ def _include(tag: Tag) -> None:
             raise child.error(error.message, error.hint)
 
 
-def _passed(child: Tag) -> str:
+def _passed(child: Tag) -> tuple[str | None, str | None]:
+    """Value and default of an arg in an include: a default does not count where all args are passed on, with this one.
+
+    Raises:
+        BadFile: it has neither.
+    """
     child.knows(["name", "value", "default", "doc"])
     value, default = _value_or_default(child)
     if value is None and default is None:
         raise child.error("the attribute 'value' is missing")
-    return str(default if value is None else value)
+    return value, default
 
 
 # --- what applies to later nodes -------------------------------------------------------------------------------------

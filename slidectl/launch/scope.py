@@ -96,7 +96,9 @@ class Scope:
     file: Path
     namespace: str = "/"
     arguments: dict[str, str] = field(default_factory=dict)
-    """The args that can be used here, protected."""
+    """The args that can be used here, protected: what the file was given, declared or not, and what is declared so far.
+
+    An include that gives all args passes on those that its file has no use for: a file that is included there may."""
     given: Mapping[str, str] = field(default_factory=dict)
     """The args that the file was given, protected."""
     lenient: bool = False
@@ -143,7 +145,7 @@ class Scope:
             self,
             file=file,
             namespace=tag.namespace(),
-            arguments={},
+            arguments=dict(given),
             given=given,
             lenient=lenient,
             declared=set(),

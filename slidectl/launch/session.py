@@ -27,6 +27,8 @@ from slidectl.launch.world import WorldSettings
 _LOOK_AGAIN_S = 0.2
 _LOOK_SELDOM_S = 0.5
 _STATUS_EVERY_S = 1.0
+_FIRST_MOMENT_S = 0.1
+"""How long programs are watched before everything is said to run: what cannot work dies at once."""
 
 
 class Door(Protocol):
@@ -58,13 +60,14 @@ class Session:
     def __init__(self, run: Run, tasks: Sequence[Task], door: Door) -> None:
         self.run = run
         self.tasks = list(tasks)
+        run.tasks = self.tasks
         self.door = door
         self.begun: list[Task] = []
         self.is_up = False
         self._began_daemon = False
         self._lost_daemon = False
         self._waiting: list[_Waiting] = []
-        self._ended: dict[Task, int] = {}
+        self._ended: dict[Process, int] = {}
         self._strays: Strays | None = None
         self._over = False
         run.watch.add(run.interrupts.fileno(), run.interrupts.clear)
@@ -87,6 +90,8 @@ class Session:
         run.watch.add(client.fileno(), lambda: None)
         prepare(run, run.parameters)
         self._start_nodes()
+        self._look_at_processes()
+        self._judge_required()
         self.is_up = True
 
     def _settings(self) -> WorldSettings:
@@ -105,6 +110,21 @@ class Session:
         for task in self._running():
             task.afterwards(self.run)
         self._pass_on()
+
+    def _look_at_processes(self) -> None:
+        """Take in which programs have died meanwhile, and give those that have just begun a moment to do so."""
+        deadline = max((task.started_at + _FIRST_MOMENT_S for task in self._processes()), default=0.0)
+        self._turn(0.0)
+        while not self._over and (left := deadline - time.monotonic()) > 0:
+            self._turn(left)
+
+    def _processes(self) -> list[Process]:
+        return [task for task in self.begun if isinstance(task, Process)]
+
+    @property
+    def died(self) -> dict[Process, int]:
+        """The programs that have died and do not run now, with their exit codes; some may be started again."""
+        return {task: code for task in self._processes() if (code := task.code)}
 
     def _start(self, task: Task) -> None:
         if isinstance(task, Process):
@@ -216,13 +236,18 @@ class Session:
 
     def _judge(self) -> None:
         """Raise Refused when something ended badly."""
+        self._judge_required()
         died = {task: code for task, code in self._ended.items() if code}
-        for task, code in died.items():
-            if self._is_required(task):
-                raise StepFailed(task, Refused(f"it is required, and it died: {reason(code)}"))
         if died:
             names = ", ".join(f"{task.node.full_name} ({reason(code)})" for task, code in died.items())
             raise Refused(f"these nodes died: {names}")
+
+    def _judge_required(self) -> None:
+        """Raise StepFailed when a required node has died."""
+        for task, code in self._ended.items():
+            if code and self._is_required(task):
+                self.run.failed = True
+                raise StepFailed(task, Refused(f"it is required, and it died: {reason(code)}"))
 
     def check(self) -> None:
         """Raise Refused when a node has died so far."""
@@ -245,7 +270,8 @@ class Session:
         run = self.run
         run.interrupts.hold_for_good()
         run.console.closing()
-        processes = [task for task in self.begun if isinstance(task, Process)]
+        run.failed = run.failed or not self.is_up
+        processes = self._processes()
         for process in processes:
             process.ending = True
         for task in reversed(self.begun):

@@ -6,7 +6,7 @@ The families of nodes are in nodes/.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
@@ -78,8 +78,12 @@ class Run:
     """What the programs of nodes get beside the environment of this process: how to reach the daemon."""
     settings: WorldSettings = field(default_factory=WorldSettings)
     owns_daemon: bool = False
+    failed: bool = False
+    """True at the end of a launch that did not come up, or of which a required node died."""
     parameters: Mapping[str, Leaf] = field(default_factory=dict)
     """Those that the launch files set."""
+    tasks: Sequence[Task] = ()
+    """All of the launch, started or not."""
     spawned: list[str] = field(default_factory=list)
     """Robots that this run has put into the world and that are to leave it with the run."""
     _client: Client | None = None

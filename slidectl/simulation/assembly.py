@@ -170,10 +170,14 @@ def _millimetres(overlap: Overlap) -> str:
 def _put_description(robot: SpawnedRobot, loop: Loop, stack: ExitStack) -> None:
     parameters = loop.graph.parameters
     name = names.join(robot.namespace, DESCRIPTION)
+    before = parameters.get(name, None)
     parameters.set(name, robot.xml)
 
     def take_back() -> None:
-        if parameters.has(name):
+        """What somebody else has set, the launch of a robot in the root most often, is there again."""
+        if before is not None and parameters.get(name, None) == robot.xml:
+            parameters.set(name, before)
+        elif parameters.has(name):
             parameters.delete(name)
 
     stack.callback(take_back)

@@ -44,6 +44,7 @@ def _status(simulation: Simulation) -> Message:
         "trouble": simulation.run.trouble,
         "speed": 0.0 if math.isinf(simulation.run.speed) else simulation.run.speed,
         "timestep": simulation.timestep_ns * 1e-9,
+        "chosen": sorted(simulation.chosen),
         "engine": str(simulation.engine),
         "robots": simulation.robots.names(),
         "controllers": sum(len(manager.names()) for manager in managers),
@@ -111,6 +112,7 @@ def _set_speed(simulation: Simulation, request: Message) -> Message:
         simulation.set_speed(request["speed"])
     except Refused as error:
         return {"success": False, "message": str(error)}
+    simulation.chosen.add("speed")
     speed = simulation.run.speed
     return {"success": True, "message": "as fast as possible" if math.isinf(speed) else f"real-time factor {speed:g}"}
 

@@ -72,8 +72,8 @@ class Robots:
     ) -> SpawnedRobot:
         """Parse, attach, and bring up hardware, controller manager and services: all or nothing.
 
-        The namespace is the one given, else the plugin's robotNamespace, else `/name`. `hulls` has what its meshes
-        collide as; without it their files are read now.
+        The namespace is the one given, else the plugin's robotNamespace (an empty one is the root), else `/name`.
+        `hulls` has what its meshes collide as; without it their files are read now.
 
         Raises:
             BadFile: the URDF is broken (file, line). Refused: the name or the namespace is taken. BadName.
@@ -151,8 +151,8 @@ class Robots:
             )
 
     def _namespace(self, name: str, asked: str | None, paper: Robot) -> str:
-        written = asked or (paper.plugin.robot_namespace if paper.plugin else None) or name
-        namespace = names.check(names.join("/", written).rstrip("/") or "/")
+        home = names.join("/", asked).rstrip("/") or "/" if asked else description.namespace_of(paper, name)
+        namespace = names.check(home)
         self._check_namespace(namespace)
         return namespace
 

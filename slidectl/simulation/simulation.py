@@ -61,6 +61,8 @@ class Simulation:
         self.read_meshes: Callable[[Sequence[Source]], Pending] = _read_here
         """How `/gazebo/spawn_urdf_model` gets the hulls (physics.hulls.Hulls) of meshes. A driver puts its own, which
         may answer later."""
+        self.chosen: set[str] = set()
+        """What a user has asked for, of `speed`, `timestep` and `gravity`: the file of a world does not change it."""
         self.world.clock = self.graph.clock.now_ns
         self.run.on_halt = self.robots.settle_switches
         self.graph.parameters.set("/use_sim_time", True)

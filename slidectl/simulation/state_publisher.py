@@ -63,7 +63,7 @@ class StatePublisher:
 
     def _configure(self) -> None:
         """What the parameters of the node ask for; called whenever one is set or deleted."""
-        prefix = _prefix(self._simulation, self._robot)
+        prefix = _prefix(self._simulation, self._robot) or self._chosen
         has_other_names, self._prefix = prefix != self._prefix, prefix
         if self._simulation.parameters.get(names.join(self._node, ENABLED), True) is False:
             self._silence()
@@ -175,7 +175,7 @@ def _choose_prefix(simulation: Simulation, robot: SpawnedRobot) -> str:
     Returns the name of the parameter that says so.
     """
     prefix = robot.namespace.strip("/") or robot.name
-    name = names.join(robot.namespace, "tf_prefix")
+    name = names.join(robot.namespace, f"{NODE}/tf_prefix")  # in a namespace above, it would be others' too
     simulation.parameters.set(name, prefix)
     robot.node.log("info", f"{robot.name}: another robot has frames of the same names; these are {prefix}/LINK on /tf")
     return name

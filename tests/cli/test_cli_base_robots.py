@@ -300,3 +300,43 @@ def test_a_configuration_for_somebody_else_is_loaded_with_a_warning(world: Comma
 def test_parameters_are_set_leaf_by_leaf() -> None:
     tree = {"slider": {"pid": {"p": 1.0, "i": []}, "empty": {}}}
     assert dict(configuration.leaves(tree)) == {"/slider/pid/p": 1.0, "/slider/pid/i": [], "/slider/empty": {}}
+
+
+ARM = """<robot name="arm"><link name="world"/>
+<joint name="fix" type="fixed"><parent link="world"/><child link="base"/></joint>
+<link name="base"><inertial><mass value="1"/>
+<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="j1" type="revolute"><parent link="base"/><child link="l1"/><axis xyz="0 1 0"/>
+<limit lower="-3" upper="3" effort="87" velocity="2"/></joint>
+<link name="l1"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<transmission name="t"><type>transmission_interface/SimpleTransmission</type>
+<joint name="j1"><hardwareInterface>hardware_interface/PositionJointInterface</hardwareInterface></joint>
+<actuator name="m"/></transmission>
+<gazebo><plugin name="c" filename="libgazebo_ros_control.so">
+<robotNamespace>{namespace}</robotNamespace></plugin></gazebo>
+</robot>"""
+CONTROLLER = """joint_state_controller: {type: joint_state_controller/JointStateController, publish_rate: 100}
+j1_pos: {type: position_controllers/JointPositionController, joint: j1}
+"""
+
+
+@pytest.mark.parametrize("written", ["", "/"])
+def test_an_empty_robot_namespace_is_the_root_everywhere(world: CommandLine, tmp_path: Path, written: str) -> None:
+    model, yaml = tmp_path / "arm.urdf", tmp_path / "arm.yaml"
+    model.write_text(ARM.format(namespace=written))
+    yaml.write_text(CONTROLLER)
+    checked = world.ok("check", str(model), "--controllers", str(yaml))
+    assert "controllers live in the namespace /\n" in checked
+    assert "0 ignored, 0 wrong" in checked
+    done = world.ok("spawn", str(model), "--controllers", str(yaml), "--start", "joint_state_controller")
+    assert "arm: spawned in / at" in done
+    world.ok("spawn", "slider", "--controllers", CONTROLLERS, "--start", "joint_state_controller")
+    assert robot(world, "arm")["namespace"] == "/"
+    assert "/controller_manager/list_controllers" in world.ok("service", "list").splitlines()
+    world.ok("controller", "spawn", "--cm", "/", "j1_pos")
+    listed = [json.loads(line) for line in world.ok("controller", "list", "--cm", "/", "--json").splitlines()]
+    assert {(one["manager"], one["name"]) for one in listed} == {("/", "joint_state_controller"), ("/", "j1_pos")}
+    topics = world.ok("topic", "list").splitlines()
+    assert {"/joint_states", "/j1_pos/command", "/slider/joint_states"} <= set(topics)
+    words = {"_SLIDECTL_COMPLETE": "bash_complete", "COMP_WORDS": "slidectl controller list --cm ", "COMP_CWORD": "4"}
+    assert "plain,/" in world("", **words).stdout.splitlines()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -88,6 +89,39 @@ def test_a_robot_is_put_where_it_is_told_with_its_joints_as_told(world: CommandL
     assert json.loads(world.ok("sim", "status", "--json"))["paused"] is False
 
 
+def test_a_namespace_asked_of_spawn_model_is_taken_as_typed_inside_a_group(world: CommandLine, write: Write) -> None:
+    inside = spawn("-robot_namespace champ") + control("joint_state_controller").replace("/slider", "/champ")
+    path = write('<group ns="champ">' + YAML.replace("<rosparam", '<rosparam ns="/"') + inside + "</group>")
+    text = Path(path).read_text().replace("$(find my_slider)/config/slider_control.yaml", "$(dirname)/c.yaml")
+    Path(path).write_text(text)
+    (Path(path).parent / "c.yaml").write_text(
+        "champ: {joint_state_controller: {type: joint_state_controller/JointStateController, publish_rate: 50}}"
+    )
+    checked = world("check", path)
+    assert "wrong" not in checked.stdout.replace("0 wrong", ""), checked.stdout
+    launched = Launched(world, path)
+    assert "slider spawned in /champ, joints" in launched.up()
+    assert "/champ/joint_states" in world.ok("topic", "list")
+    launched.interrupt()
+
+
+def test_joints_may_be_named_with_their_model(world: CommandLine, write: Write) -> None:
+    world.ok("sim", "pause")
+    world.ok("launch", write(spawn("-J slider::joint1 0.75")))
+    request = "joint_name: 'slider::joint1'"
+    asked = json.loads(world.ok("service", "call", "/gazebo/get_joint_properties", request, "--json"))
+    assert asked["position"] == [pytest.approx(0.75)]
+    request = "{model_name: slider, joint_names: ['slider::joint1'], joint_positions: [0.5]}"
+    world.ok("service", "call", "/gazebo/set_model_configuration", request)
+    asked = json.loads(world.ok("service", "call", "/gazebo/get_joint_properties", "joint_name: joint1", "--json"))
+    assert asked["position"] == [pytest.approx(0.5)]
+    world.ok("delete", "slider")
+    done = world("launch", write(spawn("-J rrbot::joint1 0.75")))
+    assert done.returncode == 1
+    assert "no moving joint 'rrbot::joint1'" in done.stderr
+    assert "joint1" in done.stderr
+
+
 def test_a_file_can_be_spawned_without_a_parameter(world: CommandLine, write: Write) -> None:
     args = "-urdf -model s -file '$(find my_slider)/urdf/slider.xacro' -robot_namespace /s -package_to_model"
     done = world("launch", write(node("gazebo_ros/spawn_model", args)))
@@ -104,6 +138,56 @@ def test_a_robot_stays_when_the_launch_that_spawned_it_ends_and_leaves_with_b(wo
     assert "slider" in world.ok("robots")
     assert launched.interrupt() == 130
     assert world.ok("robots", "--json") == ""
+
+
+def test_a_robot_of_a_launch_that_fails_does_not_stay_and_others_do(world: CommandLine, write: Write) -> None:
+    """Whether a node before the failure, in another include, or at the end spawned it; the daemon was there before."""
+    world.ok("spawn", "rrbot", "-n", "mine")
+    included = f'<include file="{write(spawn())}"/>'
+    nodes = {
+        "a spawn node": spawn() + control("no_such_controller"),
+        "an include": included + control("no_such_controller"),
+        "the last node": control("no_such_controller --timeout 60") + spawn(),
+        "a joint that there is not": spawn("-J no_such_joint 1"),
+        "a robot that is there": spawn() + spawn().replace("slider -param", "mine -param").replace('"urdf"', '"other"'),
+    }
+    for name, content in nodes.items():
+        done = world("launch", write(content))
+        assert done.returncode == 1, (name, done.stdout, done.stderr)
+        assert [json.loads(line)["name"] for line in world.ok("robots", "--json").splitlines()] == ["mine"], name
+    assert "there is a robot 'mine' already" in done.stderr
+
+
+def test_a_robot_of_a_launch_that_is_interrupted_before_it_is_up_does_not_stay(
+    world: CommandLine, write: Write
+) -> None:
+    waits = node("controller_manager/spawner", "joint_state_controller", 'ns="/nowhere"')
+    launched = Launched(world, write(spawn() + waits))
+    launched.until("waits for")
+    assert "slider" in world.ok("robots")
+    assert launched.interrupt() == 130
+    assert "/urdf: slider: deleted" in launched.text
+    assert world.ok("robots", "--json") == ""
+
+
+def test_a_robot_stays_with_a_program_that_dies_and_not_with_a_required_one(world: CommandLine, write: Write) -> None:
+    folder = Path(write("")).parent / "pkg"
+    (folder / "scripts").mkdir(parents=True)
+    (folder / "package.xml").write_text("<package><name>pkg</name></package>")
+    script = folder / "scripts" / "die"
+    script.write_text("#!/bin/sh\nread line < go\nexit 3\n")
+    script.chmod(0o755)
+    for attributes, stays in (("", True), ('required="true"', False)):
+        os.mkfifo(folder / "scripts" / "go")
+        path = write(spawn() + node("pkg/die", attributes=f'{attributes} cwd="node"'))
+        launched = Launched(world, "--package", f"pkg={folder}", path)
+        launched.up()
+        (folder / "scripts" / "go").write_text("go\n")
+        assert launched.end() == 1, launched.text
+        assert ("slider" in world.ok("robots")) is stays
+        (folder / "scripts" / "go").unlink()
+        if stays:
+            world.ok("delete", "slider")
 
 
 def test_spawning_can_wait_for_another_robot(world: CommandLine, write: Write) -> None:

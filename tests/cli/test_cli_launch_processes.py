@@ -7,10 +7,18 @@ import re
 import signal
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from command_line import CommandLine
 from launch_runs import Launched, eventually, kill_all, nothing_is_left, processes
+
+from slidectl.description.packages import Packages
+from slidectl.launch import files
+from slidectl.launch.kinds import tasks
+from slidectl.launch.loader import load
+from slidectl.launch.nodes import process
 
 
 class Package:
@@ -212,6 +220,57 @@ def test_a_node_with_respawn_is_started_again(slidectl: CommandLine, package: Pa
     assert launched.text.count("/d: died: exit code 3") >= 2
     assert launched.interrupt() == 130
     nothing_is_left(slidectl.runtime)
+
+
+def test_a_node_that_ends_at_once_again_and_again_is_started_more_and_more_seldom(
+    slidectl: CommandLine, package: Package
+) -> None:
+    package.script("die", "echo born; exit 3")
+    launched = Launched(slidectl, package.launch('<node pkg="demo" type="die" name="d" respawn="true"/>'))
+    launched.until("started again in 2 s")
+    message = "/d: ended {} times in a row within 5 s of its start: it is started again in {} s"
+    assert message.format(2, 1) in launched.text
+    assert message.format(3, 2) in launched.text
+    assert launched.text.count("[d] born") == 3
+    assert launched.interrupt() == 130
+    nothing_is_left(slidectl.runtime)
+
+
+def test_the_pause_before_a_respawn_grows_to_half_a_minute_and_no_further(
+    package: Package, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = 100.0
+    monkeypatch.setattr(process.time, "monotonic", lambda: now)
+    package.script("die", "exit 3")
+    text = package.launch('<node pkg="demo" type="die" name="d" respawn="true" respawn_delay="1.5"/>')
+    packages = Packages(start=package.folder)
+    plan = load(files.find([text], packages), {}, packages)
+    (task,) = tasks(plan, packages)
+    assert isinstance(task, process.Process)
+    run: Any = SimpleNamespace(console=SimpleNamespace(warn=lambda _: None))
+    task.started_at = now - 0.3
+    assert [task._respawn_pause(run) for _ in range(9)] == [1.5, 1.5, 2, 4, 8, 16, 30, 30, 30]
+    task.started_at = now - 60
+    assert task._respawn_pause(run) == 1.5
+
+
+def test_what_has_just_died_is_not_said_to_run(daemon: CommandLine, package: Package) -> None:
+    package.script("die", "exit 3")
+    package.script("live", "exec sleep 600")
+    nodes = '<node pkg="demo" type="{}" name="d" {}/><node pkg="demo" type="live" name="l"/>'
+    launched = Launched(daemon, package.launch(nodes.format("die", "")))
+    launched.until("these nodes died: /d (exit code 3); the rest runs (1 node, 0 controllers running)")
+    assert "everything runs" not in launched.text
+    assert launched.interrupt() == 130
+    done = daemon("launch", package.launch(nodes.format("die", 'required="true"')))
+    assert done.returncode == 1
+    assert "everything runs" not in done.stdout
+    assert "it is required, and it died: exit code 3" in done.stderr
+    launched = Launched(daemon, package.launch(nodes.format("die", 'respawn="true"')))
+    launched.until("these nodes died: /d (exit code 3); the rest runs")
+    assert launched.interrupt() == 130
+    done = daemon("launch", "--detach", package.launch(nodes.format("die", 'required="true"')))
+    assert done.returncode == 1
 
 
 def test_nodes_end_in_reverse_order(daemon: CommandLine, package: Package) -> None:

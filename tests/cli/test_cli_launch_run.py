@@ -159,6 +159,32 @@ def test_two_robots_in_nested_namespaces_are_two_robots(slidectl: CommandLine, t
     nothing_is_left(slidectl.runtime)
 
 
+@pytest.mark.parametrize("order", [("one", "two"), ("two", "one")])
+def test_state_publishers_belong_each_to_its_own_robot_whichever_was_spawned_first(
+    slidectl: CommandLine, tmp_path: Path, order: tuple[str, str]
+) -> None:
+    """The robots are alike, and live elsewhere than the groups that spawn them; one publisher has no parameter."""
+    publisher = """<group ns="{0}"><node name="rsp" pkg="robot_state_publisher" type="robot_state_publisher">
+      <param name="publish_frequency" value="{1}"/></node></group>"""
+    spawn = """<group ns="{0}"><param name="tf_prefix" value="{0}_frames"/>
+      <param name="robot_description" command="$(find xacro)/xacro $(find my_slider)/urdf/slider.xacro"/>
+      <node name="urdf" pkg="gazebo_ros" type="spawn_model"
+            args="-urdf -model model_{0} -param robot_description -robot_namespace home_{0}"/></group>"""
+    content = publisher.format("two", 20.0) + spawn.format(order[0]) + publisher.format("one", 30.0)
+    launched = Launched(slidectl, write(tmp_path, "two.launch", content + spawn.format(order[1])))
+    text = launched.up()
+    assert "/one/rsp: the simulation publishes the frames of model_one at 30 Hz" in text
+    assert "/two/rsp: the simulation publishes the frames of model_two at 20 Hz" in text
+    frames = slidectl.ok("tf", "list")
+    assert "one_frames/link2" in frames
+    assert "two_frames/link2" in frames
+    for name in ("one", "two"):
+        prefix = slidectl.ok("param", "get", f"/home_{name}/robot_state_publisher/tf_prefix")
+        assert prefix.strip() == f"{name}_frames"
+    assert launched.interrupt() == 130
+    nothing_is_left(slidectl.runtime)
+
+
 def test_arguments_reach_the_world(slidectl: CommandLine) -> None:
     launched = Launched(slidectl, "slider", "paused:=true", "gui:=true")
     text = launched.up()
@@ -168,6 +194,37 @@ def test_arguments_reach_the_world(slidectl: CommandLine) -> None:
     assert status["paused"] is True
     assert status["controllers_running"] == 2
     assert launched.interrupt() == 130
+
+
+def test_options_of_the_daemon_go_before_a_world_file(slidectl: CommandLine, tmp_path: Path) -> None:
+    (tmp_path / "moon.world").write_text(
+        '<sdf version="1.6"><world name="moon"><gravity>0 0 -1.62</gravity><physics type="ode">'
+        "<max_step_size>0.002</max_step_size><real_time_update_rate>500</real_time_update_rate></physics></world></sdf>"
+    )
+    node = '<node pkg="gazebo_ros" type="gzserver" name="gazebo" args="{}"/>'
+    path = write(tmp_path, "moon.launch", node.format(tmp_path / "moon.world"))
+
+    def physics() -> tuple[float, float, float]:
+        answer = json.loads(slidectl.ok("service", "call", "/gazebo/get_physics_properties", "--json"))
+        return answer["max_update_rate"] * answer["time_step"], answer["time_step"], answer["gravity"]["z"]
+
+    slidectl.ok("daemon", "start", "--rtf", "max")
+    done = slidectl("launch", path, "--detach")
+    assert "moon.world sets speed; what was chosen for the running world stays" in done.stderr
+    assert physics() == (0.0, 0.002, -1.62)
+    slidectl.ok("daemon", "restart", "--gravity", "0", "0", "-3", "--timestep", "0.004")
+    done = slidectl("launch", path, "--detach")
+    assert "sets gravity and speed and timestep; what was chosen" in done.stderr
+    assert physics() == (0.0, 0.004, -3)
+    slidectl.ok("daemon", "stop")
+    slidectl.ok("daemon", "start")
+    slidectl.ok("launch", path, "--detach")
+    assert physics() == pytest.approx((1.0, 0.002, -1.62))
+    slidectl.ok("sim", "speed", "max")
+    slidectl.ok("launch", path, "--detach")
+    assert physics() == (0.0, 0.002, -1.62)
+    slidectl.ok("daemon", "stop")
+    nothing_is_left(slidectl.runtime)
 
 
 def test_a_world_file_makes_the_world_that_is_started_for_it(slidectl: CommandLine, tmp_path: Path) -> None:

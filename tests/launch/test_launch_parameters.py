@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -274,6 +275,7 @@ def test_an_argument_that_the_model_does_not_have_is_pointed_out_at_the_command(
     [
         "$(find xacro)/xacro --inorder '$(arg file)' namespace:=/left",
         "$(find xacro)/xacro.py $(arg file) namespace:=/left",
+        "python3 $(find xacro)/xacro.py $(arg file) namespace:=/left",
         "xacro -i $(arg file) namespace:=/left",
         "rosrun xacro xacro $(arg file) namespace:=/left",
         "/opt/ros/noetic/bin/xacro --inorder $(arg file) namespace:=/left",
@@ -284,6 +286,19 @@ def test_xacro_runs_by_our_own_however_it_is_called(workspace: Workspace, comman
     xml = workspace.values(content)["/x"]
     assert "<robotNamespace>/left</robotNamespace>" in xml
     assert "xacro:" not in xml
+
+
+@pytest.mark.parametrize("name", ["xacro", "xacro.py"])
+def test_xacro_is_a_program_that_can_be_called_by_its_path(workspace: Workspace, name: str) -> None:
+    path = workspace.value(f"$(find xacro)/{name}")
+    assert os.access(path, os.X_OK)
+    model = "$(find my_slider)/urdf/slider.xacro namespace:=/left"
+    called, ours = (
+        workspace.values(f'<param name="x" command="{command} {model}"/>')["/x"]
+        for command in (f"env PATH=/usr/bin:/bin $(find xacro)/{name}", "xacro")
+    )
+    assert called == ours
+    assert "/left" in called
 
 
 @pytest.mark.parametrize(

@@ -173,6 +173,30 @@ def test_pass_all_args_passes_all_and_forgives_what_is_not_wanted(workspace: Wor
     assert workspace.values(content.format(include.format('<arg name="z" value="7"/>'))) == {"/x": 13}
 
 
+def test_pass_all_args_passes_on_what_an_include_of_an_include_needs(workspace: Workspace) -> None:
+    all_args = '<include file="$(dirname)/{}.launch" pass_all_args="true">{}</include>'
+    workspace.launch_file('<param name="p" value="$(arg t)"/>', "inner.launch")
+    workspace.launch_file(all_args.format("inner", ""), "middle.launch")
+    content = '<arg name="t" default="x"/>'
+    assert workspace.values(content + all_args.format("middle", "")) == {"/p": "x"}
+    assert workspace.values(content + all_args.format("middle", '<arg name="t" value="y"/>')) == {"/p": "y"}
+    assert workspace.values(content + all_args.format("middle", '<arg name="t" default="y"/>')) == {"/p": "x"}
+    assert workspace.values(all_args.format("middle", '<arg name="t" default="y"/>')) == {"/p": "y"}
+    workspace.launch_file('<include file="$(dirname)/inner.launch"/>', "middle.launch")
+    with pytest.raises(BadFile, match="there is no argument 't' here"):
+        workspace.plan(content + all_args.format("middle", ""))
+
+
+def test_an_arg_that_the_included_file_uses_and_does_not_declare_is_refused_at_the_include(
+    workspace: Workspace,
+) -> None:
+    workspace.launch_file('<param name="p" value="$(arg t)"/>', "inner.launch")
+    with pytest.raises(BadFile, match=r"test.launch:1: <arg>: no argument 't' in .*inner.launch"):
+        workspace.plan('<include file="$(dirname)/inner.launch"><arg name="t" value="3"/></include>')
+    with pytest.raises(UsageError, match=r"no argument 't' in .*test.launch"):
+        workspace.plan('<param name="p" value="$(arg t)"/>', t="3")
+
+
 def test_groups_beside_each_other_may_have_args_of_one_name(workspace: Workspace) -> None:
     group = '<group><arg name="a" default="{0}"/><param name="p{0}" value="$(arg a)"/></group>'
     content = group.format(1) + group.format(2)

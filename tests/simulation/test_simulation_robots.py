@@ -38,6 +38,22 @@ def test_the_namespace_is_the_one_asked_for_else_the_plugins_else_the_name(simul
     assert simulation.spawn(cart(), "c").namespace == "/c"
 
 
+@pytest.mark.parametrize("written", ["", "/", " / "])
+def test_an_empty_namespace_of_the_plugin_is_the_root(simulation: Simulation, written: str) -> None:
+    robot = simulation.spawn(cart(f"<robotNamespace>{written}</robotNamespace>"), "cart")
+    assert robot.namespace == "/"
+    assert "/controller_manager/switch_controller" in simulation.graph.services.names()
+    with pytest.raises(Refused, match="the namespace / belongs to robot 'cart'"):
+        simulation.spawn(cart("<robotNamespace/>"), "other")
+
+
+def test_a_robot_in_the_root_gives_a_description_that_was_there_before_back(simulation: Simulation) -> None:
+    simulation.parameters.set("/robot_description", "<robot/>")
+    simulation.spawn(cart("<robotNamespace/>"), "cart")
+    simulation.delete("cart")
+    assert simulation.parameters.get("/robot_description") == "<robot/>"
+
+
 def test_a_deleted_robot_leaves_nothing_behind_and_may_come_again(simulation: Simulation) -> None:
     before = traces(simulation)
     for _ in range(3):

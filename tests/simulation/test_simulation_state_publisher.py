@@ -126,3 +126,12 @@ def test_a_prefix_that_was_asked_for_goes_before_the_world_too_and_a_chosen_one_
     simulation.parameters.set("/two/robot_state_publisher/tf_prefix", "second")
     assert {"first/world", "second/world"} <= parents(simulation)
     assert "world" not in parents(simulation)
+
+
+def test_the_prefix_chosen_for_a_robot_in_the_root_is_not_that_of_others() -> None:
+    simulation = Simulation()
+    simulation.spawn(cart(), "one", "/one")
+    simulation.spawn(cart(), "two", "/")
+    simulation.spawn(cart(), "three", "/three")
+    found = {frame.partition("/")[0] for names in frames(simulation, "/tf", 20) for frame in names if "/" in frame}
+    assert found == {"two", "three"}

@@ -83,6 +83,7 @@ class Gazebo(Task):
             self.warn(run, f"{self._file} has no ground plane, but the running world keeps its own")
         if asked.paused:
             run.call("/gazebo/pause_physics")
+        asked = self._without_chosen(run, asked)
         if asked.timestep is None and asked.gravity is None and asked.speed is None:
             return
         physics = run.call("/gazebo/get_physics_properties")
@@ -94,6 +95,20 @@ class Gazebo(Task):
         request = {"time_step": step, "max_update_rate": rate, "gravity": gravity}
         run.call("/gazebo/set_physics_properties", request)
 
+    def _without_chosen(self, run: Run, asked: WorldSettings) -> WorldSettings:
+        """What is left to ask for: an option of the daemon's, or `sim speed`, goes before the file."""
+        chosen = run.call("/slidectl/status")["chosen"]
+        kept = [name for name in chosen if getattr(asked, name) is not None]
+        if kept:
+            self.warn(run, f"{self._file} sets {' and '.join(kept)}; what was chosen for the running world stays")
+        return WorldSettings(
+            asked.paused,
+            None if "timestep" in chosen else asked.timestep,
+            None if "gravity" in chosen else asked.gravity,
+            None if "speed" in chosen else asked.speed,
+            asked.ground,
+        )
+
     @property
     def _file(self) -> str:
         return self.world.file if self.world else ""
@@ -103,8 +118,8 @@ class Gazebo(Task):
         if run.owns_daemon:
             return
         for name in reversed(run.spawned):
-            run.call("/gazebo/delete_model", {"model_name": name}, HOOK_LIMIT_S)
-            self.settled(run, f"{name}: deleted")
+            if run.call("/gazebo/delete_model", {"model_name": name}, HOOK_LIMIT_S)["success"]:
+                self.settled(run, f"{name}: deleted")
         run.spawned.clear()
 
 

@@ -23,7 +23,11 @@ from slidectl.launch.plan import Node, Plan
 from slidectl.launch.task import Run, Task
 
 _RESPAWN_PAUSE_S = 0.1
-"""The least time between an end and the next start."""
+"""The least time between two starts, as roslaunch has it: it looks ten times a second."""
+_SHORT_LIFE_S = 5.0
+_FIRST_BACK_OFF_S = 1.0
+_LONGEST_BACK_OFF_S = 30.0
+"""A program that keeps ending soon after its start waits for its next one 1 s, then twice as long each time, to this."""
 _LONGEST_FIRST_LINE = 256
 _POLITE_S = 0.5
 """How long the next one waits for this one to end before it is asked to end itself."""
@@ -45,7 +49,11 @@ class Process(Task):
         self.ending = False
         """True when its end is wanted, so that it is neither reported nor undone."""
         self._label = node.full_name.lstrip("/")
-        self._started_at = 0.0
+        self.started_at = 0.0
+        """On the monotonic clock."""
+        self._short_lives = 0
+        """How many times in a row it ended soon after its start."""
+        self._last_code: int | None = None
 
     def _program(self, packages: Packages) -> list[str]:
         return [str(find(self.node, packages))]
@@ -86,7 +94,7 @@ class Process(Task):
         finally:
             if log is not None:
                 os.close(log)
-        self._started_at = time.monotonic()
+        self.started_at = time.monotonic()
         self.settled(run, f"started, process {self.child.pid}", pid=self.child.pid)
 
     def _output(self, run: Run) -> str:
@@ -121,15 +129,28 @@ class Process(Task):
     def _ended(self, run: Run, code: int) -> None:
         if self.ending:
             return
+        self._last_code = code
         if code:
             self.warn(run, f"died: {reason(code)}")
         else:
             self.settled(run, "finished")
         if self.node.respawn:
-            pause = max(self.node.respawn_delay_s, _RESPAWN_PAUSE_S - (time.monotonic() - self._started_at))
-            run.watch.later(max(0.0, pause), lambda: self._again(run))
+            run.watch.later(self._respawn_pause(run), lambda: self._again(run))
         elif self.on_end is not None:
             self.on_end(self, code)
+
+    def _respawn_pause(self, run: Run) -> float:
+        """Until the next start, in s: what the node asks for, and longer for one that ends at once again and again."""
+        lived = time.monotonic() - self.started_at
+        self._short_lives = self._short_lives + 1 if lived < _SHORT_LIFE_S else 0
+        asked = max(0.0, self.node.respawn_delay_s, _RESPAWN_PAUSE_S - lived)
+        if self._short_lives < 2:
+            return asked
+        back_off = min(_LONGEST_BACK_OFF_S, _FIRST_BACK_OFF_S * 2.0 ** min(self._short_lives - 2, 10))
+        if back_off > asked:
+            times = f"ended {self._short_lives} times in a row within {_SHORT_LIFE_S:g} s of its start"
+            self.warn(run, f"{times}: it is started again in {back_off:g} s, and not at once as respawn says")
+        return max(asked, back_off)
 
     def _again(self, run: Run) -> None:
         if self.ending or self.child is None:
@@ -143,6 +164,16 @@ class Process(Task):
             self.warn(run, f"{error.message}; it is not started again")
             if self.on_end is not None:
                 self.on_end(self, 1)
+
+    @property
+    def code(self) -> int | None:
+        """The exit code of a program that has ended, negative for a signal; None while it runs.
+
+        One that ended soon after its start and was started again has the code of that end.
+        """
+        if self.child is not None and self.child.code is not None:
+            return self.child.code
+        return self._last_code if self._short_lives else None
 
     @property
     def is_alive(self) -> bool:

@@ -28,7 +28,10 @@ _REFUSED = {
 
 
 class SpawnModel(Task):
-    """The spawn script. Only with `-b` something of it stays: then the robot leaves with it."""
+    """The spawn script. Only with `-b` something of it stays: then the robot leaves with it.
+
+    The robot of a launch that fails does not stay in a world that was there before.
+    """
 
     family = "robot"
 
@@ -48,7 +51,11 @@ class SpawnModel(Task):
             raise self._error("there is one world, and it is in /gazebo", "leave -gazebo_namespace out")
         self.model = self._name()
         self.pose = _pose(words)
-        self.joints = {joint: number(node, f"-J {joint}", value) for joint, value in words.given.get("-J", [])}
+        self.joints = {
+            joint.removeprefix(f"{self.model}::"): number(node, f"-J {joint}", value)
+            for joint, value in words.given.get("-J", [])
+        }
+        """Where joints begin, in rad or m, by their names without the model's."""
         self.bound = self.keeps_running = self.needs_presence = words.has("-b")
 
     def _name(self) -> str:
@@ -57,15 +64,20 @@ class SpawnModel(Task):
         except BadName as error:
             raise self._error(error.message, "give it another name (-model NAME)") from None
 
+    @property
+    def asked_namespace(self) -> str | None:
+        """What `-robot_namespace` says, from the root: Gazebo gets it as it is typed and knows no groups."""
+        asked = self.words.one("-robot_namespace")
+        return names.join("/", asked).rstrip("/") or "/" if asked else None
+
     def home(self, robot: description.Robot, nodes: Sequence[Node]) -> str:
         """The namespace in which the robot will be, in a launch of these nodes.
 
         A plugin that names none gets the node's own from spawn_model, and else the model's name. Which of them is
         meant is seen from the nodes that speak to a controller manager.
         """
-        asked = self.words.one("-robot_namespace")
-        if asked:
-            return names.join(self.node.namespace, asked)
+        if self.asked_namespace is not None:
+            return self.asked_namespace
         is_open = robot.plugin is not None and robot.plugin.robot_namespace is None
         if is_open and self._is_spoken_to(nodes):
             return self.node.namespace
@@ -81,23 +93,31 @@ class SpawnModel(Task):
 
     @property
     def text(self) -> str:
-        source = f"file {self.words.one('-file')}" if self.words.has("-file") else f"parameter {self._parameter}"
+        source = f"file {self.words.one('-file')}" if self.words.has("-file") else f"parameter {self.parameter}"
         return f"spawn {self.model} from {source}"
 
     @property
-    def _parameter(self) -> str:
-        return self.node.resolve(self.words.one("-param"))
+    def parameter(self) -> str | None:
+        """The full name of the parameter with the description; None when that is in a file."""
+        return self.node.resolve(self.words.one("-param")) if self.words.has("-param") else None
 
     def start(self, run: Run) -> str | None:
         awaited = self.words.one("-wait")
         if awaited and awaited not in run.call("/slidectl/status")["robots"]:
             return f"the model {awaited}"
         run.heard()
-        self._spawn(run, self._document(run))
+        document = self._document(run)
+        if self.model not in run.call("/slidectl/status")["robots"]:
+            run.spawned.append(self.model)  # before it is there: a call that is cut short may have been heard
+        try:
+            self._spawn(run, document)
+        except Refused:
+            if self.model in run.spawned:
+                run.spawned.remove(self.model)
+            raise
         if self.words.has("-unpause"):
             run.call("/gazebo/unpause_physics")
         self._tell(run)
-        run.spawned.append(self.model)
         return None
 
     def _document(self, run: Run) -> description.Document:
@@ -108,15 +128,17 @@ class SpawnModel(Task):
             if not is_file(path):
                 raise Refused(f"there is no file {path}")
             return description.load(path, {}, packages)
+        name = self.parameter
+        assert name is not None
         # What the files say is what is meant, though another launch may have set the same name meanwhile.
-        own = run.parameters.get(self._parameter)
-        xml = own[0] if own is not None else run.parameter(self._parameter)
+        own = run.parameters.get(name)
+        xml = own[0] if own is not None else run.parameter(name)
         if not isinstance(xml, str):
-            known = [name for name in run.call("/rosapi/get_param_names")["names"] if name.endswith("description")]
+            known = [one for one in run.call("/rosapi/get_param_names")["names"] if one.endswith("description")]
             hint = f"descriptions there are: {', '.join(known) or 'none'}"
-            raise Refused(f"the parameter {self._parameter} is not set to a robot's description", hint)
+            raise Refused(f"the parameter {name} is not set to a robot's description", hint)
         if not xml.lstrip("\ufeff \t\r\n").startswith("<"):
-            raise Refused(f"the parameter {self._parameter} holds no XML")
+            raise Refused(f"the parameter {name} holds no XML")
         return description.load(xml, {}, packages)
 
     def _spawn(self, run: Run, document: description.Document) -> None:
@@ -143,9 +165,8 @@ class SpawnModel(Task):
 
     def _asked_namespace(self, run: Run, document: description.Document) -> str:
         """Empty where the plugin says it, or the robot's name does."""
-        asked = self.words.one("-robot_namespace")
-        if asked:
-            return names.join(self.node.namespace, asked)
+        if self.asked_namespace is not None:
+            return self.asked_namespace
         is_open = self._is_spoken_to(run.plan.nodes)
         return self.home(description.parse(document.xml), run.plan.nodes) if is_open else ""
 
@@ -178,9 +199,11 @@ class SpawnModel(Task):
         self.settled(run, f"{self.model} spawned in {robot['namespace']}, joints: {joints}{more}", robot=self.model)
 
     def stop(self, run: Run) -> None:
-        if self.bound and self.model in run.spawned:
-            run.call("/gazebo/delete_model", {"model_name": self.model}, HOOK_LIMIT_S)
-            run.spawned.remove(self.model)
+        """The robot goes with `-b`, and with a launch that failed; where the daemon goes too, it goes with that."""
+        if not (self.bound or (run.failed and not run.owns_daemon)) or self.model not in run.spawned:
+            return
+        run.spawned.remove(self.model)
+        if run.call("/gazebo/delete_model", {"model_name": self.model}, HOOK_LIMIT_S)["success"]:
             self.settled(run, f"{self.model}: deleted")
 
 

@@ -6,11 +6,14 @@ from typing import Any
 
 from slidectl import names
 from slidectl.errors import Refused, closest
+from slidectl.launch.nodes.spawn_model import SpawnModel
 from slidectl.launch.plan import Node, Place, Plan
 from slidectl.launch.task import HOOK_LIMIT_S, Run, Task
 
 HONOURED = ("publish_frequency", "tf_prefix")
-"""The parameters of the node that count; tf_prefix does in the namespaces above it, too."""
+"""The parameters of the node that count."""
+SEARCHED = ("tf_prefix",)
+"""Those of them that count in the namespaces above the node, too."""
 WITHOUT_EFFECT = {
     "use_tf_static": "fixed joints are on /tf_static always",
     "ignore_timestamp": "the frames are those of the moment when they are published",
@@ -40,9 +43,13 @@ class RobotStatePublisher(Task):
 
     def start(self, run: Run) -> str | None:
         robots: list[dict[str, Any]] = run.call("/slidectl/list_robots", {"name": ""})["robots"]
+        robot = self._by_namespace(robots)
+        awaited = [task.model for task in _spawns(run) if task.model not in run.spawned]
+        if robot is None and awaited:  # any of them may be the one that is meant
+            return f"the robot {awaited[0]}"
         if not robots:
             return "a robot"
-        robot = self._meant(run, robots)
+        robot = robot or self._meant(run, robots)
         if robot is None:
             known = ", ".join(robot["namespace"] for robot in robots)
             self.warn(run, f"which robot is meant is not clear (there are {known}); all have their frames anyway")
@@ -55,8 +62,8 @@ class RobotStatePublisher(Task):
         if run.parameter(names.join(place, "enabled")) is False:  # `rosnode kill` has ended it
             run.call("/rosapi/delete_param", {"name": names.join(place, "enabled")})
         for parameter in HONOURED:
-            own = names.join(self.node.full_name, parameter)
-            value = run.parameter(own)
+            own = self._honoured(run, parameter)
+            value = None if own is None else run.parameter(own)
             if value is not None and names.join(place, parameter) != own:
                 run.set_parameter(names.join(place, parameter), value)
                 self.copied.append(names.join(place, parameter))
@@ -67,18 +74,53 @@ class RobotStatePublisher(Task):
         rate = f"{frequency:g}" if isinstance(frequency, int | float) else "50"
         self.settled(run, f"the simulation publishes the frames of {robot['name']} at {rate} Hz")
 
-    def _meant(self, run: Run, robots: list[dict[str, Any]]) -> dict[str, Any] | None:
-        """The robot that is meant: by the topic, by the namespace, by the description; else the only one."""
+    def _honoured(self, run: Run, parameter: str) -> str | None:
+        """The name of a parameter of the node that counts, None when it is not set."""
+        own = names.join(self.node.full_name, parameter)
+        return _found(run, own) if parameter in SEARCHED else own
+
+    def _by_namespace(self, robots: list[dict[str, Any]]) -> dict[str, Any] | None:
+        """The robot in the namespace of the topic, else in that of the node; the root says nothing yet."""
         by_namespace = {robot["namespace"]: robot for robot in robots}
         for namespace in (names.parent(self._topic), self.node.namespace):
-            if namespace in by_namespace:
+            if namespace in by_namespace and namespace != "/":
                 return by_namespace[namespace]
-        wanted = run.parameter(self.node.resolve("robot_description"))
-        if wanted is not None:
-            for namespace, robot in by_namespace.items():
-                if run.parameter(names.join(namespace, "robot_description")) == wanted:
-                    return robot
-        return robots[0] if len(robots) == 1 else None
+        return None
+
+    def _surely_meant(self, run: Run, robots: list[dict[str, Any]]) -> dict[str, Any] | None:
+        """The robot that is meant, whatever other nodes there are.
+
+        By its namespace, by the parameter of its description that both nodes name, or as the robot in the root.
+        """
+        found = self._by_namespace(robots)
+        if found is not None:
+            return found
+        by_name = {robot["name"]: robot for robot in robots}
+        description = _found(run, self.node.resolve("robot_description"))
+        spawns = [task for task in _spawns(run) if task.parameter == description and task.model in by_name]
+        beside = [task for task in spawns if task.node.namespace == self.node.namespace]
+        for fitting in (spawns, beside):
+            if len(fitting) == 1:
+                return by_name[fitting[0].model]
+        in_root = [robot for robot in robots if robot["namespace"] == "/"]
+        return in_root[0] if in_root and "/" in (names.parent(self._topic), self.node.namespace) else None
+
+    def _meant(self, run: Run, robots: list[dict[str, Any]]) -> dict[str, Any] | None:
+        """The robot that is surely meant; else, of those that are no other node's, the one of this description, or the
+        only one.
+        """
+        sure = self._surely_meant(run, robots)
+        if sure is not None:
+            return sure
+        others = [task for task in run.tasks if isinstance(task, RobotStatePublisher) and task is not self]
+        taken = [robot["name"] for task in others if (robot := task._surely_meant(run, robots)) is not None]
+        left = [robot for robot in robots if robot["name"] not in taken]
+        description = _found(run, self.node.resolve("robot_description"))
+        wanted = None if description is None else run.parameter(description)
+        for robot in left if wanted is not None else ():
+            if run.parameter(names.join(robot["namespace"], "robot_description")) == wanted:
+                return robot
+        return left[0] if len(left) == 1 else None
 
     def afterwards(self, run: Run) -> None:
         """Point out joint states that nobody publishes: the tutorial's slip."""
@@ -108,6 +150,23 @@ class RobotStatePublisher(Task):
         for name in self.copied:
             if run.call("/rosapi/has_param", {"name": name}, HOOK_LIMIT_S)["exists"]:
                 run.call("/rosapi/delete_param", {"name": name}, HOOK_LIMIT_S)
+
+
+def _spawns(run: Run) -> list[SpawnModel]:
+    """The nodes of the launch that put robots into the world."""
+    return [task for task in run.tasks if isinstance(task, SpawnModel)]
+
+
+def _found(run: Run, name: str) -> str | None:
+    """The full name of a parameter in its namespace or the nearest one above that has it, None when none has."""
+    namespace, last = names.parent(name), name.rpartition("/")[2]
+    while True:
+        full = names.join(namespace, last)
+        if run.parameter(full) is not None:
+            return full
+        if namespace == "/":
+            return None
+        namespace = names.parent(namespace)
 
 
 class JointStatePublisher(Task):

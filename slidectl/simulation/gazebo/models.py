@@ -84,11 +84,12 @@ def set_state(simulation: Simulation, state: Message) -> Answer:
 
 
 def _configure(simulation: Simulation, request: Message) -> Answer:
-    """All joints or none."""
+    """All joints or none. A joint may be named with its model, as `model::joint`."""
     names, positions = request["joint_names"], request["joint_positions"]
     if len(names) != len(positions):
         raise Refused(f"{len(names)} joint names but {len(positions)} positions")
     robot = simulation.robots.get(request["model_name"])
+    names = [name.removeprefix(f"{robot.name}::") for name in names]
     for joint, position in zip(names, positions, strict=True):
         _check_position(simulation, robot.name, joint, position)
     for joint, position in zip(names, positions, strict=True):
