@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from slidectl.check.findings import Findings
 from slidectl.check.stand_ins import STAND_IN
-from slidectl.description.inertia import principal_moments
+from slidectl.description.inertia import DENSEST, LEAST, densest_ball, principal_moments
 from slidectl.description.robot import (
     Box,
     Cylinder,
@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-DENSEST = 22590.0
-"""Osmium, kg/m³."""
 _SLACK = 1.001
 # Sensors of next to no weight are often given more inertia than they can have, for the solver's sake; this is a slip.
 _SLIP = 100.0
@@ -52,7 +50,7 @@ def tell(robot: Robot, findings: Findings) -> None:
     """Findings on every link with an inertia, and on meshes that cannot be read."""
     for link in robot.links.values():
         corners = list(_corners(link, findings))
-        if link.inertial is not None and link.inertial.line != STAND_IN:
+        if link.inertial is not None and link.inertial.line != STAND_IN and not link.inertial.mended:
             _Body(link, link.inertial, corners, findings).tell()
 
 
@@ -69,7 +67,7 @@ class _Body:
 
     def tell(self) -> None:
         """Findings on all that does not go together."""
-        least = smallest_possible(self.mass)
+        least = densest_ball(self.mass)
         if self.largest * _SLACK < least:
             text = f"moments of at most {self.largest:.3g} kg·m²: no matter is so dense that {self.mass:g} kg have less"
             self._add("wrong", f"{text} than {least:.3g}")
@@ -83,20 +81,22 @@ class _Body:
 
     def _tell_moments(self) -> None:
         reach = max(math.dist(self.inertial.origin.xyz, corner) for corner in self.corners)
-        times = self.largest / (self.mass * reach * reach) if reach > 0 else 0.0
+        most = self.mass * reach * reach
+        # Of numbers so large or small that their product is none there is nothing to compare.
+        times = self.largest / most if 0.0 < most < math.inf else 0.0
         if times > _SLACK:
-            text = f"{self.mass:g} kg within its shapes have moments of at most {self.mass * reach**2:.3g} kg·m²"
+            text = f"{self.mass:g} kg within its shapes have moments of at most {most:.3g} kg·m²"
             text = f"{text}; the largest here is {self.largest:.3g}, {times:.3g} times as much"
             self._remark(text, times > _SLIP)
 
     def _tell_density(self) -> None:
         """Masses in grams, and slips of the decimal point."""
         volume = math.prod(high - low for low, high in _box_around(self.corners))
-        density = self.mass / volume if volume > 0 else DENSEST
+        density = self.mass / volume if 0.0 < volume < math.inf else DENSEST
         if density > DENSEST:
             text = f"{self.mass:g} kg in at most {volume:.3g} m³ are {density / DENSEST:.3g} times as dense as osmium"
             self._remark(text, density > _SLIP * DENSEST)
-        elif density < _THINNEST:
+        elif 0.0 < density < _THINNEST:
             text = f"{self.mass:g} kg in {volume:.3g} m³ are {AIR / density:.3g} times as thin as air"
             self._add("used", f"note: {text}")
 
@@ -114,11 +114,6 @@ class _Body:
     def _add(self, verdict: Verdict, text: str) -> None:
         line = self.inertial.line if self.inertial.line is not None else self.link.line
         self.findings.add(verdict, f"link {self.link.name!r}/<inertial>", text, self.link.file or "", line)
-
-
-def smallest_possible(mass: float) -> float:
-    """The moment of inertia in kg·m² of a ball of the densest matter: 2/5 m r²."""
-    return 0.4 * mass * math.pow(3 * mass / (4 * math.pi * DENSEST), 2 / 3)
 
 
 def _box_around(corners: list[Vector]) -> list[tuple[float, float]]:
@@ -159,7 +154,9 @@ def _mesh_bounds(link: Link, shape: Shape, mesh: Mesh, findings: Findings) -> Bo
     try:
         triangles = meshes.load(mesh.path, mesh.scale)
         if collides and _is_flat(triangles.vertices):
-            raise BadFile("all of it lies in one plane, and what is flat cannot collide; a thin <box> can", mesh.path)
+            raise BadFile(
+                "it lies in one plane or is too small, and what is flat cannot collide; a <box> can", mesh.path
+            )
     except BadFile as error:
         findings.add("wrong", subject, str(error), shape.file or "", shape.line)
         if collides:
@@ -173,11 +170,29 @@ def _mesh_bounds(link: Link, shape: Shape, mesh: Mesh, findings: Findings) -> Bo
 
 
 def _is_flat(vertices: NDArray[np.float64]) -> bool:
-    """Whether points lie in a plane, but for the rounding of their numbers."""
+    """Whether points lie in a plane, but for the rounding of their numbers, or their hull has next to no volume: LEAST.
+
+    The scale of an axis makes nothing flat, so that each is judged by its own length.
+    """
     import numpy as np
 
-    spans = np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)
-    return len(spans) < 3 or bool(spans[2] <= 1e-12 * spans[0])
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    with np.errstate(over="ignore"):
+        volume = float(np.prod(high - low))
+    if volume < LEAST:
+        return True
+    # Halves, as the difference of two finite numbers need not be finite.
+    spread = (vertices / 2 - low / 2) / (high / 2 - low / 2)
+    spans = np.linalg.svd(spread - spread.mean(axis=0), compute_uv=False)
+    if len(spans) < 3 or bool(spans[2] <= 1e-12 * spans[0]):
+        return True
+    return volume < 100 * LEAST and volume * _hull_volume(spread) < LEAST
+
+
+def _hull_volume(vertices: NDArray[np.float64]) -> float:
+    import trimesh
+
+    return float(trimesh.convex.convex_hull(vertices).volume)
 
 
 def _placed(pose: Pose, point: Vector) -> Vector:
