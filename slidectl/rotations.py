@@ -9,6 +9,7 @@ import math
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
+Matrix = tuple[Vector, Vector, Vector]
 
 IDENTITY: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
@@ -56,3 +57,13 @@ def conjugate(quaternion: Quaternion) -> Quaternion:
     """The inverse of a unit quaternion."""
     x, y, z, w = quaternion
     return (-x, -y, -z, w)
+
+
+def matrix(quaternion: Quaternion) -> Matrix:
+    """The rotation matrix of a unit quaternion, by rows."""
+    x, y, z, w = quaternion
+    return (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
+    )

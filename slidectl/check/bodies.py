@@ -12,7 +12,7 @@ from itertools import product
 
 from slidectl.check.findings import Findings
 from slidectl.check.stand_ins import STAND_IN
-from slidectl.description.inertia import principal_moments
+from slidectl.description.inertia import DENSEST, densest_ball, principal_moments
 from slidectl.description.robot import (
     Box,
     Cylinder,
@@ -28,8 +28,6 @@ from slidectl.description.robot import (
 )
 from slidectl.errors import BadFile
 
-DENSEST = 22590.0
-"""Osmium, kg/m³."""
 _SLACK = 1.001
 # Sensors of next to no weight are often given more inertia than they can have, for the solver's sake; this is a slip.
 _SLIP = 100.0
@@ -47,7 +45,7 @@ def tell(robot: Robot, findings: Findings) -> None:
     """Findings on every link with an inertia, and on meshes that cannot be read."""
     for link in robot.links.values():
         corners = list(_corners(link, findings))
-        if link.inertial is not None and link.inertial.line != STAND_IN:
+        if link.inertial is not None and link.inertial.line != STAND_IN and not link.inertial.mended:
             _Body(link, link.inertial, corners, findings).tell()
 
 
@@ -64,7 +62,7 @@ class _Body:
 
     def tell(self) -> None:
         """Findings on all that does not go together."""
-        least = smallest_possible(self.mass)
+        least = densest_ball(self.mass)
         if self.largest * _SLACK < least:
             text = f"moments of at most {self.largest:.3g} kg·m²: no matter is so dense that {self.mass:g} kg have less"
             self._add("wrong", f"{text} than {least:.3g}")
@@ -78,20 +76,22 @@ class _Body:
 
     def _tell_moments(self) -> None:
         reach = max(math.dist(self.inertial.origin.xyz, corner) for corner in self.corners)
-        times = self.largest / (self.mass * reach * reach) if reach > 0 else 0.0
+        most = self.mass * reach * reach
+        # Of numbers so large or small that their product is none there is nothing to compare.
+        times = self.largest / most if 0.0 < most < math.inf else 0.0
         if times > _SLACK:
-            text = f"{self.mass:g} kg within its shapes have moments of at most {self.mass * reach**2:.3g} kg·m²"
+            text = f"{self.mass:g} kg within its shapes have moments of at most {most:.3g} kg·m²"
             text = f"{text}; the largest here is {self.largest:.3g}, {times:.3g} times as much"
             self._remark(text, times > _SLIP)
 
     def _tell_density(self) -> None:
         """Masses in grams, and slips of the decimal point."""
         volume = math.prod(high - low for low, high in _box_around(self.corners))
-        density = self.mass / volume if volume > 0 else DENSEST
+        density = self.mass / volume if 0.0 < volume < math.inf else DENSEST
         if density > DENSEST:
             text = f"{self.mass:g} kg in at most {volume:.3g} m³ are {density / DENSEST:.3g} times as dense as osmium"
             self._remark(text, density > _SLIP * DENSEST)
-        elif density < _THINNEST:
+        elif 0.0 < density < _THINNEST:
             text = f"{self.mass:g} kg in {volume:.3g} m³ are {AIR / density:.3g} times as thin as air"
             self._add("used", f"note: {text}")
 
@@ -109,11 +109,6 @@ class _Body:
     def _add(self, verdict: Verdict, text: str) -> None:
         line = self.inertial.line if self.inertial.line is not None else self.link.line
         self.findings.add(verdict, f"link {self.link.name!r}/<inertial>", text, self.link.file or "", line)
-
-
-def smallest_possible(mass: float) -> float:
-    """The moment of inertia in kg·m² of a ball of the densest matter: 2/5 m r²."""
-    return 0.4 * mass * math.pow(3 * mass / (4 * math.pi * DENSEST), 2 / 3)
 
 
 def _box_around(corners: list[Vector]) -> list[tuple[float, float]]:

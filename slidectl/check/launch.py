@@ -28,6 +28,7 @@ def check(
     findings: Findings,
     text: bytes | None = None,
     ask_others: bool = False,
+    strict: bool = False,
 ) -> None:
     """Add what there is to say of launch files, which `words` mean as for `slidectl launch`; `text` is the file itself.
 
@@ -42,8 +43,8 @@ def check(
         findings.fail("launch file", error)
         return
     findings.begin_with(shown(file) for file in plan.files)
-    parameters = LaunchParameters(plan, tags, packages, findings, ask_others)
-    nodes = launch_nodes.LaunchNodes(plan, parameters, packages, findings)
+    parameters = LaunchParameters(plan, tags, packages, findings, ask_others, strict)
+    nodes = launch_nodes.LaunchNodes(plan, parameters, packages, findings, strict)
     source = ParameterFile(sources[0].shown, parameters.places, findings)
     controllers = ControllerCheck(
         source, [robot.model for robot in nodes.robots if robot.model], nodes.reader, nodes.hint

@@ -46,11 +46,14 @@ class SpawnedOnPaper:
 class LaunchNodes:
     """The nodes of a plan as tasks, and the robots among them."""
 
-    def __init__(self, plan: Plan, parameters: LaunchParameters, packages: Packages, findings: Findings) -> None:
+    def __init__(
+        self, plan: Plan, parameters: LaunchParameters, packages: Packages, findings: Findings, strict: bool = False
+    ) -> None:
         self.plan = plan
         self.parameters = parameters
         self.packages = packages
         self.findings = findings
+        self.strict = strict
         self.tasks = [task for node in plan.nodes if (task := self._task(node)) is not None]
         self.robots = [self._robot(task) for task in self.tasks if isinstance(task, SpawnModel)]
         self.has_programs = any(isinstance(task, Process) for task in self.tasks)
@@ -84,7 +87,7 @@ class LaunchNodes:
         if task.words.has("-file"):
             path = Path(task.words.one("-file"))
             if is_file(path):
-                return model.check(path, {}, self.packages, self.findings, ask_others=False)
+                return model.check(path, {}, self.packages, self.findings, strict=self.strict)
             self._add("wrong", task.node, f"there is no file {path}")
             return None
         name = task.node.resolve(task.words.one("-param"))

@@ -26,7 +26,15 @@ Places = dict[str, tuple[str, int | None]]
 class LaunchParameters:
     """All parameters of a plan. `values` goes by full names; a later setting replaces an earlier one."""
 
-    def __init__(self, plan: Plan, tags: LaunchTags, packages: Packages, findings: Findings, ask_others: bool) -> None:
+    def __init__(
+        self,
+        plan: Plan,
+        tags: LaunchTags,
+        packages: Packages,
+        findings: Findings,
+        ask_others: bool = False,
+        strict: bool = False,
+    ) -> None:
         self.plan = plan
         self.tags = tags
         self.packages = packages
@@ -41,7 +49,7 @@ class LaunchParameters:
             self._take(setting)
         if self.is_complete:
             self._tell_conflicts()
-        self._read_robots(ask_others)
+        self._read_robots(ask_others, strict)
 
     @property
     def tree(self) -> dict[str, Any]:
@@ -101,13 +109,13 @@ class LaunchParameters:
         except BadFile as error:
             self.findings.fail("parameters", error)
 
-    def _read_robots(self, ask_others: bool) -> None:
+    def _read_robots(self, ask_others: bool, strict: bool) -> None:
         for name, value in self.values.items():
             if isinstance(value, str) and _is_robot(value):
                 setting = next(setting for setting in reversed(self.plan.settings) if setting.name == name)
                 file = shown(setting.source) if setting.source else f"parameter {name}"
                 own = Findings()
-                self.robots[name] = model.check_text(value, file, own, ask_others, self.packages)
+                self.robots[name] = model.check_text(value, file, own, ask_others, self.packages, strict)
                 self.findings.extend(replace(notice, file=shown(notice.file)) for notice in own.sorted())
                 self.findings.broken += own.broken
 

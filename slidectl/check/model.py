@@ -44,10 +44,12 @@ def check(
     findings: Findings,
     ask_others: bool = False,
     title: str | None = None,
+    strict: bool = False,
 ) -> Model | None:
     """Add what there is to say of a model (as description.load takes it); the robot, None when it cannot be read.
 
-    `ask_others` asks yourdfpy too, which takes half a second. `title` is what to call a text.
+    `ask_others` asks yourdfpy too, which takes half a second. `title` is what to call a text. `strict` refuses
+    impossible masses, inertias and shapes instead of mending them, as `slidectl spawn --strict` does.
 
     Raises:
         BadFile: there is no such file. UnknownName: no such shipped model.
@@ -60,11 +62,16 @@ def check(
     if not (isinstance(source, str) and (source == "-" or source.lstrip().startswith("<"))):
         _tell_arguments(source, arguments, packages, findings)
     findings.extend(document.report)
-    return check_text(document.xml, document.file, findings, ask_others, packages)
+    return check_text(document.xml, document.file, findings, ask_others, packages, strict)
 
 
 def check_text(
-    xml: str, file: str, findings: Findings, ask_others: bool = False, packages: Packages | None = None
+    xml: str,
+    file: str,
+    findings: Findings,
+    ask_others: bool = False,
+    packages: Packages | None = None,
+    strict: bool = False,
 ) -> Model | None:
     """The same for plain URDF text; `file` is its name in findings, unless the text carries a note of its sources."""
     try:
@@ -72,7 +79,7 @@ def check_text(
     except BadFile as error:
         findings.fail("model", error)
         return None
-    reading = _Reading(root, findings, _meshes(file, packages))
+    reading = _Reading(root, findings, _meshes(file, packages), strict)
     robot = reading.robot()
     if robot is None:
         return None
@@ -93,8 +100,9 @@ def _meshes(file: str, packages: Packages | None) -> MeshFiles:
 class _Reading:
     """One robot read with a trace; what cannot be read is left out or replaced, if the rest stands then."""
 
-    def __init__(self, root: Element, findings: Findings, meshes: MeshFiles) -> None:
+    def __init__(self, root: Element, findings: Findings, meshes: MeshFiles, strict: bool) -> None:
         self.root = root
+        self.strict = strict
         self.findings = findings
         self.meshes = meshes
         self.is_whole = True
@@ -105,7 +113,7 @@ class _Reading:
             trace = Trace()
             traced, report = TracedElement(self.root, trace), TracedReport(trace)
             try:
-                robot = parse_tree(traced, self.meshes, report)
+                robot = parse_tree(traced, self.meshes, report, self.strict)
             except BadFile as error:
                 self.is_whole = False
                 self.findings.fail(_subject(trace.culprit), error)

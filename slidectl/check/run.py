@@ -19,6 +19,7 @@ def check(
     parameter_files: Sequence[Path] = (),
     text: bytes | None = None,
     ask_others: bool = False,
+    strict: bool = False,
 ) -> Findings:
     """Everything that there is to say of a file.
 
@@ -29,6 +30,7 @@ def check(
         parameter_files: files of controllers for a model.
         text: the file's content, when it came from elsewhere.
         ask_others: whether yourdfpy is asked about models too.
+        strict: whether masses, inertias and shapes of models that spawn would mend are refused.
 
     Raises:
         BadFile: no such file. UnknownName: no such model, or no such file in the package. UnknownPackage. UsageError:
@@ -43,14 +45,14 @@ def check(
     if kind == "launch":
         from slidectl.check import launch
 
-        launch.check(words, arguments, packages, findings, text, ask_others)
+        launch.check(words, arguments, packages, findings, text, ask_others, strict)
         return findings
     if kind == "controllers":
         _refuse_arguments(source, arguments)
         controllers.check(source, None, findings, text)
         return findings
     title = source if text is not None else None
-    robot = model.check(_model(source, text), arguments, packages, findings, ask_others, title)
+    robot = model.check(_model(source, text), arguments, packages, findings, ask_others, title, strict)
     for path in parameter_files:
         controllers.check(path, robot, findings)
     return findings

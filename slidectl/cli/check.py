@@ -46,7 +46,7 @@ _COLOURS = {"used": "green", "converted": "cyan", "ignored": "yellow", "wrong": 
     shell_complete=live.files,
     help="Controllers of the model; may repeat.",
 )
-@click.option("--strict", is_flag=True, help="Exit 1 when anything is ignored, too.")
+@click.option("--strict", is_flag=True, help="Exit 1 when anything is ignored, too, and refuse what spawn mends.")
 @click.option("--only", multiple=True, type=click.Choice(_VERDICTS), help="Print findings of this kind; may repeat.")
 @click.option("--second-opinion", is_flag=True, help="Ask yourdfpy about models, too; takes half a second more.")
 @click.option("--package", "packages", multiple=True, metavar="NAME=PATH", help="Where a ROS package is; may repeat.")
@@ -79,7 +79,7 @@ def check(
     words = ["<stdin>" if source == "-" else _shipped_or_own(source)]
     words += [word for word in arguments if ":=" not in word]
     given = pairs([word for word in arguments if ":=" in word], ":=", "check")
-    findings = run(words, given, places, files, text, ask_others=second_opinion)
+    findings = run(words, given, places, files, text, second_opinion, strict)
     _print(ctx, findings, only)
     for error in findings.broken[:1]:
         raise error

@@ -44,6 +44,7 @@ SPAWN_LIMIT_S = 30.0
 @click.option("--fixed/--free", "fixed", default=None, help="Fix the root to the world, or free it.")
 @click.option("--controllers", metavar="FILE", shell_complete=live.files, help="Parameters of its controllers (YAML).")
 @click.option("--start", cls=Variadic, metavar="CONTROLLER...", help="Load and start these controllers.")
+@click.option("--strict", is_flag=True, help="Refuse impossible masses, inertias and shapes instead of mending them.")
 @click.option("--package", "packages", multiple=True, metavar="NAME=PATH", help="Where a ROS package is; may repeat.")
 @click.pass_obj
 def spawn(
@@ -55,6 +56,7 @@ def spawn(
     fixed: bool | None,
     controllers: str | None,
     start: tuple[str, ...],
+    strict: bool,
     packages: tuple[str, ...],
 ) -> None:
     """Put a robot into the world.
@@ -68,7 +70,7 @@ def spawn(
     document = _document(model, pairs(arguments, ":="), name, pairs(packages, "="))
     xml = _rooted(document, fixed)
     pose = _pose(at)
-    wanted, namespace = _identity(xml, document, name)
+    wanted, namespace = _identity(xml, document, name, strict)
     _check_free(ctx, wanted, namespace)
     if controllers is not None:
         configuration.store(ctx, configuration.read(ctx, controllers, [namespace]))
@@ -133,11 +135,11 @@ def _pose(at: Sequence[float]) -> dict[str, Any]:
     return {"position": {"x": x, "y": y, "z": z}, "orientation": rotations.message(turn)}
 
 
-def _identity(xml: str, document: Document, name: str | None) -> tuple[str, str]:
+def _identity(xml: str, document: Document, name: str | None, strict: bool) -> tuple[str, str]:
     """The robot's name and namespace. Raises BadFile when the model is broken, BadName."""
     from slidectl import description
 
-    robot = description.parse(xml, document.file)
+    robot = description.parse(xml, document.file, strict=strict)
     chosen = names.check_robot(robot.name if name is None else name)
     return chosen, description.namespace_of(robot, chosen)
 
@@ -171,12 +173,13 @@ def _request(ctx: Context, name: str, xml: str, pose: dict[str, Any]) -> list[st
 
 
 def _tell_report(ctx: Context, name: str, document: Document) -> None:
-    """What became of the tags: wrong ones in full, the others counted unless `-v`."""
+    """What became of the tags: wrong ones and mended inertias in full, the others counted unless `-v`."""
     for notice in document.report:
         ctx.warn(str(notice))
     report = robots.find(robots.all_robots(ctx), name)["report"]
     for notice in report:
-        if ctx.verbose or notice["verdict"] == "wrong":
+        is_mended = notice["verdict"] == "converted" and "/<inertial>" in notice["subject"]
+        if ctx.verbose or notice["verdict"] == "wrong" or is_mended:
             ctx.warn(robots.notice_text(notice))
     if not ctx.verbose:
         ctx.say(robots.summary(name, report))

@@ -23,6 +23,7 @@ _SIM_TYPE = "gazebo_ros_control/DefaultRobotHWSim"
 SIM_TYPES = (_SIM_TYPE, "DefaultRobotHWSim")
 """The hardware that there is, by its names."""
 _MOST_COMPARED = 1000
+_LONGEST_PERIOD = 2**31 - 1
 _PARAMETERS = {"robotNamespace", "robotParam", "robotSimType", "controlPeriod", "eStopTopic", "legacyModeNS"}
 _OF_LINK = ("mu1", "mu2", "material", "selfCollide", "turnGravityOff")
 _YES = ("true", "yes", "1")
@@ -181,4 +182,6 @@ def _period(plugin: Element, text: str | None) -> float | None:
     period = values.parse_number(text, place, "controlPeriod")
     if period <= 0:
         raise place.error(f"controlPeriod is {period:g} s; it must be above 0")
+    if period > _LONGEST_PERIOD:
+        raise place.error(f"controlPeriod is {period:g} s; durations of ROS end at {_LONGEST_PERIOD} s")
     return period

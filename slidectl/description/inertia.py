@@ -1,44 +1,150 @@
-"""Whether a body can have an inertia: its principal moments are above zero, and none exceeds the sum of the others.
+"""Which masses and inertias a body can have, and the nearest possible ones to those that no body can have.
 
-Pure arithmetic on six numbers; no XML.
+The one judge of `check`, of `spawn` and of the physics. Pure arithmetic on six numbers and a mass; no XML.
+
+An inertia is possible when its principal moments A <= B <= C are above 0 and C <= A + B (the triangle rule), but for
+the digits that files lose.
 """
 
 from __future__ import annotations
 
 import math
 
+from slidectl.rotations import Matrix, Vector
+
 Tensor = tuple[float, float, float, float, float, float]
 """ixx, ixy, ixz, iyy, iyz, izz in kg·m²."""
 
-# Exporters print few digits: a flat plate's moments may break the triangle inequality by their rounding.
+LEAST = 1e-15
+"""kg and kg·m². A body that moves needs at least this mass and these principal moments: MuJoCo's mjMINVAL."""
+
+SMALLEST_MASS = 1e-3
+"""kg. What a body without a mass gets: it falls, touches and is pushed at steps of 1 ms without trouble."""
+
+SMALLEST_MOMENT = 1e-6
+"""kg·m². The least principal moment of a body without a mass: that of a gram at 3 cm."""
+
+DENSEST = 22590.0
+"""Osmium, kg/m³."""
+
+# Exporters print few digits: a flat plate's moments may break the triangle rule by their rounding.
 _ROUNDING = 1e-3
+# Moments of which one is less than this share of the largest cannot be told from 0.
+_NOTHING = 1e-12
+# A moment that had to be made up is at least this share of the largest: a needle turns too fast for steps of 1 ms.
+_THINNEST = 1e-6
+_IDENTITY: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
-def principal_moments(inertia: Tensor) -> tuple[float, float, float]:
-    """The eigenvalues of the symmetric tensor, rising (closed form with the cosine, Smith 1961)."""
-    ixx, ixy, ixz, iyy, iyz, izz = inertia
-    scale = max(abs(part) for part in inertia)
-    if scale == 0.0:
-        return 0.0, 0.0, 0.0
+def principal_moments(inertia: Tensor) -> Vector:
+    """The eigenvalues of the symmetric tensor, rising; accurate to the last digits of the largest."""
+    return principal(inertia)[0]
+
+
+def principal(inertia: Tensor) -> tuple[Vector, Matrix]:
+    """The principal moments, rising, and their axes as columns of a matrix (Jacobi's method, which is exact for
+    diagonal tensors and keeps close moments apart, unlike the closed form)."""
+    scale = max(map(abs, inertia))
+    if scale == 0.0 or not math.isfinite(scale):
+        return (scale, scale, scale), _IDENTITY
     ixx, ixy, ixz, iyy, iyz, izz = (part / scale for part in inertia)
-    mean = (ixx + iyy + izz) / 3
-    a, b, c = ixx - mean, iyy - mean, izz - mean
-    spread = math.sqrt((a * a + b * b + c * c + 2 * (ixy * ixy + ixz * ixz + iyz * iyz)) / 6)
-    if spread == 0.0:
-        return mean * scale, mean * scale, mean * scale
-    half_determinant = (a * (b * c - iyz * iyz) - ixy * (ixy * c - iyz * ixz) + ixz * (ixy * iyz - b * ixz)) / 2
-    angle = math.acos(max(-1.0, min(1.0, half_determinant / spread**3))) / 3
-    largest = mean + 2 * spread * math.cos(angle)
-    smallest = mean + 2 * spread * math.cos(angle + 2 * math.pi / 3)
-    return smallest * scale, (3 * mean - largest - smallest) * scale, largest * scale
+    rows = [[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]]
+    axes = [list(row) for row in _IDENTITY]
+    for _ in range(50):
+        i, j = max(((0, 1), (0, 2), (1, 2)), key=lambda pair: abs(rows[pair[0]][pair[1]]))
+        if abs(rows[i][j]) < 1e-18:
+            break
+        _turn(rows, axes, i, j)
+    order = sorted(range(3), key=lambda k: rows[k][k])
+    x, y, z = (rows[k][k] * scale for k in order)
+    columns = [tuple(row[k] for k in order) for row in axes]
+    return (x, y, z), (_vector(columns[0]), _vector(columns[1]), _vector(columns[2]))
+
+
+def _turn(rows: list[list[float]], axes: list[list[float]], i: int, j: int) -> None:
+    """Turn about the third axis so that the element i, j vanishes (Golub and Van Loan, 8.5)."""
+    theta = (rows[j][j] - rows[i][i]) / (2 * rows[i][j])
+    tangent = math.copysign(1.0, theta) / (abs(theta) + math.hypot(theta, 1.0))
+    cosine = 1 / math.hypot(tangent, 1.0)
+    sine = tangent * cosine
+    for row in (*rows, *axes):
+        row[i], row[j] = cosine * row[i] - sine * row[j], sine * row[i] + cosine * row[j]
+    first, second = rows[i], rows[j]
+    rows[i] = [cosine * a - sine * b for a, b in zip(first, second, strict=True)]
+    rows[j] = [sine * a + cosine * b for a, b in zip(first, second, strict=True)]
+    rows[i][j] = rows[j][i] = 0.0
+
+
+def _vector(values: tuple[float, ...]) -> Vector:
+    x, y, z = values
+    return (x, y, z)
+
+
+def is_mass(mass: float) -> bool:
+    """Whether anything weighs that."""
+    return 0.0 < mass < math.inf
 
 
 def why_impossible(inertia: Tensor) -> str | None:
     """Why no body has this inertia, as a clause; None when one can."""
+    if not all(map(math.isfinite, inertia)):
+        return "it is not finite"
     small, middle, large = principal_moments(inertia)
     moments = f"its principal moments are {small:.4g}, {middle:.4g}, {large:.4g}"
-    if small <= large * 1e-12:
+    if not math.isfinite(large):
+        return "it is not finite"
+    if small <= large * _NOTHING:
         return f"{moments}; each must be above 0"
     if small + middle < large * (1 - _ROUNDING):
         return f"{moments}; none may exceed the sum of the other two"
     return None
+
+
+def can_move(mass: float, inertia: Tensor) -> bool:
+    """Whether a possible mass and inertia are large enough for a body that moves."""
+    return mass >= LEAST and principal_moments(inertia)[0] >= LEAST
+
+
+def densest_ball(mass: float) -> float:
+    """The moment of inertia in kg·m² of a ball of the densest matter, below which no body is: 2/5 m r²."""
+    return 0.4 * mass * math.pow(3 * mass / (4 * math.pi * DENSEST), 2 / 3)
+
+
+def nearest_possible(mass: float, inertia: Tensor) -> tuple[float, Tensor]:
+    """The nearest mass and inertia that a moving body can have; those that are possible come back as they are.
+
+    A mass below LEAST becomes SMALLEST_MASS. Of the inertia the principal axes stay, and the principal moments
+    A <= B <= C go to the nearest ones (least sum of squares) that keep the triangle rule:
+
+        A + e, B + e, C - e  with  e = max(0, C - A - B) / 3
+        0, m, m              with  m = max(0, (B + C) / 2), where A + e is negative still
+
+    Then each is raised to the floor: the moment of a ball of osmium of that mass, a millionth of the largest
+    moment, and SMALLEST_MOMENT where there was no mass.
+    """
+    weight = mass if mass >= LEAST else SMALLEST_MASS
+    if weight == mass and why_impossible(inertia) is None and can_move(mass, inertia):
+        return mass, inertia
+    (small, middle, large), axes = principal(inertia)
+    if why_impossible(inertia) is not None:
+        small, middle, large = _within_triangle(small, middle, large)
+    floor = max(densest_ball(weight), large * _THINNEST, 2 * LEAST if weight == mass else SMALLEST_MOMENT)
+    small, middle, large = (max(moment, floor) for moment in (small, middle, large))
+    return weight, _tensor((small, middle, large), axes)
+
+
+def _within_triangle(small: float, middle: float, large: float) -> Vector:
+    excess = max(0.0, (large - small - middle) / 3)
+    if small + excess >= 0.0:
+        return small + excess, middle + excess, large - excess
+    mean = max(0.0, (middle + large) / 2)
+    return 0.0, mean, mean
+
+
+def _tensor(moments: Vector, axes: Matrix) -> Tensor:
+    """The tensor of principal moments about axes that are the columns of a matrix."""
+
+    def part(i: int, j: int) -> float:
+        return sum(axes[i][k] * moments[k] * axes[j][k] for k in range(3))
+
+    return part(0, 0), part(0, 1), part(0, 2), part(1, 1), part(1, 2), part(2, 2)

@@ -1,6 +1,6 @@
 """`<link>`: inertial, visuals, collisions and their geometry.
 
-Refuses what no body can be (mass, inertia, sizes). How links hang together is structure.py.
+A shape without a size is left out. What bodies can weigh is rigid_bodies.py's, how links hang together structure.py's.
 """
 
 from __future__ import annotations
@@ -19,10 +19,12 @@ _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 class LinkReader:
     """Reads `<link>` elements of one robot."""
 
-    def __init__(self, report: Report, materials: Materials, meshes: MeshFiles) -> None:
+    def __init__(self, report: Report, materials: Materials, meshes: MeshFiles, strict: bool = False) -> None:
+        """`strict` refuses shapes without a size."""
         self.report = report
         self.materials = materials
         self.meshes = meshes
+        self.strict = strict
 
     def read(self, element: Element) -> Link:
         """One link.
@@ -37,8 +39,8 @@ class LinkReader:
         return Link(
             name,
             self._inertial(inertial, owner) if inertial is not None else None,
-            tuple(self._shape(child, owner) for child in element.find_all("visual")),
-            tuple(self._shape(child, owner) for child in element.find_all("collision")),
+            self._shapes(element, "visual", owner),
+            self._shapes(element, "collision", owner),
             line=element.line,
             file=element.file,
         )
@@ -47,8 +49,6 @@ class LinkReader:
         self.report.unknown(element, (), {"origin", "mass", "inertia"}, f"{owner}/<inertial>")
         mass_element = _child(self.report, element, "mass", owner)
         mass = values.number(mass_element, "value", owner)
-        if mass <= 0:
-            raise mass_element.error(f"{owner} has a mass of {mass:g} kg; it must be above 0")
         tensor_element = _child(self.report, element, "inertia", owner)
         tensor = self._tensor(tensor_element, owner)
         return Inertial(self._origin(element, owner), mass, tensor, element.line)
@@ -56,10 +56,7 @@ class LinkReader:
     def _tensor(self, element: Element, owner: str) -> inertia.Tensor:
         self.report.unknown(element, _MOMENTS, (), f"{owner}/<inertia>")
         ixx, ixy, ixz, iyy, iyz, izz = (values.number(element, name, owner) for name in _MOMENTS)
-        tensor = (ixx, ixy, ixz, iyy, iyz, izz)
-        if why := inertia.why_impossible(tensor):
-            raise element.error(f"{owner} has an inertia that no body can have: {why}")
-        return tensor
+        return ixx, ixy, ixz, iyy, iyz, izz
 
     def _origin(self, element: Element, owner: str) -> Pose:
         origin = self.report.only(element, "origin")
@@ -67,19 +64,40 @@ class LinkReader:
             self.report.unknown(origin, {"xyz", "rpy"}, (), f"{owner}/<origin>")
         return values.pose(origin, owner)
 
-    def _shape(self, element: Element, owner: str) -> Shape:
+    def _shapes(self, link: Element, tag: str, owner: str) -> tuple[Shape, ...]:
+        shapes = (self._shape(element, owner) for element in link.find_all(tag))
+        return tuple(shape for shape in shapes if shape is not None)
+
+    def _shape(self, element: Element, owner: str) -> Shape | None:
+        """A visual or a collision; None when it has no size."""
         is_visual = element.tag == "visual"
         known = {"origin", "geometry", "material"} if is_visual else {"origin", "geometry"}
         self.report.unknown(element, {"name"}, known, f"{owner}/<{element.tag}>")
-        geometry = self._geometry(_child(self.report, element, "geometry", owner), owner, needed=not is_visual)
+        inside = self.report.only(element, "geometry")
+        if inside is None:
+            self._leave_out(element, owner, f"<{element.tag}> lacks <geometry>")
+        geometry = self._geometry(inside, owner, needed=not is_visual) if inside is not None else None
         material = self.materials.of_visual(element, owner) if is_visual else None
-        return Shape(geometry, self._origin(element, owner), element.get("name"), material, element.line, element.file)
+        origin = self._origin(element, owner)
+        if geometry is None:
+            return None
+        return Shape(geometry, origin, element.get("name"), material, element.line, element.file)
 
-    def _geometry(self, element: Element, owner: str, *, needed: bool) -> Geometry:
+    def _leave_out(self, element: Element, owner: str, why: str) -> None:
+        """Report a shape without a size, or refuse it."""
+        if self.strict:
+            raise element.error(f"{owner}: {why}")
+        self.report.ignored(element, f"{why}; the shape is left out", f"{owner}/{element.title}")
+
+    def _geometry(self, element: Element, owner: str, *, needed: bool) -> Geometry | None:
         shapes = [child for child in element.children if child.tag in _GEOMETRIES]
         if not shapes:
             there = ", ".join(child.tag for child in element.children) or "nothing"
-            raise element.error(f"{owner}: <geometry> holds {there}; known shapes: {', '.join(_GEOMETRIES)}")
+            why = f"<geometry> holds {there}; known shapes: {', '.join(_GEOMETRIES)}"
+            if element.children:
+                raise element.error(f"{owner}: {why}")
+            self._leave_out(element, owner, why)
+            return None
         self.report.unknown(element, (), _GEOMETRIES, f"{owner}/<geometry>")
         for extra in shapes[1:]:
             self.report.ignored(extra, "only the first shape of a <geometry> counts", f"{owner}/{extra.title}")
@@ -88,24 +106,36 @@ class LinkReader:
             return self._mesh(shape, owner, needed=needed)
         return self._primitive(shape, owner)
 
-    def _primitive(self, shape: Element, owner: str) -> Geometry:
-        attributes = {"box": {"size"}, "cylinder": {"radius", "length"}, "sphere": {"radius"}}[shape.tag]
+    def _primitive(self, shape: Element, owner: str) -> Geometry | None:
+        attributes = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",)}[shape.tag]
         self.report.unknown(shape, attributes, (), f"{owner}/<{shape.tag}>")
         if shape.tag == "box":
-            size = values.vector(shape, "size", owner)
-            if min(size) <= 0:
+            sizes: tuple[float, ...] = values.vector(shape, "size", owner)
+            if min(sizes) < 0:
                 raise shape.error(f"{owner}: edges of a <box> must be above 0, not {shape.get('size')!r}")
-            return Box(size)
-        radius = values.positive(shape, "radius", owner)
-        return Sphere(radius) if shape.tag == "sphere" else Cylinder(radius, values.positive(shape, "length", owner))
+        else:
+            sizes = tuple(values.not_negative(shape, name, owner) for name in attributes)
+        # The physics takes half lengths, and half of the smallest number is 0.
+        if min(sizes) / 2 == 0.0:
+            written = ", ".join(f"{name} {shape.get(name)!r}" for name in attributes)
+            self._leave_out(shape, owner, f"<{shape.tag}> with {written} has no volume")
+            return None
+        if shape.tag == "box":
+            return Box((sizes[0], sizes[1], sizes[2]))
+        return Sphere(sizes[0]) if shape.tag == "sphere" else Cylinder(sizes[0], sizes[1])
 
-    def _mesh(self, shape: Element, owner: str, *, needed: bool) -> Mesh:
+    def _mesh(self, shape: Element, owner: str, *, needed: bool) -> Mesh | None:
         """A mesh. One that is only looked at may be missing (it moves nothing); one that collides may not."""
         self.report.unknown(shape, {"filename", "scale"}, (), f"{owner}/<mesh>")
+        filename = shape.get("filename")
+        if filename is not None and not filename.strip():
+            self._leave_out(shape, owner, "attribute 'filename' of <mesh> is empty")
+            return None
         uri = values.required(shape, "filename", owner)
         scale = values.vector(shape, "scale", owner) if "scale" in shape.attributes else (1.0, 1.0, 1.0)
         if 0.0 in scale:
-            raise shape.error(f"{owner}: a mesh's scale must not be 0, it is {shape.get('scale')!r}")
+            self._leave_out(shape, owner, f"<mesh> with scale {shape.get('scale')!r} has no volume")
+            return None
         path, why = self.meshes.locate(uri, shape.file)
         if path is not None and not has_known_suffix(uri):
             path, why = None, f"is of no known kind; known: {', '.join(SUFFIXES)}"

@@ -12,6 +12,7 @@ import stat
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from slidectl.description.inertia import LEAST
 from slidectl.description.mesh_files import SUFFIXES
 from slidectl.description.robot import Vector
 from slidectl.errors import BadFile
@@ -33,7 +34,7 @@ _LONGEST_NUMBER = 64
 _VERTEX = re.compile(rb"\bvertex\s+(\S{1,64})\s+(\S{1,64})\s+(\S{1,64})(?!\S)", re.IGNORECASE)
 _THINNEST = 1e-12
 _FARTHEST = 1e12
-FLAT = "all of it lies in one plane, and what is flat cannot collide; a thin <box> can"
+FLAT = "it lies in one plane or is too small, and what is flat cannot collide; a thin <box> can"
 """What is wrong with a mesh that collides and `is_flat`."""
 
 
@@ -89,19 +90,25 @@ def load(path: str | Path, scale: Vector = (1.0, 1.0, 1.0)) -> Triangles:
 
 
 def is_flat(vertices: NDArray[np.float64]) -> bool:
-    """Whether points lie in a plane, but for the rounding of their numbers."""
+    """Whether points lie in a plane, but for the rounding of their numbers, or in a box of less volume than LEAST.
+
+    The scale of an axis makes nothing flat: each axis is judged by its own length.
+    """
     import numpy as np
 
-    centred = vertices - vertices.mean(axis=0)
-    spread = float(np.abs(centred).max())
-    if spread == 0.0 or len(vertices) < 4:
-        return True
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    with np.errstate(over="ignore"):
+        if len(vertices) < 4 or float(np.prod(high - low)) < LEAST:
+            return True
+    # Halves, as the difference of two finite numbers need not be finite.
+    spread = (vertices / 2 - low / 2) / (high / 2 - low / 2)
+    centred = spread - spread.mean(axis=0)
     # The singular values of the points are the roots of these eigenvalues, but for the rounding of a square: a body a
     # millionth as thick as it is wide needs the exact way.
-    spans = np.linalg.eigvalsh(np.dot((centred / spread).T, centred / spread))
+    spans = np.linalg.eigvalsh(np.dot(centred.T, centred))
     if spans[0] > 1e-10 * spans[2]:
         return False
-    exact = np.linalg.svd(centred / spread, compute_uv=False)
+    exact = np.linalg.svd(centred, compute_uv=False)
     return bool(exact[2] <= _THINNEST * exact[0])
 
 

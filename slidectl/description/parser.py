@@ -18,8 +18,9 @@ from slidectl.description.materials import Materials
 from slidectl.description.mesh_files import MeshFiles
 from slidectl.description.packages import Packages
 from slidectl.description.report import Report
+from slidectl.description.rigid_bodies import WORLD, Weigher
 from slidectl.description.robot import Robot, Surface, TransmissionInfo
-from slidectl.description.structure import WORLD, Elements, Structure
+from slidectl.description.structure import Elements, Structure
 from slidectl.description.transmissions import TransmissionReader
 from slidectl.description.xml_tree import Element
 
@@ -35,20 +36,25 @@ Part = TypeVar("Part", bound=_Named)
 
 
 def parse(
-    xml: str | bytes, file: str = "robot_description", packages: Packages | None = None, base: Path | None = None
+    xml: str | bytes,
+    file: str = "robot_description",
+    packages: Packages | None = None,
+    base: Path | None = None,
+    strict: bool = False,
 ) -> Robot:
     """The robot that a URDF text describes.
 
     `file` is the name in messages, unless the text carries a note of its sources. `packages` and `base` (the folder
-    for relative paths) find meshes.
+    for relative paths) find meshes. Impossible masses and inertias, and shapes without a size, are mended or left out,
+    with a notice; `strict` refuses them.
 
     Raises:
         BadFile: with file and line, and the link or joint by name.
     """
-    return parse_tree(xml_tree.read(xml, file), MeshFiles(packages or Packages(start=base), base), Report())
+    return parse_tree(xml_tree.read(xml, file), MeshFiles(packages or Packages(start=base), base), Report(), strict)
 
 
-def parse_tree(root: Element, meshes: MeshFiles, report: Report) -> Robot:
+def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = False) -> Robot:
     """The robot of a tree of elements; what becomes of them is written into `report` on the way.
 
     Raises:
@@ -56,25 +62,28 @@ def parse_tree(root: Element, meshes: MeshFiles, report: Report) -> Robot:
     """
     if root.tag != "robot":
         raise root.error(f"the outermost element is <{root.tag}>, expected <robot>")
-    return _RobotReader(root, meshes, report).read()
+    return _RobotReader(root, meshes, report, strict).read()
 
 
 class _RobotReader:
-    def __init__(self, root: Element, meshes: MeshFiles, report: Report) -> None:
+    def __init__(self, root: Element, meshes: MeshFiles, report: Report, strict: bool) -> None:
         self.root = root
         self.report = report
         self.materials = Materials(report)
         self.meshes = meshes
+        self.strict = strict
 
     def read(self) -> Robot:
         root, report = self.root, self.report
         name = values.required(root, "name", "robot")
         report.unknown(root, {"name", "version"}, _CHILDREN)
         self.materials.read_global(root.find_all("material"))
-        links, link_at = _named(root.find_all("link"), LinkReader(report, self.materials, self.meshes).read)
+        reader = LinkReader(report, self.materials, self.meshes, self.strict)
+        links, link_at = _named(root.find_all("link"), reader.read)
         joints, joint_at = _named(root.find_all("joint"), JointReader(report).read)
         base = Structure(links, joints, link_at, joint_at).check(root)
         self._check_world(base, link_at)
+        links = Weigher(links, joints, link_at, report, self.strict).weigh(base)
         transmissions = self._transmissions(TransmissionReader(report, joints))
         gazebo = GazeboReader(report, links, joints)
         for element in root.find_all("gazebo"):

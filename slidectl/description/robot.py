@@ -53,6 +53,8 @@ class Inertial:
     mass: float
     inertia: tuple[float, float, float, float, float, float]
     line: int | None = None
+    mended: bool = False
+    """True: nobody wrote it so; it is that of several links, or the nearest that a body can have."""
 
 
 @dataclass(frozen=True)

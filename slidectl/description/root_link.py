@@ -6,7 +6,7 @@ Works on URDF text and keeps the note of where its elements were written.
 from __future__ import annotations
 
 from slidectl.description import values, xml_tree, xml_writer
-from slidectl.description.structure import WORLD
+from slidectl.description.rigid_bodies import WORLD
 from slidectl.description.xml_tree import Element
 from slidectl.errors import listing
 

@@ -1,4 +1,4 @@
-"""How links and joints hang together: one root, no cycle, nothing unknown, and mass in everything that moves.
+"""How links and joints hang together: one root, no cycle, nothing unknown, and no chain that is too long.
 
 Works on the plain data of robot.py; places in errors come from the elements that it is given. Linear in the size.
 """
@@ -12,7 +12,9 @@ from slidectl.description.values import unknown
 from slidectl.description.xml_tree import Element
 from slidectl.errors import listing
 
-WORLD = "world"
+DEEPEST = 1000
+"""Joints between the root and a link. MuJoCo takes a few more, and looks at a longer chain for minutes to refuse it."""
+TOO_DEEP = f"its child hangs more than {DEEPEST} joints below the root"
 
 Elements = Mapping[str, Element]
 
@@ -28,13 +30,12 @@ class Structure:
         self.link_at = link_at
         self.joint_at = joint_at
         self.above: dict[str, Joint] = {}
-        self.fixed_below: dict[str, list[str]] = {}
 
     def check(self, robot: Element) -> str:
         """The name of the root link.
 
         Raises:
-            BadFile: the links form no tree, a mimic joint follows nobody, or a moving part has no mass.
+            BadFile: the links form no tree, a mimic joint follows nobody, or a chain of joints is too long.
         """
         if not self.links:
             raise robot.error("the robot has no link")
@@ -43,7 +44,7 @@ class Structure:
         root = self._root()
         for joint in self.joints.values():
             self._check_mimic(joint)
-        self._check_masses(root)
+        self._check_depth(root)
         return root
 
     def _take(self, joint: Joint) -> None:
@@ -55,8 +56,6 @@ class Structure:
         first = self.above.setdefault(joint.child, joint)
         if first is not joint:
             raise element.error(f"link {joint.child!r} is the child of two joints, {first.name!r} and {joint.name!r}")
-        if joint.type == "fixed":
-            self.fixed_below.setdefault(joint.parent, []).append(joint.child)
 
     def _root(self) -> str:
         clear: set[str] = set()
@@ -102,26 +101,18 @@ class Structure:
                 raise self.joint_at[joint.name].error(f"mimic joints go round in a circle: {circle}")
             seen.append(master.name)
 
-    def _check_masses(self, root: str) -> None:
-        if root != WORLD and not self._has_mass(root):
-            raise self.link_at[root].error(
-                f"link {root!r}, the root, has no <inertial> and neither have the links fixed to it: it cannot be free",
-                "give it an <inertial>, or hold it with --fixed",
-            )
-        for joint in self.joints.values():
-            if joint.type != "fixed" and not self._has_mass(joint.child):
-                mover = f"moved by joint {joint.name!r}"
-                raise self.link_at[joint.child].error(
-                    f"link {joint.child!r}, {mover}, has no <inertial>, nor has a link fixed to it",
-                    "give it an <inertial> with <mass> and <inertia>",
-                )
+    def _check_depth(self, root: str) -> None:
+        joint = too_deep(root, self.joints)
+        if joint is not None:
+            raise self.joint_at[joint.name].error(f"joint {joint.name!r}: {TOO_DEEP}")
 
-    def _has_mass(self, link: str) -> bool:
-        """Whether any link of the rigid cluster with and below `link` has a mass."""
-        pending = [link]
-        while pending:
-            name = pending.pop()
-            if self.links[name].inertial is not None:
-                return True
-            pending.extend(self.fixed_below.get(name, ()))
-        return False
+
+def too_deep(root: str, joints: Mapping[str, Joint]) -> Joint | None:
+    """A joint whose child hangs too far below the root for the simulation, or None."""
+    below: dict[str, list[Joint]] = {}
+    for joint in joints.values():
+        below.setdefault(joint.parent, []).append(joint)
+    level = [root]
+    for _ in range(DEEPEST):
+        level = [joint.child for link in level for joint in below.get(link, ())]
+    return next((joint for link in level for joint in below.get(link, ())), None)

@@ -10,7 +10,10 @@ from typing import Any
 
 import mujoco
 
+from slidectl.description.inertia import LEAST, can_move
+from slidectl.description.rigid_bodies import rigid_bodies
 from slidectl.description.robot import Joint, Link, Robot
+from slidectl.description.structure import TOO_DEEP, too_deep
 from slidectl.physics.hulls import Hulls
 from slidectl.physics.inertia import BadInertia, put_inertia
 from slidectl.physics.parts import BadPart
@@ -25,9 +28,6 @@ Euler solves once more with the damped inertia: so every robot takes that path, 
 
 NARROWEST_RANGE = 1e-6
 """m or rad. MuJoCo wants the lower limit below the upper; a joint locked by equal limits gets this much."""
-
-DEEPEST = 1000
-"""Joints between the root and a link. MuJoCo takes a few more, and looks at a longer chain for minutes to refuse it."""
 
 _HINGE = mujoco.mjtJoint.mjJNT_HINGE
 _SLIDE = mujoco.mjtJoint.mjJNT_SLIDE
@@ -60,13 +60,13 @@ class RobotBuilder:
             BadInertia, BadJoint, BadShape: naming the robot and the link or joint.
         """
         check_depth(self.robot, self.name)
-        check_moving_masses(self.robot, self.name)
         bodies = {self.robot.root: self._root(pose)}
         waiting = [self.robot.root]
         for link in waiting:
             for joint in self.robot.children_of(link):
                 bodies[joint.child] = self._child(bodies[joint.parent], joint)
                 waiting.append(joint.child)
+        check_moving_masses(self.robot, self.name)
         for joint in self.robot.joints.values():
             self._mimic(joint)
 
@@ -158,42 +158,27 @@ def range_of(joint: Joint) -> tuple[float, float] | None:
         return None
     lower, upper = sorted((joint.limit.lower, joint.limit.upper))
     if upper - lower < NARROWEST_RANGE:
-        middle = (lower + upper) / 2
-        return middle - NARROWEST_RANGE / 2, middle + NARROWEST_RANGE / 2
+        middle = (lower + upper) / 2 if abs(upper) < 1e300 else upper
+        half = max(NARROWEST_RANGE / 2, math.ulp(middle))
+        return middle - half, middle + half
     return lower, upper
 
 
 def check_depth(robot: Robot, name: str) -> None:
     """Raises BadJoint for a link that hangs too far below the root."""
-    depth = {robot.root: 0}
-    above = {joint.child: joint for joint in robot.joints.values()}
-    for link in robot.links:
-        way = []
-        while link not in depth:
-            way.append(above[link])
-            link = above[link].parent
-        for joint in reversed(way):
-            depth[joint.child] = depth[joint.parent] + 1
-            if depth[joint.child] > DEEPEST:
-                raise BadJoint(name, joint, f"its child hangs more than {DEEPEST} joints below the root")
+    joint = too_deep(robot.root, robot.joints)
+    if joint is not None:
+        raise BadJoint(name, joint, TOO_DEEP)
 
 
 def check_moving_masses(robot: Robot, name: str) -> None:
-    """Raises BadInertia for a link that moves and has no inertia, neither its own nor of links welded to it."""
-    for head in _moving_heads(robot):
-        if not any(robot.links[link].inertial for link in welded_to(robot, head)):
+    """Raises BadInertia for a link that moves and has too little inertia, its own or that of links welded to it."""
+    for body in rigid_bodies(robot.root, robot.joints):
+        weighing = [inertial for link in body.links if (inertial := robot.links[link].inertial) is not None]
+        if not body.moves or any(can_move(inertial.mass, inertial.inertia) for inertial in weighing):
+            continue
+        head = robot.links[body.head]
+        if not weighing:
             hint = 'add <inertial> with <mass value="..."/> and <inertia .../>'
-            raise BadInertia(name, robot.links[head], "it moves but has no inertia", hint)
-
-
-def _moving_heads(robot: Robot) -> list[str]:
-    heads = [] if robot.is_fixed_to_world else [robot.root]
-    return heads + [joint.child for joint in robot.joints.values() if joint.type != "fixed"]
-
-
-def welded_to(robot: Robot, head: str) -> list[str]:
-    """`head` and all links below it that hang on it by fixed joints alone."""
-    links = [head]
-    for link in links:
-        links.extend(joint.child for joint in robot.children_of(link) if joint.type == "fixed")
-    return links
+            raise BadInertia(name, head, "it moves but has no inertia", hint)
+        raise BadInertia(name, head, f"it moves, and its mass or a moment of it is below {LEAST:g}")

@@ -8,13 +8,16 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import mujoco
 import numpy as np
 
-from slidectl.description.inertia import why_impossible
+from slidectl.description.inertia import LEAST, why_impossible
 from slidectl.description.robot import Inertial, Link
 from slidectl.physics.parts import BadPart
-from slidectl.physics.rotation import matrix, wxyz
-from slidectl.rotations import from_rpy
+from slidectl.physics.rotation import wxyz
+from slidectl.rotations import from_rpy, matrix
+
+Array = np.ndarray[Any, np.dtype[Any]]
 
 
 class BadInertia(BadPart):
@@ -44,8 +47,12 @@ def put_inertia(body: Any, robot: str, link: Link) -> None:
     if ixy == ixz == iyz == 0.0:
         body.inertia = _within_triangle(ixx, iyy, izz)
         body.iquat = wxyz(from_rpy(inertial.origin.rpy))
+        return
+    tensor = _turned(inertial)
+    if _is_on_the_edge(tensor) and not _is_taken(tensor):
+        body.inertia, body.iquat = _principal(tensor)
     else:
-        body.fullinertia = _turned(inertial)
+        body.fullinertia = _row(tensor)
 
 
 def check_moments(robot: str, link: Link, inertial: Inertial) -> None:
@@ -58,15 +65,19 @@ def check_moments(robot: str, link: Link, inertial: Inertial) -> None:
         raise BadInertia(robot, link, f"no body has its inertia: {why}", hint)
 
 
-def _tensor(inertial: Inertial) -> np.ndarray[Any, Any]:
+def _tensor(inertial: Inertial) -> Array:
     ixx, ixy, ixz, iyy, iyz, izz = inertial.inertia
     return np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
 
 
-def _turned(inertial: Inertial) -> list[float]:
-    """The tensor about the link's axes, in MuJoCo's order xx yy zz xy xz yz. R I Rᵀ with R of the inertial origin."""
+def _turned(inertial: Inertial) -> Array:
+    """The tensor about the link's axes: R I Rᵀ with R of the inertial origin."""
     turn = np.array(matrix(from_rpy(inertial.origin.rpy)))
-    tensor = turn @ _within_triangle_tensor(_tensor(inertial)) @ turn.T
+    return np.asarray(turn @ _within_triangle_tensor(_tensor(inertial)) @ turn.T)
+
+
+def _row(tensor: Array) -> list[float]:
+    """MuJoCo's order, xx yy zz xy xz yz."""
     return [float(tensor[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
 
 
@@ -74,13 +85,49 @@ def _within_triangle(ixx: float, iyy: float, izz: float) -> list[float]:
     """The three moments, the largest cut to the sum of the others when it exceeds it by digits lost in the file."""
     moments = [ixx, iyy, izz]
     largest = max(range(3), key=moments.__getitem__)
-    moments[largest] = min(moments[largest], sum(moments) - moments[largest])
+    # MuJoCo compares with the sum of the two, without any margin; the difference may be rounded to more than that.
+    rest = sum(moments[:largest] + moments[largest + 1 :])
+    moments[largest] = min(moments[largest], sum(moments) - moments[largest], rest)
     return moments
 
 
-def _within_triangle_tensor(tensor: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+def _within_triangle_tensor(tensor: Array) -> Array:
     moments, axes = np.linalg.eigh(tensor)
     if moments[0] + moments[1] >= moments[2]:
         return tensor
     moments[2] = moments[0] + moments[1]
     return np.asarray((axes * moments) @ axes.T)
+
+
+def _is_on_the_edge(tensor: Array) -> bool:
+    """Whether MuJoCo, which finds the principal moments of a tensor itself, may refuse it for its rounding: the body is
+    flat, or thin as a needle. Its moments are off by no more than 1e-12 of the largest or of 1 kg·m²."""
+    small, middle, large = np.linalg.eigvalsh(tensor)
+    return bool(small + middle - large < 1e-6 * large + 1e-11 or small < 1e-6 * large + 1e-13)
+
+
+def _is_taken(tensor: Array) -> bool:
+    """Whether MuJoCo takes the tensor of a body on the edge: asked of MuJoCo itself, whose rounding nobody can tell.
+
+    What it takes is left to it, so that a robot which could be spawned before moves as it did, to the last bit.
+    """
+    spec = mujoco.MjSpec()
+    body = spec.worldbody.add_body(mass=1.0, explicitinertial=True, ipos=(0.0, 0.0, 0.0), fullinertia=_row(tensor))
+    body.add_freejoint()
+    try:
+        spec.compile()
+    except (ValueError, mujoco.FatalError):
+        return False
+    return True
+
+
+def _principal(tensor: Array) -> tuple[list[float], tuple[float, float, float, float]]:
+    """Principal moments that keep the triangle rule to the last bit, and MuJoCo's quaternion of their axes."""
+    moments, axes = np.linalg.eigh(tensor)
+    if np.linalg.det(axes) < 0.0:
+        axes[:, 2] = -axes[:, 2]
+    attitude = np.zeros(4)
+    mujoco.mju_mat2Quat(attitude, axes.ravel())
+    small, middle, large = (float(max(moment, LEAST)) for moment in moments)
+    w, x, y, z = (float(part) for part in attitude)
+    return _within_triangle(small, middle, large), (w, x, y, z)

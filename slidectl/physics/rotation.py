@@ -1,4 +1,4 @@
-"""Rotations as physics needs them beside `slidectl.rotations`: MuJoCo's order, matrices, axes, poses.
+"""Rotations as physics needs them beside `slidectl.rotations`: MuJoCo's order, axes, poses.
 
 `Quaternion` is x y z w as on messages; `wxyz` turns it for MuJoCo, whose quaternions begin with w.
 """
@@ -9,7 +9,6 @@ import math
 
 from slidectl.rotations import IDENTITY, Quaternion, Vector
 
-Matrix = tuple[Vector, Vector, Vector]
 Pose = tuple[Vector, Quaternion]
 """Position in m, attitude x y z w."""
 
@@ -26,16 +25,6 @@ def xyzw(quaternion: Quaternion) -> Quaternion:
     """The order of messages, from MuJoCo's."""
     w, x, y, z = quaternion
     return (x, y, z, w)
-
-
-def matrix(quaternion: Quaternion) -> Matrix:
-    """The rotation matrix of a unit quaternion, by rows."""
-    x, y, z, w = quaternion
-    return (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
-        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
-        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
-    )
 
 
 def perpendicular(axis: Vector) -> tuple[Vector, Vector]:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
 from check_texts import BALL, INERTIAL, LIMIT, PLUGIN, cart, driven_cart, transmission
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from slidectl import description
 from slidectl.check import Findings
@@ -131,3 +134,105 @@ def test_a_controller_with_nothing_wrong_can_be_loaded_and_no_other(name: str, t
     simulation.parameters.set("/bot/c", read(parameters)["bot"]["c"])
     loaded = simulation.call("/bot/controller_manager/load_controller", {"name": "c"})["ok"]
     assert loaded == (findings.count("wrong") == 0)
+
+
+def chain(joints: int) -> str:
+    links = "".join(f'<link name="l{index}">{INERTIAL}</link>' for index in range(joints + 1))
+    welds = "".join(
+        f'<joint name="j{index}" type="fixed"><parent link="l{index}"/><child link="l{index + 1}"/></joint>'
+        for index in range(joints)
+    )
+    return f'<robot name="bot">{links}{welds}</robot>'
+
+
+def plate(moments: str = "0.195728 0 0 0.332102 0 0.527831", mass: str = "1") -> str:
+    names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    inertia = " ".join(f'{name}="{value}"' for name, value in zip(names, moments.split(), strict=True))
+    inertial = f'<inertial><mass value="{mass}"/><inertia {inertia}/></inertial>'
+    return f'<robot name="bot"><link name="a">{inertial}</link></robot>'
+
+
+def shaped(shape: str) -> str:
+    return driven_cart(link=f"{INERTIAL}<collision><geometry>{shape}</geometry></collision>")
+
+
+TINY = '<mesh filename="tetrahedron.obj" scale="{0} {0} {0}"/>'
+BAD = {
+    "1000 joints deep": (chain(1000), True),
+    "1001 joints deep": (chain(1001), False),
+    "a plate": (plate(), True),
+    "a turned plate": (plate("0.2639 0.0681 0 0.2639 0 0.5278"), True),
+    "a mass below MuJoCo's least": (plate(mass="1e-16"), True),
+    "a mass of next to nothing": (plate(mass="1e-320"), True),
+    "moments below MuJoCo's least": (plate("1e-16 0 0 1e-16 0 1e-16"), True),
+    "moments of next to nothing, turned": (plate("1e-14 1e-16 0 1e-14 0 1e-14"), True),
+    "the triangle rule broken": (plate("1 0 0 1 0 2.06"), True),
+    "sums beyond all numbers": (plate("1e308 0 0 1e308 0 -1e308"), False),
+    "a sphere of 1e-324": (shaped('<sphere radius="1e-324"/>'), True),
+    "a sphere of 5e-324": (shaped('<sphere radius="5e-324"/>'), True),
+    "a box of 1e150": (shaped('<box size="1e150 1e100 1e100"/>'), True),
+    "a mesh of a hundredth of a millimetre": (shaped(TINY.format("1e-5")), False),
+    "a mesh of two hundredths": (shaped(TINY.format("2e-5")), True),
+    "a mesh of 1e150": (shaped(TINY.format("1e150")), True),
+    "a mesh of 1e-320": (shaped(TINY.format("1e-320")), False),
+    "a period beyond all durations": (cart(transmission(), plugin("<controlPeriod>1e308</controlPeriod>")), False),
+    "a period of nothing": (cart(transmission(), plugin("<controlPeriod>1e-320</controlPeriod>")), True),
+    "equal limits at the end of all numbers": (
+        driven_cart(joint='<limit lower="1e308" upper="1e308" effort="1" velocity="2"/>'),
+        True,
+    ),
+    "equal limits far out": (driven_cart(joint='<limit lower="1e16" upper="1e16" effort="1" velocity="2"/>'), True),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_check_refuses_what_the_physics_refuses_and_nothing_else(name: str, tmp_path: Path) -> None:
+    text, is_taken = BAD[name]
+    (tmp_path / "tetrahedron.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+    )
+    path = tmp_path / "bot.urdf"
+    path.write_text(text, "utf-8")
+    assert bool(check_agreement(path).broken) is not is_taken
+
+
+NUMBERS = re.split(r'(?<=[" ])(-?[\d.]+)(?=[" ])', """<robot name="bot"><link name="world"/>
+<link name="cart"><inertial><origin xyz="0.1 0 0" rpy="0.2 0 0"/><mass value="1"/>
+<inertia ixx="0.02" ixy="0.001" ixz="0" iyy="0.02" iyz="0" izz="0.03"/></inertial>
+<collision><origin xyz="0 0.3 0" rpy="0 0 0.4"/><geometry><box size="0.5 0.6 0.7"/></geometry></collision>
+<visual><geometry><cylinder radius="0.11" length="0.12"/></geometry></visual></link>
+<link name="tip"><inertial><mass value="2"/>
+<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.03"/></inertial>
+<collision><geometry><sphere radius="0.13"/></geometry></collision></link>
+<joint name="slide" type="revolute"><origin xyz="0 0.2 0" rpy="0 0.3 0"/><parent link="world"/><child link="cart"/>
+<axis xyz="0 1 0"/><limit lower="-1.5" upper="1.5" effort="10" velocity="2"/><dynamics damping="0.7" friction="0.1"/>
+<safety_controller soft_lower_limit="-1.2" soft_upper_limit="1.2" k_position="12" k_velocity="13"/></joint>
+<joint name="weld" type="fixed"><origin xyz="0 0 0.4" rpy="0 0 0.5"/><parent link="cart"/><child link="tip"/></joint>
+<gazebo reference="tip"><mu1 value="0.6" /></gazebo>""" + transmission() + "</robot>")  # fmt: skip
+EXTREMES = [
+    "0",
+    "-1",
+    "1",
+    "1e150",
+    "-1e150",
+    "1e-320",
+    "5e-324",
+    "1e-324",
+    "1e308",
+    "-1e308",
+    "1e-16",
+    "1e16",
+    "inf",
+    "nan",
+]
+
+
+@settings(max_examples=120, deadline=None, derandomize=True)
+@given(
+    changes=st.dictionaries(
+        st.integers(0, len(NUMBERS) // 2 - 1).map(lambda index: 2 * index + 1), st.sampled_from(EXTREMES), max_size=4
+    )
+)
+def test_a_check_and_a_spawn_agree_on_any_number_in_a_robot(changes: dict[int, str]) -> None:
+    text = "".join(changes.get(index, part) for index, part in enumerate(NUMBERS))
+    check_agreement(text)

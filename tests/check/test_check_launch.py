@@ -224,7 +224,7 @@ def test_what_keeps_a_launch_from_starting_is_broken(launch: Launch, part: str, 
 
 
 def test_a_broken_robot_does_not_hide_the_rest_of_the_launch(launch: Launch, write: Write) -> None:
-    write("bad.urdf", driven_cart().replace('<mass value="1"/>', '<mass value="-1"/>'))
+    write("bad.urdf", driven_cart().replace('<mass value="1"/>', '<mass value="one"/>'))
     lines = launch('<param name="robot_description" textfile="$(dirname)/bad.urdf"/>', SPAWN, LOAD, START)
     (error,) = lines.findings.broken
     assert (Path(str(error.file)).name, error.line) == ("bad.urdf", 3)

@@ -175,9 +175,9 @@ def test_several_broken_parts_are_all_named(model: Check) -> None:
 
 
 def test_a_model_that_is_no_robot_has_one_finding_and_cannot_be_used(model: Check) -> None:
-    lines = model(cart().replace('<mass value="1"/>', '<mass value="-1"/>'))
+    lines = model(cart().replace('<mass value="1"/>', '<mass value="one"/>'))
     assert [error.line for error in lines.findings.broken] == [3]
-    assert "link 'cart' has a mass of -1 kg" in lines.of("wrong")[-1]
+    assert "link 'cart': 'value' of <mass> is 'one'" in lines.of("wrong")[-1]
 
 
 def test_a_dropped_transmission_is_wrong_and_nothing_in_it_is_used(model: Check) -> None:

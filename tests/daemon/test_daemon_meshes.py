@@ -203,7 +203,7 @@ def flat(folder: Path) -> Path:
         (bomb, "the scene has more than 20000 nodes, instances included"),
         (endless, "nested deeper than 100"),
         (entities, "entities are refused"),
-        (flat, "all of it lies in one plane"),
+        (flat, "it lies in one plane"),
     ],
 )
 def test_files_that_ask_for_too_much_are_refused_with_what_it_is(

@@ -17,11 +17,11 @@ def _alone(no_package_path: None) -> None:
 
 @pytest.fixture
 def refuse() -> Callable[[str], BadFile]:
-    """Parses a text that must be refused, and gives the error."""
+    """Parses a text that must be refused, strictly, and gives the error."""
 
     def parse_refused(xml: str) -> BadFile:
         with pytest.raises(BadFile) as caught:
-            parse(xml, "bot.urdf")
+            parse(xml, "bot.urdf", strict=True)
         return caught.value
 
     return parse_refused

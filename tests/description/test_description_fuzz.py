@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from slidectl.description import load, parse, root_link, yaml_tree
-from slidectl.errors import SlidectlError
+from slidectl.errors import BadFile, SlidectlError
 
 RRBOT = load("rrbot").xml
 TOKENS = re.compile(r'"[^"]*"|[<>/=]|[A-Za-z_]\w*|\s+|[^\s"<>/=\w]+')
@@ -155,12 +155,20 @@ def test_any_yaml(source: str | bytes) -> None:
         yaml_tree.read(source, "c.yaml")
 
 
-@pytest.mark.parametrize("count", [5_000])
-def test_a_long_chain_of_links_is_read_to_its_end(count: int) -> None:
+def chain(count: int) -> str:
     inertia = '<inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>'
     links = "".join(f'<link name="l{index}">{inertia}</link>' for index in range(count))
     joints = "".join(
         f'<joint name="j{index}" type="fixed"><parent link="l{index}"/><child link="l{index + 1}"/></joint>'
         for index in range(count - 1)
     )
-    assert len(parse(f'<robot name="long">{links}{joints}</robot>').joints) == count - 1
+    return f'<robot name="long">{links}{joints}</robot>'
+
+
+def test_a_long_chain_of_links_is_read_to_its_end() -> None:
+    assert len(parse(chain(1001)).joints) == 1000
+
+
+def test_a_longer_chain_than_the_physics_takes_is_refused_by_joint() -> None:
+    with pytest.raises(BadFile, match="joint 'j1000': its child hangs more than 1000 joints below the root"):
+        parse(chain(5_000))

@@ -24,7 +24,7 @@ def geometry(shape: str) -> str:
 
 
 LINKS = [
-    ("", "neither have the links fixed to it"),
+    ("", "the root, has no <inertial>, nor has a link fixed to it"),
     (inertial(mass="0"), "'arm' has a mass of 0 kg; it must be above 0"),
     (inertial(mass="-2"), "'arm' has a mass of -2 kg"),
     (inertial(mass="nan"), "not a finite number"),
@@ -42,11 +42,12 @@ LINKS = [
     (geometry(""), "<geometry> holds nothing; known shapes: box"),
     (geometry('<cone radius="1"/>'), "<geometry> holds cone"),
     (geometry('<box size="1 2"/>'), "2 numbers, expected 3"),
-    (geometry('<box size="1 0 1"/>'), "above 0"),
+    (geometry('<box size="1 0 1"/>'), "no volume"),
+    (geometry('<box size="1 -1 1"/>'), "above 0"),
     (geometry("<box/>"), "<box> lacks the attribute 'size'"),
-    (geometry('<sphere radius="-1"/>'), "above 0"),
+    (geometry('<sphere radius="-1"/>'), "must not be negative"),
     (geometry('<cylinder radius="1" length="inf"/>'), "not a finite number"),
-    (geometry('<mesh filename="a.stl" scale="1 0 1"/>'), "scale must not be 0"),
+    (geometry('<mesh filename="a.stl" scale="1 0 1"/>'), "has no volume"),
     (geometry("<mesh/>"), "lacks the attribute 'filename'"),
     (f"{INERTIAL}<collision/>", "<collision> lacks <geometry>"),
     (f'{INERTIAL}<visual><origin xyz="1 2 3 4"/></visual>', "<visual> lacks <geometry>"),

@@ -78,7 +78,7 @@ def test_notices_name_the_file_and_line_where_the_tag_was_written(package: Path)
 
 def test_an_error_in_an_expanded_robot_names_the_line_of_the_macro(package: Path) -> None:
     with pytest.raises(BadFile, match="'arm' has a mass of -1 kg") as caught:
-        parse(load(package, {"mass": "-1"}).xml)
+        parse(load(package, {"mass": "-1"}).xml, strict=True)
     assert (Path(str(caught.value.file)).name, caught.value.line) == ("bar.xacro", 6)
 
 

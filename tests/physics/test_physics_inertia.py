@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 from physics_robots import box_inertial, one_joint, tree
 
+from slidectl.description.inertia import can_move, principal_moments, why_impossible
 from slidectl.description.robot import Inertial, Joint, Link, Pose
 from slidectl.errors import SlidectlError
 from slidectl.physics import World
@@ -113,3 +117,56 @@ def _rotation(rpy: tuple[float, float, float]) -> np.ndarray:
     about_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
     about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
     return np.asarray(about_z @ about_y @ about_x)
+
+
+@settings(max_examples=300, deadline=None, derandomize=True)
+@given(
+    sides=st.tuples(st.floats(0.001, 10.0), st.floats(0.001, 10.0)),
+    density=st.floats(1e-6, 1e4),
+    turn=st.tuples(*[st.floats(-3.2, 3.2)] * 3),
+    tilt=st.tuples(*[st.floats(-3.2, 3.2)] * 3),
+    digits=st.sampled_from([3, 6, 9, 17]),
+)
+def test_a_thin_plate_is_spawned_however_it_lies_and_whatever_digits_its_file_keeps(
+    sides: tuple[float, float], density: float, turn: tuple[float, ...], tilt: tuple[float, ...], digits: int
+) -> None:
+    x, y = sides
+    mass = density * x * y
+    axes = _rotation(turn)  # type: ignore[arg-type]
+    tensor = axes @ np.diag([mass * y * y / 12, mass * x * x / 12, mass * (x * x + y * y) / 12]) @ axes.T
+    ixx, ixy, ixz, iyy, iyz, izz = (
+        float(f"{tensor[i, j]:.{digits}g}") for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+    )
+    inertial = Inertial(Pose(rpy=tilt), mass, (ixx, ixy, ixz, iyy, iyz, izz))  # type: ignore[arg-type]
+    assume(why_impossible(inertial.inertia) is None)
+    assume(can_move(mass, inertial.inertia))
+    world = World(gravity=(0.0, 0.0, 0.0))
+    world.attach(tree([Link("plate", inertial)], [], "plate"), "plate")
+    moments = world.model.body_inertia[world.body("plate").links["plate"]]
+    # MuJoCo's own turning of a tensor leaves off what is below 1e-12 kg·m².
+    assert sorted(moments) == pytest.approx(principal_moments(inertial.inertia), rel=2e-3, abs=1e-12)
+
+
+def test_the_plate_whose_digits_miss_the_rule_by_one_is_spawned() -> None:
+    flat = Inertial(Pose(), 1.0, (0.195728, 0.0, 0.0, 0.332102, 0.0, 0.527831))
+    assert spin_up(flat, (0.0, 0.0, 1.0)) == pytest.approx(1 / 0.52783)
+
+
+def test_a_plate_that_mujoco_takes_is_left_to_it_to_the_last_bit() -> None:
+    spec = mujoco.MjSpec()
+    spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
+    tensor = _rotation((0.3, 0.0, 0.0)) @ np.diag([1.0, 2.0, 2.9999999]) @ _rotation((0.3, 0.0, 0.0)).T
+    row = [float(tensor[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+    spec.worldbody.add_body(mass=1.0, explicitinertial=True, ipos=[0.0, 0.0, 0.0], fullinertia=row)
+    model = spec.compile()
+    ixx, iyy, izz, ixy, ixz, iyz = row
+    world = World()
+    world.attach(tree([Link("plate", Inertial(Pose(), 1.0, (ixx, ixy, ixz, iyy, iyz, izz)))], [], "plate"), "plate")
+    assert (world.model.body_inertia[1] == model.body_inertia[1]).all()
+    assert (world.model.body_iquat[1] == model.body_iquat[1]).all()
+
+
+def test_a_mass_below_the_least_of_the_physics_is_refused_by_link() -> None:
+    faint = Inertial(Pose(), 1e-16, (1.0, 0.0, 0.0, 1.0, 0.0, 1.0))
+    with pytest.raises(SlidectlError, match="link 'base' of robot 'one': it moves, and its mass or a moment of it"):
+        World().attach(tree([Link("base", faint)], [], "base"), "one")

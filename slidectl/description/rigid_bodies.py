@@ -1,0 +1,279 @@
+"""Links that fixed joints hold together, and what they weigh as one body.
+
+Gazebo lumps such links before it judges their inertia, and so does this: a link on a fixed joint may weigh nothing, or
+have an inertia that no body has, as long as the whole can be simulated. A body that cannot is mended, with a notice.
+What a body can weigh is inertia.py's; joints between bodies are structure.py's.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from slidectl.description import inertia
+from slidectl.description.inertia import LEAST, Tensor
+from slidectl.description.report import Report
+from slidectl.description.robot import Inertial, Joint, Link, Pose, Vector
+from slidectl.description.xml_tree import Element
+from slidectl.errors import listing
+from slidectl.rotations import Matrix, from_rpy, matrix
+
+WORLD = "world"
+
+_MOMENTS = "ixx ixy ixz iyy iyz izz"
+_NOTHING: Tensor = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class RigidBody:
+    """Links that move as one."""
+
+    links: tuple[str, ...]
+    """The head first, on whose parent joint the others depend; each link behind its parent."""
+    mover: Joint | None
+    """The joint that moves the head; None at the root."""
+
+    @property
+    def head(self) -> str:
+        return self.links[0]
+
+    @property
+    def moves(self) -> bool:
+        """False for what is fixed to the world."""
+        return self.mover is not None or self.head != WORLD
+
+
+def rigid_bodies(root: str, joints: Mapping[str, Joint]) -> list[RigidBody]:
+    """All bodies of a robot, the root's first. Linear in the number of joints."""
+    welded: dict[str, list[str]] = {}
+    for joint in joints.values():
+        if joint.type == "fixed":
+            welded.setdefault(joint.parent, []).append(joint.child)
+    movers = (joint for joint in joints.values() if joint.type != "fixed")
+    heads = [(root, None), *((joint.child, joint) for joint in movers)]
+    return [RigidBody(_held(head, welded), mover) for head, mover in heads]
+
+
+def _held(head: str, welded: Mapping[str, list[str]]) -> tuple[str, ...]:
+    links = [head]
+    for link in links:
+        links.extend(welded.get(link, ()))
+    return tuple(links)
+
+
+def why_unfit(inertial: Inertial) -> str | None:
+    """Why no body weighs what one link is said to weigh, as a clause; None when one can."""
+    if not inertia.is_mass(inertial.mass):
+        return f"has a mass of {inertial.mass:g} kg; it must be above 0"
+    why = inertia.why_impossible(inertial.inertia)
+    return None if why is None else f"has an inertia that no body can have: {why}"
+
+
+def can_be_simulated(body: RigidBody, links: Mapping[str, Link]) -> bool:
+    """Whether a body can be taken as it is written: each link on its own, and where it moves, some link with it all."""
+    weighing = [inertial for link in body.links if (inertial := links[link].inertial) is not None]
+    if any(why_unfit(inertial) for inertial in weighing):
+        return False
+    return not body.moves or any(inertia.can_move(inertial.mass, inertial.inertia) for inertial in weighing)
+
+
+@dataclass(frozen=True)
+class _Unfit:
+    """A link that no body weighs as, and the tag below `<inertial>` that says so."""
+
+    link: str
+    tag: str
+    place: Element
+    why: str
+
+    def tell(self, report: Report, consequence: str) -> None:
+        report.converted(self.place, f"{self.why}; {consequence}", f"{_subject(self.link)}/<{self.tag}>")
+
+
+class Weigher:
+    """Mends the bodies of one robot, with a notice for each link that nobody can simulate as it is written."""
+
+    def __init__(
+        self,
+        links: Mapping[str, Link],
+        joints: Mapping[str, Joint],
+        link_at: Mapping[str, Element],
+        report: Report,
+        strict: bool = False,
+    ) -> None:
+        """`strict` refuses what would be mended."""
+        self.links = dict(links)
+        self.joints = joints
+        self.link_at = link_at
+        self.report = report
+        self.strict = strict
+        self._above = {joint.child: joint for joint in joints.values()}
+
+    def weigh(self, root: str) -> dict[str, Link]:
+        """The links, with inertias that can be simulated; of sound bodies the very same.
+
+        Raises:
+            BadFile: numbers so large that their sums are none; or, when it is strict, anything to be mended.
+        """
+        for body in rigid_bodies(root, self.joints):
+            if not can_be_simulated(body, self.links):
+                unfit = list(self._unfit(body))
+                if self.strict and unfit:
+                    raise unfit[0].place.error(f"link {unfit[0].link!r} {unfit[0].why}")
+                if not body.moves:
+                    self._leave_out(unfit)
+                elif (written := self._lumped(body)) is not None:
+                    self._mend(body, written, unfit)
+                else:
+                    self._give_least(body)
+        return self.links
+
+    def _leave_out(self, unfit: Sequence[_Unfit]) -> None:
+        for found in unfit:
+            found.tell(self.report, "it is fixed to the world, where nothing has a weight")
+            self.links[found.link] = replace(self.links[found.link], inertial=None)
+
+    def _mend(self, body: RigidBody, written: Inertial, unfit: Sequence[_Unfit]) -> None:
+        mass, moments = inertia.nearest_possible(written.mass, written.inertia)
+        if not all(map(math.isfinite, (mass, *moments, *written.origin.xyz))):
+            raise self.link_at[body.head].error(f"link {body.head!r}: its masses or inertias are too large")
+        mended = replace(written, mass=mass, inertia=moments)
+        weighing = [link for link in body.links if self.links[link].inertial is not None]
+        change = _change(written, mended)
+        whole = "it is" if len(weighing) == 1 else f"fixed to one another, {listing(weighing)} are"
+        end = f"simulated with {change}" if change else f"one body of {_weight(mended)}"
+        for found in unfit:
+            found.tell(self.report, f"{whole} {end}")
+        if not unfit:
+            place = self._inertial_of(weighing[0])
+            text = f"{_weight(written)} are too little for what moves"
+            if self.strict:
+                raise place.error(f"link {weighing[0]!r}: {text}; both must be at least {LEAST:g}")
+            self.report.converted(place, f"{text}; {whole} simulated with {change}", _subject(weighing[0]))
+        for link in weighing:
+            self.links[link] = replace(self.links[link], inertial=None)
+        bearer = weighing[0] if len(weighing) == 1 else body.head
+        self.links[bearer] = replace(self.links[bearer], inertial=mended)
+
+    def _give_least(self, body: RigidBody) -> None:
+        """A body that moves, and of which nobody said what it weighs."""
+        place = self.link_at[body.head]
+        who = f"moved by joint {body.mover.name!r}," if body.mover is not None else "the root,"
+        why = f"{who} has no <inertial>, nor has a link fixed to it"
+        hint = "give it an <inertial> with <mass> and <inertia>" + ("" if body.mover else ", or hold it with --fixed")
+        if self.strict:
+            raise place.error(f"link {body.head!r}, {why}", hint)
+        moment = inertia.SMALLEST_MOMENT
+        given = Inertial(Pose(), inertia.SMALLEST_MASS, (moment, 0.0, 0.0, moment, 0.0, moment), mended=True)
+        self.report.wrong(place, f"{why}; {hint}. It is simulated with {_weight(given)}", f"link {body.head!r}")
+        self.links[body.head] = replace(self.links[body.head], inertial=given)
+
+    def _unfit(self, body: RigidBody) -> Iterator[_Unfit]:
+        for link in body.links:
+            inertial = self.links[link].inertial
+            why = why_unfit(inertial) if inertial is not None else None
+            if inertial is not None and why is not None:
+                tag = "inertia" if inertia.is_mass(inertial.mass) else "mass"
+                above = self._inertial_of(link)
+                yield _Unfit(link, tag, above.find(tag) or above, why)
+
+    def _inertial_of(self, link: str) -> Element:
+        element = self.link_at[link]
+        return element.find("inertial") or element
+
+    def _lumped(self, body: RigidBody) -> Inertial | None:
+        """Mass, centre of mass and inertia about it of all links of a body, in the head's frame; None: nobody has any.
+
+        A single one is as it is written, in its own frame. Of several the masses add up, and the tensors, turned into
+        the head's frame and shifted by Steiner's theorem; negative ones too, as in Gazebo.
+        """
+        weighing = [(link, inertial) for link in body.links if (inertial := self.links[link].inertial) is not None]
+        if not weighing:
+            return None
+        first = weighing[0][1]
+        if len(weighing) == 1:
+            return replace(first, mended=True)
+        parts = [_Part(inertial, *self._seen_from(body.head, link)) for link, inertial in weighing]
+        mass = sum(part.mass for part in parts)
+        if mass < LEAST:
+            centre, about = (0.0, 0.0, 0.0), [part.tensor for part in parts]
+        else:
+            centre = _vector(sum(part.mass * part.centre[i] for part in parts) / mass for i in range(3))
+            about = [part.about(centre) for part in parts]
+        ixx, ixy, ixz, iyy, iyz, izz = (sum(values) for values in zip(*about, strict=True))
+        return Inertial(Pose(centre), mass, (ixx, ixy, ixz, iyy, iyz, izz), first.line, mended=True)
+
+    def _seen_from(self, head: str, link: str) -> tuple[Matrix, Vector]:
+        """Attitude and place of a link in the frame of the head, to which fixed joints lead."""
+        turn, shift = matrix(from_rpy((0.0, 0.0, 0.0))), (0.0, 0.0, 0.0)
+        while link != head:
+            origin = self._above[link].origin
+            above = matrix(from_rpy(origin.rpy))
+            shift = _moved(above, shift, origin.xyz)
+            turn, link = _product(above, turn), self._above[link].parent
+        return turn, shift
+
+
+class _Part:
+    """What one link adds to a body: all in the head's frame."""
+
+    def __init__(self, inertial: Inertial, turn: Matrix, shift: Vector) -> None:
+        self.mass = inertial.mass
+        self.centre = _moved(turn, inertial.origin.xyz, shift)
+        axes = _product(turn, matrix(from_rpy(inertial.origin.rpy)))
+        ixx, ixy, ixz, iyy, iyz, izz = inertial.inertia
+        rows = _product(_product(axes, ((ixx, ixy, ixz), (ixy, iyy, iyz), (ixz, iyz, izz))), _transposed(axes))
+        self.tensor: Tensor = (rows[0][0], rows[0][1], rows[0][2], rows[1][1], rows[1][2], rows[2][2])
+
+    def about(self, centre: Vector) -> Tensor:
+        """Its tensor about another point."""
+        x, y, z = (own - other for own, other in zip(self.centre, centre, strict=True))
+        m, (ixx, ixy, ixz, iyy, iyz, izz) = self.mass, self.tensor
+        return (
+            ixx + m * (y * y + z * z), ixy - m * x * y, ixz - m * x * z,
+            iyy + m * (x * x + z * z), iyz - m * y * z, izz + m * (x * x + y * y),
+        )  # fmt: skip
+
+
+def _subject(link: str) -> str:
+    return f"link {link!r}/<inertial>"
+
+
+def _weight(inertial: Inertial) -> str:
+    moments = ", ".join(f"{moment:.4g}" for moment in inertia.principal_moments(inertial.inertia))
+    return f"{inertial.mass:.4g} kg and principal moments {moments} kg·m²"
+
+
+def _change(before: Inertial, after: Inertial) -> str:
+    """Old and new values of what had to be mended; nothing when nothing had."""
+    parts = []
+    if after.mass != before.mass:
+        parts.append(f"a mass of {after.mass:g} instead of {before.mass:g} kg")
+    if after.inertia != before.inertia:
+        parts.append(f"{_MOMENTS} of {_row(after.inertia)} instead of {_row(before.inertia)} kg·m²")
+    return " and ".join(parts)
+
+
+def _row(tensor: Tensor) -> str:
+    return " ".join(f"{part:.6g}" for part in tensor)
+
+
+def _moved(turn: Matrix, point: Vector, shift: Vector) -> Vector:
+    x, y, z = (sum(a * b for a, b in zip(row, point, strict=True)) for row in turn)
+    return (x + shift[0], y + shift[1], z + shift[2])
+
+
+def _product(a: Matrix, b: Matrix) -> Matrix:
+    x, y, z = (_moved(_transposed(b), row, (0.0, 0.0, 0.0)) for row in a)
+    return x, y, z
+
+
+def _transposed(rows: Matrix) -> Matrix:
+    x, y, z = zip(*rows, strict=True)
+    return x, y, z
+
+
+def _vector(values: Iterable[float]) -> Vector:
+    x, y, z = values
+    return (x, y, z)
