@@ -153,7 +153,7 @@ class _Run:
             return False
         before = self.here
         self.here = node
-        if self.lacks_macros and self.is_unknown(node.tagName, macros):
+        if self.lacks_macros and self.is_unknown(node.tagName, macros, symbols):
             if self.missing.keeps_going:
                 name = node.tagName.removeprefix(xacro_prefix.PREFIX)
                 error = NotThere(f"no macro {name!r}", node.file, node.line, thing=f"macro {name}")
@@ -167,12 +167,12 @@ class _Run:
         self.here = before
         return result
 
-    def is_unknown(self, tag: str, macros: Any) -> bool:
+    def is_unknown(self, tag: str, macros: Any, symbols: Any) -> bool:
         """Whether a call means no macro that there is."""
         name = tag.removeprefix(xacro_prefix.PREFIX)
         try:
             if name != "call":
-                xacro.resolve_macro(name, macros, xacro.Table())
+                xacro.resolve_macro(name, macros, symbols)
         except KeyError:
             return True
         return False
