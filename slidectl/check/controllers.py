@@ -162,7 +162,7 @@ class ControllerCheck:
         try:
             cls = registry.find(type_name)
         except registry.UnknownType as error:
-            self.source.add("wrong", f"{path}/type", f"{error.message} {error.hint}")
+            self.source.absent(f"{path}/type", error.message, error.hint or "", f"controller type {type_name}")
             for name, value in tree.items():
                 if name != "type":
                     self.source.unknown(f"{path}/{name}", "has no effect, as the controller's type is unknown", value)

@@ -19,10 +19,11 @@ from slidectl.cli.bringup import bring_up
 from slidectl.cli.commands import Variadic, command, looks_like_number
 from slidectl.cli.context import Context
 from slidectl.cli.managers import Manager
-from slidectl.errors import BadFile, Refused, UnknownName, UsageError
+from slidectl.errors import BadFile, NotThere, Refused, UnknownName, UsageError
 
 if TYPE_CHECKING:
     from slidectl.description import Document
+    from slidectl.description.missing import Missing
 
 SPAWN_LIMIT_S = 30.0
 
@@ -45,6 +46,7 @@ SPAWN_LIMIT_S = 30.0
 @click.option("--controllers", metavar="FILE", shell_complete=live.files, help="Parameters of its controllers (YAML).")
 @click.option("--start", cls=Variadic, metavar="CONTROLLER...", help="Load and start these controllers.")
 @click.option("--package", "packages", multiple=True, metavar="NAME=PATH", help="Where a ROS package is; may repeat.")
+@click.option("--keep-going", is_flag=True, help="Leave out what is not there, and list it at the end.")
 @click.pass_obj
 def spawn(
     ctx: Context,
@@ -56,6 +58,7 @@ def spawn(
     controllers: str | None,
     start: tuple[str, ...],
     packages: tuple[str, ...],
+    keep_going: bool,
 ) -> None:
     """Put a robot into the world.
 
@@ -65,23 +68,34 @@ def spawn(
     """
     if name is not None:
         names.check_robot(name)
-    document = _document(model, pairs(arguments, ":="), name, pairs(packages, "="))
+    from slidectl.description.missing import Missing
+
+    missing = Missing("all" if keep_going else "nothing")
+    document = _document(model, pairs(arguments, ":="), name, pairs(packages, "="), missing)
+    missing.refuse()
     xml = _rooted(document, fixed)
     pose = _pose(at)
     wanted, namespace = _identity(xml, document, name)
     _check_free(ctx, wanted, namespace)
     if controllers is not None:
-        configuration.store(ctx, configuration.read(ctx, controllers, [namespace]))
+        _configure(ctx, controllers, namespace, missing)
     manager = Manager(ctx, namespace)
-    _check_configured(manager, start)
+    there = _configured(manager, start, missing)
     _request(ctx, wanted, xml, pose)
     _tell_report(ctx, wanted, document)
     try:
-        bring_up(manager, start)
+        if keep_going:
+            there = _bring_up_each(manager, there, missing)
+        else:
+            bring_up(manager, there)
     except Refused:
         _tell(ctx, wanted)
         raise
     _tell(ctx, wanted)
+    if lines := missing.lines():
+        ctx.warn("\n".join(["left out:", *lines]))
+    if start and not there:
+        raise Refused(f"nothing is left to drive {wanted}: none of its controllers is there")
 
 
 def pairs(words: Sequence[str], sign: str, command: str = "spawn") -> dict[str, str]:
@@ -93,14 +107,16 @@ def pairs(words: Sequence[str], sign: str, command: str = "spawn") -> dict[str, 
     return {key: value for key, _, value in (word.partition(sign) for word in words)}
 
 
-def _document(model: str, arguments: dict[str, str], name: str | None, packages: dict[str, str]) -> Document:
+def _document(
+    model: str, arguments: dict[str, str], name: str | None, packages: dict[str, str], missing: Missing
+) -> Document:
     from slidectl import description
 
     places = description.Packages({key: Path(value) for key, value in packages.items()})
     source = _standard_input() if model == "-" else model
     if name and "namespace" not in arguments and "namespace" in description.declared_arguments(source, places):
         arguments = {**arguments, "namespace": f"/{name}"}
-    return description.load(source, arguments, places, title="<stdin>" if model == "-" else None)
+    return description.load(source, arguments, places, title="<stdin>" if model == "-" else None, missing=missing)
 
 
 def _standard_input() -> str:
@@ -152,11 +168,38 @@ def _check_free(ctx: Context, name: str, namespace: str) -> None:
             raise Refused(f"the namespace {namespace} is that of the robot {robot['name']!r}", hint)
 
 
-def _check_configured(manager: Manager, start: Sequence[str]) -> None:
+def _configure(ctx: Context, file: str, namespace: str, missing: Missing) -> None:
+    """Load the parameters of controllers."""
+    try:
+        configuration.store(ctx, configuration.read(ctx, file, [namespace]))
+    except NotThere as error:
+        missing.note(error, "the parameters of controllers are left out")
+        missing.refuse()
+
+
+def _configured(manager: Manager, start: Sequence[str], missing: Missing) -> list[str]:
+    """Those of the controllers that have parameters. Raises UnknownName when one has none and nothing is left out."""
     known = manager.configured() if start else []
     for name in start:
         if name not in known:
-            raise UnknownName("controller", name, known, f"in the parameters of {manager.namespace}")
+            error = UnknownName("controller", name, known, f"in the parameters of {manager.namespace}")
+            if not missing.keeps_going:
+                raise error
+            missing.note(NotThere(error.message, hint=error.hint), f"the controller {name} is left out")
+    return [name for name in start if name in known]
+
+
+def _bring_up_each(manager: Manager, names: Sequence[str], missing: Missing) -> list[str]:
+    """Load and start one after the other, and leave out those that cannot be; the names of the others."""
+    there = []
+    for name in names:
+        try:
+            bring_up(manager, [name])
+        except Refused as error:
+            missing.note(NotThere(error.message, hint=error.hint), f"the controller {name} is left out")
+        else:
+            there.append(name)
+    return there
 
 
 def _request(ctx: Context, name: str, xml: str, pose: dict[str, Any]) -> None:

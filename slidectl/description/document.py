@@ -96,7 +96,8 @@ def _make_meshes_absolute(root: Element, meshes: MeshFiles, missing: Missing | N
                     element.attributes["filename"] = path.as_uri()
                 elif uri and shape.tag == "collision" and missing is not None:
                     reason, _, hint = why.partition("\n")
-                    thing = f"mesh {uri}" if not hint else reason  # of a package that is not there many may be missing
+                    package = uri.partition("://")[2].partition("/")[0]  # of one that is not there, many may be missing
+                    thing = f"package {package}" if hint else f"mesh {uri}"
                     error = NotThere(f"mesh {uri!r}: {reason}", element.file, element.line, hint or None, thing)
                     missing.note(error, "the <collision> is left out")
                     above.content[:] = [node for node in above.content if node is not shape]

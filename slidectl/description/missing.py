@@ -30,7 +30,7 @@ class Absence:
     def text(self) -> str:
         """On one line, with file and line."""
         first = str(self.error.message).partition("\n")[0]
-        return f"{first}; {self.loss}" if self.loss else first
+        return f"{first.removesuffix('.')}; {self.loss}" if self.loss else first
 
 
 class Missing:
@@ -81,7 +81,7 @@ class Missing:
         error = first.error
         lines = [error.hint] if error.hint else []
         if others:
-            lines += ["these are not there either:", *(f"  {str(one.error.message)}" for one in others)]
+            lines += ["these are not there either:", *(f"  {one.error.message!s}" for one in others)]
         raise NotThere(error.reason, error.file, error.line, "\n".join([*lines, TO_GO_ON]), error.thing)
 
     def lines(self) -> list[str]:

@@ -29,7 +29,6 @@ from slidectl.errors import BadFile, NotThere, SlidectlError, listing
 from slidectl.operators.functions import FUNCTIONS
 from slidectl.operators.mathematics import MATH
 
-
 _NOWHERE = "/no-such-package/"
 """Stands for the folder of a package that is not there, so that the rest of the file is read, too."""
 

@@ -21,18 +21,19 @@ def find(node: Node, packages: Packages) -> Path:
     """The executable of a node.
 
     Raises:
-        BadFile: no such package, no such program in it, or one that may not be executed.
+        NotThere: no such package, no such program in it, or one that may not be executed.
     """
     try:
         folders = list(packages.candidates(node.package)) or [packages.find(node.package)]
     except UnknownPackage as error:
         hint = f"{_similar(node)}; --skip-unknown leaves such nodes out\n{error.hint}"
-        raise node.place.error(f"node {node.full_name} ({node.kind}): {error.message}", hint) from None
+        message = f"node {node.full_name} ({node.kind}): {error.message}"
+        raise node.place.absence(message, hint, f"package {node.package}") from None
     found = [path for folder in folders for path in _named(node, folder)]
     for path in found:
         if os.access(path, os.X_OK):
             return path
-    raise node.place.error(*_why_not(node, folders, found))
+    raise node.place.absence(*_why_not(node, folders, found), f"program {node.kind}")
 
 
 def _similar(node: Node) -> str:

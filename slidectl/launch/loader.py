@@ -16,6 +16,7 @@ from slidectl.errors import BadFile, NotThere, UnknownName, UsageError
 from slidectl.launch import node_tags, parameter_tags
 from slidectl.launch.files import Source, read
 from slidectl.launch.plan import Argument, Plan
+from slidectl.launch.protected import plain
 from slidectl.launch.scope import Launch, Parse, Scope, missing_argument
 from slidectl.launch.tag import Tag
 
@@ -113,7 +114,9 @@ def _arg(tag: Tag) -> None:
     scope.everywhere.add(name)
     if value is None:
         if not scope.trail:
-            tag.plan.arguments.setdefault(name, Argument(name, tag.get("default"), tag.get("doc")))
+            tag.plan.arguments.setdefault(
+                name, Argument(name, None if default is None else plain(default), tag.get("doc"))
+            )
         value = scope.given.get(name, default)
     if value is None:
         raise missing_argument(scope, name, tag)
@@ -123,6 +126,8 @@ def _arg(tag: Tag) -> None:
 def _value_or_default(tag: Tag) -> tuple[str | None, str | None]:
     if tag.element.get("value") is not None and tag.element.get("default") is not None:
         raise tag.error("'value' and 'default' exclude each other", "a value is constant, a default can be overridden")
+    for attribute in ("value", "default"):
+        tag.note_absent(attribute)
     return tag.raw("value", hands_on=True), tag.raw("default", hands_on=True)
 
 

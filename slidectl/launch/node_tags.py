@@ -14,7 +14,7 @@ from slidectl import names
 from slidectl.errors import NotThere
 from slidectl.launch import parameter_tags
 from slidectl.launch.plan import Node, Remap
-from slidectl.launch.scope import Scope
+from slidectl.launch.scope import Scope, absent_packages
 from slidectl.launch.tag import Tag
 
 ATTRIBUTES = (
@@ -105,6 +105,8 @@ def _node(tag: Tag) -> Node:
     name = _name(tag, tag.required("name"))
     if (chosen := tag.get("machine")) and chosen not in (*HERE, *tag.scope.launch.machines):
         raise tag.error(f"there is no machine {chosen!r}", ALL_HERE)
+    words = tag.words("args", hands_on=True)
+    absent = {package: tag.absence_of(package) for word in words for package in absent_packages(word)}
     respawn, required = tag.flag("respawn"), tag.flag("required")
     if respawn and required:
         raise tag.error("respawn and required exclude each other")
@@ -114,7 +116,7 @@ def _node(tag: Tag) -> Node:
         name=name,
         namespace=tag.namespace(),
         place=tag.place,
-        words=tag.words("args", hands_on=True),
+        words=[word for word in words if not absent_packages(word)],
         output=_one_of(tag, "output", OUTPUTS),
         respawn=respawn,
         respawn_delay_s=tag.number("respawn_delay", 0.0),
@@ -122,6 +124,7 @@ def _node(tag: Tag) -> Node:
         cwd=_one_of(tag, "cwd", FOLDERS),
         launch_prefix=tag.words("launch-prefix"),
         file=str(tag.scope.file),
+        absent=tuple(absent.values()),
     )
 
 

@@ -114,6 +114,8 @@ class Node:
     launch_prefix: list[str] = field(default_factory=list)
     file: str = ""
     """The launch file that defines it."""
+    absent: tuple[NotThere, ...] = ()
+    """The packages that `args` looks for and that are not there; the words that need them are not among `words`."""
 
     @property
     def full_name(self) -> str:
@@ -169,18 +171,21 @@ class Plan:
         """Say something about the files that is no error; `verdict` is `ignored`, `converted` or `wrong`."""
         self.notices.append(Notice(verdict, subject, text, place.file, place.line))  # type: ignore[arg-type]
 
-    def parameters(self, gather: bool = False) -> dict[str, Leaf]:
+    def parameters(self, gather: bool = False, run_commands: bool = True) -> dict[str, Leaf]:
         """Every parameter by its full name, with its value and its place; of those set twice the last counts.
 
         A name that is set to a value cannot hold others: the first mention of either counts for the order, the later
         one goes over the earlier one, and a notice says so. What cannot be had because a file is not there is left out,
-        and noted as missing; with `gather` the caller refuses it, after looking for more.
+        and noted as missing; with `gather` the caller refuses it, after looking for more. Without `run_commands` those
+        are left out for which a program of the user's would have to run.
 
         Raises:
             BadFile: a value cannot be had.
         """
         found: dict[str, Leaf] = {}
         for setting in self.settings:
+            if setting.runs_command and not run_commands:
+                continue
             try:
                 found.update((name, (value, setting.place)) for name, value in setting.parameters())
             except NotThere as error:

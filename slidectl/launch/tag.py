@@ -57,8 +57,7 @@ class Tag:
     def raw(self, attribute: str, hands_on: bool = False) -> str | None:
         """The attribute with substitutions, its paths still protected. Raises BadFile.
 
-        A package that is not there is an error, unless `hands_on`: then it is noted, and stands in the text for those
-        who need it.
+        A package that is not there is an error, unless `hands_on`: then it stands in the text for those who need it.
         """
         text = self.element.get(attribute)
         if text is None or OPEN not in text:
@@ -67,17 +66,15 @@ class Tag:
             found = self.scope.substitution.resolve(text)
         except SubstitutionError as error:
             raise self.error(f"{attribute}: {error.message}", error.hint) from None
-        if "find" in text or not hands_on:
-            self._note_absent(found, hands_on)
+        for package in () if hands_on else absent_packages(found):
+            raise self.absence_of(package)
         return found
 
-    def _note_absent(self, text: str, hands_on: bool) -> None:
-        """Raises NotThere."""
-        absences = [self.absence_of(package) for package in absent_packages(text)]
-        for error in absences[0 if hands_on else 1 :]:
-            self.plan.missing.note(error)
-        if absences and not hands_on:
-            raise absences[0]
+    def note_absent(self, attribute: str) -> None:
+        """Take in the packages that the attribute itself looks for, not those of arguments in it, in vain."""
+        if "find" in (self.element.get(attribute) or ""):
+            for package in absent_packages(self.raw(attribute, hands_on=True) or ""):
+                self.plan.missing.note(self.absence_of(package))
 
     def absence_of(self, package: str) -> NotThere:
         """The error of a package that was looked up in vain."""
