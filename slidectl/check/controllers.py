@@ -42,6 +42,11 @@ def _nobody(_: str) -> None:
     return None
 
 
+def known_types() -> list[tuple[str, str]]:
+    """The types of controllers that this installation has, each with the base class that its loader names."""
+    return [(name, registry.BASE_CLASS) for name in registry.types()]
+
+
 def check(path: str | Path, model: Model | None, findings: Findings, text: bytes | None = None) -> None:
     """Add what there is to say of a file of controllers, as `slidectl spawn --controllers` would load it for `model`.
 

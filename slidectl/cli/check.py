@@ -15,7 +15,7 @@ import click
 from slidectl.cli import configuration, live, output
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
-from slidectl.cli.spawn import pairs
+from slidectl.cli.spawn import package_lookup, pairs, tell_own_packages
 from slidectl.errors import EXIT_REFUSED, Refused
 
 if TYPE_CHECKING:
@@ -75,10 +75,9 @@ def check(
     ctx = click_context.find_object(Context)
     assert ctx is not None
     from slidectl.check.run import check as run
-    from slidectl.description import Packages
     from slidectl.description.missing import Missing
 
-    places = Packages({name: Path(path) for name, path in pairs(packages, "=", "check").items()})
+    places = package_lookup(packages, "check")
     files = [configuration.find(file) for file in controllers]
     text = _streamed(source)
     words = ["<stdin>" if source == "-" else _shipped_or_own(source)]
@@ -86,6 +85,7 @@ def check(
     given = pairs([word for word in arguments if ":=" in word], ":=", "check")
     missing = Missing("all" if keep_going else "nothing")
     findings = run(words, given, places, files, text, ask_others=second_opinion, missing=missing)
+    tell_own_packages(ctx, places)
     _print(ctx, findings, only)
     if lines := missing.lines():
         ctx.say("\n".join(["left out:", *lines]))

@@ -17,6 +17,7 @@ from slidectl.cli import live
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
 from slidectl.cli.options import positive_seconds
+from slidectl.cli.spawn import tell_own_packages
 from slidectl.errors import Refused, UsageError
 from slidectl.names import join
 
@@ -104,6 +105,7 @@ def launch(ctx: Context, /, words: tuple[str, ...], packages: tuple[str, ...], *
     tasks = kinds.tasks(plan, lookup, gather=True)
     if given["dry_run"] or plan.missing:  # where something is not there, a daemon is not begun before the rest is known
         setup.look_ahead(plan, tasks, lookup, run_commands=False)
+    tell_own_packages(ctx, lookup)
     if given["dry_run"] or given["args_of"]:
         launch_tell.tasks(ctx, plan, tasks, given)
         return

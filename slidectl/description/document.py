@@ -39,11 +39,13 @@ def load(
     all_meshes: bool = True,
     title: str | None = None,
     missing: Missing | None = None,
+    as_written: bool = False,
 ) -> Document:
     """The document of a model: a `.xacro` or `.urdf` path, a shipped model's name, `-` for stdin, or XML text.
 
     Meshes that collide have to be there, unless `all_meshes` is false: then the parser may say so. `title` is what to
     call a text in messages. `missing` takes in what the files name and is not there; without it that is an error.
+    `as_written`: meshes keep the names that the files give them, and the text carries no note of its sources.
 
     Raises:
         BadFile: missing, broken, or refused by xacro. UnknownName: no shipped model of that name.
@@ -61,6 +63,10 @@ def load(
         root, notices = xacro_run.expand(root, model.path, arguments or {}, packages, absences)
     else:
         notices = [_no_xacro(name, model.file) for name in arguments or {}]
+    if as_written:
+        absences.refuse()
+        xml, source_map = xml_writer.write(root, with_note=False)
+        return Document(xml, source_map, model.file, tuple(notices))
     _make_meshes_absolute(root, MeshFiles(packages, base), absences if all_meshes else None)
     if missing is None:
         absences.refuse()

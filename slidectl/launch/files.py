@@ -113,6 +113,7 @@ def _in_package(package: str, file: str, packages: Packages) -> Path | None:
             places = ", ".join(str(path.relative_to(folder)) for path in found)
             raise UsageError(f"package {package} has several {file}: {places}", "give the path inside the package")
         if found:
+            packages.note_own(package, folder)
             return found[0]
     return None
 

@@ -109,6 +109,8 @@ class Session:
             self._start(task)
         for task in self._running():
             task.afterwards(self.run)
+        for entry in self._waiting:
+            entry.task.settled(self.run, f"waits for {entry.reason}")
         self._pass_on()
 
     def _start(self, task: Task) -> None:

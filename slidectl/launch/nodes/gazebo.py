@@ -124,10 +124,10 @@ class Window(Task):
 
     @property
     def text(self) -> str:
-        return "nothing: there is no window here"
+        return "there is no window here; slidectl sim status, slidectl robots and slidectl echo show the world"
 
     def start(self, run: Run) -> str | None:
-        self.settled(run, "no window here; `slidectl sim status`, `slidectl robots` and `slidectl echo` show the world")
+        self.settled(run, self.text)
         return None
 
 

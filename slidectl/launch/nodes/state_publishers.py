@@ -118,6 +118,7 @@ class JointStatePublisher(Task):
 
     def __init__(self, node: Node, plan: Plan) -> None:
         super().__init__(node, plan)
+        self._is_launched = bool(plan.files)
         self._has_robot = any(other.type in ("spawn_model", "spawn_model.py") for other in plan.nodes)
 
     @property
@@ -129,8 +130,9 @@ class JointStatePublisher(Task):
         if self._has_robot:
             where = "the joints of a simulated robot are where the world has them"
             return f"{where}, and its joint_state_controller says so"
+        none = ", and this launch spawns none" if self._is_launched else ""
         return (
-            "joints are those of a robot in the world here, and this launch spawns none;"
+            f"joints are those of a robot in the world here{none};"
             " spawn it (slidectl spawn MODEL) with a joint_state_controller, and move it with slidectl pub"
         )
 
