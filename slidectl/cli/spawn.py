@@ -64,8 +64,9 @@ def spawn(
     """Put a robot into the world.
 
     MODEL is a .xacro or .urdf file, a shipped model (slider, rrbot), a package with FILE as the name of a file in it,
-    or - for standard input. KEY:=VALUE are xacro arguments; a model with an argument `namespace` gets /NAME for it when -n is given. A root link called `world` is
-    fixed, any other is free. JSON keys: name, namespace, fixed, pose, links, joints, controllers, report.
+    or - for standard input. KEY:=VALUE are xacro arguments; a model with an argument `namespace` gets /NAME for it
+    when -n is given. A root link called `world` is fixed, any other is free. JSON keys: name, namespace, fixed, pose,
+    links, joints, controllers, report.
     """
     if name is not None:
         names.check_robot(name)

@@ -1,8 +1,8 @@
 """Where a ROS package's folder is: `$(find NAME)` and `package://NAME/...`.
 
 Given names first, then the folders of SLIDECTL_PACKAGE_PATH and ROS_PACKAGE_PATH, then upwards from the file that asks
-and from the working folder, in a workspace's `src` too, and last the packages that are shipped: samples, and counterparts of some that else come with ROS. No ROS installation
-is consulted beyond that.
+and from the working folder, in a workspace's `src` too, and last the packages that are shipped: samples, and
+counterparts of some that else come with ROS. No ROS installation is consulted beyond that.
 """
 
 from __future__ import annotations

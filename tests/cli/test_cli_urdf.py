@@ -1,4 +1,4 @@
-"""`slidectl urdf`, models of packages, the types of controllers without a daemon, and whose package of a name counts."""
+"""`slidectl urdf`, models of packages, types of controllers without a daemon, and whose package of a name counts."""
 
 from __future__ import annotations
 
