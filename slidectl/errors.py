@@ -85,6 +85,16 @@ class BadFile(SlidectlError):
         self.reason = message
 
 
+class NotThere(BadFile):
+    """A user's file names what is not there: a package, a file, a program, a type. `thing` says what, in few words."""
+
+    def __init__(
+        self, message: str, file: str | None = None, line: int | None = None, hint: str | None = None, thing: str = ""
+    ) -> None:
+        super().__init__(message, file, line, hint)
+        self.thing = thing or str(self.message)
+
+
 class NoDaemon(SlidectlError):
     """Nobody answers on the socket."""
 

@@ -42,6 +42,11 @@ def _nobody(_: str) -> None:
     return None
 
 
+def known_types() -> list[tuple[str, str]]:
+    """The types of controllers that this installation has, each with the base class that its loader names."""
+    return [(name, registry.BASE_CLASS) for name in registry.types()]
+
+
 def check(path: str | Path, model: Model | None, findings: Findings, text: bytes | None = None) -> None:
     """Add what there is to say of a file of controllers, as `slidectl spawn --controllers` would load it for `model`.
 
@@ -163,7 +168,7 @@ class ControllerCheck:
         try:
             cls = registry.find(type_name)
         except registry.UnknownType as error:
-            self.source.add("wrong", f"{path}/type", f"{error.message} {error.hint}")
+            self.source.absent(f"{path}/type", error.message, error.hint or "", f"controller type {type_name}")
             for name, value in tree.items():
                 if name != "type":
                     self.source.unknown(f"{path}/{name}", "has no effect, as the controller's type is unknown", value)

@@ -5,13 +5,18 @@ Only collects and counts. How it looks is for the command line.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import get_args
 
+from slidectl.description.missing import Missing
 from slidectl.description.report import one_line
 from slidectl.description.robot import Notice, Verdict
 from slidectl.errors import BadFile
+
+# How an error begins by naming the node or the tag that it is about.
+_NAMED = re.compile(r"(?P<subject>node \S+|<\w+>|/\S+)(?: \([^)]*\))?: ")
 
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
 
@@ -19,7 +24,11 @@ VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
 class Findings:
     """Findings in the order in which they were made; each is kept once."""
 
-    def __init__(self) -> None:
+    def __init__(self, missing: Missing | None = None) -> None:
+        self.missing = Missing() if missing is None else missing
+        """What the files name and is not there."""
+        self.is_drivable = False
+        """Whether there is a robot, or a controller, or a program, for those who leave out what is not there."""
         self._notices: dict[Notice, None] = {}
         self._files: list[str] = []
         self.broken: list[BadFile] = []
@@ -37,6 +46,19 @@ class Findings:
         """Take notices over, each on one line."""
         for notice in notices:
             self._notices.setdefault(replace(notice, text=one_line(notice.text)))
+
+    def tell_missing(self) -> None:
+        """A finding for each thing that is not there: wrong, or ignored where it is left out."""
+        for absence in self.missing.found:
+            error = absence.error
+            named = _NAMED.match(error.reason)
+            subject, start = (named["subject"], named[0]) if named else (error.thing, "")
+            if self.missing.forgives(absence):
+                reason = error.reason.removeprefix(start).removesuffix(".")
+                text = f"{reason}; {absence.loss}" if absence.loss else reason
+                self.add("ignored", subject, text, error.file or "", error.line)
+            else:
+                self.fail(subject, error, start)
 
     def fail(self, subject: str, error: BadFile, *named: str) -> None:
         """A file that cannot be used, and why. `named` are ways in which the error may begin by naming the subject.

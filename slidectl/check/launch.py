@@ -38,7 +38,7 @@ def check(
     sources = find(words, packages) if text is None else [Source(Path.cwd() / words[0], text, words[0])]
     tags = LaunchTags(arguments)
     try:
-        plan = loader.load(sources, arguments, packages, parse=tags.parse)
+        plan = loader.load(sources, arguments, packages, parse=tags.parse, missing=findings.missing)
     except BadFile as error:
         findings.fail("launch file", error)
         return
@@ -52,3 +52,5 @@ def check(
     controllers.check(parameters.tree)
     nodes.tell(controllers.found, controllers.claims, tags)
     tags.classify(plan, findings)
+    findings.tell_missing()
+    findings.is_drivable = nodes.has_programs or bool(controllers.found) or any(robot.model for robot in nodes.robots)

@@ -61,12 +61,15 @@ class LaunchNodes:
     def _task(self, node: Node) -> Task | None:
         """What the node is here, with a finding that says so."""
         try:
-            (task,) = tasks(replace(self.plan, nodes=[node]), self.packages)
+            made = tasks(self.plan, self.packages, gather=True, nodes=[node])
         except BadFile as error:
             self.findings.fail(
                 f"node {node.full_name}", error, f"node {node.full_name} ({node.kind}): ", f"{node.full_name}: "
             )
             return None
+        if not made:  # what it lacks is told with all that is not there
+            return None
+        (task,) = made
         self._add(_VERDICTS.get(task.family, "used"), node, f"{node.kind}: {task.text}")
         return task
 
@@ -88,7 +91,10 @@ class LaunchNodes:
             path = Path(task.words.one("-file"))
             if is_file(path):
                 return model.check(path, {}, self.packages, self.findings, strict=self.strict)
-            self._add("wrong", task.node, f"there is no file {path}")
+            error = task.node.place.absence(
+                f"node {task.node.full_name}: there is no file {path}", thing=f"file {path}"
+            )
+            self.findings.missing.note(error, f"{task.model} is left out")
             return None
         name = task.node.resolve(task.words.one("-param"))
         if name not in self.parameters.values and self.parameters.is_complete:

@@ -7,19 +7,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from slidectl import names
+from slidectl import description, names
 from slidectl.check import kinds, model
 from slidectl.check.findings import Findings
 from slidectl.check.launch_tags import LaunchTags
 from slidectl.check.model import Model
 from slidectl.description.models import read_file
 from slidectl.description.packages import Packages
-from slidectl.errors import BadFile
+from slidectl.errors import BadFile, NotThere
 from slidectl.launch.files import shown
 from slidectl.launch.plan import Plan, Setting, leaves
 
+F = TypeVar("F", bound=BadFile)
 Places = dict[str, tuple[str, int | None]]
 
 
@@ -75,6 +76,10 @@ class LaunchParameters:
         try:
             value = setting.value()
             found = dict(leaves(setting.name, value, setting.place))
+        except NotThere as error:
+            self._miss(setting)
+            self.findings.missing.note(_placed(error, setting), setting.loss)
+            return
         except BadFile as error:
             self._miss(setting)
             self.findings.fail(f"parameter {setting.name}", _placed(error, setting))
@@ -105,7 +110,7 @@ class LaunchParameters:
 
     def _tell_conflicts(self) -> None:
         try:
-            self.plan.parameters()
+            self.plan.parameters(gather=True)
         except BadFile as error:
             self.findings.fail("parameters", error)
 
@@ -115,9 +120,18 @@ class LaunchParameters:
                 setting = next(setting for setting in reversed(self.plan.settings) if setting.name == name)
                 file = shown(setting.source) if setting.source else f"parameter {name}"
                 own = Findings()
+                if self.findings.missing.keeps_going:
+                    value = self._without_absences(value)
                 self.robots[name] = model.check_text(value, file, own, ask_others, self.packages, strict)
                 self.findings.extend(replace(notice, file=shown(notice.file)) for notice in own.sorted())
                 self.findings.broken += own.broken
+
+    def _without_absences(self, xml: str) -> str:
+        """The robot as it is spawned when what is not there is left out."""
+        try:
+            return description.load(xml, {}, self.packages, missing=self.findings.missing).xml
+        except BadFile:  # which is said when it is read
+            return xml
 
 
 def _is_robot(text: str) -> bool:
@@ -127,8 +141,8 @@ def _is_robot(text: str) -> bool:
         return False
 
 
-def _placed(error: BadFile, setting: Setting) -> BadFile:
+def _placed(error: F, setting: Setting) -> F:
     """The error, at the tag if it names no line of its own."""
     if error.line is not None:
         return error
-    return BadFile(error.message, setting.place.file, setting.place.line, error.hint)
+    return type(error)(error.message, setting.place.file, setting.place.line, error.hint)

@@ -55,7 +55,10 @@ def check(
         BadFile: there is no such file. UnknownName: no such shipped model.
     """
     try:
-        document = description.load(source, arguments, packages, all_meshes=False, title=title)
+        missing = findings.missing
+        document = description.load(
+            source, arguments, packages, all_meshes=missing.keeps_going, title=title, missing=missing
+        )
     except BadFile as error:
         findings.fail("model", error)
         return None

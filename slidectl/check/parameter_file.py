@@ -14,6 +14,7 @@ from slidectl.check.findings import Findings
 from slidectl.control.parameters import Parameter
 from slidectl.control.params import described
 from slidectl.description.robot import Verdict
+from slidectl.errors import NotThere
 
 _LONGEST = 60
 
@@ -44,6 +45,15 @@ class ParameterFile:
     def add(self, verdict: Verdict, path: str, text: str) -> None:
         """A finding on a path."""
         self.findings.add(verdict, self.full(path), text, *self.place(path))
+
+    def absent(self, path: str, message: str, hint: str, thing: str) -> None:
+        """A finding on a path that names what is not there: wrong, or left out like all else that is not there."""
+        if self.findings.missing.keeps_going:
+            file, line = self.place(path)
+            error = NotThere(f"{self.full(path)}: {message}", file, line, hint, thing)
+            self.findings.missing.note(error, "it is left out")
+        else:
+            self.add("wrong", path, f"{message} {hint}")
 
     def full(self, path: str) -> str:
         """The parameter's name once it is loaded."""

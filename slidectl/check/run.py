@@ -8,6 +8,7 @@ from pathlib import Path
 from slidectl.check import controllers, kinds, model
 from slidectl.check.findings import Findings
 from slidectl.description import models
+from slidectl.description.missing import Missing
 from slidectl.description.packages import Packages, is_file, shown
 from slidectl.errors import UsageError
 
@@ -20,6 +21,7 @@ def check(
     text: bytes | None = None,
     ask_others: bool = False,
     strict: bool = False,
+    missing: Missing | None = None,
 ) -> Findings:
     """Everything that there is to say of a file.
 
@@ -31,12 +33,13 @@ def check(
         text: the file's content, when it came from elsewhere.
         ask_others: whether yourdfpy is asked about models too.
         strict: whether masses, inertias and shapes of models that spawn would mend are refused.
+        missing: takes in what the files name and is not there.
 
     Raises:
         BadFile: no such file. UnknownName: no such model, or no such file in the package. UnknownPackage. UsageError:
             arguments that do not go with the file.
     """
-    findings = Findings()
+    findings = Findings(missing)
     words = _out_of_package(words, packages)
     source = words[0]
     kind = _kind(words, text)
@@ -53,8 +56,10 @@ def check(
         return findings
     title = source if text is not None else None
     robot = model.check(_model(source, text), arguments, packages, findings, ask_others, title, strict)
+    findings.is_drivable = robot is not None
     for path in parameter_files:
         controllers.check(path, robot, findings)
+    findings.tell_missing()
     return findings
 
 

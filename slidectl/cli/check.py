@@ -15,8 +15,8 @@ import click
 from slidectl.cli import configuration, live, output
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
-from slidectl.cli.spawn import pairs
-from slidectl.errors import EXIT_REFUSED
+from slidectl.cli.spawn import package_lookup, pairs, tell_own_packages
+from slidectl.errors import EXIT_REFUSED, Refused
 
 if TYPE_CHECKING:
     from slidectl.check import Findings
@@ -48,6 +48,7 @@ _COLOURS = {"used": "green", "converted": "cyan", "ignored": "yellow", "wrong": 
 )
 @click.option("--strict", is_flag=True, help="Exit 1 when anything is ignored, too, and refuse what spawn mends.")
 @click.option("--only", multiple=True, type=click.Choice(_VERDICTS), help="Print findings of this kind; may repeat.")
+@click.option("--keep-going", is_flag=True, help="Leave out what is not there, as launch and spawn do with it.")
 @click.option("--second-opinion", is_flag=True, help="Ask yourdfpy about models, too; takes half a second more.")
 @click.option("--package", "packages", multiple=True, metavar="NAME=PATH", help="Where a ROS package is; may repeat.")
 @click.pass_context
@@ -58,6 +59,7 @@ def check(
     controllers: tuple[str, ...],
     strict: bool,
     only: tuple[str, ...],
+    keep_going: bool,
     second_opinion: bool,
     packages: tuple[str, ...],
 ) -> None:
@@ -66,21 +68,32 @@ def check(
     MODEL and LAUNCH are as for spawn and launch: a file, the name of a shipped one, PACKAGE FILE, or - for standard
     input. KEY:=VALUE are their arguments. Every tag, attribute, limit and parameter is listed with file and line as
     used, converted (taken otherwise than written), ignored (no effect here) or wrong. Exits 0 when nothing is wrong, 1
-    when something is, and 2 when a file cannot be used at all. JSON keys: file, line, verdict, subject, text.
+    when something is, and 2 when a file cannot be used at all. With --keep-going what is not there is ignored, listed
+    at the end, and the exit code is 1 only when nothing is left to drive. JSON keys: file, line, verdict, subject,
+    text.
     """
     ctx = click_context.find_object(Context)
     assert ctx is not None
     from slidectl.check.run import check as run
-    from slidectl.description import Packages
+    from slidectl.description.missing import Missing
 
-    places = Packages({name: Path(path) for name, path in pairs(packages, "=", "check").items()})
+    places = package_lookup(packages, "check")
     files = [configuration.find(file) for file in controllers]
     text = _streamed(source)
     words = ["<stdin>" if source == "-" else _shipped_or_own(source)]
     words += [word for word in arguments if ":=" not in word]
     given = pairs([word for word in arguments if ":=" in word], ":=", "check")
-    findings = run(words, given, places, files, text, second_opinion, strict)
+    missing = Missing("all" if keep_going else "nothing")
+    findings = run(words, given, places, files, text, ask_others=second_opinion, strict=strict, missing=missing)
+    tell_own_packages(ctx, places)
     _print(ctx, findings, only)
+    if lines := missing.lines():
+        ctx.say("\n".join(["left out:", *lines]))
+    if keep_going and missing:
+        if not findings.is_drivable:
+            raise Refused("nothing is left to drive")
+        return
+    missing.refuse()
     for error in findings.broken[:1]:
         raise error
     if findings.count("wrong") or (strict and findings.count("ignored")):

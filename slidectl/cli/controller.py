@@ -13,7 +13,7 @@ from slidectl.cli.commands import Variadic, group
 from slidectl.cli.context import Context
 from slidectl.cli.managers import UNLOADED, Manager, chosen, owner, owner_of_some
 from slidectl.client.manager import BEST_EFFORT, STRICT
-from slidectl.errors import UsageError
+from slidectl.errors import NoDaemon, UsageError
 
 Decorator = Callable[[Any], Any]
 
@@ -89,15 +89,24 @@ def claimed_text(resources: Sequence[dict[str, Any]]) -> str:
 @_cm
 @click.pass_obj
 def types(ctx: Context, manager: str | None) -> None:
-    """List the types of controllers that can be loaded."""
+    """List the types of controllers that can be loaded.
+
+    Without a daemon, or without a robot, those that this installation has. JSON keys: type, base_class.
+    """
     found: dict[str, str] = {}
-    for one in chosen(ctx, manager):
-        answer = one.types()
-        found |= dict(zip(answer["types"], answer["base_classes"], strict=True))
+    try:
+        for one in chosen(ctx, manager):
+            answer = one.types()
+            found |= dict(zip(answer["types"], answer["base_classes"], strict=True))
+    except NoDaemon:
+        if manager is not None:
+            raise
+    if not found:
+        from slidectl.check.controllers import known_types
+
+        found = dict(known_types())
     if ctx.format == "text":
-        ctx.emit_names(
-            sorted(found), "type", "no robot with controllers in the world; spawn one: slidectl spawn slider"
-        )
+        ctx.emit_names(sorted(found), "type")
     else:
         ctx.emit_rows([{"type": name, "base_class": found[name]} for name in sorted(found)], ["type", "base_class"])
 

@@ -18,6 +18,7 @@ from slidectl.cli import live
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
 from slidectl.cli.options import positive_seconds
+from slidectl.cli.spawn import tell_own_packages
 from slidectl.errors import Refused, UsageError
 from slidectl.names import join
 
@@ -58,6 +59,7 @@ def _launch_files(context: click.Context, param: click.Parameter, incomplete: st
 @click.option("--detach", is_flag=True, help="Return when everything runs, and leave it running.")
 @click.option("--wait", is_flag=True, help="Wait for a daemon instead of starting one (60 s, or --timeout).")
 @click.option("--package", "packages", multiple=True, metavar="NAME=PATH", help="Where a package is; may repeat.")
+@click.option("--keep-going", is_flag=True, help="Leave out all that is not there, and list it at the end.")
 @click.option("--skip-unknown", is_flag=True, help="Leave out nodes that can neither be done nor run here.")
 @click.option("--no-commands", is_flag=True, help="Refuse <param command=...> that is not xacro.")
 @click.option("--screen", "output_of_all", flag_value="screen", help="Show the output of all nodes.")
@@ -78,11 +80,13 @@ def launch(ctx: Context, /, words: tuple[str, ...], packages: tuple[str, ...], *
 
     Starts a daemon when none runs, and then stops it at the end; Ctrl-C ends the nodes in reverse order, and so do
     SIGTERM and SIGHUP, with exit code 0. A step that fails ends the launch with 1 and names its file and line; a
-    broken file is 2. NAME is a launch file that is shipped; - is standard input. JSON keys: event, text, and those
-    of the event.
+    broken file is 2. Packages, files, programs and controllers that are not there end it before it starts, all in one
+    list; with --keep-going they are left out, and it exits with 1 only when nothing is left to drive. NAME is a launch
+    file that is shipped; - is standard input. JSON keys: event, text, and those of the event.
     """
     from slidectl.cli import launch_tell
-    from slidectl.launch import files, kinds, loader
+    from slidectl.description.missing import Missing
+    from slidectl.launch import files, kinds, loader, setup
 
     lookup = _packages(packages)
     names, arguments = _divided(words)
@@ -95,10 +99,14 @@ def launch(ctx: Context, /, words: tuple[str, ...], packages: tuple[str, ...], *
         run_commands=not given["no_commands"],
         arguments_only=given["ros_args"],
         namespace=join("/", os.environ.get("ROS_NAMESPACE", "").strip("/")),
+        missing=Missing("all" if given["keep_going"] else "nodes" if given["skip_unknown"] else "nothing"),
     )
     if launch_tell.plan_only(ctx, plan, given):
         return
-    tasks = kinds.tasks(plan, lookup, given["skip_unknown"])
+    tasks = kinds.tasks(plan, lookup, gather=True)
+    if given["dry_run"] or plan.missing:  # where something is not there, a daemon is not begun before the rest is known
+        setup.look_ahead(plan, tasks, lookup, run_commands=False)
+    tell_own_packages(ctx, lookup)
     if given["dry_run"] or given["args_of"]:
         launch_tell.tasks(ctx, plan, tasks, given)
         return
@@ -179,7 +187,6 @@ def _session(
     options = Options(
         given["output_of_all"],
         given["required"],
-        given["skip_unknown"],
         given["sigint_timeout"],
         given["sigterm_timeout"],
     )
@@ -279,7 +286,11 @@ def _tell_running(session: Session, title: str, detach: bool, background: Any) -
     if detach:
         end = "slidectl daemon stop ends it" if run.owns_daemon or background is None else f"kill {os.getpid()} ends it"
         end += "" if background is None else f"; its log is {background.log}"
+    missing = run.plan.missing.lines()
+    runs = f"runs without {_count(len(missing), 'thing')}, listed below" if missing else "everything runs"
     run.console.step(
-        "running", f"{title}: {how if died else 'everything runs'} ({what}); {end}", files=run.plan.files, nodes=nodes,
+        "running", f"{title}: {how if died else runs} ({what}); {end}", files=run.plan.files, nodes=nodes,
         controllers_running=status["controllers_running"], died=died,
     )  # fmt: skip
+    if missing:
+        run.console.step("left_out", "\n".join(["left out:", *missing]), things=missing)

@@ -31,6 +31,7 @@ def plan_only(ctx: Context, plan: Plan, given: dict[str, Any]) -> bool:
         _parameters(ctx, plan)
     else:
         return False
+    plan.missing.refuse()
     return True
 
 
@@ -40,6 +41,12 @@ def _parameters(ctx: Context, plan: Plan) -> None:
     else:
         ctx.emit({name: value for name, (value, _) in sorted(plan.parameters().items())})
     _notices(ctx, plan)
+
+
+def _tell_missing(ctx: Context, plan: Plan) -> None:
+    """The list of what a launch would leave out, on stderr."""
+    if lines := plan.missing.lines():
+        ctx.warn("\n".join(["left out:", *lines]))
 
 
 def _notices(ctx: Context, plan: Plan) -> None:
@@ -54,9 +61,10 @@ def tasks(ctx: Context, plan: Plan, made: Sequence[Task], given: dict[str, Any])
         node = listing.node(plan, given["args_of"])
         task = next((task for task in made if task.node is node), None)
         if task is None:
-            raise Refused(f"{node.place}: node {node.full_name} is left out by --skip-unknown")
+            raise Refused(f"{node.place}: node {node.full_name} is left out: it is not there")
         ctx.emit({"node": node.full_name, "command": listing.command_line(task)}, listing.command_line(task))
         return
     for step in listing.steps(plan, made):
         ctx.emit(step, f"{step['file']}:{step['line']}: {step['text']}")
     _notices(ctx, plan)
+    _tell_missing(ctx, plan)

@@ -46,6 +46,7 @@ COMMANDS = {
     "delete": Entry("Robots", "robots", "Take robots out of the world."),
     "robots": Entry("Robots", "robots", "List the robots, or show one with its joints."),
     "check": Entry("Robots", "check", "Check a model, a launch file or controllers, without a daemon."),
+    "urdf": Entry("Robots", "urdf", "Print the URDF that xacro makes of a model, without a daemon."),
     "controller": Entry("Robots", "controller", "Load, start, stop and list controllers."),
     "launch": Entry("Robots", "launch", "Run a launch file as roslaunch does."),
     "pub": Entry("Topics, services, parameters", "pub", "Publish a message."),

@@ -19,10 +19,11 @@ from slidectl.cli.bringup import bring_up
 from slidectl.cli.commands import Variadic, command, looks_like_number
 from slidectl.cli.context import Context
 from slidectl.cli.managers import Manager
-from slidectl.errors import BadFile, Refused, UnknownName, UsageError
+from slidectl.errors import BadFile, NotThere, Refused, UnknownName, UsageError
 
 if TYPE_CHECKING:
-    from slidectl.description import Document
+    from slidectl.description import Document, Packages
+    from slidectl.description.missing import Missing
 
 SPAWN_LIMIT_S = 30.0
 
@@ -33,10 +34,11 @@ SPAWN_LIMIT_S = 30.0
         "slidectl spawn slider -n left --at 0 1 0 --controllers config/slider_control.yaml"
         " --start joint_state_controller",
         "slidectl spawn models/rrbot.xacro --fixed",
+        "slidectl spawn rrbot_description rrbot.xacro",
     ]
 )
 @click.argument("model", shell_complete=live.models)
-@click.argument("arguments", nargs=-1, metavar="[KEY:=VALUE]...")
+@click.argument("arguments", nargs=-1, metavar="[FILE] [KEY:=VALUE]...")
 @click.option("-n", "--name", metavar="NAME", help="Name of the robot; by default that of the model.")
 @click.option(
     "--at", cls=Variadic, type=float, takes=looks_like_number, metavar="X Y Z [R P Y]", help="Place, m and rad."
@@ -46,6 +48,7 @@ SPAWN_LIMIT_S = 30.0
 @click.option("--start", cls=Variadic, metavar="CONTROLLER...", help="Load and start these controllers.")
 @click.option("--strict", is_flag=True, help="Refuse impossible masses, inertias and shapes instead of mending them.")
 @click.option("--package", "packages", multiple=True, metavar="NAME=PATH", help="Where a ROS package is; may repeat.")
+@click.option("--keep-going", is_flag=True, help="Leave out what is not there, and list it at the end.")
 @click.pass_obj
 def spawn(
     ctx: Context,
@@ -58,34 +61,50 @@ def spawn(
     start: tuple[str, ...],
     strict: bool,
     packages: tuple[str, ...],
+    keep_going: bool,
 ) -> None:
     """Put a robot into the world.
 
-    MODEL is a .xacro or .urdf file, a shipped model (slider, rrbot), or - for standard input. KEY:=VALUE are xacro
-    arguments; a model with an argument `namespace` gets /NAME for it when -n is given. A root link called `world` is
-    fixed, any other is free. JSON keys: name, namespace, fixed, pose, links, joints, controllers, report.
+    MODEL is a .xacro or .urdf file, a shipped model (slider, rrbot), a package with FILE as the name of a file in it,
+    or - for standard input. KEY:=VALUE are xacro arguments; a model with an argument `namespace` gets /NAME for it
+    when -n is given. A root link called `world` is fixed, any other is free. JSON keys: name, namespace, fixed, pose,
+    links, joints, controllers, report.
     """
     if name is not None:
         names.check_robot(name)
-    document = _document(model, pairs(arguments, ":="), name, pairs(packages, "="))
+    from slidectl.description.missing import Missing
+
+    missing = Missing("all" if keep_going else "nothing")
+    places = package_lookup(packages)
+    source, given = in_package(model, arguments, places)
+    document = _document(source, given, name, places, missing)
+    tell_own_packages(ctx, places)
+    missing.refuse()
     xml = _rooted(document, fixed)
     pose = _pose(at)
     wanted, namespace = _identity(xml, document, name, strict)
     _check_free(ctx, wanted, namespace)
     if controllers is not None:
-        configuration.store(ctx, configuration.read(ctx, controllers, [namespace]))
+        _configure(ctx, controllers, namespace, missing)
     manager = Manager(ctx, namespace)
-    _check_configured(manager, start)
+    there = _configured(manager, start, missing)
     warnings = _request(ctx, wanted, xml, pose)
     _tell_report(ctx, wanted, document)
     for warning in warnings:
         ctx.warn(warning)
     try:
-        bring_up(manager, start)
+        if keep_going:
+            there = _bring_up_each(manager, there, missing)
+        else:
+            bring_up(manager, there)
     except Refused:
         _tell(ctx, wanted)
         raise
     _tell(ctx, wanted)
+    if lines := missing.lines():
+        ctx.warn("\n".join(["left out:", *lines]))
+    if start and not there:
+        raise Refused(f"nothing is left to drive {wanted}: none of its controllers is there")
 
 
 def pairs(words: Sequence[str], sign: str, command: str = "spawn") -> dict[str, str]:
@@ -97,17 +116,51 @@ def pairs(words: Sequence[str], sign: str, command: str = "spawn") -> dict[str, 
     return {key: value for key, _, value in (word.partition(sign) for word in words)}
 
 
-def _document(model: str, arguments: dict[str, str], name: str | None, packages: dict[str, str]) -> Document:
+def package_lookup(given: Sequence[str], command: str = "spawn") -> Packages:
+    """Where packages are: those of `--package`, of the search paths, and from the working folder upwards."""
+    from slidectl.description import Packages
+
+    return Packages({name: Path(path) for name, path in pairs(given, "=", command).items()}, Path.cwd())
+
+
+def tell_own_packages(ctx: Context, packages: Packages) -> None:
+    """Say which of the user's packages were used that are shipped, too."""
+    for name, folder in packages.own.items():
+        ctx.say(f"using package {name} of {folder} (also shipped)")
+    packages.own.clear()
+
+
+def in_package(
+    model: str, words: Sequence[str], packages: Packages, command: str = "spawn"
+) -> tuple[str, dict[str, str]]:
+    """What `MODEL [FILE] [KEY:=VALUE]...` means: a model, or a file of the package MODEL; and the arguments.
+
+    Raises:
+        UsageError: a word that is none of these. UnknownPackage, UnknownName: no such package, or no such file in it.
+    """
+    file, rest = (words[0], words[1:]) if words and ":=" not in words[0] else (None, words)
+    arguments = pairs(rest, ":=", command)
+    if file is None:
+        return model, arguments
+    from slidectl.description import models
+    from slidectl.launch import files
+
+    if model == "-" or models.looks_like_path(model) or model in models.shipped():
+        raise UsageError(f"{file!r} is not KEY:=VALUE", f"slidectl {command} --help shows the order of arguments")
+    return files.shown(files.find_in_package(model, file, packages)), arguments
+
+
+def _document(model: str, arguments: dict[str, str], name: str | None, places: Packages, missing: Missing) -> Document:
     from slidectl import description
 
-    places = description.Packages({key: Path(value) for key, value in packages.items()})
-    source = _standard_input() if model == "-" else model
+    source = standard_input() if model == "-" else model
     if name and "namespace" not in arguments and "namespace" in description.declared_arguments(source, places):
         arguments = {**arguments, "namespace": f"/{name}"}
-    return description.load(source, arguments, places, title="<stdin>" if model == "-" else None)
+    return description.load(source, arguments, places, title="<stdin>" if model == "-" else None, missing=missing)
 
 
-def _standard_input() -> str:
+def standard_input() -> str:
+    """The model on standard input. Raises BadFile when that is no XML."""
     text = sys.stdin.buffer.read().decode("utf-8", "replace")
     if not text.lstrip("\ufeff \t\r\n").startswith("<"):
         raise BadFile("is no XML", "<stdin>", hint="pipe a URDF in, or name a model")
@@ -156,11 +209,38 @@ def _check_free(ctx: Context, name: str, namespace: str) -> None:
             raise Refused(f"the namespace {namespace} is that of the robot {robot['name']!r}", hint)
 
 
-def _check_configured(manager: Manager, start: Sequence[str]) -> None:
+def _configure(ctx: Context, file: str, namespace: str, missing: Missing) -> None:
+    """Load the parameters of controllers."""
+    try:
+        configuration.store(ctx, configuration.read(ctx, file, [namespace]))
+    except NotThere as error:
+        missing.note(error, "the parameters of controllers are left out")
+        missing.refuse()
+
+
+def _configured(manager: Manager, start: Sequence[str], missing: Missing) -> list[str]:
+    """Those of the controllers that have parameters. Raises UnknownName when one has none and nothing is left out."""
     known = manager.configured() if start else []
     for name in start:
         if name not in known:
-            raise UnknownName("controller", name, known, f"in the parameters of {manager.namespace}")
+            error = UnknownName("controller", name, known, f"in the parameters of {manager.namespace}")
+            if not missing.keeps_going:
+                raise error
+            missing.note(NotThere(error.message, hint=error.hint), f"the controller {name} is left out")
+    return [name for name in start if name in known]
+
+
+def _bring_up_each(manager: Manager, names: Sequence[str], missing: Missing) -> list[str]:
+    """Load and start one after the other, and leave out those that cannot be; the names of the others."""
+    there = []
+    for name in names:
+        try:
+            bring_up(manager, [name])
+        except Refused as error:
+            missing.note(NotThere(error.message, hint=error.hint), f"the controller {name} is left out")
+        else:
+            there.append(name)
+    return there
 
 
 def _request(ctx: Context, name: str, xml: str, pose: dict[str, Any]) -> list[str]:

@@ -10,10 +10,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from slidectl.description import models, xml_tree, xml_writer
+from slidectl.description.gazebo_tags import leave_out_hardware
 from slidectl.description.mesh_files import MeshFiles
+from slidectl.description.missing import Missing
 from slidectl.description.packages import Packages
 from slidectl.description.robot import Notice
 from slidectl.description.xml_tree import Element
+from slidectl.errors import NotThere
 
 
 @dataclass(frozen=True)
@@ -35,15 +38,19 @@ def load(
     *,
     all_meshes: bool = True,
     title: str | None = None,
+    missing: Missing | None = None,
+    as_written: bool = False,
 ) -> Document:
     """The document of a model: a `.xacro` or `.urdf` path, a shipped model's name, `-` for stdin, or XML text.
 
     Meshes that collide have to be there, unless `all_meshes` is false: then the parser may say so. `title` is what to
-    call a text in messages.
+    call a text in messages. `missing` takes in what the files name and is not there; without it that is an error.
+    `as_written`: meshes keep the names that the files give them, and the text carries no note of its sources.
 
     Raises:
         BadFile: missing, broken, or refused by xacro. UnknownName: no shipped model of that name.
     """
+    absences = Missing() if missing is None else missing
     model = models.read(source)
     model = replace(model, file=title) if title is not None else model
     base = model.path.absolute().parent if model.path is not None else Path.cwd()
@@ -53,10 +60,18 @@ def load(
     if _is_xacro(model, root):
         from slidectl.description import xacro_run
 
-        root, notices = xacro_run.expand(root, model.path, arguments or {}, packages)
+        root, notices = xacro_run.expand(root, model.path, arguments or {}, packages, absences)
     else:
         notices = [_no_xacro(name, model.file) for name in arguments or {}]
-    _make_meshes_absolute(root, MeshFiles(packages, base), all_meshes)
+    if as_written:
+        absences.refuse()
+        xml, source_map = xml_writer.write(root, with_note=False)
+        return Document(xml, source_map, model.file, tuple(notices))
+    _make_meshes_absolute(root, MeshFiles(packages, base), absences if all_meshes else None)
+    if missing is None:
+        absences.refuse()
+    else:
+        leave_out_hardware(root, missing)
     xml, source_map = xml_writer.write(root)
     return Document(xml, source_map, model.file, tuple(notices))
 
@@ -72,20 +87,26 @@ def _no_xacro(name: str, file: str) -> Notice:
     return Notice("ignored", f"{name}:=", "plain URDF takes no arguments", file, None)
 
 
-def _make_meshes_absolute(root: Element, meshes: MeshFiles, all_meshes: bool) -> None:
+def _make_meshes_absolute(root: Element, meshes: MeshFiles, missing: Missing | None) -> None:
     """Turn the names of meshes into `file://` ones, so that whoever reads the text needs no package path.
 
-    Raises:
-        BadFile: a mesh that collides is not there. One that is only looked at keeps its name, for the parser to report.
+    A `<collision>` whose mesh is not there is left out and noted in `missing`; without that, and where a mesh is only
+    looked at, the name stays, for the parser to report.
     """
-    for shape in (element for element in root.walk() if element.tag in ("visual", "collision")):
-        for element in (below for below in shape.walk() if below.tag == "mesh"):
-            uri = element.get("filename") or ""
-            path, why = meshes.locate(uri, element.file) if uri.strip() else (None, "")
-            if path is not None:
-                element.attributes["filename"] = path.as_uri()
-            elif uri and shape.tag == "collision" and all_meshes:
-                raise element.error(f"mesh {uri!r}: {why}")
+    for above in list(root.walk()):
+        for shape in (child for child in above.children if child.tag in ("visual", "collision")):
+            for element in (below for below in shape.walk() if below.tag == "mesh"):
+                uri = element.get("filename") or ""
+                path, why = meshes.locate(uri, element.file) if uri.strip() else (None, "")
+                if path is not None:
+                    element.attributes["filename"] = path.as_uri()
+                elif uri and shape.tag == "collision" and missing is not None:
+                    reason, _, hint = why.partition("\n")
+                    package = uri.partition("://")[2].partition("/")[0]  # of one that is not there, many may be missing
+                    thing = f"package {package}" if hint else f"mesh {uri}"
+                    error = NotThere(f"mesh {uri!r}: {reason}", element.file, element.line, hint or None, thing)
+                    missing.note(error, "the <collision> is left out")
+                    above.content[:] = [node for node in above.content if node is not shape]
 
 
 def declared_arguments(source: str | Path, packages: Packages | None = None) -> dict[str, str]:

@@ -13,10 +13,11 @@ from typing import Any
 
 from slidectl import names
 from slidectl.description import values
+from slidectl.description.missing import Missing
 from slidectl.description.report import Report
 from slidectl.description.robot import ControlPlugin, Surface
 from slidectl.description.xml_tree import Element
-from slidectl.errors import closest
+from slidectl.errors import NotThere, closest
 
 _CONTROL_PLUGIN = "libgazebo_ros_control"
 _SIM_TYPE = "gazebo_ros_control/DefaultRobotHWSim"
@@ -144,6 +145,19 @@ class GazeboReader:
         if text not in _YES + _NO:
             self.report.wrong(child, f"{text!r} is neither true nor false and counts as false", place)
         return text in _YES
+
+
+def leave_out_hardware(root: Element, missing: Missing) -> None:
+    """Take the tag away that asks for simulated hardware which is not there, so that the default one is meant."""
+    for gazebo in root.find_all("gazebo"):
+        for plugin in (child for child in gazebo.find_all("plugin") if _is_control(child)):
+            for kind in plugin.find_all("robotSimType"):
+                if _text(kind) in SIM_TYPES:
+                    continue
+                text = f"<robotSimType> {_text(kind)!r} is no simulated hardware; there is {_SIM_TYPE}"
+                error = NotThere(text, kind.file, kind.line, thing=f"robotSimType {_text(kind)}")
+                missing.note(error, "the default is taken")
+                plugin.content[:] = [node for node in plugin.content if node is not kind]
 
 
 def _is_control(plugin: Element) -> bool:

@@ -13,7 +13,7 @@ from pathlib import Path
 from slidectl import paths
 from slidectl.description.packages import is_file
 from slidectl.description.xml_tree import MOST_BYTES
-from slidectl.errors import BadFile, UnknownName
+from slidectl.errors import BadFile, NotThere, UnknownName
 
 SUFFIXES = (".xacro", ".urdf", ".xml")
 
@@ -45,7 +45,7 @@ def read_file(path: Path) -> bytes:
     """The bytes of a user's file, or the first of too many.
 
     Raises:
-        BadFile: missing, a folder, or not readable.
+        NotThere: missing. BadFile: a folder, or not readable.
     """
     try:
         with path.open("rb") as stream:
@@ -53,7 +53,8 @@ def read_file(path: Path) -> bytes:
     except (OSError, ValueError) as error:
         is_shipped = path.suffix in SUFFIXES and path.stem in shipped()
         hint = f"a shipped model goes by its name alone: {path.stem}" if is_shipped else None
-        raise BadFile(_why(error), str(path), hint=hint) from None
+        kind = NotThere if isinstance(error, FileNotFoundError) else BadFile
+        raise kind(_why(error), str(path), hint=hint) from None
 
 
 def _why(error: OSError | ValueError) -> str:

@@ -1,8 +1,8 @@
 """Where a ROS package's folder is: `$(find NAME)` and `package://NAME/...`.
 
-Given names first, then the folders of SLIDECTL_PACKAGE_PATH and ROS_PACKAGE_PATH, then upwards from the file that asks,
-and last the packages that are shipped: samples, and counterparts of some that else come with ROS. No ROS installation
-is consulted beyond that.
+Given names first, then the folders of SLIDECTL_PACKAGE_PATH and ROS_PACKAGE_PATH, then upwards from the file that asks
+and from the working folder, in a workspace's `src` too, and last the packages that are shipped: samples, and
+counterparts of some that else come with ROS. No ROS installation is consulted beyond that.
 """
 
 from __future__ import annotations
@@ -39,12 +39,14 @@ class Packages:
         self.named = {name: _folder(path) for name, path in (named or {}).items()}
         self.starts = (Path(start).absolute(),) if start is not None else ()
         self._found: dict[Path, dict[str, Path]] = {}
+        self.own: dict[str, Path] = {}
+        """The user's packages that were found in the place of shipped ones; shared by all that start elsewhere."""
 
     def starting_at(self, folder: str | Path) -> Packages:
         """The same lookup, walking upwards from `folder`, and then from where this one does."""
         other = Packages(self.named)
         other.starts = tuple(dict.fromkeys((Path(folder).absolute(), *self.starts)))
-        other._found = self._found
+        other._found, other.own = self._found, self.own
         return other
 
     def find(self, name: str) -> Path:
@@ -54,8 +56,14 @@ class Packages:
             UnknownPackage: nowhere; the message lists where it looked.
         """
         for folder in self.candidates(name):
+            self.note_own(name, folder)
             return folder
         raise UnknownPackage(name, [*self.names(), *self._shipped()], self._looked())
+
+    def note_own(self, name: str, folder: Path) -> None:
+        """Remember that the package of this folder is used, when a shipped one has the name, too."""
+        if folder != self._shipped().get(name, folder):
+            self.own[name] = folder
 
     def candidates(self, name: str) -> Iterator[Path]:
         """All folders that could be the package; `find` takes the first."""
@@ -94,8 +102,9 @@ class Packages:
         for folder in (start, *start.parents):
             if folder.name == name or (_is_package(folder) and package_name(folder) == name):
                 yield folder
-            if _is_package(folder / name):
-                yield folder / name
+            for beside in (folder / name, folder / "src" / name):
+                if _is_package(beside):
+                    yield beside
 
     def _looked(self) -> list[str]:
         looked = [f"--package {name}" for name in self.named]

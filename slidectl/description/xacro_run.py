@@ -20,23 +20,33 @@ import xacro
 from xacro import substitution_args
 
 from slidectl.description import bounds, xacro_prefix, xacro_symbols, xml_tree
-from slidectl.description.packages import Packages, shown
+from slidectl.description.missing import Missing
+from slidectl.description.packages import Packages, UnknownPackage, shown
 from slidectl.description.robot import Notice
 from slidectl.description.xacro_dom import LocatedElement, to_document, to_element
 from slidectl.description.xml_tree import Element
-from slidectl.errors import BadFile, SlidectlError, listing
+from slidectl.errors import BadFile, NotThere, SlidectlError, listing
 from slidectl.expressions import FUNCTIONS, MATH
+
+_NOWHERE = "/no-such-package/"
+"""Stands for the folder of a package that is not there, so that the rest of the file is read, too."""
+
+
+_REPLACED = ("eval_all", "check_attrs", "handle_macro_call", "process_include")
 
 
 def expand(
-    root: Element, path: Path | None, arguments: Mapping[str, str], packages: Packages
+    root: Element, path: Path | None, arguments: Mapping[str, str], packages: Packages, missing: Missing
 ) -> tuple[Element, list[Notice]]:
     """The expanded tree and xacro's warnings. `path` is the file, for relative includes; None for a text without one.
 
+    Packages and included files that are not there are noted in `missing`, and left out, with the macros that they
+    would have brought.
+
     Raises:
-        BadFile: whatever xacro does not accept, with file and line.
+        BadFile: whatever xacro does not accept, with file and line; what is not there, where xacro needs it.
     """
-    return _Run(root, path, arguments, packages).expand()
+    return _Run(root, path, arguments, packages, missing).expand()
 
 
 class _Arguments(dict[str, str]):
@@ -58,12 +68,19 @@ class _Arguments(dict[str, str]):
 class _Run:
     """One run. `here` is the node that xacro looks at, `calls` the macro calls that it is in."""
 
-    def __init__(self, root: Element, path: Path | None, arguments: Mapping[str, str], packages: Packages) -> None:
+    def __init__(
+        self, root: Element, path: Path | None, arguments: Mapping[str, str], packages: Packages, missing: Missing
+    ) -> None:
         self.root = root
+        self.missing = missing
+        self.lacks_macros = False
+        """Whether an include is left out, so that macros may be unknown for it."""
         self.path = path
         self.given = arguments
         self.arguments = _Arguments(arguments)
         self.packages = packages
+        self.unknown: dict[str, NotThere] = {}
+        """The packages that are not there."""
         self.bare_macros: set[str] = set()
         self.notices: list[Notice] = xacro_prefix.give(root, self.bare_macros)
         self.document = to_document(root)
@@ -77,8 +94,10 @@ class _Run:
                 xacro.init_stacks(str(self.path.absolute()) if self.path is not None else None)
                 xacro.process_doc(self.document, mappings=self.arguments)
         except SlidectlError as error:
+            self.missing.refuse()
             raise self.placed(error) from None
         except Exception as error:  # expressions of the file may raise anything at all
+            self.missing.refuse()  # what xacro stumbles over is most often the lack of it
             raise self.explained(error) from error
         self.note_unused_arguments()
         return to_element(self.top), self.notices
@@ -88,7 +107,7 @@ class _Run:
         """xacro with our functions in the place of its own, until the end of the block."""
         original_names = substitution_args._eval_dict.copy()
         replaced = [
-            *((xacro, name, getattr(self, name)) for name in ("eval_all", "check_attrs", "handle_macro_call")),
+            *((xacro, name, getattr(self, name)) for name in _REPLACED),
             (xacro, "parse", self.parse),
             (xacro, "warning", self.warning),
             (xacro, "print_location", lambda: None),
@@ -132,11 +151,50 @@ class _Run:
             return False
         before = self.here
         self.here = node
+        if self.lacks_macros and self.is_unknown(node.tagName, macros, symbols):
+            if self.missing.keeps_going:
+                name = node.tagName.removeprefix(xacro_prefix.PREFIX)
+                error = NotThere(f"no macro {name!r}", node.file, node.line, thing=f"macro {name}")
+                self.missing.note(error, f"<{node.tagName}> is left out")
+            xacro.replace_node(node, by=None)
+            self.here = before
+            return True
         self.calls.append(node)
         result = self.original["handle_macro_call"](node, macros, symbols)
         self.calls.pop()
         self.here = before
         return result
+
+    def is_unknown(self, tag: str, macros: Any, symbols: Any) -> bool:
+        """Whether a call means no macro that there is."""
+        name = tag.removeprefix(xacro_prefix.PREFIX)
+        try:
+            if name != "call":
+                xacro.resolve_macro(name, macros, symbols)
+        except KeyError:
+            return True
+        return False
+
+    def process_include(self, node: Any, macros: Any, symbols: Any, function: Any) -> None:
+        """An include; one whose file is not there is noted and left out."""
+        before, depth = self.here, len(xacro.filestack)
+        try:
+            self.original["process_include"](node, macros, symbols, function)
+        except xacro.XacroException as error:
+            file = error.exc.filename if isinstance(error.exc, FileNotFoundError) else None
+            if file is None or self.here is not node:
+                raise
+            del xacro.filestack[depth:]
+            loss = "what it includes is left out"
+            if file.startswith(_NOWHERE):
+                name = file.removeprefix(_NOWHERE).partition("/")[0]
+                self.missing.note(self.unknown[name], loss)
+            else:
+                text = f"no such file or directory: {file}"
+                self.missing.note(NotThere(text + self.called(), node.file, node.line, thing=text), loss)
+            self.lacks_macros = True
+            xacro.replace_node(node, by=None)
+        self.here = before
 
     def parse(self, text: Any, filename: str) -> minidom.Document:
         """Reads an included file; a missing one is xacro's own exception, which optional includes catch."""
@@ -156,7 +214,13 @@ class _Run:
         self.notices.append(Notice("wrong", "xacro", text, self.here.file, self.here.line))
 
     def find(self, package: str) -> str:
-        return str(self.packages.find(package))
+        try:
+            return str(self.packages.find(package))
+        except UnknownPackage as error:
+            place = self.here.file, self.here.line
+            self.unknown[package] = NotThere(error.message + self.called(), *place, error.hint, f"package {package}")
+            self.missing.note(self.unknown[package])
+            return f"{_NOWHERE}{package}"
 
     def note_unused_arguments(self) -> None:
         declared = listing(self.arguments.asked)

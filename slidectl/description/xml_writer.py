@@ -17,12 +17,13 @@ SourceMap = dict[int, tuple[str, int]]
 """Line of the text, from 1, to the file and line of the element that begins there."""
 
 
-def write(root: Element) -> tuple[str, SourceMap]:
-    """The text, with the note of sources at its end, and its source map."""
+def write(root: Element, with_note: bool = True) -> tuple[str, SourceMap]:
+    """The text, with the note of sources at its end unless it is for others to read, and its source map."""
     writer = _Writer()
     writer.element(root, 0)
     places = list(writer.source_map.values())
-    return "".join(writer.pieces) + source_note.encode(places) + "\n", writer.source_map
+    note = source_note.encode(places) + "\n" if with_note else ""
+    return "".join(writer.pieces) + note, writer.source_map
 
 
 class _Writer:

@@ -49,7 +49,9 @@ class Command:
         from slidectl import description
 
         try:
-            document = description.load(self.file, self.arguments, self.tag.scope.packages)
+            document = description.load(
+                self.file, self.arguments, self.tag.scope.packages, missing=self.tag.plan.missing
+            )
         except BadFile:
             raise
         except SlidectlError as error:
@@ -111,5 +113,5 @@ def _xacro_arguments(tag: Tag, words: list[str]) -> tuple[Path, dict[str, str]]:
         raise tag.error(f"xacro takes one file, not {len(files)}: {' '.join(words)}")
     path = Path(files[0])
     if not is_file(path):
-        raise tag.error(f"xacro: no such file: {path}")
+        raise tag.absence(f"xacro: no such file: {path}", thing=f"file {path}")
     return path, arguments

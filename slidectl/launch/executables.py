@@ -6,33 +6,99 @@ First where a build puts executables (`PREFIX/lib/PACKAGE`), then anywhere in th
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+import re
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from slidectl.description.packages import Packages, UnknownPackage, is_file
-from slidectl.errors import closest, listing
+from slidectl.errors import NotThere, closest, listing
 from slidectl.launch.plan import Node
 
 _DEEPEST = 8
+_ROSPY, _ROSCPP = "rospy", "roscpp"
+_FILES = {_ROSPY: ("rospy/__init__.py", "rospy.py"), _ROSCPP: ("libroscpp.so",)}
+_MOST_BYTES = 1 << 26
+_SKIP = "--skip-unknown leaves such nodes out"
 _LIKELY = ("scripts", "nodes", "bin", "src")
+
+
+class NeedsRos(NotThere):
+    """A program that is there, and needs ROS 1, which is not."""
 
 
 def find(node: Node, packages: Packages) -> Path:
     """The executable of a node.
 
     Raises:
-        BadFile: no such package, no such program in it, or one that may not be executed.
+        NotThere: no such package, no such program in it, or one that may not be executed. NeedsRos.
     """
     try:
         folders = list(packages.candidates(node.package)) or [packages.find(node.package)]
     except UnknownPackage as error:
-        hint = f"{_similar(node)}; --skip-unknown leaves such nodes out\n{error.hint}"
-        raise node.place.error(f"node {node.full_name} ({node.kind}): {error.message}", hint) from None
+        hint = f"{_similar(node)}; {_SKIP}\n{error.hint}"
+        message = f"node {node.full_name} ({node.kind}): {error.message}"
+        raise node.place.absence(message, hint, f"package {node.package}") from None
     found = [path for folder in folders for path in _named(node, folder)]
     for path in found:
         if os.access(path, os.X_OK):
+            _check_ros(node, path)
             return path
-    raise node.place.error(*_why_not(node, folders, found))
+    raise node.place.absence(*_why_not(node, folders, found), f"program {node.kind}")
+
+
+def _check_ros(node: Node, program: Path) -> None:
+    """Raise NotThere when the program needs a library of ROS 1 that is not on this machine."""
+    if not (library := _ros_library(program)):
+        return
+    environment = {**os.environ, **dict(node.environment)}
+    if any(is_file(folder / file) for folder in _library_folders(program, environment) for file in _FILES[library]):
+        return
+    what = "is linked with roscpp" if library == _ROSCPP else "imports rospy"
+    message = f"node {node.full_name} ({node.kind}): {program.name} {what}, which needs ROS 1 and its master"
+    hint = f"neither is here; a script may use slidectl.client instead of rospy\n{_SKIP}"
+    raise NeedsRos(message, node.place.file, node.place.line, hint, f"{library} for {node.kind}")
+
+
+def _ros_library(program: Path) -> str:
+    """`rospy` for a script that cannot do without it, `roscpp` for what was compiled with it; else nothing."""
+    try:
+        with program.open("rb") as file:
+            content = file.read(_MOST_BYTES)
+    except OSError:  # which is said when it is run
+        return ""
+    if content.startswith(b"\x7fELF"):
+        return _ROSCPP if b"libroscpp.so" in content else ""
+    if b"rospy" not in content or (program.suffix != ".py" and b"python" not in content.partition(b"\n")[0]):
+        return ""
+    return _ROSPY if _imports(content, _ROSPY) else ""
+
+
+def _imports(script: bytes, module: str) -> bool:
+    """Whether a script imports the module as it starts. What it imports in a `try` it can do without."""
+    import ast
+
+    try:
+        statements = ast.parse(script).body
+    except (SyntaxError, ValueError, RecursionError, MemoryError):  # of Python 2, most often
+        return re.search(rb"^(import|from)\s+" + module.encode() + rb"\b", script, re.MULTILINE) is not None
+    for statement in statements:
+        names = [alias.name for alias in statement.names] if isinstance(statement, ast.Import) else []
+        names += [statement.module or ""] if isinstance(statement, ast.ImportFrom) and not statement.level else []
+        if any(name.partition(".")[0] == module for name in names):
+            return True
+    return False
+
+
+def _library_folders(program: Path, environment: Mapping[str, str]) -> Iterator[Path]:
+    """Where a program finds its libraries: what the environment says, beside a script, and where ROS 1 is installed."""
+    for variable in ("PYTHONPATH", "LD_LIBRARY_PATH"):
+        yield from (Path(entry) for entry in environment.get(variable, "").split(os.pathsep) if entry)
+    yield program.parent
+    yield from Path("/opt/ros").glob("*/lib/python*/dist-packages")
+    yield from Path("/opt/ros").glob("*/lib")
+    yield from (Path(entry) for entry in sys.path if entry)
 
 
 def _similar(node: Node) -> str:
@@ -72,5 +138,15 @@ def _why_not(node: Node, folders: list[Path], found: list[Path]) -> tuple[str, s
     suggestion = f" Did you mean {near!r}?" if near else ""
     return (
         f"{what}: no program {node.type!r} in the package, and no counterpart here.{suggestion}",
-        f"programs in {folders[0]}: {listing(known)}\n--skip-unknown leaves such nodes out",
+        f"programs in {folders[0]}: {listing(known)}\n{_compiled(node, folders)}{_SKIP}",
     )
+
+
+def _compiled(node: Node, folders: list[Path]) -> str:
+    """A line about a program that a build of the package would make."""
+    built = re.compile(rf"add_executable\(\s*{re.escape(node.type)}\s")
+    for folder in folders:
+        with suppress(OSError):
+            if built.search((folder / "CMakeLists.txt").read_text("utf-8", "replace")):
+                return "it is compiled from C++ (CMakeLists.txt), and with roscpp it needs ROS 1 and its master\n"
+    return ""

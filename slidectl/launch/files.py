@@ -16,7 +16,7 @@ from slidectl import paths
 from slidectl.description.models import read_file
 from slidectl.description.packages import Packages, UnknownPackage, is_file
 from slidectl.description.xml_tree import MOST_BYTES
-from slidectl.errors import BadFile, UnknownName, UsageError, listing
+from slidectl.errors import BadFile, NotThere, UnknownName, UsageError, listing
 
 if TYPE_CHECKING:
     from slidectl.launch.tag import Tag
@@ -49,10 +49,12 @@ def read(path: str, tag: Tag) -> Source:
     found = Path(os.path.abspath(path))
     try:
         return Source(found, read_file(found), shown(found))
-    except BadFile as error:
+    except NotThere as error:
         beside = is_file(tag.scope.file.parent / path)
         hint = f'there is one beside this file: file="$(dirname)/{path}"' if beside else None
-        raise tag.error(f"{path}: {error.reason}", hint) from None
+        raise tag.absence(f"{path}: {error.reason}", hint, f"file {found}") from None
+    except BadFile as error:
+        raise tag.error(f"{path}: {error.reason}") from None
 
 
 def from_stdin() -> Source:
@@ -111,6 +113,7 @@ def _in_package(package: str, file: str, packages: Packages) -> Path | None:
             places = ", ".join(str(path.relative_to(folder)) for path in found)
             raise UsageError(f"package {package} has several {file}: {places}", "give the path inside the package")
         if found:
+            packages.note_own(package, folder)
             return found[0]
     return None
 

@@ -5,10 +5,11 @@ Modules of families are imported when a plan has a node of theirs.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from importlib import import_module
 
 from slidectl.description.packages import Packages
-from slidectl.errors import BadFile, listing
+from slidectl.errors import BadFile, NotThere
 from slidectl.launch.plan import Node, Plan
 from slidectl.launch.task import Task
 
@@ -32,43 +33,40 @@ _COUNTERPARTS = {
 _TOOLS = ("rostopic", "rosservice", "rosparam")
 _VIEWERS = ("rviz", "rqt")
 _VIEWER = "viewers:Viewer"
+_WORLDS = ("gazebo:Gazebo", "gazebo:Window")
 # Scripts that were once installed with their suffix.
 _SUFFIXES = (".py",)
 
 
-def tasks(plan: Plan, packages: Packages, skip_unknown: bool = False) -> list[Task]:
-    """What to do for each node of the plan, in order. Nothing is started.
+def tasks(plan: Plan, packages: Packages, gather: bool = False, nodes: Sequence[Node] | None = None) -> list[Task]:
+    """What to do for each node of the plan, or for some `nodes` of it, in order. Nothing is started.
 
-    Args:
-        skip_unknown: leave out, with a notice, the nodes that can neither be done nor run.
+    Nodes that can neither be done nor run, or whose arguments need what is not there, are left out and noted as
+    missing; with `gather` the caller refuses that, after looking for more.
 
     Raises:
-        BadFile: such a node, or one whose arguments make no sense.
+        BadFile: a node whose arguments make no sense. NotThere: such nodes.
     """
     found = []
-    errors: dict[str, BadFile] = {}
-    for node in plan.nodes:
-        counterpart = _counterpart(node, plan)
-        if counterpart is not None:
-            found.append(counterpart)
-            continue
+    for node in plan.nodes if nodes is None else nodes:
         try:
-            found.append(_program(node, plan, packages))
-        except BadFile as error:
-            errors[f"{node.full_name} ({node.kind})"] = error
-            if skip_unknown:
-                plan.notice("wrong", node.place, node.full_name, f"left out: {error.reason}")
-    if errors and not skip_unknown:
-        raise _first_of(errors)
+            _need_arguments(node)
+            found.append(_counterpart(node, plan) or _program(node, plan, packages))
+        except NotThere as error:
+            plan.missing.note(error, f"the node {node.full_name} is left out", is_node=not node.absent)
+        except BadFile:
+            plan.missing.refuse()
+            raise
+    if not gather:
+        plan.missing.refuse()
     return found
 
 
-def _first_of(errors: dict[str, BadFile]) -> BadFile:
-    """The first error, with the names of the other nodes that have one."""
-    (_, first), *others = errors.items()
-    if others:
-        first.hint = f"{first.hint}\nneither can these: {listing(name for name, _ in others)}"
-    return first
+def _need_arguments(node: Node) -> None:
+    """Raise NotThere when a package in the arguments is not there, but for nodes that do without."""
+    entry = _entry(node.package, node.type)
+    if node.absent and entry not in (_VIEWER, *_WORLDS):
+        raise node.absent[0]
 
 
 def counterparts() -> list[tuple[str, str]]:

@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from slidectl.errors import UnknownName
+from slidectl.errors import NotThere, UnknownName
 from slidectl.launch.nodes.process import Process
 from slidectl.launch.plan import Node, Plan
 from slidectl.launch.task import Task
@@ -83,7 +83,11 @@ def steps(plan: Plan, tasks: Sequence[Task]) -> Iterator[dict[str, Any]]:
         if setting.runs_command:
             yield _step("parameter", f"{setting.name} = what the command prints", setting.place)
             continue
-        for name, value in setting.parameters():
+        try:
+            values = list(setting.parameters())
+        except NotThere:  # which is told with all that is not there
+            continue
+        for name, value in values:
             yield _step("parameter", f"{name} = {_short(value)}", setting.place)
     for task in [*(t for t in tasks if not t.comes_last), *(t for t in tasks if t.comes_last)]:
         yield _step(task.family, f"{task.node.full_name}: {task.text}", task.node.place)

@@ -10,11 +10,13 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from slidectl.description import xml_tree
+from slidectl.description.missing import Missing
 from slidectl.description.packages import Packages
-from slidectl.errors import BadFile, UnknownName, UsageError
+from slidectl.errors import BadFile, NotThere, UnknownName, UsageError
 from slidectl.launch import node_tags, parameter_tags
 from slidectl.launch.files import Source, read
 from slidectl.launch.plan import Argument, Plan
+from slidectl.launch.protected import plain
 from slidectl.launch.scope import Launch, Parse, Scope, missing_argument
 from slidectl.launch.tag import Tag
 
@@ -28,6 +30,7 @@ def load(
     arguments_only: bool = False,
     namespace: str = "/",
     parse: Parse = xml_tree.read,
+    missing: Missing | None = None,
 ) -> Plan:
     """The plan of one or several launch files.
 
@@ -37,11 +40,14 @@ def load(
         namespace: where the files' relative names are.
         arguments_only: find out which arguments there are, and be content when they have no values.
         parse: makes elements of the text of a file; `check` gives one whose elements note what is read of them.
+        missing: takes in what the files name and is not there, which is left out; without it that is an error.
 
     Raises:
         BadFile: with file and line. UsageError: an argument that no file declares.
     """
-    launch = Launch((packages or Packages()).starting_at(Path.cwd()), run_commands=run_commands, parse=parse)
+    plan = Plan(missing=Missing() if missing is None else missing)
+    places = (packages or Packages()).starting_at(Path.cwd())
+    launch = Launch(places, run_commands=run_commands, parse=parse, plan=plan)
     declared: set[str] = set()
     for source in sources:
         scope = Scope(launch, source.path, namespace, dict(arguments), dict(arguments))
@@ -50,12 +56,18 @@ def load(
             (_read_arguments if arguments_only else _read)(source, scope)
         except RecursionError:
             raise BadFile("groups and includes are nested too deeply", source.shown) from None
+        except BadFile:
+            plan.missing.refuse()  # the reason, more often than not
+            raise
         declared |= scope.everywhere
+    if missing is None:
+        plan.missing.refuse()
     for name in arguments:
         if name not in declared:
+            plan.missing.refuse()
             error = UnknownName("argument", name, sorted(declared), f"in {', '.join(s.shown for s in sources)}")
             raise UsageError(error.message, error.hint)
-    return launch.plan
+    return plan
 
 
 def _root(source: Source, scope: Scope) -> Tag:
@@ -80,8 +92,11 @@ def _read(source: Source, scope: Scope) -> None:
 
 def _contents(parent: Tag) -> None:
     for tag in parent.children(_TAGS):
-        if tag.applies:
-            _TAGS[tag.name](tag)
+        try:
+            if tag.applies:
+                _TAGS[tag.name](tag)
+        except NotThere as error:
+            tag.plan.missing.note(error, f"the <{tag.name}> is left out")
 
 
 # --- arguments ------------------------------------------------------------------------------------------------------
@@ -99,7 +114,9 @@ def _arg(tag: Tag) -> None:
     scope.everywhere.add(name)
     if value is None:
         if not scope.trail:
-            tag.plan.arguments.setdefault(name, Argument(name, tag.get("default"), tag.get("doc")))
+            tag.plan.arguments.setdefault(
+                name, Argument(name, None if default is None else plain(default), tag.get("doc"))
+            )
         value = scope.arguments.get(name, default)
     if value is None:
         raise missing_argument(scope, name, tag)
@@ -109,7 +126,9 @@ def _arg(tag: Tag) -> None:
 def _value_or_default(tag: Tag) -> tuple[str | None, str | None]:
     if tag.element.get("value") is not None and tag.element.get("default") is not None:
         raise tag.error("'value' and 'default' exclude each other", "a value is constant, a default can be overridden")
-    return tag.raw("value"), tag.raw("default")
+    for attribute in ("value", "default"):
+        tag.note_absent(attribute)
+    return tag.raw("value", hands_on=True), tag.raw("default", hands_on=True)
 
 
 def _read_arguments(source: Source, scope: Scope) -> None:
@@ -169,9 +188,7 @@ def _clear(tag: Tag, namespace: str) -> None:
 
 def _include(tag: Tag) -> None:
     tag.knows(["file", "ns", "clear_params", "pass_all_args"])
-    source = read(tag.required("file"), tag)
     lenient = tag.flag("pass_all_args")
-    _clear(tag, tag.namespace())
     inner = tag.scope.group(tag.scope.namespace)
     given = dict(tag.scope.arguments) if lenient else {}
     own: dict[str, Tag] = {}
@@ -186,6 +203,8 @@ def _include(tag: Tag) -> None:
             value, default = _passed(child)
             if value is not None or name not in given:
                 given[name] = str(default if value is None else value)
+    source = read(tag.required("file"), tag)
+    _clear(tag, tag.namespace())
     scope = inner.including(source.path, tag, given, lenient)
     _read(source, scope)
     for name, child in own.items():

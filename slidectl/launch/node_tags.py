@@ -11,9 +11,10 @@ import re
 from dataclasses import replace
 
 from slidectl import names
+from slidectl.errors import NotThere
 from slidectl.launch import parameter_tags
 from slidectl.launch.plan import Node, Remap
-from slidectl.launch.scope import Scope
+from slidectl.launch.scope import Scope, absent_packages
 from slidectl.launch.tag import Tag
 
 ATTRIBUTES = (
@@ -104,6 +105,8 @@ def _node(tag: Tag) -> Node:
     name = _name(tag, tag.required("name"))
     if (chosen := tag.get("machine")) and chosen not in (*HERE, *tag.scope.launch.machines):
         raise tag.error(f"there is no machine {chosen!r}", ALL_HERE)
+    words = tag.words("args", hands_on=True)
+    absent = {package: tag.absence_of(package) for word in words for package in absent_packages(word)}
     respawn, required = tag.flag("respawn"), tag.flag("required")
     if respawn and required:
         raise tag.error("respawn and required exclude each other")
@@ -113,7 +116,7 @@ def _node(tag: Tag) -> Node:
         name=name,
         namespace=tag.namespace(),
         place=tag.place,
-        words=tag.words("args"),
+        words=[word for word in words if not absent_packages(word)],
         output=_one_of(tag, "output", OUTPUTS),
         respawn=respawn,
         respawn_delay_s=tag.number("respawn_delay", 0.0),
@@ -121,6 +124,7 @@ def _node(tag: Tag) -> Node:
         cwd=_one_of(tag, "cwd", FOLDERS),
         launch_prefix=tag.words("launch-prefix"),
         file=str(tag.scope.file),
+        absent=tuple(absent.values()),
     )
 
 
@@ -133,16 +137,22 @@ def _one_of(tag: Tag, attribute: str, known: tuple[str, ...]) -> str | None:
 
 def _inside(tag: Tag, scope: Scope, full_name: str) -> None:
     for child in tag.children(("param", "rosparam", "remap", "env")):
-        if not child.applies:
-            continue
-        if child.name == "param":
-            parameter_tags.param(child, full_name)
-        elif child.name == "rosparam":
-            parameter_tags.rosparam(child, full_name)
-        elif child.name == "remap":
-            scope.remaps = with_remap(scope.remaps, child)
-        else:
-            scope.environment = (*scope.environment, environment_of(child))
+        try:
+            if child.applies:
+                _one_inside(child, scope, full_name)
+        except NotThere as error:
+            tag.plan.missing.note(error, f"the <{child.name}> of {full_name} is left out")
+
+
+def _one_inside(child: Tag, scope: Scope, full_name: str) -> None:
+    if child.name == "param":
+        parameter_tags.param(child, full_name)
+    elif child.name == "rosparam":
+        parameter_tags.rosparam(child, full_name)
+    elif child.name == "remap":
+        scope.remaps = with_remap(scope.remaps, child)
+    else:
+        scope.environment = (*scope.environment, environment_of(child))
 
 
 def with_remap(remaps: tuple[Remap, ...], tag: Tag) -> tuple[Remap, ...]:

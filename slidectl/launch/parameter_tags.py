@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from slidectl.description.models import read_file
-from slidectl.description.packages import UnknownPackage
 from slidectl.description.xml_tree import MOST_BYTES
-from slidectl.errors import BadFile
+from slidectl.errors import BadFile, NotThere
 from slidectl.launch import commands
 from slidectl.launch.files import shown
 from slidectl.launch.plan import RosparamCommand, Setting
 from slidectl.launch.protected import plain
+from slidectl.launch.scope import absent_packages
 from slidectl.launch.substitution import Substitution, SubstitutionError
 from slidectl.launch.tag import Tag
 from slidectl.launch.typed import TYPES, convert
@@ -87,6 +87,8 @@ def _converted(tag: Tag, text: str, kind: str, angles: bool) -> Any:
 def _bytes(tag: Tag, path: str) -> bytes:
     try:
         content = read_file(Path(path))
+    except NotThere as error:
+        raise tag.absence(f"{path}: {error.reason}", thing=f"file {path}") from None
     except BadFile as error:
         raise tag.error(f"{path}: {error.reason}") from None
     if len(content) > MOST_BYTES:
@@ -144,9 +146,12 @@ def _load(tag: Tag, name: str) -> None:
 
 def _substituted(tag: Tag, text: str, substitution: Substitution) -> str:
     try:
-        return plain(substitution.resolve(text))
-    except (SubstitutionError, UnknownPackage) as error:
+        found = substitution.resolve(text)
+    except SubstitutionError as error:
         raise tag.error(error.message, error.hint) from None
+    for package in absent_packages(found):
+        raise tag.absence_of(package)
+    return plain(found)
 
 
 def _yaml(tag: Tag, text: str, file: str | None, name: str) -> Any:

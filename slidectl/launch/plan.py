@@ -10,8 +10,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from slidectl import names
+from slidectl.description.missing import Missing
 from slidectl.description.robot import Notice
-from slidectl.errors import BadFile
+from slidectl.errors import BadFile, NotThere
 
 Leaf = tuple[Any, "Place"]
 
@@ -29,6 +30,10 @@ class Place:
     def error(self, message: str, hint: str | None = None) -> BadFile:
         """An error at this place, to be raised."""
         return BadFile(message, self.file, self.line, hint)
+
+    def absence(self, message: str, hint: str | None = None, thing: str = "") -> NotThere:
+        """The error when what is named at this place is not there."""
+        return NotThere(message, self.file, self.line, hint, thing)
 
 
 @dataclass
@@ -48,8 +53,14 @@ class Setting:
     _value: Any = None
     _known: bool = False
 
+    @property
+    def loss(self) -> str:
+        """What is not set when its value cannot be had."""
+        what = f"the parameter {self.name}" if self.is_whole else f"the file's parameters in {self.name}"
+        return f"{what} {'is' if self.is_whole else 'are'} left out"
+
     def value(self) -> Any:
-        """Raises BadFile when it cannot be had."""
+        """Raises BadFile when it cannot be had; of a file that is not there NotThere."""
         if not self._known:
             self._value, self._known = self.compute(), True
         return self._value
@@ -103,6 +114,8 @@ class Node:
     launch_prefix: list[str] = field(default_factory=list)
     file: str = ""
     """The launch file that defines it."""
+    absent: tuple[NotThere, ...] = ()
+    """The packages that `args` looks for and that are not there; the words that need them are not among `words`."""
 
     @property
     def full_name(self) -> str:
@@ -151,23 +164,37 @@ class Plan:
     settings: list[Setting] = field(default_factory=list)
     nodes: list[Node] = field(default_factory=list)
     notices: list[Notice] = field(default_factory=list)
+    missing: Missing = field(default_factory=Missing)
+    """What the files name and is not there."""
 
     def notice(self, verdict: str, place: Place, subject: str, text: str) -> None:
         """Say something about the files that is no error; `verdict` is `ignored`, `converted` or `wrong`."""
         self.notices.append(Notice(verdict, subject, text, place.file, place.line))  # type: ignore[arg-type]
 
-    def parameters(self) -> dict[str, Leaf]:
+    def parameters(self, gather: bool = False, run_commands: bool = True) -> dict[str, Leaf]:
         """Every parameter by its full name, with its value and its place; of those set twice the last counts.
 
         A name that is set to a value cannot hold others: the first mention of either counts for the order, the later
-        one goes over the earlier one, and a notice says so.
+        one goes over the earlier one, and a notice says so. What cannot be had because a file is not there is left out,
+        and noted as missing; with `gather` the caller refuses it, after looking for more. Without `run_commands` those
+        are left out for which a program of the user's would have to run.
 
         Raises:
             BadFile: a value cannot be had.
         """
         found: dict[str, Leaf] = {}
         for setting in self.settings:
-            found.update((name, (value, setting.place)) for name, value in setting.parameters())
+            if setting.runs_command and not run_commands:
+                continue
+            try:
+                found.update((name, (value, setting.place)) for name, value in setting.parameters())
+            except NotThere as error:
+                self.missing.note(error, setting.loss)
+            except BadFile:
+                self.missing.refuse()  # the reason, more often than not
+                raise
+        if not gather:
+            self.missing.refuse()
         for name, over in _conflicts(found):
             gone, last = found.pop(name, None), found[over]
             if gone is not None:

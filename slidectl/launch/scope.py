@@ -6,13 +6,14 @@ A scope is copied for a group and an include, so that nothing leaks out of it. N
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from slidectl.description import xml_tree
-from slidectl.description.packages import Packages, is_file
+from slidectl.description.packages import Packages, UnknownPackage, is_file
 from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile, closest
 from slidectl.launch.plan import Place, Plan, Remap, Setting
@@ -24,9 +25,19 @@ if TYPE_CHECKING:
 Parse = Callable[[bytes, str], Element]
 """Elements of the text of a file, given its name in messages. Raises BadFile."""
 
+# Around the name of a package that is not there, in the place of its folder: an argument takes it along to whoever
+# needs the folder, and only that is left out. On the last private plane of Unicode, as in protected.py.
+ABSENT = "\U0010f6ff"
+_ABSENT = re.compile(f"{ABSENT}([^{ABSENT}]*){ABSENT}")
+
 MOST_TAGS = 20_000
 MOST_FILES = 1000
 DEEPEST_INCLUDE = 60
+
+
+def absent_packages(text: str) -> list[str]:
+    """The packages that are not there and that a text with everything substituted needs."""
+    return _ABSENT.findall(text)
 
 
 @dataclass
@@ -40,6 +51,8 @@ class Launch:
     plan: Plan = field(default_factory=Plan)
     machines: set[str] = field(default_factory=set)
     """Names that launch files give to this machine."""
+    absent: dict[str, UnknownPackage] = field(default_factory=dict)
+    """The packages that are not there, and why."""
     knows_angles: bool = False
     """Whether `deg(90)` is a number in `<param type="yaml">`: in roslaunch it is, after the first `<rosparam>`."""
     _tags: int = 0
@@ -69,11 +82,17 @@ class Surroundings:
         return self.launch.environment
 
     def find(self, package: str) -> str:
-        """The package's folder. Raises UnknownPackage."""
-        return str(self.packages.find(package))
+        """The package's folder; of one that is not there a name that `absent_packages` knows again."""
+        try:
+            return str(self.packages.find(package))
+        except UnknownPackage as error:
+            self.launch.absent[package] = error
+            return f"{ABSENT}{package}{ABSENT}"
 
     def executable(self, package: str, path: str) -> str | None:
         """Where a build has put an executable of the package: `PREFIX/lib/PACKAGE` beside `PREFIX/share/PACKAGE`."""
+        if package in self.launch.absent:
+            return None
         share = self.packages.find(package)
         built = share.parent.parent / "lib" / package / path
         is_there = "/" not in path and share.parent.name == "share" and is_file(built) and os.access(built, os.X_OK)

@@ -18,7 +18,9 @@ from slidectl.errors import NoDaemon, Refused, SlidectlError
 from slidectl.launch.interrupts import Interrupted
 from slidectl.launch.nodes.gazebo import Gazebo
 from slidectl.launch.nodes.process import Process, reason
-from slidectl.launch.setup import prepare
+from slidectl.launch.nodes.spawner import Spawner
+from slidectl.launch.plan import Node
+from slidectl.launch.setup import look_ahead, prepare
 from slidectl.launch.strays import Strays
 from slidectl.launch.task import Run, StepFailed, Task
 from slidectl.launch.world import WorldSettings
@@ -68,6 +70,8 @@ class Session:
         self._lost_daemon = False
         self._waiting: list[_Waiting] = []
         self._ended: dict[Process, int] = {}
+        self._left_out: list[Task] = []
+        """Those that could not be done in a launch that keeps going."""
         self._strays: Strays | None = None
         self._over = False
         run.watch.add(run.interrupts.fileno(), run.interrupts.clear)
@@ -84,7 +88,7 @@ class Session:
         run.settings = self._settings()
         with run.interrupts.held():
             self._began_daemon = self.door.begin(run.settings)
-        run.parameters = run.plan.parameters()  # running xacro takes as long as a daemon's start
+        run.parameters = look_ahead(run.plan, self.tasks, run.packages)  # takes as long as a daemon's start
         client, run.owns_daemon = self.door.connect()
         run.connect(client)
         run.watch.add(client.fileno(), lambda: None)
@@ -92,6 +96,7 @@ class Session:
         self._start_nodes()
         self._look_at_processes()
         self._judge_required()
+        self._check_left()
         self.is_up = True
 
     def _settings(self) -> WorldSettings:
@@ -109,6 +114,8 @@ class Session:
             self._start(task)
         for task in self._running():
             task.afterwards(self.run)
+        for entry in self._waiting:
+            entry.task.settled(self.run, f"waits for {entry.reason}")
         self._pass_on()
 
     def _look_at_processes(self) -> None:
@@ -141,13 +148,21 @@ class Session:
         """Raises StepFailed, naming the step; a daemon that went away is no fault of the step."""
         try:
             why = task.start(self.run)
-        except (NoDaemon, StepFailed):
+        except NoDaemon:
             raise
         except SlidectlError as error:
-            raise StepFailed(task, error) from None
+            self._fail(task, error)
+            return None
         if why is None and not task.keeps_running:
             self._over = self._over or self._is_required(task)
         return why
+
+    def _fail(self, task: Task, error: SlidectlError) -> None:
+        """A task that could not be done ends the launch, or is left out where that keeps going. Raises StepFailed."""
+        if not self.run.plan.missing.keeps_going:
+            raise error if isinstance(error, StepFailed) else StepFailed(task, error) from None
+        task.leave_out(self.run, "the node", error)
+        self._left_out.append(task)
 
     def _look_again(self) -> None:
         """Start what can be started now; what has come to wait for something else says so."""
@@ -171,15 +186,40 @@ class Session:
                 if not entry.told:
                     entry.told = True
                     entry.task.settled(self.run, f"waits for {entry.reason}")
-                if time.monotonic() >= entry.until:
+                if self._waits_in_vain(entry):
+                    self._waiting.remove(entry)
+                    self._fail(entry.task, Refused(f"there is no {entry.reason}"))
+                elif time.monotonic() >= entry.until:
                     if not entry.task.goes_on_waiting(self.run):
                         limit = f"within {entry.task.patience_s:g} s"
-                        raise StepFailed(entry.task, Refused(f"there was no {entry.reason} {limit}"))
+                        self._waiting.remove(entry)
+                        self._fail(entry.task, Refused(f"there was no {entry.reason} {limit}"))
                     entry.until = math.inf
             self._turn(_LOOK_AGAIN_S)
             if self._over:
                 return
             self._look_again()
+
+    def _waits_in_vain(self, entry: _Waiting) -> bool:
+        """Whether it waits for the robot of a node that was left out, and nobody else here could spawn one."""
+        nodes = [task.node for task in self.tasks if task not in self._left_out]
+        could_come = any(isinstance(task, Process) for task in self.begun) or any(map(_spawns, nodes))
+        return isinstance(entry.task, Spawner) and not could_come and any(map(_spawns, self.run.plan.nodes))
+
+    def _check_left(self) -> None:
+        """Raise Refused when so much was left out that nothing is there to drive."""
+        missing = self.run.plan.missing
+        if not missing.keeps_going or not missing or any(isinstance(task, Process) for task in self._running()):
+            return
+        spawners = [task for task in self.tasks if isinstance(task, Spawner)]
+        if spawners:
+            is_left = any(task.loaded for task in spawners)
+        elif any(map(_spawns, self.run.plan.nodes)):
+            is_left = bool(self.run.spawned)
+        else:
+            is_left = any(task not in self._left_out for task in self.begun)
+        if not is_left:
+            raise Refused("nothing is left to drive", "\n".join(["left out:", *missing.lines()]))
 
     # --- running --------------------------------------------------------------------------------------------------
 
@@ -219,7 +259,8 @@ class Session:
 
     def _running(self) -> list[Task]:
         waiting = [entry.task for entry in self._waiting]
-        return [task for task in self.begun if task.keeps_running and task not in (*self._ended, *waiting)]
+        gone = (*self._ended, *self._left_out, *waiting)
+        return [task for task in self.begun if task.keeps_running and task not in gone]
 
     def _is_required(self, task: Task) -> bool:
         if task.family in ("notice", "refused"):  # a window that there never was cannot be closed
@@ -315,3 +356,8 @@ class Session:
             self.door.stop()
         except SlidectlError as error:
             self.run.console.warn(str(error))
+
+
+def _spawns(node: Node) -> bool:
+    """Whether a node puts a robot into the world."""
+    return node.package == "gazebo_ros" and node.type.removesuffix(".py") == "spawn_model"

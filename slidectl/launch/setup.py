@@ -1,14 +1,28 @@
-"""What comes before the first node: rosparam's commands, namespaces cleared, and all parameters in one batch."""
+"""What comes before the first node: a look for what is not there, rosparam's commands, all parameters in one batch."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
+from slidectl.description.packages import Packages
 from slidectl.errors import Refused, SlidectlError, UsageError
-from slidectl.launch.plan import Leaf, Place, RosparamCommand
-from slidectl.launch.task import Run
+from slidectl.launch.plan import Leaf, Place, Plan, RosparamCommand
+from slidectl.launch.task import Run, Task
 from slidectl.writing import write_whole
+
+
+def look_ahead(plan: Plan, tasks: Sequence[Task], packages: Packages, run_commands: bool = True) -> Mapping[str, Leaf]:
+    """The parameters of a plan, after everything was noted that it needs and is not there, as far as files tell.
+
+    Raises:
+        NotThere: all of that, unless it is forgiven. BadFile: a value cannot be had.
+    """
+    parameters = plan.parameters(gather=True, run_commands=run_commands)
+    for task in tasks:
+        task.look_ahead(plan, packages, parameters)
+    plan.missing.refuse()
+    return parameters
 
 
 def prepare(run: Run, parameters: Mapping[str, Leaf]) -> None:

@@ -10,12 +10,11 @@ from collections.abc import Callable, Collection, Iterator
 from functools import cached_property
 
 from slidectl import names
-from slidectl.description.packages import UnknownPackage
 from slidectl.description.xml_tree import Comment, Element
-from slidectl.errors import BadFile, closest
+from slidectl.errors import BadFile, NotThere, closest
 from slidectl.launch import protected
 from slidectl.launch.plan import Place, Plan
-from slidectl.launch.scope import Scope
+from slidectl.launch.scope import Scope, absent_packages
 from slidectl.launch.substitution import OPEN, SubstitutionError
 from slidectl.launch.typed import boolean, flag
 
@@ -44,21 +43,43 @@ class Tag:
 
     def error(self, message: str, hint: str | None = None) -> BadFile:
         """A BadFile at the tag, to be raised; it says which includes led here."""
+        return self.place.error(f"<{self.name}>: {message}", self._with_trail(hint))
+
+    def absence(self, message: str, hint: str | None = None, thing: str = "") -> NotThere:
+        """The same, of what the tag names and is not there."""
+        return self.place.absence(f"<{self.name}>: {message}", self._with_trail(hint), thing)
+
+    def _with_trail(self, hint: str | None) -> str | None:
         lines = [hint] if hint else []
         lines += [f"included from {place}" for place in self.scope.trail[: -_MOST_INCLUDERS - 1 : -1]]
-        return self.place.error(f"<{self.name}>: {message}", "\n".join(lines) or None)
+        return "\n".join(lines) or None
 
-    def raw(self, attribute: str) -> str | None:
-        """The attribute with substitutions, its paths still protected. Raises BadFile."""
+    def raw(self, attribute: str, hands_on: bool = False) -> str | None:
+        """The attribute with substitutions, its paths still protected. Raises BadFile.
+
+        A package that is not there is an error, unless `hands_on`: then it stands in the text for those who need it.
+        """
         text = self.element.get(attribute)
         if text is None or OPEN not in text:
             return text
         try:
-            return self.scope.substitution.resolve(text)
-        except UnknownPackage as error:
-            raise self.error(error.message, error.hint) from None
+            found = self.scope.substitution.resolve(text)
         except SubstitutionError as error:
             raise self.error(f"{attribute}: {error.message}", error.hint) from None
+        for package in () if hands_on else absent_packages(found):
+            raise self.absence_of(package)
+        return found
+
+    def note_absent(self, attribute: str) -> None:
+        """Take in the packages that the attribute itself looks for, not those of arguments in it, in vain."""
+        if "find" in (self.element.get(attribute) or ""):
+            for package in absent_packages(self.raw(attribute, hands_on=True) or ""):
+                self.plan.missing.note(self.absence_of(package))
+
+    def absence_of(self, package: str) -> NotThere:
+        """The error of a package that was looked up in vain."""
+        error = self.scope.launch.absent[package]
+        return self.absence(error.message, error.hint, f"package {package}")
 
     def get(self, attribute: str) -> str | None:
         """The attribute with substitutions, or None. Raises BadFile."""
@@ -80,10 +101,10 @@ class Tag:
                 return f" ({name!r} is there: did you mean {near!r}?)"
         return ""
 
-    def words(self, attribute: str) -> list[str]:
-        """The attribute taken apart as a shell would do it. Raises BadFile."""
+    def words(self, attribute: str, hands_on: bool = False) -> list[str]:
+        """The attribute taken apart as a shell would do it; `hands_on` as for `raw`. Raises BadFile."""
         try:
-            return protected.words(self.raw(attribute) or "")
+            return protected.words(self.raw(attribute, hands_on) or "")
         except ValueError as error:
             raise self.error(f"{attribute}: {str(error).lower()} in {self.get(attribute)!r}") from None
 

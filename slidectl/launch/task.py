@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 from slidectl.client import Client
 from slidectl.description.packages import Packages
-from slidectl.errors import Refused, SlidectlError
+from slidectl.errors import NotThere, Refused, SlidectlError
 from slidectl.launch.plan import Leaf, Node, Plan
 from slidectl.launch.watch import Watch
 from slidectl.launch.world import WorldSettings
@@ -57,7 +57,6 @@ class Options:
     output: str | None = None
     """`screen` or `log` for all nodes, whatever they say themselves."""
     all_required: bool = False
-    skip_unknown: bool = False
     sigint_timeout_s: float = 15.0
     sigterm_timeout_s: float = 2.0
 
@@ -152,6 +151,9 @@ class Task:
         """What it will do, for `--dry-run`."""
         return f"run {self.node.kind}"
 
+    def look_ahead(self, plan: Plan, packages: Packages, parameters: Mapping[str, Leaf]) -> None:
+        """Note in `plan.missing` what it needs and is not there, as far as the files tell. Nothing is started."""
+
     def start(self, run: Run) -> str | None:
         """Do it. Returns None when it is done or runs, else what it waits for: then it is asked again.
 
@@ -177,6 +179,11 @@ class Task:
             "node", f"{self.node.full_name}: {text}", node=self.node.full_name, kind=self.family,
             file=place.file, line=place.line, **details,
         )  # fmt: skip
+
+    def leave_out(self, run: Run, what: str, error: SlidectlError) -> None:
+        """Note that something of the node was not to be had: `what` is left out. For a launch that keeps going."""
+        place, message = self.node.place, f"{self.node.full_name}: {error.message}"
+        run.plan.missing.note(NotThere(message, place.file, place.line, error.hint), f"{what} is left out")
 
     def warn(self, run: Run, text: str) -> None:
         """Point something out, with the place of the node."""

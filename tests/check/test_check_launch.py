@@ -81,7 +81,7 @@ SLIPS = [
     (
         "joints",
         SPAWN + '\n<node name="j" pkg="joint_state_publisher" type="joint_state_publisher"/>',
-        "wrong 4",
+        "ignored 4",
         "the joints of a simulated robot are where the world has them",
     ),
     ("parameter", SPAWN.replace("-param robot_", "-param robt_"), "wrong 3", "did you mean /robot_description?"),

@@ -368,20 +368,16 @@ def test_a_remap_renames_what_rostopic_publishes(slider: CommandLine, write: Wri
 def test_windows_are_a_line_that_names_what_shows_the_same(world: CommandLine, write: Write) -> None:
     done = world("launch", write(node("rviz/rviz") + node("rqt_plot/rqt_plot", name="p")))
     assert done.returncode == 0
-    assert "/n: no windows here; slidectl robots NAME" in done.stdout
-    assert "/p: no windows here; slidectl echo -p" in done.stdout
+    assert "/n: left out: there are no windows here; slidectl robots NAME" in done.stderr
+    assert "/p: left out: there are no windows here; slidectl echo -p" in done.stderr
     assert world("launch", "rrbot_control", "rrbot_rqt.launch").returncode == 0
 
 
-def test_a_joint_state_publisher_is_refused_or_left_out(slider: CommandLine, write: Write) -> None:
-    path = write(node("joint_state_publisher/joint_state_publisher"))
-    done = slider("launch", path)
-    assert done.returncode == 1
-    assert "the joints of a simulated robot are where the world has them" in done.stderr
-    assert "--skip-unknown" in done.stderr
-    done = slider("launch", path, "--skip-unknown")
+def test_a_joint_state_publisher_beside_a_robot_is_left_out_with_a_warning(world: CommandLine, write: Write) -> None:
+    done = world("launch", write(spawn() + node("joint_state_publisher/joint_state_publisher")))
     assert done.returncode == 0
-    assert "/n: left out:" in done.stderr
+    assert "/n: left out: the joints of a simulated robot are where the world has them" in done.stderr
+    assert "slider" in world.ok("robots")
 
 
 def test_a_required_node_that_is_done_at_once_ends_the_launch(slidectl: CommandLine, write: Write) -> None:

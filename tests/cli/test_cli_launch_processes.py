@@ -347,7 +347,7 @@ def test_a_program_that_may_not_be_executed_or_is_not_there_is_named_before_anyt
     assert "looked in:" in done.stderr
     done = slidectl("launch", package.launch('<node pkg="nowhere" type="x" name="n"/>'), "--skip-unknown", "--dry-run")
     assert done.returncode == 0
-    assert "/n: left out" in done.stderr
+    assert "the node /n is left out" in done.stderr
 
 
 def test_an_executable_of_a_build_is_found_beside_its_share_folder(daemon: CommandLine, tmp_path: Path) -> None:

@@ -302,10 +302,6 @@ FAILURES = {
         CONTROL.replace('args="', 'args="--timeout 0.3 '),
         "there was no /slider/controller_manager (no robot is in /slider yet) within 0.3 s",
     ),
-    "a joint state publisher": (
-        SPAWN.format("") + '<node pkg="joint_state_publisher" type="joint_state_publisher" name="j"/>',
-        "node /j (joint_state_publisher/joint_state_publisher): the joints of a simulated robot are where the world",
-    ),
     "a parameter that no service takes": (
         '<rosparam param="/a b">1</rosparam>',
         "'/a b' is not a legal name",

@@ -112,13 +112,6 @@ def test_a_prefix_gets_the_command_line(shell: Shell) -> None:
     assert done.stdout.endswith(" ros rosrun tf tf_echo a b\n")
 
 
-@pytest.mark.parametrize("words", ["rqt_gui rqt_gui", "rviz rviz", "rqt_plot rqt_plot"])
-def test_a_window_is_a_notice_that_names_what_shows_the_same(shell: Shell, words: str) -> None:
-    done = shell.run(f"rosrun {words}")
-    assert (done.stderr, done.returncode) == ("", 0)
-    assert "slidectl " in done.stdout
-
-
 # --- spawners ---------------------------------------------------------------------------------------------------------
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from slidectl.description.missing import Missing
 from slidectl.description.packages import Packages
 from slidectl.errors import SlidectlError
 from slidectl.launch import kinds, loader
@@ -56,8 +57,8 @@ def plan_or_error(text: str) -> None:
     path = Path("/tmp/fuzz.launch")
     source = Source(path, text.encode(), "fuzz.launch")
     try:
-        plan = loader.load([source], {}, Packages(start="/"), run_commands=False)
-        kinds.tasks(plan, Packages(start="/"), skip_unknown=True)
+        plan = loader.load([source], {}, Packages(start="/"), run_commands=False, missing=Missing("all"))
+        kinds.tasks(plan, Packages(start="/"))
         plan.parameters()
     except SlidectlError as error:
         said(error)
@@ -95,7 +96,7 @@ def test_any_arguments_of_a_node_that_has_a_counterpart(kind: tuple[str, str], w
 def test_bytes_that_are_no_launch_file(data: bytes) -> None:
     source = Source(Path("/tmp/fuzz.launch"), data, "fuzz.launch")
     try:
-        loader.load([source], {}, Packages(start="/"), run_commands=False)
+        loader.load([source], {}, Packages(start="/"), run_commands=False, missing=Missing("all"))
     except SlidectlError as error:
         said(error, "fuzz.launch")
 

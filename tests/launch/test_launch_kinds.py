@@ -10,8 +10,8 @@ from slidectl.launch import kinds
 from slidectl.launch.task import Task
 
 
-def tasks(workspace: Workspace, content: str, skip_unknown: bool = False) -> list[Task]:
-    return kinds.tasks(workspace.plan(content), workspace.packages, skip_unknown)
+def tasks(workspace: Workspace, content: str) -> list[Task]:
+    return kinds.tasks(workspace.plan(content), workspace.packages)
 
 
 def task(workspace: Workspace, kind: str, args: str = "", attributes: str = "") -> Task:
@@ -26,7 +26,7 @@ def task(workspace: Workspace, kind: str, args: str = "", attributes: str = "") 
     [
         ("gazebo_ros/gazebo", "-u", "world", "the world, paused"),
         ("gazebo_ros/gzserver", "", "world", "the world"),
-        ("gazebo_ros/gzclient", "", "notice", "nothing: there is no window here"),
+        ("gazebo_ros/gzclient", "", "notice", "there is no window here"),
         ("gazebo_ros/spawn_model", "-urdf -model m -param robot_description", "robot",
          "spawn m from parameter /robot_description"),
         ("controller_manager/spawner", "a b", "controllers", "load and start a, b in /"),
@@ -37,7 +37,7 @@ def task(workspace: Workspace, kind: str, args: str = "", attributes: str = "") 
         ("controller_manager/controller_group", "switch g", "controllers", "controller_group switch g"),
         ("robot_state_publisher/robot_state_publisher", "", "frames", "frames on /tf, of the robot with /joint_states"),
         ("robot_state_publisher/state_publisher", "", "frames", "frames on /tf, of the robot with /joint_states"),
-        ("joint_state_publisher/joint_state_publisher", "", "refused", "refused: the joints of a simulated robot are"),
+        ("joint_state_publisher/joint_state_publisher", "", "notice", "left out: joints are those of a robot in the"),
         ("tf/static_transform_publisher", "0 0 1 0 0 0 a b 100", "frames", "the frame b in a"),
         ("tf2_ros/static_transform_publisher", "0 0 1 0 0 0 1 a /b", "frames", "the frame b in a"),
         ("rostopic/rostopic", "pub /x std_msgs/Float64 1.0", "tool", "run rostopic pub /x std_msgs/Float64 1.0"),
@@ -113,9 +113,11 @@ def test_a_node_that_is_nothing_here_is_refused_or_left_out(workspace: Workspace
     with pytest.raises(BadFile, match=r"test.launch:1: node /n \(fancy/thing\): no package 'fancy'"):
         tasks(workspace, content)
     plan = workspace.plan(content)
-    [left] = kinds.tasks(plan, workspace.packages, skip_unknown=True)
+    plan.missing.forgiven = "nodes"
+    [left] = kinds.tasks(plan, workspace.packages)
     assert left.node.name == "r"
-    assert "/n: left out: node /n (fancy/thing): no package 'fancy'" in notices(plan)[0]
+    [line] = plan.missing.lines()
+    assert line.endswith("test.launch:1: node /n (fancy/thing): no package 'fancy'; the node /n is left out")
 
 
 def test_a_misspelt_counterpart_is_suggested(workspace: Workspace) -> None:

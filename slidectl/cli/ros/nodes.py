@@ -16,7 +16,7 @@ from slidectl import names
 from slidectl.cli import output
 from slidectl.cli.context import Context
 from slidectl.cli.values import read
-from slidectl.errors import SlidectlError
+from slidectl.errors import Refused, SlidectlError
 
 if TYPE_CHECKING:
     from slidectl.client import Client
@@ -109,6 +109,9 @@ def run(ctx: Context, package: str, kind: str, words: Sequence[str], packages: P
         made = tasks(plan, packages)
     except SlidectlError as error:
         raise _plain(error) from None
+    for task in made:
+        if task.family == "notice":  # a launch goes on without it; here it was all that was asked for
+            raise Refused(f"{package}/{kind} cannot be run here", task.text.removeprefix("left out: "))
     _adapt(made)
     with Interrupts() as interrupts:
         folder = str(ctx.paths.folder / "launch")

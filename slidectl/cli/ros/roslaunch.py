@@ -23,7 +23,8 @@ If <filename> is a single dash ('-'), launch XML is read from standard input."""
 _FLAGS = {
     "nodes": "--nodes", "files": "--files", "dump_params": "--dump-params", "ros_args": "--ros-args",
     "screen": "--screen", "log": "--log", "required": "--required", "wait": "--wait", "dry_run": "--dry-run",
-    "detach": "--detach", "skip_unknown": "--skip-unknown", "no_commands": "--no-commands",
+    "detach": "--detach", "skip_unknown": "--skip-unknown", "keep_going": "--keep-going",
+    "no_commands": "--no-commands",
 }  # fmt: skip
 _VALUES = {
     "args": "--args", "find_node": "--find-node", "pid": "--pid", "sigint_timeout": "--sigint-timeout",
@@ -65,6 +66,7 @@ _PARSER = Parser(
         Option(("--dry-run",), "dry_run", "print the steps, and start nothing"),
         Option(("--detach",), "detach", "return when everything runs"),
         Option(("--package",), "package", "where a package is", "NAME=PATH"),
+        Option(("--keep-going",), "keep_going", "leave out all that is not there, and list it at the end"),
         Option(("--skip-unknown",), "skip_unknown", "leave out nodes that can neither be done nor run here"),
         Option(("--no-commands",), "no_commands", "refuse <param command=...> that is not xacro"),
     ],

@@ -15,6 +15,7 @@ import click
 from slidectl.cli import output
 from slidectl.cli.context import Context
 from slidectl.cli.ros.failure import Failure
+from slidectl.cli.spawn import tell_own_packages
 from slidectl.errors import BadFile
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ def _run(ctx: Context, package: str, executable: str, arguments: list[str], pref
     if action is not None:
         itself = [sys.executable, "-m", "slidectl", *_options(ctx), "ros", "rosrun", package, executable]
         return _execute([*prefix, *itself, *arguments])
-    path = _find(package, executable, debug)
+    path = _find(ctx, package, executable, debug)
     return _execute([*prefix, str(path), *arguments])
 
 
@@ -115,7 +116,7 @@ def _options(ctx: Context) -> list[str]:
     return [word for option, value in pairs if value for word in (option, value)]
 
 
-def _find(package: str, executable: str, debug: bool) -> Path:
+def _find(ctx: Context, package: str, executable: str, debug: bool) -> Path:
     """The user's program. Raises Failure: no such package (2), no such program in it (3)."""
     from slidectl.launch import executables
     from slidectl.launch.plan import Node, Place
@@ -130,7 +131,12 @@ def _find(package: str, executable: str, debug: bool) -> Path:
         output.write("\n".join(["[rosrun] Looking in:", *map(str, folders)]))
     node = Node(package, executable, executable, "/", Place("rosrun", None))
     try:
-        return executables.find(node, lookup)
+        path = executables.find(node, lookup)
+        tell_own_packages(ctx, lookup)
+        return path
+    except executables.NeedsRos as error:
+        reason = error.reason.partition(": ")[2]
+        raise Failure(f"[rosrun] {reason}\n{(error.hint or '').partition(chr(10))[0]}") from None
     except BadFile as error:
         output.write(f"[rosrun] Couldn't find executable named {executable} below {folders[0] if folders else package}")
         programs = f"slidectl has of {package}: {', '.join(here)}" if here else (error.hint or "").partition("\n")[0]

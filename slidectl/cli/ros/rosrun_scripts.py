@@ -12,6 +12,7 @@ from slidectl.cli.ros import nodes
 from slidectl.cli.ros.failure import Failure
 from slidectl.cli.ros.naming import without_remappings
 from slidectl.cli.ros.rosrun import packages
+from slidectl.cli.spawn import tell_own_packages
 from slidectl.errors import UsageError
 from slidectl.writing import write_whole
 
@@ -140,7 +141,9 @@ def xacro(ctx: Context, argv: Sequence[str]) -> None:
     if unknown or len(files) != 1:
         what = f"xacro: unknown option {unknown[0]}" if unknown else f"xacro takes one file, not {len(files)}"
         raise UsageError(what, _XACRO_USAGE.partition("\n")[0])
-    document = description.load(files[0], arguments, packages())
+    lookup = packages()
+    document = description.load(files[0], arguments, lookup)
+    tell_own_packages(ctx, lookup)
     for notice in document.report:
         ctx.warn(str(notice))
     if target is None:

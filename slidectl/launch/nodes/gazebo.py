@@ -12,6 +12,7 @@ from pathlib import Path
 
 from slidectl import paths
 from slidectl.description.packages import is_file
+from slidectl.errors import NotThere
 from slidectl.launch.options import parse
 from slidectl.launch.plan import Node, Plan
 from slidectl.launch.task import HOOK_LIMIT_S, Run, Task
@@ -22,6 +23,7 @@ _OPTIONS = {
     "--verbose": 0, "-r": 0, "--record": 0, "--record_path": 1, "-p": 1, "--play": 1, "--seed": 1, "--iters": 1,
     "--minimal_comms": 0, "--lockstep": 0, "-q": 0, "--profile": 1, "-o": 1,
 }  # fmt: skip
+_EMPTY = "the world is the empty one"
 _QUIET = ("-u", "--pause", "-e", "--physics", "--verbose", "-q", "--minimal_comms", "--lockstep")
 
 
@@ -43,9 +45,15 @@ class Gazebo(Task):
             plan.notice("ignored", node.place, node.full_name, f"-e {engine} has no effect: the physics here is MuJoCo")
         if len(words.rest) > 1:
             raise node.place.error(f"{node.full_name}: one world file at most, not {' '.join(words.rest)}")
+        for error in node.absent:
+            plan.missing.note(error, _EMPTY)
         if words.rest:
-            self.world = read(_find(node, words.rest[0]))
-            plan.notices += self.world.notices
+            try:
+                self.world = read(_find(node, words.rest[0]))
+            except NotThere as error:
+                plan.missing.note(error, _EMPTY)
+            else:
+                plan.notices += self.world.notices
 
     @property
     def text(self) -> str:
@@ -131,10 +139,10 @@ class Window(Task):
 
     @property
     def text(self) -> str:
-        return "nothing: there is no window here"
+        return "there is no window here; slidectl sim status, slidectl robots and slidectl echo show the world"
 
     def start(self, run: Run) -> str | None:
-        self.settled(run, "no window here; `slidectl sim status`, `slidectl robots` and `slidectl echo` show the world")
+        self.settled(run, self.text)
         return None
 
 
@@ -147,4 +155,5 @@ def _find(node: Node, name: str) -> Path:
         if is_file(path):
             return path.absolute()
     looked = ", ".join(str(path.parent) for path in places)
-    raise node.place.error(f"{node.full_name}: there is no world file {name}", f"looked in: {looked}")
+    message = f"{node.full_name}: there is no world file {name}"
+    raise node.place.absence(message, f"looked in: {looked}", f"world {name}")

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from slidectl import description, names, rotations
-from slidectl.description.packages import is_file
-from slidectl.errors import BadName, Refused, SlidectlError
+from slidectl.description.packages import Packages, is_file
+from slidectl.errors import BadFile, BadName, Refused, SlidectlError
 from slidectl.launch.options import Words, number, parse
-from slidectl.launch.plan import Node, Plan
+from slidectl.launch.plan import Leaf, Node, Plan
 from slidectl.launch.task import HOOK_LIMIT_S, SPAWN_LIMIT_S, Run, Task
 
 _OPTIONS = {
@@ -101,6 +102,22 @@ class SpawnModel(Task):
         """The full name of the parameter with the description; None when that is in a file."""
         return self.node.resolve(self.words.one("-param")) if self.words.has("-param") else None
 
+    def look_ahead(self, plan: Plan, packages: Packages, parameters: Mapping[str, Leaf]) -> None:
+        source: Any = Path(self.words.one("-file"))
+        if self.parameter is not None:
+            source = parameters[self.parameter][0] if self.parameter in parameters else None
+        elif not is_file(source):
+            message = f"{self.node.full_name}: there is no file {source}"
+            plan.missing.note(self.node.place.absence(message, thing=f"file {source}"), f"{self.model} is left out")
+            return
+        if isinstance(source, Path) or (isinstance(source, str) and _is_xml(source)):
+            with suppress(BadFile):  # which is said when it is spawned
+                description.load(source, {}, self._packages(packages), missing=plan.missing)
+
+    def _packages(self, packages: Packages) -> Packages:
+        """The lookup, from the launch file upwards too."""
+        return packages.starting_at(Path(self.node.file).parent) if self.node.file else packages
+
     def start(self, run: Run) -> str | None:
         awaited = self.words.one("-wait")
         if awaited and awaited not in run.call("/slidectl/status")["robots"]:
@@ -122,12 +139,12 @@ class SpawnModel(Task):
 
     def _document(self, run: Run) -> description.Document:
         """Expanded, with meshes found. Raises Refused, BadFile."""
-        packages = run.packages.starting_at(Path(self.node.file).parent) if self.node.file else run.packages
+        packages, missing = self._packages(run.packages), run.plan.missing
         if self.words.has("-file"):
             path = Path(self.words.one("-file"))
             if not is_file(path):
                 raise Refused(f"there is no file {path}")
-            return description.load(path, {}, packages)
+            return description.load(path, {}, packages, missing=missing)
         name = self.parameter
         assert name is not None
         # What the files say is what is meant, though another launch may have set the same name meanwhile.
@@ -137,9 +154,9 @@ class SpawnModel(Task):
             known = [one for one in run.call("/rosapi/get_param_names")["names"] if one.endswith("description")]
             hint = f"descriptions there are: {', '.join(known) or 'none'}"
             raise Refused(f"the parameter {name} is not set to a robot's description", hint)
-        if not xml.lstrip("\ufeff \t\r\n").startswith("<"):
+        if not _is_xml(xml):
             raise Refused(f"the parameter {name} holds no XML")
-        return description.load(xml, {}, packages)
+        return description.load(xml, {}, packages, missing=missing)
 
     def _spawn(self, run: Run, document: description.Document) -> None:
         request: dict[str, Any] = {
@@ -205,6 +222,10 @@ class SpawnModel(Task):
         run.spawned.remove(self.model)
         if run.call("/gazebo/delete_model", {"model_name": self.model}, HOOK_LIMIT_S)["success"]:
             self.settled(run, f"{self.model}: deleted")
+
+
+def _is_xml(text: str) -> bool:
+    return text.lstrip("\ufeff \t\r\n").startswith("<")
 
 
 def _manager_of(node: Node) -> str:

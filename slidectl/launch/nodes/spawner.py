@@ -6,22 +6,24 @@ The spawner waits for the controller manager, loads, starts in one switch, and a
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from slidectl import names
 from slidectl.client.manager import BEST_EFFORT
-from slidectl.description.packages import is_file
+from slidectl.description.packages import Packages, is_file
 from slidectl.errors import NoDaemon, Refused, SlidectlError, UnknownName
 from slidectl.launch.manager import Manager
 from slidectl.launch.options import parse
-from slidectl.launch.plan import Node, Plan, leaves
+from slidectl.launch.plan import Leaf, Node, Place, Plan, leaves
 from slidectl.launch.task import HOOK_LIMIT_S, Run, Task
 
 _OPTIONS = {
     "--stopped": 0, "--wait-for": 1, "--namespace": 1, "--timeout": 1, "--no-timeout": 0, "--shutdown-timeout": 1,
 }  # fmt: skip
 _AGAIN_S = 3.0
+_STARTED = ("running", "waiting")
 
 
 class Spawner(Task):
@@ -42,6 +44,24 @@ class Spawner(Task):
         self.loaded: list[str] = []
         self.has_started = False
         self._gate: Any = None
+        self._absent: set[str] = set()
+        """Controllers of types that are not there."""
+
+    def look_ahead(self, plan: Plan, packages: Packages, parameters: Mapping[str, Leaf]) -> None:  # noqa: ARG002
+        for name in self.words.rest:
+            kind, place = parameters.get(names.join(self.namespace, f"{name}/type"), (None, None))
+            if isinstance(kind, str) and place is not None:
+                self._look_for_type(plan, name, kind, place)
+
+    def _look_for_type(self, plan: Plan, name: str, kind: str, place: Place) -> None:
+        from slidectl.control import registry  # the controllers are many modules, and most launches have no spawner
+
+        try:
+            registry.find(kind)
+        except registry.UnknownType as error:
+            self._absent.add(name)
+            message = f"controller {names.join(self.namespace, name)}: {error.message}"
+            plan.missing.note(place.absence(message, error.hint, f"controller type {kind}"), "it is left out")
 
     @property
     def text(self) -> str:
@@ -54,16 +74,43 @@ class Spawner(Task):
             return manager.missing()
         if self.words.has("--wait-for") and not self._is_open(run):
             return f"true on {self.node.resolve(self.words.one('--wait-for'))}"
-        controllers = self._controllers(run)
-        self._check_known(manager, controllers)
+        controllers = [name for name in self._controllers(run) if name not in self._absent]
+        goes_on = run.plan.missing.keeps_going
+        known = manager.configured()
+        if not goes_on:
+            self._check_known(known, controllers)
         for name in controllers:
-            manager.load(name)
-            self.loaded.append(name)
-        if not self.words.has("--stopped"):
-            manager.switch(self.loaded, ())
+            try:
+                self._check_known(known, [name])
+                manager.load(name)
+            except (Refused, UnknownName) as error:
+                if not goes_on:
+                    raise
+                self.leave_out(run, f"the controller {name}", error)
+            else:
+                self.loaded.append(name)
+        if self.loaded and not self.words.has("--stopped"):
             self.has_started = True
-        self._report(run, manager)
+            self._switch(run, manager, goes_on)
+        if self.loaded:
+            self._report(run, manager)
         return None
+
+    def _switch(self, run: Run, manager: Manager, goes_on: bool) -> None:
+        """Start all of them; with `goes_on` those that can be started."""
+        if not goes_on:
+            manager.switch(self.loaded, ())
+            return
+        reason = Refused("it did not start", "slidectl daemon logs says why")
+        try:
+            manager.switch(self.loaded, (), BEST_EFFORT)
+        except Refused as error:
+            reason = error
+        states = manager.states()
+        for name in [name for name in self.loaded if states.get(name) not in _STARTED]:
+            self.leave_out(run, f"the controller {name}", reason)
+            self.loaded.remove(name)
+            _try(run, lambda name=name: manager.unload(name))
 
     def goes_on_waiting(self, run: Run) -> bool:
         """Only the controller manager must come in time; for its topic the real one waits on, with a warning."""
@@ -96,16 +143,15 @@ class Spawner(Task):
             found += list(tree)
         return list(dict.fromkeys(found))
 
-    def _check_known(self, manager: Manager, controllers: list[str]) -> None:
+    def _check_known(self, known: list[str], controllers: list[str]) -> None:
         """A name without parameters is a slip more often than not: say which there are."""
-        known = manager.configured()
         for name in controllers:
             if name not in known:
                 raise UnknownName("controller", name, known, f"in the parameters of {self.namespace}")
 
     def _report(self, run: Run, manager: Manager) -> None:
         states = manager.states()
-        wanted = ("initialized",) if self.words.has("--stopped") else ("running", "waiting")
+        wanted = ("initialized",) if self.words.has("--stopped") else _STARTED
         failed = [f"{name} is {states.get(name, 'gone')}" for name in self.loaded if states.get(name) not in wanted]
         if failed:
             raise Refused(f"did not start: {', '.join(failed)}", "slidectl daemon logs says why")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from slidectl import names
-from slidectl.errors import Refused, closest
+from slidectl.errors import closest
 from slidectl.launch.nodes.spawn_model import SpawnModel
 from slidectl.launch.plan import Node, Place, Plan
 from slidectl.launch.task import HOOK_LIMIT_S, Run, Task
@@ -170,18 +170,31 @@ def _found(run: Run, name: str) -> str | None:
 
 
 class JointStatePublisher(Task):
-    """A second source of joint states would contradict the world."""
+    """A second source of joint states would contradict the world: it is left out, with a warning."""
 
-    family = "refused"
+    family = "notice"
+    keeps_running = False
+
+    def __init__(self, node: Node, plan: Plan) -> None:
+        super().__init__(node, plan)
+        self._is_launched = bool(plan.files)
+        self._has_robot = any(other.type in ("spawn_model", "spawn_model.py") for other in plan.nodes)
 
     @property
     def text(self) -> str:
-        return "refused: the joints of a simulated robot are where the world has them"
+        return f"left out: {self._reason}"
+
+    @property
+    def _reason(self) -> str:
+        if self._has_robot:
+            where = "the joints of a simulated robot are where the world has them"
+            return f"{where}, and its joint_state_controller says so"
+        none = ", and this launch spawns none" if self._is_launched else ""
+        return (
+            f"joints are those of a robot in the world here{none};"
+            " spawn it (slidectl spawn MODEL) with a joint_state_controller, and move it with slidectl pub"
+        )
 
     def start(self, run: Run) -> str | None:
-        reason = "the joints of a simulated robot are where the world has them, and its joint_state_controller says so"
-        if not run.options.skip_unknown:
-            raise Refused(reason, "leave the node out, or launch with --skip-unknown")
-        self.warn(run, f"left out: {reason}")
-        self.keeps_running = False
+        self.warn(run, self.text)
         return None

@@ -1,4 +1,4 @@
-"""rviz, rqt and their like: windows that there are not; a line names the commands that show the same."""
+"""rviz, rqt and their like: windows that there are not; a warning names the commands that show the same."""
 
 from __future__ import annotations
 
@@ -18,21 +18,22 @@ _ROBOT = "slidectl robots NAME, slidectl echo joint_states and slidectl tf tree 
 
 
 class Viewer(Task):
-    """A notice."""
+    """Nothing is shown, which is a warning."""
 
     family = "notice"
     keeps_running = False
 
     @property
-    def _instead(self) -> str:
+    def instead(self) -> str:
+        """What shows the same here."""
         if self.node.package.startswith("rqt"):
             return _SHOWS.get(self.node.package) or f"in its place: {_RQT}"
         return _ROBOT
 
     @property
     def text(self) -> str:
-        return f"nothing: there are no windows here; {self._instead}"
+        return f"left out: there are no windows here; {self.instead}"
 
     def start(self, run: Run) -> str | None:
-        self.settled(run, f"no windows here; {self._instead}")
+        self.warn(run, self.text)
         return None
