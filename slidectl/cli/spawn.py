@@ -65,7 +65,7 @@ def spawn(
     """
     if name is not None:
         names.check_robot(name)
-    document = _document(model, pairs(arguments, ":="), name, pairs(packages, "="))
+    document = _document(ctx, model, pairs(arguments, ":="), name, pairs(packages, "="))
     xml = _rooted(document, fixed)
     pose = _pose(at)
     wanted, namespace = _identity(xml, document, name)
@@ -93,21 +93,49 @@ def pairs(words: Sequence[str], sign: str, command: str = "spawn") -> dict[str, 
     return {key: value for key, _, value in (word.partition(sign) for word in words)}
 
 
-def _document(model: str, arguments: dict[str, str], name: str | None, packages: dict[str, str]) -> Document:
+def _document(
+    ctx: Context, model: str, arguments: dict[str, str], name: str | None, packages: dict[str, str]
+) -> Document:
     from slidectl import description
 
     places = description.Packages({key: Path(value) for key, value in packages.items()})
-    source = _standard_input() if model == "-" else model
+    source = _noted(ctx, _standard_input()) if model == "-" else model
     if name and "namespace" not in arguments and "namespace" in description.declared_arguments(source, places):
         arguments = {**arguments, "namespace": f"/{name}"}
     return description.load(source, arguments, places, title="<stdin>" if model == "-" else None)
 
 
+def _noted(ctx: Context, xml: str) -> str:
+    """A text with what the daemon knows of its sources: it may be a parameter's, as `slidectl param get` prints it."""
+    from slidectl.description import source_note
+
+    answer = ctx.call("/slidectl/sources", {"digest": source_note.digest(xml)})
+    return source_note.join(xml, answer["note"])
+
+
 def _standard_input() -> str:
     text = sys.stdin.buffer.read().decode("utf-8", "replace")
+    text = parameter_text(text)
     if not text.lstrip("\ufeff \t\r\n").startswith("<"):
         raise BadFile("is no XML", "<stdin>", hint="pipe a URDF in, or name a model")
     return text
+
+
+_YAML_TEXTS = ('"', "'", "|", ">")
+"""How a text of several lines begins in YAML."""
+
+
+def parameter_text(text: str) -> str:
+    """The robot in a text that `param get` and rosparam print as YAML; anything else as it is."""
+    if text.lstrip()[:1] not in _YAML_TEXTS:
+        return text
+    import yaml
+
+    try:
+        value = yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError):
+        return text
+    return value if isinstance(value, str) and value.lstrip().startswith("<") else text
 
 
 def _rooted(document: Document, fixed: bool | None) -> str:

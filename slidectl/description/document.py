@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from slidectl.description import models, xml_tree, xml_writer
+from slidectl.description import models, source_note, xml_tree, xml_writer
 from slidectl.description.mesh_files import MeshFiles
 from slidectl.description.packages import Packages
 from slidectl.description.robot import Notice
@@ -18,7 +18,7 @@ from slidectl.description.xml_tree import Element
 
 @dataclass(frozen=True)
 class Document:
-    """`xml` is URDF; `source_map` leads from its lines to the places where they were written."""
+    """`xml` is URDF with the note of its sources; `source_map` leads from its lines to where they were written."""
 
     xml: str
     source_map: xml_writer.SourceMap
@@ -26,6 +26,11 @@ class Document:
     """The model's file, or `<stdin>` or `<text>`."""
     report: tuple[Notice, ...] = field(default=())
     """What xacro warned of, and arguments without effect. What URDF tags became of is in the parsed robot's report."""
+
+    @property
+    def urdf(self) -> str:
+        """The URDF alone, as any reader takes it: what is shown and stored."""
+        return source_note.split(self.xml)[0]
 
 
 def load(
@@ -56,7 +61,7 @@ def load(
         root, notices = xacro_run.expand(root, model.path, arguments or {}, packages)
     else:
         notices = [_no_xacro(name, model.file) for name in arguments or {}]
-    _make_meshes_absolute(root, MeshFiles(packages, base), all_meshes)
+    _find_meshes(root, MeshFiles(packages, base), all_meshes)
     xml, source_map = xml_writer.write(root)
     return Document(xml, source_map, model.file, tuple(notices))
 
@@ -72,8 +77,8 @@ def _no_xacro(name: str, file: str) -> Notice:
     return Notice("ignored", f"{name}:=", "plain URDF takes no arguments", file, None)
 
 
-def _make_meshes_absolute(root: Element, meshes: MeshFiles, all_meshes: bool) -> None:
-    """Turn the names of meshes into `file://` ones, so that whoever reads the text needs no package path.
+def _find_meshes(root: Element, meshes: MeshFiles, all_meshes: bool) -> None:
+    """Find the files of meshes, for the note of the text: whoever reads the text with it needs no package path.
 
     Raises:
         BadFile: a mesh that collides is not there. One that is only looked at keeps its name, for the parser to report.
@@ -83,7 +88,7 @@ def _make_meshes_absolute(root: Element, meshes: MeshFiles, all_meshes: bool) ->
             uri = element.get("filename") or ""
             path, why = meshes.locate(uri, element.file) if uri.strip() else (None, "")
             if path is not None:
-                element.attributes["filename"] = path.as_uri()
+                element.set_mesh(path.as_uri())
             elif uri and shape.tag == "collision" and all_meshes:
                 raise element.error(f"mesh {uri!r}: {why}")
 

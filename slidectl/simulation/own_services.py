@@ -1,4 +1,4 @@
-"""`/slidectl/status`, `step`, `set_speed`, `sleep`, `next_change` and `list_robots`: what ROS has no service for.
+"""`/slidectl/status`, `step`, `set_speed`, `sleep`, `next_change`, `list_robots` and `sources`: not in ROS.
 
 `wait` has a module of its own, and `shutdown` is the daemon's.
 """
@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import TYPE_CHECKING
 
 import slidectl
@@ -31,6 +32,7 @@ def advertise(simulation: Simulation) -> None:
     node.advertise_service("sleep", "slidectl/Sleep", lambda request: _sleep(simulation, request))
     node.advertise_service("next_change", "slidectl/NextChange", lambda _: simulation.graph.changes.next())
     node.advertise_service("list_robots", "slidectl/ListRobots", lambda request: _list_robots(simulation, request))
+    node.advertise_service("sources", "slidectl/Sources", lambda request: _sources(simulation, request))
 
 
 def _status(simulation: Simulation) -> Message:
@@ -121,3 +123,13 @@ def _list_robots(simulation: Simulation, request: Message) -> Message:
     asked: str = request["name"]
     robots = [simulation.robots.get(asked)] if asked else list(simulation.robots)
     return {"robots": [robot_info(robot, simulation.world) for robot in robots]}
+
+
+def _sources(simulation: Simulation, request: Message) -> Message:
+    digest: str = request["digest"]
+    if re.fullmatch("[0-9a-f]{64}", digest) is None:
+        raise Refused("a digest is SHA-256 in 64 hexadecimal digits")
+    sources = simulation.robots.sources
+    if request["note"]:
+        sources.put(digest, request["note"])
+    return {"note": sources.get(digest)}

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from slidectl import description, names
+from slidectl.description import source_note
 from slidectl.description.robot import Robot
 from slidectl.errors import Refused, UnknownName
 from slidectl.physics import World
@@ -18,6 +19,32 @@ RESERVED = ("world", "map")
 """What gazebo_ros takes for the world wherever it could be a model: such a robot could not be told from it."""
 
 
+class Sources:
+    """Notes of robots' texts (see description.source_note) by the texts' digests: the latest ones, within bounds."""
+
+    MOST = 256
+    MOST_CHARACTERS = 32 * 1024 * 1024
+
+    def __init__(self) -> None:
+        self._notes: dict[str, str] = {}
+        self._characters = 0
+
+    def put(self, digest: str, note: str) -> None:
+        """Remember a note; the oldest ones go when there are too many."""
+        self._forget(digest)
+        self._notes[digest] = note
+        self._characters += len(note)
+        while self._notes and (len(self._notes) > self.MOST or self._characters > self.MOST_CHARACTERS):
+            self._forget(next(iter(self._notes)))
+
+    def get(self, digest: str) -> str:
+        """The note, empty when there is none."""
+        return self._notes.get(digest, "")
+
+    def _forget(self, digest: str) -> None:
+        self._characters -= len(self._notes.pop(digest, ""))
+
+
 class Robots:
     """All robots by name, in the order of their spawning."""
 
@@ -26,6 +53,7 @@ class Robots:
         self._loop = loop
         self._robots: dict[str, SpawnedRobot] = {}
         self.companions: list[Companion] = []
+        self.sources = Sources()
 
     def __iter__(self) -> Iterator[SpawnedRobot]:
         return iter(tuple(self._robots.values()))
@@ -57,11 +85,16 @@ class Robots:
         """
         self._loop.between_cycles("spawn a robot")
         self._check_name(name)
-        paper = description.parse(xml)
+        urdf, note = source_note.split(xml)
+        digest = source_note.digest(urdf)
+        note = note or self.sources.get(digest)
+        paper = description.parse(source_note.join(urdf, note))
         place = self._namespace(name, namespace, paper)
-        robot = SpawnedRobot(name, place, paper, xml, self._loop.graph.node(place))
+        robot = SpawnedRobot(name, place, paper, urdf, self._loop.graph.node(place))
         assemble(robot, self._world, self._loop, pose, self.companions)
         self._robots[name] = robot
+        if note:
+            self.sources.put(digest, note)
         self._tell_loop()
         report(robot)
         return robot

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from slidectl import description, names, rotations
+from slidectl.description import source_note
 from slidectl.description.packages import is_file
 from slidectl.errors import BadName, Refused, SlidectlError
 from slidectl.launch.options import Words, number, parse
@@ -117,7 +118,7 @@ class SpawnModel(Task):
             raise Refused(f"the parameter {self._parameter} is not set to a robot's description", hint)
         if not xml.lstrip("\ufeff \t\r\n").startswith("<"):
             raise Refused(f"the parameter {self._parameter} holds no XML")
-        return description.load(xml, {}, packages)
+        return description.load(xml if own is not None else _noted(run, xml), {}, packages)
 
     def _spawn(self, run: Run, document: description.Document) -> None:
         request: dict[str, Any] = {
@@ -186,6 +187,12 @@ def _manager_of(node: Node) -> str:
     given = [after for word, after in pairwise([*node.words, ""]) if word == "--namespace"]
     given += [word.partition("=")[2] for word in node.words if word.startswith("--namespace=")]
     return names.join(node.namespace, given[-1]) if given else node.namespace
+
+
+def _noted(run: Run, xml: str) -> str:
+    """A description with what the daemon knows of its sources."""
+    answer = run.call("/slidectl/sources", {"digest": source_note.digest(xml)})
+    return source_note.join(xml, answer["note"])
 
 
 def _act(run: Run, service: str, request: dict[str, Any], timeout: float | None = None) -> None:
