@@ -1,6 +1,6 @@
 """`/slidectl/status`, `step`, `set_speed`, `sleep`, `next_change`, `list_robots` and `sources`: not in ROS.
 
-`wait` has a module of its own, and `shutdown` is the daemon's.
+`wait` and what stops joints have modules of their own, and `shutdown` is the daemon's.
 """
 
 from __future__ import annotations
@@ -47,6 +47,7 @@ def _status(simulation: Simulation) -> Message:
         "timestep": simulation.timestep_ns * 1e-9,
         "engine": str(simulation.engine),
         "robots": simulation.robots.names(),
+        "estop": [robot.name for robot in simulation.robots if robot.emergency_stop],
         "controllers": sum(len(manager.names()) for manager in managers),
         "controllers_running": sum(manager.running_count for manager in managers),
         **simulation.monitor(),

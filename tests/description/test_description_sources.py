@@ -98,7 +98,8 @@ def test_a_relative_mesh_of_an_included_file_lies_beside_that_file(write: Write)
     include = '<xacro:include filename="parts/wheel.xacro"/>'
     path = write("bot.xacro", f'<robot name="a" xmlns:xacro="http://www.ros.org/wiki/xacro">{include}</robot>')
     (shape,) = parse(load(path).xml).links["wheel"].collisions
-    assert isinstance(shape.geometry, Mesh) and mesh.samefile(str(shape.geometry.path))
+    assert isinstance(shape.geometry, Mesh)
+    assert mesh.samefile(str(shape.geometry.path))
 
 
 @pytest.mark.parametrize(
