@@ -15,12 +15,12 @@ GOAL = "joint1_position_controller"
 
 @pytest.fixture
 def world() -> Iterator[CommandLine]:
-    """The tutorial's slider on its way up."""
+    """The tutorial's slider, held at a height against gravity."""
     with running_daemon(paused=True) as runtime:
         line = CommandLine(runtime.folder)
         line.ok("spawn", "slider", "--controllers", CONTROLLERS, "--start", "joint_state_controller", GOAL)
-        line.ok("pub", "command", "1.0")
-        line.ok("sim", "step", "500")
+        line.ok("pub", "command", "0.3")
+        line.ok("sim", "step", "15000")
         yield line
 
 
