@@ -216,6 +216,8 @@ def test_a_topic_is_cut_from_its_field_at_the_longest_place() -> None:
 
 
 def test_wait_shows_on_a_terminal_how_it_stands_and_nothing_when_quiet(slider: CommandLine) -> None:
+    slider.ok("sim", "speed", "1")
+    slider.ok("sim", "resume")
     words = ("wait", "joint_states/position[0]", "--above", "0.7", "--within", "1")
     shown = slider.on_a_terminal(*words).decode()
     assert re.search(r"joint_states/position\[0\] above 0\.7; last -?\d[^;]*; closest [^;]*; \d\.\d s left", shown), (
