@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 sys.path.insert(0, str(Path(__file__).parent.parent.parent))
 
 from fuzz_attacks import ATTACKS
-from fuzz_target import Tally, Target, case_random, target
+from fuzz_target import Tally, case_random, target
 
 SHARES = {"lines": 0.25, "files": 0.25, "robots": 0.2, "meshes": 0.1, "manager": 0.1, "kill-9": 0.1}
 """Of the seconds, by kind."""
@@ -43,19 +43,19 @@ def _attack(kind: str, seed: int, case: int, first: int, more: Callable[[int], b
     with target() as world:
         attack = ATTACKS[kind](world)
         while more(case - first):
-            problem = _try(attack, seed, kind, case, world)
-            tally.count(kind, problem[0])
+            began = time.monotonic()
+            outcome, problem = _try(attack, seed, kind, case)
+            tally.count(kind, outcome, case, time.monotonic() - began)
             case += 1
-            if problem[1]:
+            if problem:
                 repeat = f"--seed {seed} --only {kind} --first {case - 1} --count 1"
-                tally.faults.append(f"{kind}, case {case - 1} ({repeat}): {problem[1]}")
+                tally.faults.append(f"{kind}, case {case - 1} ({repeat}): {problem}")
                 break
     return case
 
 
-def _try(attack: Any, seed: int, kind: str, case: int, world: Target) -> tuple[str, str]:
+def _try(attack: Any, seed: int, kind: str, case: int) -> tuple[str, str]:
     """The outcome, and the fault if it is one."""
-    del world
     try:
         return attack.case(case_random(seed, kind, case)), ""
     except Exception as error:

@@ -10,7 +10,10 @@ ODD_VALUES = (
     "{}", "${1/0}", "${x}", "$(arg x)", "$(find nowhere)", "$(eval 1/0)", "..", "/", "//", "world", "a/b", "%s",
     "99999999999999999999", "1 2", "0 0 0", "0 0 0 0", " ", "a" * 300,
 )  # fmt: skip
+PLAUSIBLE = ("0.001", "0.5", "-0.5", "2", "30", "1e-6", "1e6", "-3.14159", "0", "1e-12")
+"""What passes more checks than the odd ones, and so gets further."""
 _TOKEN = re.compile(r'"[^"]*"|<[^<>]*>|[A-Za-z_][\w:]*|[-+]?\d[\d.eE+-]*|\s+|.', re.DOTALL)
+_NUMBER = re.compile(r"[-+]?\d[\d.eE+-]*")
 
 
 def mutated_text(rng: Random, text: str) -> str:
@@ -25,9 +28,9 @@ def mutated_text(rng: Random, text: str) -> str:
             numbers = [i for i, token in enumerate(tokens) if re.search(r"\d", token)]
             if numbers:
                 place = rng.choice(numbers)
-                tokens[place] = re.sub(
-                    r"[-+]?\d[\d.eE+-]*", lambda _: rng.choice(ODD_VALUES), tokens[place], count=rng.choice((1, 3))
-                )
+                values = ODD_VALUES if rng.random() < 0.4 else PLAUSIBLE
+                number = rng.choice(values)
+                tokens[place] = _NUMBER.sub(lambda _: number, tokens[place], count=rng.choice((1, 3)))  # noqa: B023
         elif kind == 3:
             tokens[place] = f'"{rng.choice(ODD_VALUES)}"' if tokens[place].startswith('"') else rng.choice(ODD_VALUES)
         elif kind == 4:

@@ -34,10 +34,13 @@ class Tally:
 
     def __init__(self) -> None:
         self.counts: Counter[tuple[str, str]] = Counter()
+        self.slowest: dict[str, tuple[float, int]] = {}
+        """By kind: wall seconds, and the number of the case."""
         self.faults: list[str] = []
 
-    def count(self, kind: str, outcome: str, number: int = 1) -> None:
-        self.counts[kind, outcome] += number
+    def count(self, kind: str, outcome: str, case: int, seconds: float) -> None:
+        self.counts[kind, outcome] += 1
+        self.slowest[kind] = max(self.slowest.get(kind, (0.0, case)), (seconds, case))
 
     def text(self) -> str:
         """A line for each kind."""
@@ -46,7 +49,10 @@ class Tally:
         for kind in kinds:
             outcomes = {outcome: number for (one, outcome), number in sorted(self.counts.items()) if one == kind}
             listed = ", ".join(f"{number} {outcome}" for outcome, number in outcomes.items())
-            rows.append(f"{kind:<9} {sum(outcomes.values()):>6} tried: {listed}")
+            seconds, case = self.slowest[kind]
+            rows.append(
+                f"{kind:<9} {sum(outcomes.values()):>6} tried: {listed}; the slowest took {seconds:.2f} s (case {case})"
+            )
         return "\n".join([*rows, *(f"FAULT {fault}" for fault in self.faults)])
 
 
