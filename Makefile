@@ -5,7 +5,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: help demo test lint types bench examples wheel clean
+.PHONY: help demo test fuzz lint types bench examples wheel clean
 .DEFAULT_GOAL := help
 
 help:  ## this list
@@ -24,6 +24,9 @@ demo: $(STAMP)  ## start a daemon, slide up, to the middle and down, show it mov
 
 test: $(STAMP)  ## all tests, two at a time
 	@$(BIN)/python -m pytest -n 2 --dist loadfile $(ARGS)
+
+fuzz: $(STAMP)  ## attack a daemon and the readers of files for 2 to 3 minutes, with another seed each time
+	@$(BIN)/python tests/fuzz/fuzz.py $(ARGS)
 
 lint: $(STAMP)  ## ruff: rules and formatting
 	@$(BIN)/ruff check .

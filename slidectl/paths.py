@@ -71,6 +71,11 @@ def runtime_folder() -> str:
     base = os.environ.get("XDG_RUNTIME_DIR")
     if base:
         return os.path.join(os.path.abspath(base), "slidectl")
+    return temporary_runtime_folder()
+
+
+def temporary_runtime_folder() -> str:
+    """The folder of all instances where XDG_RUNTIME_DIR is not set."""
     return os.path.join(_temporary_folder(), f"slidectl-{os.getuid()}")
 
 

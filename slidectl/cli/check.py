@@ -15,7 +15,7 @@ import click
 from slidectl.cli import configuration, live, output
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
-from slidectl.cli.spawn import package_lookup, pairs, tell_own_packages
+from slidectl.cli.spawn import package_lookup, pairs, parameter_text, tell_own_packages
 from slidectl.errors import EXIT_REFUSED, Refused
 
 if TYPE_CHECKING:
@@ -103,11 +103,20 @@ def check(
 def _streamed(source: str) -> bytes | None:
     """What comes from standard input or a pipe (`<(xacro robot.xacro)`) and can be read but once; None of files."""
     if source == "-":
-        return sys.stdin.buffer.read()
+        found = sys.stdin.buffer.read()
+        return parameter_text(found.decode()).encode() if _is_utf8(found) else found
     try:
         return Path(source).read_bytes() if Path(source).is_fifo() else None
     except (OSError, ValueError):
         return None
+
+
+def _is_utf8(text: bytes) -> bool:
+    try:
+        text.decode()
+    except UnicodeDecodeError:
+        return False
+    return True
 
 
 def _shipped_or_own(source: str) -> str:

@@ -7,13 +7,13 @@ from typing import Any
 
 import click
 
-from slidectl.cli import live
+from slidectl.cli import live, robots
 from slidectl.cli.bringup import Report, bring_up, check_started, each, wait_for_owner
 from slidectl.cli.commands import Variadic, group
 from slidectl.cli.context import Context
 from slidectl.cli.managers import UNLOADED, Manager, chosen, owner, owner_of_some
 from slidectl.client.manager import BEST_EFFORT, STRICT
-from slidectl.errors import NoDaemon, UsageError
+from slidectl.errors import NoDaemon, Refused, UsageError
 
 Decorator = Callable[[Any], Any]
 
@@ -29,6 +29,45 @@ def _strictness(function: Any) -> Any:
     )
     asap = click.option("--asap", is_flag=True, help="Start each one as soon as its joints are ready.")
     return strict(asap(function))
+
+
+def _rests(function: Any) -> Any:
+    """`--zero` and `--hold`, as the one argument `rest`: empty when neither was given."""
+    zero = click.option(
+        "--zero", "rest", flag_value="zero", help="Then let their joints go: efforts and velocities of 0."
+    )
+    hold = click.option(
+        "--hold", "rest", flag_value="hold", help="Then keep their joints in place: positions and velocities only."
+    )
+    return zero(hold(function))
+
+
+class Rest:
+    """What the joints of controllers do after these have been stopped.
+
+    Nothing by default: as in ros_control the last command stays with the hardware.
+    """
+
+    def __init__(self, ctx: Context, manager: Manager, stopping: Sequence[str], command: str | None) -> None:
+        self._ctx = ctx
+        self._command = command
+        self._request = {"robot": manager.namespace, "controllers": list(stopping), "command": command or ""}
+
+    def check(self, starting: Sequence[str] = ()) -> None:
+        """Raises Refused when the joints cannot do it, before a controller is stopped."""
+        if self._command:
+            self._ask(check_only=True, left_to=list(starting))
+
+    def apply(self) -> None:
+        """Raises Refused."""
+        if self._command:
+            self._ctx.say(self._ask()["message"])
+
+    def _ask(self, **more: Any) -> dict[str, Any]:
+        answer = self._ctx.call("/slidectl/rest_joints", {**self._request, **more})
+        if not answer["success"]:
+            raise Refused(answer["message"])
+        return answer
 
 
 @group(
@@ -48,7 +87,12 @@ def list_controllers(ctx: Context, manager: str | None, with_unloaded: bool) -> 
     With -v also what they claim. JSON keys: manager, name, state, type, claimed_resources (hardware_interface and
     resources).
     """
-    rows = [row for one in chosen(ctx, manager) for row in _rows(one, with_unloaded)]
+    managers = chosen(ctx, manager)
+    rows = [row for one in managers for row in _rows(one, with_unloaded)]
+    stopped = ctx.call("/slidectl/status")["estop"]
+    if stopped:
+        spaces = {robot["namespace"] for robot in robots.all_robots(ctx) if robot["name"] in stopped}
+        robots.warn_stopped(ctx, [one.namespace for one in managers if one.namespace in spaces])
     columns = ["manager", "name", "state", "type"] + (["claimed"] if ctx.verbose and ctx.format != "json" else [])
     if "claimed" in columns:
         rows = [{**row, "claimed": claimed_text(row["claimed_resources"])} for row in rows]
@@ -143,14 +187,25 @@ def start(ctx: Context, manager: str | None, strict: bool, asap: bool, names: tu
     _switch(ctx, manager, names, (), strict, asap)
 
 
-@controller.command("stop", examples=["slidectl controller stop joint1_position_controller"])
+@controller.command(
+    "stop",
+    examples=[
+        "slidectl controller stop joint1_position_controller",
+        "slidectl controller stop joint1_position_controller --zero",
+    ],
+)
 @_cm
 @_strictness
+@_rests
 @_names
 @click.pass_obj
-def stop(ctx: Context, manager: str | None, strict: bool, asap: bool, names: tuple[str, ...]) -> None:
-    """Stop running controllers, all in the same cycle."""
-    _switch(ctx, manager, (), names, strict, asap)
+def stop(ctx: Context, manager: str | None, strict: bool, asap: bool, rest: str | None, names: tuple[str, ...]) -> None:
+    """Stop running controllers, all in the same cycle.
+
+    As in ROS the last command stays with the hardware: an effort or a velocity goes on acting, a position is held.
+    --zero and --hold set another one, which the joint's interface must be able to do.
+    """
+    _switch(ctx, manager, (), names, strict, asap, rest)
 
 
 @controller.command(
@@ -166,30 +221,49 @@ def stop(ctx: Context, manager: str | None, strict: bool, asap: bool, names: tup
     "--start", "to_start", cls=Variadic, metavar="NAME...", shell_complete=live.controllers, help="Start these."
 )
 @click.option("--stop", "to_stop", cls=Variadic, metavar="NAME...", shell_complete=live.controllers, help="Stop these.")
+@_rests
 @click.pass_obj
 def switch(
-    ctx: Context, manager: str | None, strict: bool, asap: bool, to_start: tuple[str, ...], to_stop: tuple[str, ...]
+    ctx: Context,
+    manager: str | None,
+    strict: bool,
+    asap: bool,
+    to_start: tuple[str, ...],
+    to_stop: tuple[str, ...],
+    rest: str | None,
 ) -> None:
     """Stop some controllers and start others in one cycle.
 
     --start and --stop take names until the next option, and may repeat. --timeout also goes into the request: a
-    switch that has not happened by then is given up.
+    switch that has not happened by then is given up. Joints that only stopped controllers claim keep their last
+    commands, as in ROS; --zero and --hold set others.
     """
     if not to_start and not to_stop:
         raise UsageError("nothing to switch", "name controllers after --start, --stop or both")
-    _switch(ctx, manager, to_start, to_stop, strict, asap)
+    if rest and not to_stop:
+        raise UsageError(f"--{rest} is for joints of controllers that are stopped", "name them after --stop")
+    _switch(ctx, manager, to_start, to_stop, strict, asap, rest)
 
 
 def _switch(
-    ctx: Context, manager: str | None, start: Sequence[str], stop: Sequence[str], strict: bool, asap: bool
+    ctx: Context,
+    manager: str | None,
+    start: Sequence[str],
+    stop: Sequence[str],
+    strict: bool,
+    asap: bool,
+    rest: str | None = None,
 ) -> None:
     target, local = (owner if strict else owner_of_some)(ctx, manager, [*start, *stop])
     starting, stopping = local[: len(start)], local[len(start) :]
     known = local if strict else [name for name in local if name in target.known()]
+    after = Rest(ctx, target, stopping, rest)
+    after.check(starting)
     with Report(ctx, target, known):
         target.switch(starting, stopping, STRICT if strict else BEST_EFFORT, asap)
         if strict:
             check_started(target, starting)
+        after.apply()
 
 
 @controller.command(
@@ -218,15 +292,22 @@ def spawn(ctx: Context, manager: str | None, stopped: bool, wait: bool, names: t
 
 @controller.command("unspawn", examples=["slidectl controller unspawn joint1_position_controller"])
 @_cm
+@_rests
 @_names
 @click.pass_obj
-def unspawn(ctx: Context, manager: str | None, names: tuple[str, ...]) -> None:
-    """Stop controllers and unload them."""
+def unspawn(ctx: Context, manager: str | None, rest: str | None, names: tuple[str, ...]) -> None:
+    """Stop controllers and unload them.
+
+    As in ROS the last commands stay with the hardware; --zero and --hold set others, as with 'controller stop'.
+    """
     target, local = owner(ctx, manager, names)
     with Report(ctx, target, local) as report:
         running = [name for name in local if report.before.get(name) in ("running", "waiting")]
+        after = Rest(ctx, target, [name for name in local if name in report.before], rest)
+        after.check()
         if running:
             target.switch((), running)
+        after.apply()
         each(target.unload, [name for name in reversed(local) if name in report.before])
 
 

@@ -14,7 +14,7 @@ from slidectl.cli import logs as follow
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
 from slidectl.cli.sim import status_text
-from slidectl.errors import NoDaemon
+from slidectl.errors import NoDaemon, Refused
 
 if TYPE_CHECKING:
     from slidectl.daemon.options import DaemonOptions
@@ -216,3 +216,38 @@ def logs(ctx: Context, following: bool, lines: int | None) -> None:
     """Print the daemon's log. JSON key: line."""
     for line in follow.lines(ctx.paths.log, lines, following):
         ctx.emit({"line": line}, line)
+
+
+@daemon.command("clean", examples=["slidectl daemon clean --dry-run", "slidectl daemon clean"])
+@click.option("--dry-run", is_flag=True, help="List what would be removed, and remove nothing.")
+@click.pass_obj
+def clean(ctx: Context, dry_run: bool) -> None:
+    """Remove all that slidectl has left on this machine.
+
+    Compiled code, the history of 'slidectl shell', and the folders of instances with their logs; with --socket also
+    the files beside that socket. Files of a daemon that runs stay, and then the exit code is 1.
+    JSON keys: path, what, bytes, removed.
+    """
+    from pathlib import Path
+
+    from slidectl.cli.prompt import history_file
+    from slidectl.daemon import cleaning
+
+    found = cleaning.leftovers(Path(history_file()), ctx.paths)
+    failures = []
+    for one in found:
+        problem = f"process {one.pid} runs there; stop it first: slidectl daemon stop" if one.pid is not None else ""
+        if not problem and not dry_run:
+            try:
+                cleaning.remove(one)
+            except OSError as error:
+                problem = error.strerror or str(error)
+        if problem:
+            failures.append(f"{one.path} ({one.what}) stays: {problem}")
+            continue
+        record = {"path": str(one.path), "what": one.what, "bytes": one.size, "removed": not dry_run}
+        ctx.done(record, f"{'would remove' if dry_run else 'removed'} {one.path}: {one.what}, {one.size} bytes")
+    if failures:
+        raise Refused("\n".join(failures))
+    if not found:
+        ctx.say("nothing of slidectl is left")

@@ -14,6 +14,7 @@ from slidectl.cli import live, output
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
 from slidectl.errors import Refused, UnknownName
+from slidectl.names import is_under, join
 
 Robot = dict[str, Any]
 
@@ -44,10 +45,12 @@ def robots(ctx: Context, name: str | None) -> None:
 
     Lengths in m, angles in rad, forces in N or N m; a joint without a limit has none. With a name and -v also what
     became of each tag of the model. JSON keys: name, namespace, fixed, pose (x y z qx qy qz qw), links, joints (name,
-    type, interface, position, velocity, effort, lower, upper, max_velocity, max_effort), controllers, and report
-    (verdict, subject, text, file, line) when a name is given.
+    type, interface, position, velocity, effort, lower, upper, max_velocity, max_effort), controllers, estop (true in
+    an emergency stop), and report (verdict, subject, text, file, line) when a name is given.
     """
     found = all_robots(ctx)
+    shown = found if name is None else [find(found, name)]
+    warn_stopped(ctx, [robot["name"] for robot in shown if robot["estop"]])
     if name is None:
         rows = [record(robot, with_report=False) for robot in found]
         if ctx.format in ("text", "csv"):
@@ -65,8 +68,15 @@ def record(robot: Robot, with_report: bool = True) -> Robot:
     """A slidectl/RobotInfo with the keys that this command line promises."""
     joints = [_joint(joint) for joint in robot["joints"]]
     keys = ("name", "namespace", "fixed", "pose", "links")
-    result = {key: robot[key] for key in keys} | {"joints": joints, "controllers": robot["controllers"]}
+    result = {key: robot[key] for key in keys}
+    result |= {"joints": joints, "controllers": robot["controllers"], "estop": robot["estop"]}
     return result | ({"report": robot["report"]} if with_report else {})
+
+
+def warn_stopped(ctx: Context, stopped: Sequence[str]) -> None:
+    """That joints are held by the emergency stop of these robots."""
+    if stopped:
+        ctx.warn(f"emergency stop is on: {', '.join(stopped)}; slidectl estop release ends it")
 
 
 def moving(robot: Robot) -> list[str]:
@@ -89,6 +99,8 @@ def robot_text(robot: Robot, with_report: bool) -> str:
         "links": robot["links"],
         "controllers": robot["controllers"],
     }
+    if robot["estop"]:
+        head["estop"] = "on"
     shown = (joint for joint in robot["joints"] if joint["type"] != "fixed")
     rows = [{**joint, "interface": joint["interface"].rpartition("/")[2]} for joint in shown]
     parts = [output.as_lines(head)]
@@ -108,9 +120,9 @@ def notice_text(notice: dict[str, Any]) -> str:
 
 def summary(name: str, notices: Sequence[dict[str, Any]]) -> str:
     """One line that counts the notices and says where they are listed."""
-    names = {"wrong": "wrong", "ignored": "without effect", "converted": "converted"}
-    counts = {verdict: sum(notice["verdict"] == verdict for notice in notices) for verdict in names}
-    parts = [f"{count} {names[verdict]}" for verdict, count in counts.items() if count]
+    titles = {"wrong": "wrong", "ignored": "without effect", "converted": "converted"}
+    counts = {verdict: sum(notice["verdict"] == verdict for notice in notices) for verdict in titles}
+    parts = [f"{count} {titles[verdict]}" for verdict, count in counts.items() if count]
     return f"tags and values of the model: {', '.join(parts)} (slidectl robots {name} -v lists them)" if parts else ""
 
 
@@ -128,3 +140,42 @@ def delete(ctx: Context, names: tuple[str, ...]) -> None:
         if not answer["success"]:
             raise Refused(f"cannot delete {robot['name']}: {answer['status_message']}")
         ctx.done({"name": robot["name"], "namespace": robot["namespace"]}, f"{robot['name']}: deleted")
+
+
+@command("estop", examples=["slidectl estop", "slidectl estop slider", "slidectl estop release"])
+@click.argument("words", nargs=-1, metavar="[release] [NAME]...", shell_complete=live.robots)
+@click.option(
+    "--cm", "namespaces", multiple=True, metavar="NAMESPACE", shell_complete=live.managers,
+    help="The robot with this controller manager, as /rrbot; may repeat.",
+)  # fmt: skip
+@click.pass_obj
+def estop(ctx: Context, words: tuple[str, ...], namespaces: tuple[str, ...]) -> None:
+    """Stop robots at once, or release them.
+
+    All robots, unless some are named. From the next cycle on efforts and velocities are 0 and positions stay where
+    they were read, whatever controllers command; these go on. 'slidectl estop release' ends it: running controllers are
+    stopped and started, so they begin where the joints are. It outlasts a reset and goes with the robot. It is the
+    service /slidectl/estop, and the topic that <eStopTopic> of a robot's plugin names does the same.
+    JSON keys: name, namespace, estop, before.
+    """
+    stop = words[:1] != ("release",)
+    present = all_robots(ctx)
+    asked = [*(words if stop else words[1:]), *(join("/", namespace) for namespace in namespaces)]
+    meant = [find(present, name) for name in asked] or _below(present, ctx.namespace)
+    if not meant:
+        raise Refused("no robots in the world", "spawn one: slidectl spawn slider")
+    answer = ctx.call("/slidectl/estop", {"names": [robot["name"] for robot in meant], "stop": stop})
+    if not answer["success"]:
+        raise Refused(answer["message"])
+    for robot in {robot["name"]: robot for robot in meant}.values():
+        record = {"name": robot["name"], "namespace": robot["namespace"], "estop": stop, "before": robot["estop"]}
+        already = " already" if robot["estop"] == stop else ""
+        ctx.done(record, f"{robot['name']}: {'emergency stop' if stop else 'released'}{already}")
+
+
+def _below(present: Sequence[Robot], namespace: str) -> list[Robot]:
+    """The robots in a namespace. Raises UnknownName when it holds none of several."""
+    found = [robot for robot in present if is_under(robot["namespace"], namespace)]
+    if present and not found:
+        raise UnknownName("robot's namespace", namespace, [robot["namespace"] for robot in present])
+    return found

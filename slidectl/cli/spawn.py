@@ -77,7 +77,7 @@ def spawn(
     missing = Missing("all" if keep_going else "nothing")
     places = package_lookup(packages)
     source, given = in_package(model, arguments, places)
-    document = _document(source, given, name, places, missing)
+    document = _document(ctx, source, given, name, places, missing)
     tell_own_packages(ctx, places)
     missing.refuse()
     xml = _rooted(document, fixed)
@@ -150,21 +150,49 @@ def in_package(
     return files.shown(files.find_in_package(model, file, packages)), arguments
 
 
-def _document(model: str, arguments: dict[str, str], name: str | None, places: Packages, missing: Missing) -> Document:
+def _document(
+    ctx: Context, model: str, arguments: dict[str, str], name: str | None, places: Packages, missing: Missing
+) -> Document:
     from slidectl import description
 
-    source = standard_input() if model == "-" else model
+    source = _noted(ctx, standard_input()) if model == "-" else model
     if name and "namespace" not in arguments and "namespace" in description.declared_arguments(source, places):
         arguments = {**arguments, "namespace": f"/{name}"}
     return description.load(source, arguments, places, title="<stdin>" if model == "-" else None, missing=missing)
 
 
+def _noted(ctx: Context, xml: str) -> str:
+    """A text with what the daemon knows of its sources: it may be a parameter's, as `slidectl param get` prints it."""
+    from slidectl.description import source_note
+
+    answer = ctx.call("/slidectl/sources", {"digest": source_note.digest(xml)})
+    return source_note.join(xml, answer["note"])
+
+
 def standard_input() -> str:
     """The model on standard input. Raises BadFile when that is no XML."""
     text = sys.stdin.buffer.read().decode("utf-8", "replace")
+    text = parameter_text(text)
     if not text.lstrip("\ufeff \t\r\n").startswith("<"):
         raise BadFile("is no XML", "<stdin>", hint="pipe a URDF in, or name a model")
     return text
+
+
+_YAML_TEXTS = ('"', "'", "|", ">")
+"""How a text of several lines begins in YAML."""
+
+
+def parameter_text(text: str) -> str:
+    """The robot in a text that `param get` and rosparam print as YAML; anything else as it is."""
+    if text.lstrip()[:1] not in _YAML_TEXTS:
+        return text
+    import yaml
+
+    try:
+        value = yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError):
+        return text
+    return value if isinstance(value, str) and value.lstrip().startswith("<") else text
 
 
 def _rooted(document: Document, fixed: bool | None) -> str:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 CLOCK = "/clock"
 _SILENCE_S = 1.0
+_ASK_AGAIN_S = 5.0
 
 
 class Event(NamedTuple):
@@ -108,13 +109,13 @@ class Stream:
                 self._ask_why()
             elif wire.get("op") == "service_response":
                 self._take_answer(wire)
-            elif self._queue:
-                self._doubt = math.inf
+            elif self._queue and self._doubt < math.inf:
+                self._doubt = monotonic() + _SILENCE_S
         return self._queue.popleft() if self._queue else None
 
     def _ask_why(self) -> None:
-        """Nothing has come yet: that may be because the world stands still."""
-        self._doubt = math.inf
+        """Nothing has come for a while: that may be because the world stands still."""
+        self._doubt = monotonic() + _ASK_AGAIN_S
         self._status = self._client.call_async("/slidectl/status")
 
     def _take_answer(self, response: dict[str, Any]) -> None:
@@ -122,7 +123,10 @@ class Stream:
             return
         status = self._client.answer(str(self._status))
         if status["paused"]:
-            self._ctx.say(f"{paused(status)}; nothing comes until it goes on: slidectl sim resume")
+            self._doubt = math.inf  # said once
+            self._ctx.say(
+                f"{paused(status)}; nothing comes until it goes on: slidectl sim resume, or slidectl sim step"
+            )
 
     @property
     def is_drained(self) -> bool:

@@ -42,12 +42,12 @@ def urdf(ctx: Context, model: str, arguments: tuple[str, ...], target: str | Non
         ctx.warn(str(notice))
     if target is None:
         if ctx.format == "text":
-            output.write(document.xml.rstrip("\n"))
+            output.write(document.urdf.rstrip("\n"))
         else:
-            ctx.emit({"urdf": document.xml, "file": document.file})
+            ctx.emit({"urdf": document.urdf, "file": document.file})
         return
     try:
-        write_whole(target, document.xml)
+        write_whole(target, document.urdf)
     except OSError as error:
         raise Refused(f"cannot write {target}: {error.strerror}") from None
     ctx.done({"file": target}, f"{target}: written")

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+import sys
+from time import monotonic
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from slidectl.cli import live
+from slidectl.cli import live, output
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
 from slidectl.cli.options import simulated_seconds, wait_for_world_s
-from slidectl.cli.stream import paused
+from slidectl.cli.stream import nanoseconds, paused
 from slidectl.cli.topics import PUBLISHERS, look_up
-from slidectl.errors import Refused, TimedOut, UsageError
+from slidectl.errors import Refused, SlidectlError, TimedOut, UsageError
+
+if TYPE_CHECKING:
+    from slidectl.cli.fieldpath import Selection
 
 
 @command(
@@ -46,9 +51,10 @@ def wait(
 ) -> None:
     """Wait until a field of a topic has a value.
 
-    Prints the value and the simulated time. When --within has passed it prints what was expected, the last and the
-    closest value, and exits 1. --timeout is the limit on the wall clock (4); without it that is a minute, plus ten
-    times --within and --for. JSON keys: topic, field, expected, reached, value, closest, time.
+    Prints the value and the simulated time; on a terminal a line shows meanwhile how it stands. When --within has
+    passed it prints what was expected, the last and the closest value, and exits 1. --timeout is the limit on the wall
+    clock (4); without it that is a minute, plus ten times --within and --for. JSON keys: topic, field, expected,
+    reached, value, closest, time.
     """
     condition, value = _condition(near=near, above=above, below=below, equals=equals)
     if tol is not None and condition != "near":
@@ -67,13 +73,90 @@ def wait(
     call = ctx.client.call_async("/slidectl/wait", request)
     status = ctx.call("/slidectl/status")
     if status["paused"]:
-        ctx.say(f"{paused(status)}; this waits until somebody lets it go on or steps it")
+        ctx.say(f"{paused(status)}; this waits until it goes on: slidectl sim resume, or slidectl sim step")
+    deadline = monotonic() + limit
     try:
-        answer = ctx.client.answer(call, timeout=limit)
+        if output.is_terminal(sys.stderr) and not ctx.quiet and not ctx.client.is_answered(call):
+            from slidectl.cli.fieldpath import select
+
+            _Progress(ctx, request, select(found.schema, found.field)).show(call, deadline, status["time"])
+        answer = ctx.client.answer(call, timeout=max(0.0, deadline - monotonic()))
     except TimedOut as error:
         text = f"{_where(request)} was not {_expected(request)} within {limit:g} s of wall time"
         raise TimedOut(text, error.hint) from None
     _tell(ctx, request, answer)
+
+
+class _Progress:
+    """One line on the terminal while the daemon watches: the last value, the closest, the simulated time left."""
+
+    def __init__(self, ctx: Context, request: dict[str, Any], selection: Selection) -> None:
+        self._client = ctx.client
+        self._request = request
+        self._take = selection.take
+        self._topic = ctx.client.subscribe(request["topic"], queue_length=1, throttle_rate=int(1000 * _LOOK_EVERY_S))
+        self._last: Any = None
+        self._closest: Any = None
+
+    def show(self, call: str, deadline: float, since: float) -> None:
+        """Until the call is answered, or the deadline (`time.monotonic()`). `since` is the simulated time of its begin.
+
+        The line is gone then: what became of it is said elsewhere.
+        """
+        from rich.console import Console
+        from rich.text import Text  # brackets of a field's path are no styles
+
+        console = Console(stderr=True, highlight=False)
+        with self._topic, console.status(Text(self._text(0.0)), spinner="line") as status:
+            while not self._client.is_answered(call) and monotonic() < deadline:
+                clock = self._client.call_async("/rosapi/get_time")
+                look_at = monotonic() + _LOOK_EVERY_S
+                while not self._client.is_answered(call) and (left := min(look_at, deadline) - monotonic()) > 0:
+                    next(self._client.events(left), None)
+                if not self._client.is_answered(clock):
+                    self._client.forget(clock)
+                    continue
+                time = nanoseconds(self._client.answer(clock)["time"]) / 1e9
+                while len(self._topic):
+                    self._note(self._topic.get())
+                status.update(Text(self._text(max(0.0, time - since))))
+
+    def _note(self, message: dict[str, Any]) -> None:
+        try:
+            self._last = self._take(message)
+        except (SlidectlError, LookupError):  # an element that is not there yet
+            return
+        if isinstance(self._last, int | float) and (
+            self._closest is None or self._gap(self._last) < self._gap(self._closest)
+        ):
+            self._closest = self._last
+
+    def _gap(self, value: float) -> float:
+        """How far the value is from what is waited for; 0 when it is there."""
+        target = json.loads(self._request["value"])
+        if not isinstance(target, int | float):
+            return 0.0
+        past = value - target
+        kind = self._request["condition"]
+        return abs(past) if kind in ("near", "equals") else max(0.0, -past if kind == "above" else past)
+
+    def _text(self, passed: float) -> str:
+        within = self._request["within"]
+        parts = [f"{_where(self._request)} {_expected(self._request)}"]
+        if self._last is None:
+            parts.append("no message yet")
+        else:
+            parts.append(f"last {_short(self._last)}")
+            parts += [f"closest {_short(self._closest)}"] if self._closest is not None else []
+        parts.append(f"{max(0.0, within - passed):.1f} s left" if within else f"{passed:.1f} s passed")
+        return "; ".join(parts)
+
+
+_LOOK_EVERY_S = 0.2
+
+
+def _short(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)[:40]
 
 
 def _condition(**given: Any) -> tuple[str, Any]:

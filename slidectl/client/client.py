@@ -99,6 +99,10 @@ class Client:
         """True when the response to an earlier `call_async` is here: `answer` will not wait."""
         return self._replies.has(call_id)
 
+    def forget(self, call_id: str) -> None:
+        """Nobody will ask for the response to an earlier `call_async`."""
+        self._replies.forget(call_id)
+
     # --- topics -------------------------------------------------------------------------------------------------
 
     def advertise(self, topic: str, type: str | None = None, latch: bool = False) -> None:

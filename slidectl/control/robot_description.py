@@ -7,8 +7,11 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-from slidectl import description
 from slidectl.control.node import NodeHandle
+from slidectl.description import xml_tree
+from slidectl.description.mesh_files import UnreadMeshes
+from slidectl.description.parser import parse_tree
+from slidectl.description.report import Report
 from slidectl.description.robot import Joint, Robot
 from slidectl.errors import Refused, UnknownName
 
@@ -35,5 +38,5 @@ def joint_on_paper(node: NodeHandle, name: str) -> Joint:
 
 @lru_cache(maxsize=8)
 def _robot(xml: str) -> Robot:
-    """Every controller of a robot asks for the same text."""
-    return description.parse(xml, PARAMETER)
+    """Every controller of a robot asks for the same text. Where its meshes are is not in the text, nor asked for."""
+    return parse_tree(xml_tree.read(xml, PARAMETER), UnreadMeshes(), Report())

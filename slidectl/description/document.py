@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from slidectl.description import models, xml_tree, xml_writer
+from slidectl.description import models, source_note, xml_tree, xml_writer
 from slidectl.description.gazebo_tags import leave_out_hardware
 from slidectl.description.mesh_files import MeshFiles
 from slidectl.description.missing import Missing
@@ -21,7 +21,7 @@ from slidectl.errors import NotThere
 
 @dataclass(frozen=True)
 class Document:
-    """`xml` is URDF; `source_map` leads from its lines to the places where they were written."""
+    """`xml` is URDF with the note of its sources; `source_map` leads from its lines to where they were written."""
 
     xml: str
     source_map: xml_writer.SourceMap
@@ -29,6 +29,11 @@ class Document:
     """The model's file, or `<stdin>` or `<text>`."""
     report: tuple[Notice, ...] = field(default=())
     """What xacro warned of, and arguments without effect. What URDF tags became of is in the parsed robot's report."""
+
+    @property
+    def urdf(self) -> str:
+        """The URDF alone, as any reader takes it: what is shown and stored."""
+        return source_note.split(self.xml)[0]
 
 
 def load(
@@ -45,7 +50,7 @@ def load(
 
     Meshes that collide have to be there, unless `all_meshes` is false: then the parser may say so. `title` is what to
     call a text in messages. `missing` takes in what the files name and is not there; without it that is an error.
-    `as_written`: meshes keep the names that the files give them, and the text carries no note of its sources.
+    `as_written`: the files of meshes are not looked for.
 
     Raises:
         BadFile: missing, broken, or refused by xacro. UnknownName: no shipped model of that name.
@@ -65,13 +70,12 @@ def load(
         notices = [_no_xacro(name, model.file) for name in arguments or {}]
     if as_written:
         absences.refuse()
-        xml, source_map = xml_writer.write(root, with_note=False)
-        return Document(xml, source_map, model.file, tuple(notices))
-    _make_meshes_absolute(root, MeshFiles(packages, base), absences if all_meshes else None)
-    if missing is None:
-        absences.refuse()
     else:
-        leave_out_hardware(root, missing)
+        _find_meshes(root, MeshFiles(packages, base), absences if all_meshes else None)
+        if missing is None:
+            absences.refuse()
+        else:
+            leave_out_hardware(root, missing)
     xml, source_map = xml_writer.write(root)
     return Document(xml, source_map, model.file, tuple(notices))
 
@@ -87,8 +91,8 @@ def _no_xacro(name: str, file: str) -> Notice:
     return Notice("ignored", f"{name}:=", "plain URDF takes no arguments", file, None)
 
 
-def _make_meshes_absolute(root: Element, meshes: MeshFiles, missing: Missing | None) -> None:
-    """Turn the names of meshes into `file://` ones, so that whoever reads the text needs no package path.
+def _find_meshes(root: Element, meshes: MeshFiles, missing: Missing | None) -> None:
+    """Find the files of meshes, for the note of the text: whoever reads the text with it needs no package path.
 
     A `<collision>` whose mesh is not there is left out and noted in `missing`; without that, and where a mesh is only
     looked at, the name stays, for the parser to report.
@@ -99,7 +103,7 @@ def _make_meshes_absolute(root: Element, meshes: MeshFiles, missing: Missing | N
                 uri = element.get("filename") or ""
                 path, why = meshes.locate(uri, element.file) if uri.strip() else (None, "")
                 if path is not None:
-                    element.attributes["filename"] = path.as_uri()
+                    element.set_mesh(path.as_uri())
                 elif uri and shape.tag == "collision" and missing is not None:
                     reason, _, hint = why.partition("\n")
                     package = uri.partition("://")[2].partition("/")[0]  # of one that is not there, many may be missing

@@ -59,6 +59,16 @@ class MeshFiles:
         return [folder / path for folder in dict.fromkeys(folders)]
 
 
+class UnreadMeshes(MeshFiles):
+    """For whoever reads a robot for its joints alone: every mesh is taken to be there."""
+
+    def __init__(self) -> None:
+        super().__init__(Packages(), None)
+
+    def locate(self, uri: str, written_in: str) -> tuple[Path | None, str]:  # noqa: ARG002 - nothing is looked up
+        return Path(uri), ""
+
+
 def has_known_suffix(uri: str) -> bool:
     """True for STL, OBJ and DAE, in any case."""
     return uri.strip().lower().endswith(SUFFIXES)

@@ -39,6 +39,8 @@ class Element:
     file: str
     line: int
     content: list[Element | str] = field(default_factory=list)
+    mesh_name: str | None = None
+    """The `filename` of a mesh as it is written, where the attribute holds the file that was found for it."""
 
     @property
     def children(self) -> list[Element]:
@@ -82,6 +84,12 @@ class Element:
                 return f'<{self.tag} {name}="{self.attributes[name]}">'
         return f"<{self.tag}>"
 
+    def set_mesh(self, file: str) -> None:
+        """Let a mesh's `filename` be the file that was found for it."""
+        if self.mesh_name is None:
+            self.mesh_name = self.attributes["filename"]
+        self.attributes["filename"] = file
+
     def error(self, message: str, hint: str | None = None) -> BadFile:
         """A BadFile at this element's place, to be raised."""
         return BadFile(message, self.file, self.line, hint)
@@ -107,7 +115,7 @@ class _Reader:
         self.count = 0
         self.root: Element | None = None
         self.open: list[Element] = []
-        self.note: source_note.Places | None = None
+        self.note: source_note.Note | None = None
         self.parser = expat.ParserCreate()
         self.parser.buffer_text = True
         self.parser.StartElementHandler = self.start
@@ -217,9 +225,15 @@ def _is_utf8(text: bytes) -> bool:
     return True
 
 
-def _place(root: Element, places: source_note.Places) -> None:
-    """Give the elements the places where they were written; a note that does not fit the text is of another text."""
+def _place(root: Element, note: source_note.Note) -> None:
+    """Give the elements the places where they were written, and meshes their files.
+
+    A note that does not fit the text is of another text.
+    """
     elements = list(root.walk())
-    if len(elements) == len(places):
-        for element, (file, line) in zip(elements, places, strict=True):
-            element.file, element.line = file, line
+    if len(elements) != len(note.places):
+        return
+    for number, (element, (file, line)) in enumerate(zip(elements, note.places, strict=True)):
+        element.file, element.line = file, line
+        if number in note.meshes and element.tag == "mesh" and "filename" in element.attributes:
+            element.set_mesh(note.meshes[number])

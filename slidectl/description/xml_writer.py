@@ -17,13 +17,12 @@ SourceMap = dict[int, tuple[str, int]]
 """Line of the text, from 1, to the file and line of the element that begins there."""
 
 
-def write(root: Element, with_note: bool = True) -> tuple[str, SourceMap]:
-    """The text, with the note of sources at its end unless it is for others to read, and its source map."""
+def write(root: Element) -> tuple[str, SourceMap]:
+    """The text, with the note of sources at its end, and its source map."""
     writer = _Writer()
     writer.element(root, 0)
     places = list(writer.source_map.values())
-    note = source_note.encode(places) + "\n" if with_note else ""
-    return "".join(writer.pieces) + note, writer.source_map
+    return "".join(writer.pieces) + source_note.encode(places, writer.meshes) + "\n", writer.source_map
 
 
 class _Writer:
@@ -31,6 +30,7 @@ class _Writer:
         self.pieces = ['<?xml version="1.0" encoding="utf-8"?>\n']
         self.line = 2
         self.source_map: SourceMap = {}
+        self.meshes: dict[int, str] = {}
 
     def put(self, text: str) -> None:
         self.pieces.append(text)
@@ -38,8 +38,12 @@ class _Writer:
 
     def element(self, element: Element, depth: int) -> None:
         indent = "  " * depth
+        attributes = element.attributes
+        if element.mesh_name is not None:
+            self.meshes[len(self.source_map)] = attributes["filename"]
+            attributes = {**attributes, "filename": element.mesh_name}
         self.source_map[self.line] = (element.file, element.line)
-        self.put(f"{indent}<{element.tag}{_attributes(element)}")
+        self.put(f"{indent}<{element.tag}{_attributes(attributes)}")
         if element.children:
             self.put(">\n")
             self.mixed(element, depth + 1)
@@ -57,8 +61,8 @@ class _Writer:
                 self.put("  " * depth + _escaped(node.strip()) + "\n")
 
 
-def _attributes(element: Element) -> str:
-    return "".join(f' {name}="{value.translate(_IN_ATTRIBUTES)}"' for name, value in element.attributes.items())
+def _attributes(attributes: dict[str, str]) -> str:
+    return "".join(f' {name}="{value.translate(_IN_ATTRIBUTES)}"' for name, value in attributes.items())
 
 
 def _text(element: Element) -> str:

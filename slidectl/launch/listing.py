@@ -6,6 +6,7 @@ import shlex
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from slidectl.description import source_note
 from slidectl.errors import NotThere, UnknownName
 from slidectl.launch.nodes.process import Process
 from slidectl.launch.plan import Node, Plan
@@ -37,7 +38,8 @@ def parameters(plan: Plan) -> str:
     """All of them as YAML, sorted by name, letter for letter as `roslaunch --dump-params`. Raises BadFile."""
     import yaml
 
-    values = {name: value for name, (value, _) in plan.parameters().items()}
+    shown = ((name, value) for name, (value, _) in plan.parameters().items())
+    values = {name: source_note.split(value)[0] if isinstance(value, str) else value for name, value in shown}
     return str(yaml.safe_dump(values, default_flow_style=False))
 
 

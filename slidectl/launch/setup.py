@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 
+from slidectl.description import source_note
 from slidectl.description.packages import Packages
 from slidectl.errors import Refused, SlidectlError, UsageError
 from slidectl.launch.plan import Leaf, Place, Plan, RosparamCommand
@@ -86,11 +87,21 @@ def _set(run: Run, parameters: Mapping[str, Leaf]) -> None:
 
 def _begin(run: Run, name: str, value: object, place: Place) -> str:
     """The id of the call."""
+    if isinstance(value, str):
+        value = _without_note(run, value)
     text = _as_json(name, value, place)
     try:
         return run.client.call_async("/rosapi/set_param", {"name": name, "value": text})
     except UsageError as error:  # too long for a line
         raise place.error(f"parameter {name}: {error.message}") from None
+
+
+def _without_note(run: Run, text: str) -> str:
+    """A robot's description as any reader takes it; the daemon keeps beside it where its elements were written."""
+    urdf, note = source_note.split(text)
+    if note:
+        run.client.call_async("/slidectl/sources", {"digest": source_note.digest(urdf), "note": note})
+    return urdf
 
 
 def _as_json(name: str, value: object, place: Place) -> str:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 from slidectl.control.angles import unwrapped
@@ -20,6 +21,7 @@ from slidectl.control.limits import LimitHandle, in_order
 from slidectl.control.node import NodeHandle
 from slidectl.control.robot_hw import RobotHW
 from slidectl.description.robot import Robot
+from slidectl.errors import Refused
 from slidectl.physics.body import Body, JointPlace
 from slidectl.physics.drives import Drive, drive_for
 from slidectl.physics.effort import EffortTruncation, truncated
@@ -139,6 +141,35 @@ class MujocoRobotHW(RobotHW):
     def limits(self) -> list[LimitHandle]:
         """The limit handles in the order in which `write` enforces them."""
         return in_order(joint.limit for joint in self._joints if joint.limit is not None)
+
+    def resting_commands(self, claims: Iterable[tuple[str, str]], hold: bool) -> dict[tuple[str, str], float]:
+        """The commands by which joints are let go, or with `hold` keep their places: by interface and joint.
+
+        Raises:
+            Refused: an interface that cannot do that; an effort of 0 holds nothing, a position of 0 is a movement.
+        """
+        commands = {}
+        for kind, name in claims:
+            joint = next((one for one in self._joints if (one.interface.type_name, one.name) == (kind, name)), None)
+            if joint is None:
+                continue  # another interface of the joint is the one that drives
+            if hold and joint.interface is EffortJointInterface:
+                raise Refused(
+                    f"{name} is commanded by its effort, and without a controller no effort holds it where it is",
+                    "leave a controller of positions running, or let the joint go: --zero",
+                )
+            if not hold and joint.interface is PositionJointInterface:
+                raise Refused(
+                    f"{name} is commanded by its position: zero would move it to 0",
+                    "it holds its last command by itself; --hold lets it stay where it is",
+                )
+            commands[kind, name] = joint.handle.position if joint.interface is PositionJointInterface else 0.0
+        return commands
+
+    def command(self, commands: Mapping[tuple[str, str], float]) -> None:
+        """Set commands, by interface and joint, that stay until a controller writes others."""
+        for joint in self._joints:
+            joint.handle.command = commands.get((joint.interface.type_name, joint.name), joint.handle.command)
 
     def reset(self) -> None:
         """After the world was reset: angles unwrapped anew, commands 0, limits and gains without a past."""

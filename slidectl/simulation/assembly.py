@@ -85,6 +85,15 @@ class SpawnedRobot:
         self.node.before_entry()
         return self.parts.cycle
 
+    @property
+    def emergency_stop(self) -> bool:
+        """True: efforts and velocities are 0, positions are held. Controllers go on; its end starts them anew."""
+        return self.parts.cycle.emergency_stop
+
+    @emergency_stop.setter
+    def emergency_stop(self, stopped: bool) -> None:
+        self.cycle.emergency_stop = self.hardware.estop = stopped
+
     def look(self) -> None:
         """Read the joints outside of a cycle: after the world was changed, and before the first cycle."""
         self.hardware.read(self.node.now_ns(), 0.0)
@@ -211,6 +220,6 @@ def _subscribe_emergency_stop(robot: SpawnedRobot, plugin: ControlPlugin) -> Non
         return
 
     def take(message: Message) -> None:
-        robot.cycle.emergency_stop = robot.hardware.estop = message["data"]
+        robot.emergency_stop = message["data"]
 
     robot.node.subscribe(plugin.estop_topic, "std_msgs/Bool", take)

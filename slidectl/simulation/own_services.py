@@ -1,11 +1,12 @@
-"""`/slidectl/status`, `step`, `set_speed`, `set_params`, `sleep`, `list_robots`: no service of ROS.
+"""`/slidectl/status`, `step`, `set_speed`, `set_params`, `sleep`, `list_robots` and `sources`: not in ROS.
 
-`wait` has a module of its own, and `shutdown` is the daemon's.
+`wait` and what stops joints have modules of their own, and `shutdown` is the daemon's.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from typing import TYPE_CHECKING
 
 import slidectl
@@ -32,6 +33,7 @@ def advertise(simulation: Simulation) -> None:
     node.advertise_service("set_params", "slidectl/SetParams", lambda request: _set_params(simulation, request))
     node.advertise_service("sleep", "slidectl/Sleep", lambda request: _sleep(simulation, request))
     node.advertise_service("list_robots", "slidectl/ListRobots", lambda request: _list_robots(simulation, request))
+    node.advertise_service("sources", "slidectl/Sources", lambda request: _sources(simulation, request))
 
 
 def _status(simulation: Simulation) -> Message:
@@ -47,6 +49,7 @@ def _status(simulation: Simulation) -> Message:
         "chosen": sorted(simulation.chosen),
         "engine": str(simulation.engine),
         "robots": simulation.robots.names(),
+        "estop": [robot.name for robot in simulation.robots if robot.emergency_stop],
         "controllers": sum(len(manager.names()) for manager in managers),
         "controllers_running": sum(manager.running_count for manager in managers),
         **simulation.monitor(),
@@ -150,3 +153,13 @@ def _list_robots(simulation: Simulation, request: Message) -> Message:
     asked: str = request["name"]
     robots = [simulation.robots.get(asked)] if asked else list(simulation.robots)
     return {"robots": [robot_info(robot, simulation.world) for robot in robots]}
+
+
+def _sources(simulation: Simulation, request: Message) -> Message:
+    digest: str = request["digest"]
+    if re.fullmatch("[0-9a-f]{64}", digest) is None:
+        raise Refused("a digest is SHA-256 in 64 hexadecimal digits")
+    sources = simulation.robots.sources
+    if request["note"]:
+        sources.put(digest, request["note"])
+    return {"note": sources.get(digest)}

@@ -18,10 +18,13 @@ from slidectl.simulation.topics import NodePublisher
 class _DemandPublisher(NodePublisher):
     """Tells when it begins and when it ceases to be wanted."""
 
-    __slots__ = ("_is_wanted", "_on_demand")
+    __slots__ = ("_is_wanted", "_newcomer", "_on_demand")
 
-    def __init__(self, on_demand: Callable[[bool], None], *arguments: Any) -> None:
+    def __init__(
+        self, on_demand: Callable[[bool], None], newcomer: Callable[[], Message | None], *arguments: Any
+    ) -> None:
         self._on_demand = on_demand
+        self._newcomer = newcomer
         self._is_wanted = False
         super().__init__(*arguments)
 
@@ -35,19 +38,35 @@ class _DemandPublisher(NodePublisher):
             self._is_wanted = value
             self._on_demand(value)
 
+    def for_newcomer(self) -> Message | None:
+        return self._newcomer()
+
 
 class PeriodicTopic:
-    """Publishes what `build` gives, every `period_ns`, until `close`."""
+    """Publishes what `build` gives, every `period_ns`, until `close`.
+
+    While `is_still` says that no cycle will come by itself, a new subscriber gets the present message at once, and
+    those that are there when the publisher comes get it too.
+    """
 
     def __init__(
-        self, graph: Graph, topic: str, type_name: str, node: str, period_ns: int, build: Callable[[], Message]
+        self,
+        graph: Graph,
+        topic: str,
+        type_name: str,
+        node: str,
+        period_ns: int,
+        build: Callable[[], Message],
+        is_still: Callable[[], bool] = lambda: False,
     ) -> None:
         self._graph = graph
         self._period_ns = period_ns
         self._build = build
         self._timer: Timer | None = None
-        kind = partial(_DemandPublisher, self._demand)
+        kind = partial(_DemandPublisher, self._demand, lambda: build() if is_still() else None)
         self._publisher = graph.topics.advertise(topic, type_name, node, kind=kind)
+        if self._publisher.wanted and is_still():
+            self._publish()
 
     def close(self) -> None:
         """Stop publishing."""

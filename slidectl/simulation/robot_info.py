@@ -30,6 +30,7 @@ def robot_info(robot: SpawnedRobot, world: World) -> Message:
         "controllers": list(robot.parts.manager.names()),
         "pose": [*map(float, position), *map(float, attitude)],
         "report": [_notice(notice) for notice in paper.report],
+        "estop": robot.emergency_stop,
     }
 
 

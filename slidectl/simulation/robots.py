@@ -10,6 +10,7 @@ from contextlib import ExitStack
 from typing import NamedTuple
 
 from slidectl import description, names
+from slidectl.description import source_note
 from slidectl.description.robot import Robot
 from slidectl.errors import Refused, UnknownName
 from slidectl.physics import World
@@ -37,6 +38,34 @@ class Newcomer(NamedTuple):
     namespace: str
     paper: Robot
     xml: str
+    note: str
+    """Where its lines were written, and its meshes found."""
+
+
+class Sources:
+    """Notes of robots' texts (see description.source_note) by the texts' digests: the latest ones, within bounds."""
+
+    MOST = 256
+    MOST_CHARACTERS = 32 * 1024 * 1024
+
+    def __init__(self) -> None:
+        self._notes: dict[str, str] = {}
+        self._characters = 0
+
+    def put(self, digest: str, note: str) -> None:
+        """Remember a note; the oldest ones go when there are too many."""
+        self._forget(digest)
+        self._notes[digest] = note
+        self._characters += len(note)
+        while self._notes and (len(self._notes) > self.MOST or self._characters > self.MOST_CHARACTERS):
+            self._forget(next(iter(self._notes)))
+
+    def get(self, digest: str) -> str:
+        """The note, empty when there is none."""
+        return self._notes.get(digest, "")
+
+    def _forget(self, digest: str) -> None:
+        self._characters -= len(self._notes.pop(digest, ""))
 
 
 class Robots:
@@ -47,6 +76,7 @@ class Robots:
         self._loop = loop
         self._robots: dict[str, SpawnedRobot] = {}
         self.companions: list[Companion] = []
+        self.sources = Sources()
 
     def __iter__(self) -> Iterator[SpawnedRobot]:
         return iter(tuple(self._robots.values()))
@@ -84,9 +114,11 @@ class Robots:
     def read(self, xml: str, name: str, namespace: str | None = None) -> Newcomer:
         """A robot that may be spawned as far as one can tell without its meshes. Raises as `spawn`."""
         self._check_name(name)
-        paper = description.parse(xml)
+        urdf, note = source_note.split(xml)
+        note = note or self.sources.get(source_note.digest(urdf))
+        paper = description.parse(source_note.join(urdf, note))
         check_hardware_type(paper)
-        return Newcomer(name, self._namespace(name, namespace, paper), paper, xml)
+        return Newcomer(name, self._namespace(name, namespace, paper), paper, urdf, note)
 
     def spawn_read(self, newcomer: Newcomer, pose: Pose, hulls: Hulls) -> SpawnedRobot:
         """Spawn what was read some cycles ago. Raises as `spawn`: others may have come meanwhile."""
@@ -106,6 +138,8 @@ class Robots:
             report(robot)
             warn_of_overlaps(robot, self._world)
             robot.taken = undoing.pop_all()
+        if newcomer.note:
+            self.sources.put(source_note.digest(newcomer.xml), newcomer.note)
         return robot
 
     def delete(self, name: str) -> None:

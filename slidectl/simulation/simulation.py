@@ -13,7 +13,7 @@ from slidectl.control.node import Message, MessageCallback
 from slidectl.errors import Refused
 from slidectl.physics import World, hulls
 from slidectl.physics.hulls import Source
-from slidectl.simulation import gazebo, own_services, reset, rosapi, state_publisher, waits
+from slidectl.simulation import gazebo, own_services, reset, rosapi, state_publisher, stopping, waits
 from slidectl.simulation.assembly import ORIGIN, Pose, SpawnedRobot
 from slidectl.simulation.compiled.engine import Engine
 from slidectl.simulation.graph import Graph
@@ -68,6 +68,7 @@ class Simulation:
         self.graph.parameters.set("/use_sim_time", True)
         rosapi.advertise(self.graph)
         own_services.advertise(self)
+        stopping.advertise(self.graph, self.robots)
         waits.advertise(self.graph)
         gazebo.advertise(self)
         self.robots.companions.append(state_publisher.companion(self))

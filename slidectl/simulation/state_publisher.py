@@ -1,6 +1,7 @@
 """robot_state_publisher of every robot: moving joints on `/tf` at 50 Hz, fixed ones latched on `/tf_static`.
 
-It reads the joints of the world themselves, so it needs no joint_states and shows passive joints too. Its parameters
+It reads the joints of the world themselves, so it needs no joint_states and shows passive joints too. In a world that
+stands still whoever begins to listen to `/tf` gets the present transforms at once. Its parameters
 below `/<ns>/robot_state_publisher`, publish_frequency, tf_prefix and enabled, take effect whenever they are set.
 """
 
@@ -78,8 +79,16 @@ class StatePublisher:
     def _publish_moving(self) -> None:
         if self._tf is not None:
             self._tf.close()
-        graph = self._simulation.graph
-        self._tf = PeriodicTopic(graph, "/tf", "tf2_msgs/TFMessage", self._node, self._period_ns, self._dynamic)
+        simulation = self._simulation
+        self._tf = PeriodicTopic(
+            simulation.graph,
+            "/tf",
+            "tf2_msgs/TFMessage",
+            self._node,
+            self._period_ns,
+            self._dynamic,
+            lambda: simulation.driven and simulation.loop.stands_still,
+        )
 
     def _publish_fixed(self) -> None:
         if self._static is None:

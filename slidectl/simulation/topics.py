@@ -61,6 +61,10 @@ class TopicPublisher:
         if refusal is not None:
             raise refusal
 
+    def for_newcomer(self) -> Message | None:
+        """The message that a new subscriber gets at once: the latched one."""
+        return self.last
+
     def close(self) -> None:
         """Stop being a publisher; a latched message goes with it."""
         self._on_close(self)
@@ -168,9 +172,10 @@ class Topics:
         entry.subscriptions.append(subscription)
         self._update(entry)
         for publisher in tuple(entry.publishers):
-            if publisher.last is not None:
+            message = publisher.for_newcomer()
+            if message is not None:
                 with suppress(SlidectlError):  # who published it is not there to hear a refusal
-                    callback(publisher.last)
+                    callback(message)
         return subscription
 
     def publish(self, topic: str, type_name: str | None, message: Any, node: str) -> None:

@@ -46,13 +46,13 @@ FLOOR = "import sys, click, json, socket; print(*sys.modules)"
 
 SLIDER = {
     "name": "slider", "namespace": "/slider", "fixed": True, "links": ["base_link"], "joints": [], "controllers": [],
-    "pose": [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], "report": [],
+    "pose": [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], "report": [], "estop": False,
 }  # fmt: skip
 STATUS = {
     "version": "0", "pid": 1, "instance": "default", "time": 1.0, "cycles": 1000, "paused": False, "speed": 1.0,
     "speed_reached": 1.0, "timestep": 0.001, "cycle_mean": 1e-6, "cycle_p99": 1e-6, "cycle_worst": 1e-6,
     "engine": "plain",
-    "lateness_p50": 1e-6, "lateness_p99": 1e-6, "overruns": 0, "robots": ["slider"], "controllers": 1,
+    "lateness_p50": 1e-6, "lateness_p99": 1e-6, "overruns": 0, "robots": ["slider"], "estop": [], "controllers": 1,
     "controllers_running": 1, "connections": 1, "memory": 1, "uptime": 1.0, "log": "",
 }  # fmt: skip
 CONTROLLER = {"name": "c", "state": "running", "type": "t", "claimed_resources": []}

@@ -53,7 +53,7 @@ def test_a_shipped_model_is_there_when_spawn_returns(world: CommandLine) -> None
 def test_spawn_in_json_has_the_keys_of_robots(world: CommandLine) -> None:
     spawned = json.loads(world.ok("spawn", "rrbot", "--json"))
     assert spawned == robot(world, "rrbot")
-    assert list(spawned) == ["name", "namespace", "fixed", "pose", "links", "joints", "controllers", "report"]
+    assert list(spawned) == ["name", "namespace", "fixed", "pose", "links", "joints", "controllers", "estop", "report"]
     joint = next(joint for joint in spawned["joints"] if joint["name"] == "joint1")
     assert list(joint) == [
         "name", "type", "interface", "position", "velocity", "effort", "lower", "upper", "max_velocity", "max_effort",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Iterator
 
 import pytest
@@ -50,7 +51,7 @@ def test_status_has_all_its_keys(slidectl: CommandLine) -> None:
     assert set(status(slidectl)) == {
         "version", "pid", "instance", "time", "cycles", "paused", "trouble", "speed", "speed_reached", "timestep",
         "chosen", "engine", "cycle_mean", "cycle_p99", "cycle_worst", "lateness_p50", "lateness_p99", "overruns",
-        "robots", "controllers", "controllers_running", "connections", "memory", "uptime", "log",
+        "robots", "estop", "controllers", "controllers_running", "connections", "memory", "uptime", "log",
     }  # fmt: skip
     text = slidectl.ok("sim", "status")
     assert "state:       paused" in text
@@ -212,3 +213,15 @@ def test_a_topic_is_cut_from_its_field_at_the_longest_place() -> None:
     assert list(splits("/a/b/c[0]")) == [("/a/b", "c[0]"), ("/a", "b/c[0]")]
     assert list(splits("a/b")) == [("a/b", ""), ("a", "b")]
     assert list(splits("a")) == [("a", "")]
+
+
+def test_wait_shows_on_a_terminal_how_it_stands_and_nothing_when_quiet(slider: CommandLine) -> None:
+    slider.ok("sim", "speed", "1")
+    slider.ok("sim", "resume")
+    words = ("wait", "joint_states/position[0]", "--above", "0.7", "--within", "1")
+    shown = slider.on_a_terminal(*words).decode()
+    assert re.search(r"joint_states/position\[0\] above 0\.7; last -?\d[^;]*; closest [^;]*; \d\.\d s left", shown), (
+        shown
+    )
+    assert " s left" not in slider.on_a_terminal(*words, "-q").decode()
+    assert "s left" not in slider(*words).stderr

@@ -158,6 +158,19 @@ def test_a_paused_world_is_named_as_the_reason_for_silence() -> None:
             assert process.communicate(timeout=20)[0] == '"joint1"\n---\n'
 
 
+@pytest.mark.parametrize("words", [("echo", "joint_states/name[0]"), ("hz", "joint_states")])
+def test_a_world_that_is_paused_meanwhile_is_named_once(words: tuple[str, ...]) -> None:
+    with slider_world() as world, world.running(*words) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.readline()
+        world.slidectl.ok("sim", "pause")
+        said = next(line for line in process.stderr if "subscribed" not in line)
+        assert said == (
+            "the simulation is paused; nothing comes until it goes on: slidectl sim resume, or slidectl sim step\n"
+        )
+
+
 def test_every_message_is_flushed_and_ctrl_c_is_exit_code_130(world: World) -> None:
     with world.running("echo", "joint_states/position[0]") as process:
         assert process.stdout is not None

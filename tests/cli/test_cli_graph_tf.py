@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from cli_graph_world import World, slider_world
+from command_line import CommandLine
 from daemon_fixture import running_daemon
 from hypothesis import given
 from hypothesis import strategies as st
@@ -189,12 +190,56 @@ def test_errors_say_what_is_wrong(world: World, words: list[str], code: int, sai
     assert said in done.stderr
 
 
-def test_a_paused_world_is_named_as_the_reason_for_missing_frames() -> None:
-    with slider_world() as world:
-        world.slidectl.ok("sim", "pause")
-        done = world.slidectl("tf", "echo", "world", "link2", "--timeout", "0.5")
-        assert done.returncode == 1
-        assert "is the simulation paused?" in done.stderr
+@pytest.fixture(scope="module")
+def still() -> Iterator[CommandLine]:
+    """A world that has never run, with a slider that was spawned in it."""
+    with running_daemon(paused=True) as daemon:
+        line = CommandLine(daemon.folder)
+        line.ok("spawn", "slider")
+        yield line
+
+
+def test_a_world_that_stands_still_tells_its_frames_right_after_a_spawn(still: CommandLine) -> None:
+    assert still.ok("tf", "tree") == "world\n  base_link (static)\n    link2 (moving)\n"
+    assert still.ok("tf", "list") == "base_link\nlink2\nworld\n"
+    shown = json.loads(still.ok("tf", "echo", "base_link", "link2", "--json"))
+    assert shown["time"] == 0.0
+
+
+def test_a_world_that_came_to_a_stand_tells_where_its_frames_are_now(still: CommandLine) -> None:
+    still.ok("sim", "step", "100")
+    shown = json.loads(still.ok("tf", "echo", "base_link", "link2", "--json"))
+    assert shown["time"] == 0.1
+    position = json.loads(still.ok("robots", "slider", "--json"))["joints"][1]["position"]
+    before = json.loads(still.ok("tf", "echo", "base_link", "link2", "--json"))["translation"]
+    still.ok(
+        "service",
+        "call",
+        "/gazebo/set_model_configuration",
+        "{model_name: slider, joint_names: [joint1], joint_positions: [0.4]}",
+    )
+    after = json.loads(still.ok("tf", "echo", "base_link", "link2", "--json"))["translation"]
+    assert sum(after) - sum(before) == pytest.approx(0.4 - position, abs=1e-6)
+
+
+def test_the_ros_words_find_the_frames_of_a_world_that_stands_still(still: CommandLine) -> None:
+    done = still("ros", "rosrun", "tf2_tools", "echo.py", "-l", "1", "world", "link2")
+    assert done.returncode == 0, done.stderr
+    assert "Translation" in done.stdout
+
+
+def test_who_listens_already_gets_the_frames_of_a_robot_spawned_in_a_still_world(still: CommandLine) -> None:
+    with still.client() as client, client.subscribe("/tf", "tf2_msgs/TFMessage") as heard:
+        assert heard.get()["transforms"][0]["child_frame_id"] == "link2"
+        still.ok("spawn", "rrbot")
+        assert heard.get()["transforms"][0]["header"]["frame_id"] == "rrbot/link1"
+        still.ok("delete", "rrbot")
+
+
+def test_frames_that_are_not_there_are_named_at_once_in_a_still_world(still: CommandLine) -> None:
+    done = still("tf", "echo", "world", "link9")
+    assert done.returncode == 1
+    assert "no frame 'link9'" in done.stderr
 
 
 def test_a_world_without_robots_has_no_frames() -> None:

@@ -147,9 +147,9 @@ def xacro(ctx: Context, argv: Sequence[str]) -> None:
     for notice in document.report:
         ctx.warn(str(notice))
     if target is None:
-        return output.write(document.xml)
+        return output.write(document.urdf)
     try:
-        write_whole(target, document.xml)
+        write_whole(target, document.urdf)
     except OSError as error:
         raise Failure(f"ERROR: cannot write {target}: {error.strerror}") from None
     return None

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from slidectl import description, names, rotations
+from slidectl.description import source_note
 from slidectl.description.packages import Packages, is_file
 from slidectl.errors import BadFile, BadName, Refused, SlidectlError
 from slidectl.launch.options import Words, number, parse
@@ -156,7 +157,7 @@ class SpawnModel(Task):
             raise Refused(f"the parameter {name} is not set to a robot's description", hint)
         if not _is_xml(xml):
             raise Refused(f"the parameter {name} holds no XML")
-        return description.load(xml, {}, packages, missing=missing)
+        return description.load(xml if own is not None else _noted(run, xml), {}, packages, missing=missing)
 
     def _spawn(self, run: Run, document: description.Document) -> None:
         request: dict[str, Any] = {
@@ -233,6 +234,12 @@ def _manager_of(node: Node) -> str:
     given = [after for word, after in pairwise([*node.words, ""]) if word == "--namespace"]
     given += [word.partition("=")[2] for word in node.words if word.startswith("--namespace=")]
     return names.join(node.namespace, given[-1]) if given else node.namespace
+
+
+def _noted(run: Run, xml: str) -> str:
+    """A description with what the daemon knows of its sources."""
+    answer = run.call("/slidectl/sources", {"digest": source_note.digest(xml)})
+    return source_note.join(xml, answer["note"])
 
 
 def _act(run: Run, service: str, request: dict[str, Any], timeout: float | None = None) -> list[str]:
