@@ -30,6 +30,8 @@ _TIDY_EVERY_S = 1.0
 _FIRST_COMMANDS_S = 1.0
 """Compiled code takes 50 ms to load: not while those who have started the daemon send their first commands."""
 _YOUNG_OBJECTS = 2000
+_LONG_COLLECTION_S = 0.002
+"""What a collection looked through in so long a time is not looked through again until the objects are twice as many."""
 _PR_SET_TIMERSLACK = 29
 
 
@@ -44,6 +46,7 @@ class Daemon:
         self._next_tidy_s = 0.0
         self._given_up_s = 0.0
         self._kept_robots: frozenset[SpawnedRobot] = frozenset()
+        self._most_kept_objects = 0
         options = start.options
         self.simulation = Simulation(options.timestep, options.gravity, options.ground, options.engine)
         self.simulation.driven = True
@@ -63,20 +66,21 @@ class Daemon:
         """Turn until stopped: the cycles that are due and what they published, then the sockets and what they asked."""
         _wake_punctually()
         self._log.write("info", f"slidectl {slidectl.__version__} answers on {self._start.paths.socket}")
-        turn, server, busy = self._pacer.turn, self._server, self._server.busy
+        turn, server = self._pacer.turn, self._server
+        busy, fresh = server.busy, server.publications.fresh
         while not self._stopping:
             try:
                 wait_s = turn()
             except Exception:
                 wait_s = self._hold()
+            if busy.with_output or busy.with_messages or fresh:
+                server.flush()
+            if time.monotonic() >= self._next_tidy_s:
+                self._tidy()
+            self._loop.poll(server.wait(_TIDY_EVERY_S if wait_s is None else wait_s))
             if busy.with_input:
                 server.serve()
-            if busy.with_output:
-                server.flush()
-            if wait_s is None or time.monotonic() >= self._next_tidy_s:
-                self._tidy()
-            self._loop.poll(0.0 if busy.with_input or busy.with_output else wait_s)
-            if busy.with_output:
+            if busy.with_output or busy.with_messages or fresh:
                 server.flush()
         self._end()
 
@@ -93,23 +97,36 @@ class Daemon:
         self._next_tidy_s = now + _TIDY_EVERY_S
         self.simulation.engine.is_welcome = now - self._began_s > _FIRST_COMMANDS_S
         self._collect_garbage()
+        self._server.publications.tidy()
         given_up = self._pacer.given_up_s
         if given_up > max(self._given_up_s + 1.0, 2.0 * self._given_up_s):  # ever rarer, or it would fill the log
             self._given_up_s = given_up
             self._log.write("warn", f"slower than asked: {given_up:.0f} s of wall time given up so far")
 
     def _collect_garbage(self) -> None:
-        """Robots that stay are not looked through: with a hundred of them that would hold up the world for 20 ms."""
+        """What stays is not looked through: with a hundred robots that would hold up the world for 20 ms.
+
+        The same holds for connections, topics and parameters in such numbers that looking through them takes long.
+        """
         robots = frozenset(self.simulation.robots)
         if self._kept_robots - robots:
-            gc.unfreeze()
-            gc.collect()
-            gc.freeze()
+            self._collect_all()
         elif robots - self._kept_robots:
             gc.freeze()
         elif gc.get_count()[0] > _YOUNG_OBJECTS:
+            began = time.thread_time()
             gc.collect()
+            if time.thread_time() - began > _LONG_COLLECTION_S:
+                gc.freeze()
+                if gc.get_freeze_count() > self._most_kept_objects:
+                    self._collect_all()
         self._kept_robots = robots
+
+    def _collect_all(self) -> None:
+        gc.unfreeze()
+        gc.collect()
+        gc.freeze()
+        self._most_kept_objects = 2 * gc.get_freeze_count()
 
     # --- ends ---------------------------------------------------------------------------------------------------
 

@@ -14,7 +14,6 @@ from slidectl.client.lines import BadLine, decode, encode
 from slidectl.daemon import wire
 from slidectl.daemon.connection import Connection
 from slidectl.daemon.feed import Feed, Publications
-from slidectl.daemon.outbox import Share
 from slidectl.errors import Refused, SlidectlError, UsageError, listing
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.pending import Pending
@@ -97,12 +96,12 @@ class Session:
         """The stream is broken."""
         self._complain(error, {})
 
-    def report(self, share: Share) -> bytes:
+    def report(self, topic: str, dropped: int) -> bytes:
         """The line that tells of messages that were dropped; empty for a client that does not want to know."""
         if self._level > LEVELS["warning"]:
             return b""
-        text = f"{share.dropped} messages on {share.topic} were dropped: read too slowly"
-        return encode({"op": "status", "level": "warning", "topic": share.topic, "dropped": share.dropped, "msg": text})
+        text = f"{dropped} messages on {topic} were dropped: read too slowly"
+        return encode({"op": "status", "level": "warning", "topic": topic, "dropped": dropped, "msg": text})
 
     def unexpected(self, what: str) -> None:
         """The exception that is being handled is a fault of ours: log it."""
@@ -178,7 +177,7 @@ class Session:
         if feed is None:
             feed = Feed(topic, self._connection, self._around.publications)
             feed.want(wire.wish_id(message), throttle, int(queue))
-            feed.subscription = self._graph.topics.subscribe(topic, kind, self.node, feed.take)
+            feed.begin(self._graph.topics, kind, self.node)
             self._feeds[topic] = feed
             return
         if kind is not None:  # complains when the type is another one
@@ -193,7 +192,6 @@ class Session:
         if feed.unwant(wire.wish_id(message)):
             del self._feeds[topic]
             feed.close()
-            self._connection.forget(feed.share)
 
     # --- services -----------------------------------------------------------------------------------------------
 

@@ -94,6 +94,11 @@ class Subscription:
         self.callback = callback
         self._on_close = on_close
 
+    def redirect(self, callback: MessageCallback) -> None:
+        """Call back another one from now on."""
+        self.callback = callback
+        self.topic.update()
+
     def close(self) -> None:
         """No message is delivered any more."""
         self._on_close(self)
@@ -102,7 +107,7 @@ class Subscription:
 class Topic:
     """A name, its type, and those who use it. `callbacks` is a tuple: it may be replaced during a delivery."""
 
-    __slots__ = ("callbacks", "has_header", "is_inside", "name", "publishers", "subscriptions", "type")
+    __slots__ = ("callbacks", "has_header", "name", "publishers", "subscriptions", "type")
 
     def __init__(self, name: str, type_name: str) -> None:
         self.name = name
@@ -110,8 +115,6 @@ class Topic:
         self.publishers: list[TopicPublisher] = []
         self.subscriptions: list[Subscription] = []
         self.callbacks: tuple[MessageCallback, ...] = ()
-        self.is_inside = True
-        """No client publishes it."""
         first = msgs.fields(type_name)[:1]
         self.has_header = any(field.name == "header" and field.type == "std_msgs/Header" for field in first)
 
@@ -125,8 +128,8 @@ class Topic:
 
     def update(self) -> None:
         """After somebody came or went."""
-        self.callbacks = tuple(subscription.callback for subscription in self.subscriptions)
-        self.is_inside = all(isinstance(publisher, NodePublisher) for publisher in self.publishers)
+        # A callback that many subscriptions have in common is called once for all of them.
+        self.callbacks = tuple(dict.fromkeys(subscription.callback for subscription in self.subscriptions))
         for publisher in self.publishers:
             publisher.wanted = publisher.latch or bool(self.callbacks)
 
@@ -159,8 +162,18 @@ class Topics:
         self._update(entry)
         return publisher
 
-    def subscribe(self, topic: str, type_name: str | None, node: str, callback: MessageCallback) -> Subscription:
+    def subscribe(
+        self,
+        topic: str,
+        type_name: str | None,
+        node: str,
+        callback: MessageCallback,
+        latched: MessageCallback | None = None,
+    ) -> Subscription:
         """Call back for each message; latched ones at once. Without a type the topic must exist already.
+
+        Subscriptions may have a callback in common, which is called once for each message; then `latched` is what takes
+        the messages that were latched before, for this subscription alone.
 
         Raises:
             BadName, TypeConflict. UnknownName: no such topic or message type.
@@ -172,7 +185,7 @@ class Topics:
         for publisher in tuple(entry.publishers):
             if publisher.last is not None:
                 with suppress(SlidectlError):  # who published it is not there to hear a refusal
-                    callback(publisher.last)
+                    (latched or callback)(publisher.last)
         return subscription
 
     def publish(self, topic: str, type_name: str | None, message: Any, node: str) -> None:

@@ -11,6 +11,7 @@ import socket
 import struct
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from daemon_fixture import Runtime
@@ -255,6 +256,76 @@ def test_a_subscriber_that_does_not_read_keeps_the_newest_and_holds_up_nobody(co
             break
     assert dropped > 0
     assert received + dropped == 20_000
+
+
+def test_fifty_readers_that_stop_cost_no_memory_of_their_own_and_the_others_nothing(
+    daemon: Runtime, connect: Connect
+) -> None:
+    topics = ("/clock", "/gazebo/model_states", "/gazebo/link_states")
+    sleepers, reader, driver = [connect() for _ in range(50)], connect(), connect()
+    for each in (*sleepers, reader):
+        for topic in topics:
+            each.send(op="subscribe", topic=topic)
+        each.call("/rosapi/get_time")
+    assert daemon.pid is not None
+    driver.call("/slidectl/step", cycles=1500)
+    before = resident_bytes(daemon.pid)
+    received = read_clocks(reader, driver.call("/rosapi/get_time")["values"]["time"])
+    for _ in range(4):
+        driver.call("/slidectl/step", cycles=500)
+        received += read_clocks(reader, driver.call("/rosapi/get_time")["values"]["time"])
+    assert resident_bytes(daemon.pid) - before < 8 * 2**20
+    times = [message["msg"]["clock"] for message in received if message.get("topic") == "/clock"]
+    assert len(times) == len({(time["secs"], time["nsecs"]) for time in times}) == 3_500
+    assert not any("dropped" in message for message in received)
+    for sleeper in sleepers:
+        late = read_clocks(sleeper, driver.call("/rosapi/get_time")["values"]["time"])
+        told = sum(message["dropped"] for message in late if message.get("dropped") and message["topic"] == "/clock")
+        assert told > 0
+        assert told + sum(message["op"] == "publish" and message["topic"] == "/clock" for message in late) == 3_500
+
+
+def read_clocks(wire: Wire, end: dict[str, int]) -> list[dict[str, Any]]:
+    """All that comes up to the clock's message of this time."""
+    messages = [wire.receive()]
+    while messages[-1].get("topic") != "/clock" or messages[-1].get("msg") != {"clock": end}:
+        messages.append(wire.receive())
+    return messages
+
+
+def test_a_reader_may_change_its_throttle_and_loses_nothing_of_what_was_sent_before(connect: Connect) -> None:
+    reader, writer = connect(), connect()
+    writer.send(op="advertise", topic="/counted", type="std_msgs/Int32")
+    writer.call("/rosapi/get_time")
+
+    def publish(*numbers: int) -> None:
+        for number in numbers:
+            writer.send(op="publish", topic="/counted", msg={"data": number})
+        writer.call("/rosapi/get_time")
+
+    reader.send(op="subscribe", id="all", topic="/counted")
+    reader.send(op="subscribe", id="some", topic="/counted", throttle_rate=1_000_000)
+    reader.call("/rosapi/get_time")
+    publish(1, 2, 3)
+    reader.send(op="unsubscribe", id="all", topic="/counted")
+    reader.send(op="call_service", id="throttled", service="/rosapi/get_time")
+    messages = read_until_answer(reader, "throttled")
+    publish(4, 5, 6)
+    reader.send(op="subscribe", id="all", topic="/counted")
+    reader.send(op="call_service", id="end", service="/rosapi/get_time")
+    messages += read_until_answer(reader, "end")
+    publish(7, 8)
+    messages += [reader.receive(), reader.receive()]
+    numbers = [message["msg"]["data"] for message in messages if message["op"] == "publish"]
+    assert numbers == [1, 2, 3, 4, 7, 8]
+
+
+def read_until_answer(wire: Wire, call_id: str) -> list[dict[str, Any]]:
+    """All that comes before the answer."""
+    messages = []
+    while (message := wire.receive()).get("id") != call_id:
+        messages.append(message)
+    return messages
 
 
 def test_a_client_that_asks_and_does_not_read_is_not_listened_to_until_it_does(
