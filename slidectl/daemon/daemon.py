@@ -31,7 +31,7 @@ _FIRST_COMMANDS_S = 1.0
 """Compiled code takes 50 ms to load: not while those who have started the daemon send their first commands."""
 _YOUNG_OBJECTS = 2000
 _LONG_COLLECTION_S = 0.002
-"""What a collection looked through in so long a time is not looked through again until the objects are twice as many."""
+"""What took so long to look through is not looked through again until there are twice as many objects."""
 _PR_SET_TIMERSLACK = 29
 
 

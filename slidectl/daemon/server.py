@@ -74,7 +74,7 @@ class Server:
         self._listen()
 
     def serve(self) -> None:
-        """Take in what clients have said, in turn. Who is not served before the time is up comes first the next time."""
+        """Take in what clients have said, in turn. Who has no turn before the time is up is the first the next time."""
         _in_turn(self.busy.with_input, Connection.serve, time.monotonic() + _SERVED_A_TURN_S)
 
     def flush(self) -> None:

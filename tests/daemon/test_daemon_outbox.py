@@ -115,7 +115,7 @@ def test_what_all_have_read_is_given_up(desk: Desk) -> None:
     assert channel.size == 0
 
 
-def test_topics_of_large_messages_are_bounded_together(desk: Desk) -> None:
+def test_topics_of_large_messages_are_bounded_together() -> None:
     publications = Publications()
     reader = Desk(publications.tally)
     for number in range(100):
