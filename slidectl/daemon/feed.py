@@ -9,9 +9,10 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from slidectl.client.lines import encode
+from slidectl.client.lines import LONGEST_LINE, encode
 from slidectl.daemon.connection import Connection
 from slidectl.daemon.outbox import Channel, Share, Tally
+from slidectl.errors import MessageRefused
 from slidectl.simulation.topics import Subscription, Topics
 
 DEFAULT_QUEUE = 1000
@@ -21,7 +22,11 @@ MOST_BYTES_IN_ALL = 64 * 1024 * 1024
 
 
 def _line(topic: str, message: dict[str, Any]) -> bytes:
-    return encode({"op": "publish", "topic": topic, "msg": message})
+    """Raises MessageRefused: what came in fitted a line, but not all text is as long when it is sent."""
+    line = encode({"op": "publish", "topic": topic, "msg": message})
+    if len(line) > LONGEST_LINE:
+        raise MessageRefused(f"a message of {len(line)} bytes on {topic} does not fit a line of {LONGEST_LINE}")
+    return line
 
 
 class TopicLines(Channel):

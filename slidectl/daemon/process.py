@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     import socket
 
 _OOM_SCORE = "300"
+_LONGEST_NUMBER = 640
+"""Digits of an integer, the least that Python can be told: reading them takes time that grows with their square."""
 _PR_SET_PDEATHSIG = 1
 
 
@@ -66,6 +68,7 @@ def main(arguments: Sequence[str]) -> int:
 def _settle_in(start: Start) -> None:
     """Be nobody's child: private files, no terminal, none of the starter's descriptors or its folder."""
     os.umask(0o077)
+    sys.set_int_max_str_digits(_LONGEST_NUMBER)
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, _early.take)
     if start.parent is not None:

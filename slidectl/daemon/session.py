@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from slidectl import msgs
-from slidectl.client.lines import BadLine, decode, encode
+from slidectl import msgs, names
+from slidectl.client.lines import LONGEST_LINE, BadLine, decode, encode
 from slidectl.daemon import wire
 from slidectl.daemon.connection import Connection
 from slidectl.daemon.feed import Feed, Publications
@@ -24,6 +24,11 @@ LEVELS = {"info": 0, "warning": 1, "error": 2, "none": 3}
 Message = dict[str, Any]
 
 _MOST_OPEN_CALLS = 1000
+_LONGEST_LATE, _MOST_LATE = 4096, 8 * 1024 * 1024
+"""Bytes of an answer, and of what waits before it, from which on it is given up when it comes later than its call.
+
+What answers at once is bounded otherwise: a connection with so much unread is not listened to.
+"""
 
 
 class Surroundings(Protocol):
@@ -75,6 +80,11 @@ class Session:
         """Carry out one line; whatever is wrong with it is told to the client."""
         message: Message = {}
         try:
+            try:
+                wire.check_size(line)
+            except BadLine:
+                message = wire.envelope(line)
+                raise
             message = decode(line)
             wire.check_id(message)
             self._operation(message)(message)
@@ -127,7 +137,7 @@ class Session:
     def _complain(self, error: SlidectlError, message: Message) -> None:
         """Tell the client; who called a service gets an answer even when it is this one."""
         if message.get("op") == "call_service" and isinstance(message.get("service"), str):
-            asked = {"op": "service_response", "service": message["service"]}
+            asked = {"op": "service_response", "service": message["service"][: names.LONGEST]}
             self._connection.send(encode(asked | wire.given_id(message) | _failure(error)))
         elif self._level <= LEVELS["error"] or message.get("ack"):
             status = {"op": "status", "level": "error", "msg": str(error), "exit_code": error.exit_code}
@@ -171,7 +181,9 @@ class Session:
         topic = wire.name(message, "topic")
         throttle, queue = wire.number(message, "throttle_rate"), wire.number(message, "queue_length")
         if wire.text(message, "compression", "none") != "none":
-            raise UsageError(f"compression {message['compression']!r} is not offered", "compression: none")
+            raise UsageError(
+                f"compression {wire.shortened(message['compression'])} is not offered", "compression: none"
+            )
         kind = wire.text(message, "type", "") or None
         feed = self._feeds.get(topic)
         if feed is None:
@@ -224,6 +236,12 @@ class Session:
             response |= _failure(pending.error)
         try:
             line = encode(response)
+            if len(line) > LONGEST_LINE:
+                what = f"its answer has {len(line)} bytes, and a line has at most {LONGEST_LINE}"
+                line = encode(response | _failure(Refused(f"{service}: {what}", "ask for less")))
+            if len(line) > _LONGEST_LATE and self._connection.unread > _MOST_LATE:
+                what = f"its answer of {len(line)} bytes was given up: this connection does not read its answers"
+                line = encode(response | _failure(Refused(f"{service}: {what}")))
         except Exception as error:  # this may be called from within a control cycle, which must not fail for it
             self.unexpected(f"the answer of {service} to {self.node}")
             line = encode(response | _failure(Refused(f"internal error: {error!r}; the daemon's log has more")))
@@ -260,7 +278,7 @@ class Session:
     def _service_response(self, message: Message) -> None:
         pending = self._asked.pop(str(message.get("id")), None)
         if pending is None:
-            raise Refused(f"nobody waits for the service response {message.get('id')!r}")
+            raise Refused(f"nobody waits for the service response {wire.shortened(message.get('id'))}")
         values = message.get("values", {})
         if message.get("result", True):
             pending.resolve(values)
@@ -270,7 +288,7 @@ class Session:
     def _set_level(self, message: Message) -> None:
         level = wire.text(message, "level")
         if level not in LEVELS:
-            raise UsageError(f"unknown level {level!r}", f"levels: {', '.join(LEVELS)}")
+            raise UsageError(f"unknown level {wire.shortened(level)}", f"levels: {', '.join(LEVELS)}")
         self._level = LEVELS[level]
 
 

@@ -6,18 +6,24 @@ Semantics of the ROS parameter server, without its silent corners: names are che
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterator
 from copy import deepcopy
 from typing import Any
 
 from slidectl import names
 from slidectl.control.node import MISSING
-from slidectl.errors import UnknownName, UsageError
+from slidectl.errors import UnknownName, UsageError, quoted
 from slidectl.simulation.changes import nobody
 
 Path = tuple[str, ...]
 DEEPEST = 64
 """Levels of namespaces, mappings and lists above a value."""
+
+
+_BLANK = re.compile(r"\s")
+_PLAIN_KEY = re.compile(r"\w{1,100}\Z", re.ASCII)
+_LARGE = 1 << 53
 
 
 class UnknownParameter(UnknownName, KeyError):
@@ -44,15 +50,22 @@ class Parameters:
 
     def __init__(self, renamed: Callable[[], None] = nobody) -> None:
         self._root: dict[str, Any] = {}
-        self._renamed = renamed
+        self._on_rename = renamed
+        self._names: list[str] | None = None
+        """All names in order; None when that must be looked up again."""
         # By the first part of their names, so that robots that are many do not slow each other down.
         self._watches: dict[str, dict[Watch, None]] = {}
 
     def get(self, name: str, default: Any = MISSING) -> Any:
         """The value, a dict for a namespace. Raises UnknownParameter (a KeyError too) when unset without default."""
+        found = self.look(name, default)
+        return found if found is default else deepcopy(found)
+
+    def look(self, name: str, default: Any = MISSING) -> Any:
+        """What `get` gives, not copied: for reading at once. Raises as `get`."""
         found = self._find(_path(name))
         if found is not MISSING:
-            return deepcopy(found)
+            return found
         if default is MISSING:
             raise UnknownParameter("parameter", name, self.names())
         return default
@@ -95,8 +108,16 @@ class Parameters:
     def names(self, namespace: str = "/") -> list[str]:
         """Absolute names of all values below `namespace`, sorted."""
         path = _path(namespace)
+        if not path and self._names is not None:
+            return list(self._names)
         found = self._find(path)
-        return [] if found is MISSING else sorted("/" + "/".join(leaf) for leaf, _ in _leaves(found, path) if leaf)
+        result: list[str] = []
+        if found is not MISSING and (path or found):
+            _collect_names(found, "".join(f"/{part}" for part in path), result)
+            result.sort()
+        if not path:
+            self._names = list(result)
+        return result
 
     def search(self, namespace: str, name: str) -> str | None:
         """`name` in `namespace` or the nearest namespace above that has its first component, else None."""
@@ -114,6 +135,10 @@ class Parameters:
         watch = Watch(_path(name), callback, self._forget)
         self._watches.setdefault(_first(watch.path), {})[watch] = None
         return watch
+
+    def _renamed(self) -> None:
+        self._names = None
+        self._on_rename()
 
     def _find(self, path: Path) -> Any:
         node: Any = self._root
@@ -174,6 +199,9 @@ def _has_names(value: Any) -> bool:
 
 
 def _path(name: str) -> Path:
+    """Raises TooLong: names come from anybody, and one of a million parts is not worth to be taken apart."""
+    if len(name) > names.LONGEST:
+        raise names.TooLong(name)
     return tuple(part for part in name.split("/") if part)
 
 
@@ -194,6 +222,14 @@ def _leaves(value: Any, path: Path) -> Iterator[tuple[Path, Any]]:
         yield path, value
 
 
+def _collect_names(value: Any, name: str, result: list[str]) -> None:
+    if isinstance(value, dict) and value:
+        for key, below in value.items():
+            _collect_names(below, f"{name}/{key}", result)
+    else:
+        result.append(name)
+
+
 def _checked(value: Any, where: str, depth: int) -> Any:
     """A copy with keys that hold slashes taken apart, or an error that says where it is wrong."""
     if depth > DEEPEST:
@@ -201,7 +237,7 @@ def _checked(value: Any, where: str, depth: int) -> Any:
     if isinstance(value, dict):
         return _checked_mapping(value, where, depth)
     if isinstance(value, list | tuple):
-        return [_checked(item, f"{where}[{index}]", depth + 1) for index, item in enumerate(value)]
+        return [_checked_item(item, where, index, depth + 1) for index, item in enumerate(value)]
     if isinstance(value, str):
         return _checked_text(value, where)
     if isinstance(value, bool | int | float):
@@ -210,6 +246,16 @@ def _checked(value: Any, where: str, depth: int) -> Any:
     raise UsageError(
         f"parameter {where}: {kind} is no value", "a parameter is a bool, a number, a string, a list or a mapping"
     )
+
+
+def _checked_item(item: Any, where: str, index: int, depth: int) -> Any:
+    return item if _is_plain(item) else _checked(item, f"{where}[{index}]", depth)
+
+
+def _is_plain(value: Any) -> bool:
+    """True for the numbers that are sound at first sight: of these there may be very many."""
+    kind = type(value)
+    return kind is bool or (kind is float and value - value == 0.0) or (kind is int and -_LARGE < value < _LARGE)
 
 
 def _checked_number(value: float, where: str) -> float:
@@ -239,8 +285,11 @@ def _checked_text(text: str, where: str) -> str:
 def _checked_mapping(value: dict[Any, Any], where: str, depth: int) -> dict[str, Any]:
     result: dict[str, Any] = {}
     for key, below in value.items():
-        if not isinstance(key, str) or not _path(key) or any(letter.isspace() for letter in key):
-            raise UsageError(f"parameter {where}: {key!r} cannot be a name", "names are text without blanks")
+        if isinstance(key, str) and _is_plain(below) and _PLAIN_KEY.match(key):
+            result[key] = below
+            continue
+        if not isinstance(key, str) or not _path(key) or _BLANK.search(key):
+            raise UsageError(f"parameter {where}: {quoted(str(key))} cannot be a name", "names are text without blanks")
         _checked_text(key, where)
         *above, last = _path(key)
         content = _checked(below, f"{where.rstrip('/')}/{key.strip('/')}", depth + 1 + len(above))

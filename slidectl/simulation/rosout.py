@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from slidectl.errors import cut
 from slidectl.simulation.clock import stamp
 from slidectl.simulation.topics import NodePublisher, Topics
 
@@ -27,6 +28,7 @@ class Rosout:
     def __call__(self, severity: str, node: str, text: str) -> None:
         """One line; `severity` is a key of LEVELS."""
         level = LEVELS[severity]
+        text = cut(text)  # what a client sent may be part of it
         now = self._now_ns()
         if self.sink is not None:
             self.sink(severity, node, text, now)

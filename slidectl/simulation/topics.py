@@ -31,10 +31,10 @@ class TopicPublisher:
 
     first: ClassVar[int] = 1
     """`header.seq` of the first message, as rospy has it (rostopic pub)."""
-    __slots__ = ("_on_close", "_topic", "last", "latch", "node", "sequence", "wanted")
+    __slots__ = ("_on_close", "last", "latch", "node", "sequence", "topic", "wanted")
 
     def __init__(self, topic: Topic, node: str, latch: bool, on_close: Callable[[TopicPublisher], None]) -> None:
-        self._topic = topic
+        self.topic = topic
         self._on_close = on_close
         self.node = node
         self.latch = latch
@@ -48,13 +48,13 @@ class TopicPublisher:
         Raises:
             SlidectlError: what the first subscriber said that refused it; all of them have been asked.
         """
-        if self._topic.has_header:
+        if self.topic.has_header:
             message["header"]["seq"] = self.sequence
             self.sequence += 1
         if self.latch:
             self.last = message
         refusal: SlidectlError | None = None
-        for callback in self._topic.callbacks:
+        for callback in self.topic.callbacks:
             try:
                 callback(message)
             except SlidectlError as error:
@@ -139,6 +139,10 @@ class Topics:
 
     def __init__(self, changed: Callable[[], None] = nobody) -> None:
         self._topics: dict[str, Topic] = {}
+        self._names: list[str] | None = []
+        """All names in order; None when that must be looked up again."""
+        # By node: one that goes must not cost a look at all topics, of which a client may have made many.
+        self._users: dict[str, dict[TopicPublisher | Subscription, None]] = {}
         self._changed = changed
         self.changes = 0
         """How often a publisher or a subscriber came or went: while it stays, so does `wanted` of every publisher."""
@@ -159,6 +163,7 @@ class Topics:
         entry = self._entry(topic, type_name)
         publisher = kind(entry, node, latch, self._forget_publisher)
         entry.publishers.append(publisher)
+        self._users.setdefault(node, {})[publisher] = None
         self._update(entry)
         return publisher
 
@@ -181,6 +186,7 @@ class Topics:
         entry = self._entry(topic, type_name or self.type_of(topic))
         subscription = Subscription(entry, node, callback, self._forget_subscription)
         entry.subscriptions.append(subscription)
+        self._users.setdefault(node, {})[subscription] = None
         self._update(entry)
         for publisher in tuple(entry.publishers):
             if publisher.last is not None:
@@ -203,11 +209,13 @@ class Topics:
 
     def names(self) -> list[str]:
         """All topics, sorted."""
-        return sorted(self._topics)
+        if self._names is None:
+            self._names = sorted(self._topics)
+        return list(self._names)
 
     def types(self) -> dict[str, str]:
         """Type of each topic, in the order of the names."""
-        return {name: self._topics[name].type for name in sorted(self._topics)}
+        return {name: self._topics[name].type for name in self.names()}
 
     def exists(self, topic: str) -> bool:
         """True when somebody publishes or subscribes it."""
@@ -227,13 +235,20 @@ class Topics:
 
     def nodes(self) -> set[str]:
         """Names of all nodes that publish or subscribe something."""
-        return {node for topic in self._topics.values() for node in topic.nodes()}
+        return set(self._users)
+
+    def published_by(self, node: str) -> list[str]:
+        """Names of the topics that the node publishes, sorted."""
+        return sorted({user.topic.name for user in self._users.get(node, ()) if isinstance(user, TopicPublisher)})
+
+    def subscribed_by(self, node: str) -> list[str]:
+        """Names of the topics that the node subscribes, sorted."""
+        return sorted({user.topic.name for user in self._users.get(node, ()) if isinstance(user, Subscription)})
 
     def close_node(self, node: str) -> None:
         """A node has gone: all its publishers and subscriptions go too."""
-        for topic in list(self._topics.values()):
-            for user in [user for user in topic.users() if user.node == node]:
-                user.close()
+        for user in list(self._users.get(node, ())):
+            user.close()
 
     def _known(self, topic: str) -> Topic:
         if topic not in self._topics:
@@ -254,19 +269,28 @@ class Topics:
         self._agrees(topic, type_name)
         if topic not in self._topics:
             self._topics[names.check_absolute(topic, "topic")] = Topic(topic, type_name)
+            self._names = None
         return self._topics[topic]
 
     def _forget_publisher(self, publisher: TopicPublisher) -> None:
-        topic = publisher._topic
-        if publisher in topic.publishers:
-            topic.publishers.remove(publisher)
-            self._tidy(topic)
+        if self._has_gone(publisher):
+            publisher.topic.publishers.remove(publisher)
+            self._tidy(publisher.topic)
 
     def _forget_subscription(self, subscription: Subscription) -> None:
-        topic = subscription.topic
-        if subscription in topic.subscriptions:
-            topic.subscriptions.remove(subscription)
-            self._tidy(topic)
+        if self._has_gone(subscription):
+            subscription.topic.subscriptions.remove(subscription)
+            self._tidy(subscription.topic)
+
+    def _has_gone(self, user: TopicPublisher | Subscription) -> bool:
+        """Take it from those of its node. False when that has been done before."""
+        users = self._users.get(user.node, {})
+        if user not in users:
+            return False
+        del users[user]
+        if not users:
+            del self._users[user.node]
+        return True
 
     def _update(self, topic: Topic) -> None:
         self.changes += 1
@@ -277,6 +301,7 @@ class Topics:
         self._update(topic)
         if not topic.publishers and not topic.subscriptions:
             self._topics.pop(topic.name, None)
+            self._names = None
 
 
 def _distinct(nodes: list[str]) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from slidectl.control.node import Message
-from slidectl.errors import Refused
+from slidectl.errors import Refused, quoted
 from slidectl.physics.frames import compose
 from slidectl.simulation.gazebo.answers import Answer, provide
 from slidectl.simulation.gazebo.entities import frame
@@ -14,6 +14,9 @@ from slidectl.simulation.graph import WORLD_NODE
 
 if TYPE_CHECKING:
     from slidectl.simulation.simulation import Simulation
+
+_MOST_TAGS = 100_000
+"""Opening and closing tags of a URDF: some thousand links. To read more than these holds up the world."""
 
 
 def advertise(simulation: Simulation) -> None:
@@ -27,13 +30,16 @@ def advertise(simulation: Simulation) -> None:
 def _spawn(simulation: Simulation, request: Message) -> Answer:
     place = compose(frame(simulation, request["reference_frame"]).pose, pose(request["initial_pose"]))
     namespace = request["robot_namespace"] or None
+    tags = request["model_xml"].count("<")
+    if tags > _MOST_TAGS:
+        raise Refused(f"the URDF has {tags} tags, and {_MOST_TAGS} is the most")
     robot = simulation.spawn(request["model_xml"], request["model_name"], namespace, place)
     return f"spawned {robot.name!r} in the namespace {robot.namespace}", {}
 
 
 def _refuse_sdf(request: Message) -> Answer:
     raise Refused(
-        f"{request['model_name']!r} is SDF, and only URDF can be spawned", "describe the robot in URDF or xacro"
+        f"{quoted(request['model_name'])} is SDF, and only URDF can be spawned", "describe the robot in URDF or xacro"
     )
 
 
