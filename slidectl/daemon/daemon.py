@@ -58,7 +58,7 @@ class Daemon:
         graph.log.sink = self._keep_line
         graph.services.advertise("/slidectl/shutdown", "slidectl/Shutdown", NODE, self._shut_down)
         self._loop = EventLoop()
-        self._pacer = Pacer(self.simulation.loop, knocked=self._loop.is_ready)
+        self._pacer = Pacer(self.simulation.loop, knocked=self._loop.is_ready, limit=self._limit_step)
         self._server = Server(listener, self._loop, graph, self._unexpected)
         self._watch_signals()
 
@@ -83,6 +83,11 @@ class Daemon:
             if busy.with_output or busy.with_messages or fresh:
                 server.flush()
         self._end()
+
+    def _limit_step(self, end_s: float | None) -> None:
+        """The simulation knows no wall time: it asks."""
+        now = time.perf_counter
+        self.simulation.loop.enough = None if end_s is None else lambda: now() >= end_s
 
     def _hold(self) -> float:
         """A fault of ours in a cycle holds the world and is told, instead of ending it."""

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from slidectl.simulation.assembly import SpawnedRobot
     from slidectl.simulation.compiled.cycles import CompiledCycles
 
+LOOK_MASK = 7
+"""The interpreter looks after so many cycles, and one more, whether there is `enough`."""
 FEW = 16
 """Fewer cycles than these are not worth the way into the tables and back, which is made when nobody drives."""
 
@@ -34,6 +36,9 @@ class Loop:
         self.run = RunState()
         self.driven = False
         """True when somebody else (the daemon) calls `step` as `run` says; else time moves only when asked."""
+        self.enough: Callable[[], bool] | None = None
+        """Asked now and then between two cycles of a `step`: True ends it, since the driver has other things to do.
+        How dear the next cycles are is not known before they have run: a robot may have come, or fallen."""
         self.in_cycle = False
         self.robots: tuple[SpawnedRobot, ...] = ()
         self._cycles: tuple[Callable[[int], None], ...] = ()
@@ -81,7 +86,7 @@ class Loop:
             self.engine.cycles.release_all()
 
     def step(self, cycles: int = 1) -> int:
-        """Run so many cycles. Returns how many: fewer only when the physics diverges and `driven`.
+        """Run so many cycles. Returns how many: fewer when there is `enough`, or the physics diverges and `driven`.
 
         Raises:
             Diverged: the state of a robot is no longer a number, and nobody drives.
@@ -100,6 +105,8 @@ class Loop:
                     run.took(done)
                 if trouble is not None:
                     self._give_up(trouble)
+                    break
+                if self.enough is not None and self.enough():
                     break
         finally:
             if compiled is not None and not self.driven:
@@ -134,12 +141,12 @@ class Loop:
         """At most `count` cycles, up to and with the first after which a timer is due. The innermost loop."""
         graph, world, step_ns, robots = self.graph, self.world, self.step_ns, self._cycles
         clock, timers, clock_topic = graph.clock, graph.timers, graph.clock_topic
-        clock_publisher = clock_topic.publisher
+        clock_publisher, enough = clock_topic.publisher, self.enough
         time_ns = clock.time_ns
         done = 0
         self.in_cycle = True
         try:
-            for done in range(1, count + 1):  # noqa: B007 - counted for after the loop
+            for done in range(1, count + 1):
                 time_ns += step_ns
                 clock.time_ns = time_ns
                 if clock_publisher.wanted:
@@ -147,7 +154,7 @@ class Loop:
                 for robot in robots:
                     robot(time_ns)
                 world.step()
-                if time_ns >= timers.next_ns:
+                if time_ns >= timers.next_ns or (enough is not None and not done & LOOK_MASK and enough()):
                     break
         finally:
             self.in_cycle = False

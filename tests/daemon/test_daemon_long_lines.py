@@ -23,7 +23,9 @@ PARTS = "a/" * 2_500_000
 FEW_KB = 8192
 URDF = """<robot name="box"><link name="world"/><link name="base"/><link name="arm">
 <inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
-<joint name="fixed" type="fixed"><parent link="world"/><child link="base"/></joint><joint name="joint" type="prismatic"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
+<joint name="fixed" type="fixed"><parent link="world"/><child link="base"/></joint>
+<joint name="joint" type="prismatic"><parent link="base"/><child link="arm"/>
+<axis xyz="0 0 1"/>
 <limit lower="-1" upper="1" effort="10" velocity="1"/></joint>
 <transmission name="t"><type>transmission_interface/SimpleTransmission</type><joint name="joint">
 <hardwareInterface>hardware_interface/EffortJointInterface</hardwareInterface></joint>

@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from slidectl.simulation.loop import Loop
 
 
+_FIRST_LOOK = 16
+"""Cycles before the driver is asked for the first time whether there is enough."""
+
+
 class CompiledCycles:
     """The cycles of a loop's robots, by `code`."""
 
@@ -153,7 +157,10 @@ class CompiledCycles:
             self._look_outside()
         loop.in_cycle = True
         try:
-            self._turns(self._tables, before + count)
+            if loop.enough is None:
+                self._turns(self._tables, before + count)
+            else:
+                self._turns_until_enough(self._tables, before + count, loop.enough)
         finally:
             loop.in_cycle = False
             clock.time_ns = progress.time_ns
@@ -168,6 +175,18 @@ class CompiledCycles:
                 self.release_all()
             self._graph.timers.fire()
         return done
+
+    def _turns_until_enough(self, tables: Tables, end: int, enough: Callable[[], bool]) -> None:
+        """Few cycles, then ever more: who asks after each costs as much as a cycle."""
+        progress, timers = self._progress, self._graph.timers
+        some = _FIRST_LOOK
+        while True:
+            until = min(end, progress.cycles + some)
+            self._turns(tables, until)
+            is_last = progress.cycles >= end or progress.cycles < until or progress.time_ns >= timers.next_ns
+            if is_last or progress.cycles % rows.CHECK_EVERY == 0 or enough():
+                break
+            some *= 2
 
     def _turns(self, tables: Tables, end: int) -> None:
         """Turn by turn, until all cycles are done or one of them is the last for now."""
