@@ -6,6 +6,7 @@ themselves, so that every door (CLI, client, service answer, log) says the same.
 
 from __future__ import annotations
 
+import errno
 from bisect import bisect
 from collections.abc import Iterable, Sequence
 
@@ -127,6 +128,17 @@ class TimedOut(SlidectlError):
     """The answer did not come within the wall-clock time that was allowed."""
 
     exit_code = EXIT_TIMED_OUT
+
+
+class NoDescriptors(SlidectlError):
+    """A process has as many files and sockets open as it may."""
+
+    ERRNOS = (errno.EMFILE, errno.ENFILE)
+
+    def __init__(self, who: str) -> None:
+        super().__init__(
+            f"{who} cannot open more files: the limit is too low, or it has too many open", "raise it: ulimit -n 1024"
+        )
 
 
 class UnknownName(SlidectlError):

@@ -10,7 +10,15 @@ import click
 
 from slidectl.cli.context import Context, paint
 from slidectl.cli.output import ClosedPipe, reader_has_gone
-from slidectl.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_REFUSED, EXIT_USAGE, NoDaemon, SlidectlError
+from slidectl.errors import (
+    EXIT_DONE,
+    EXIT_INTERRUPTED,
+    EXIT_REFUSED,
+    EXIT_USAGE,
+    NoDaemon,
+    NoDescriptors,
+    SlidectlError,
+)
 
 _LONGEST_LINE = 4000
 
@@ -67,6 +75,8 @@ def describe(error: Exception) -> tuple[str, int]:
         return error.format_message().replace("\n\t", " ") + _where_to_look(error), EXIT_USAGE
     if isinstance(error, click.ClickException):
         return error.format_message(), error.exit_code
+    if isinstance(error, OSError) and error.errno in NoDescriptors.ERRNOS:
+        return str(NoDescriptors("slidectl")), EXIT_REFUSED
     name = type(error).__name__
     return f"{name}: {error}\nthis is a fault of slidectl; give -v twice to see where it happened", EXIT_REFUSED
 

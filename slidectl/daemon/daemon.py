@@ -21,7 +21,10 @@ from slidectl.daemon.logfile import LogFile
 from slidectl.daemon.loop import READ, EventLoop
 from slidectl.daemon.options import Start
 from slidectl.daemon.pacing import Pacer
+from slidectl.daemon.place import Place, TakenOver
 from slidectl.daemon.server import Server
+from slidectl.errors import SlidectlError
+from slidectl.paths import shown
 from slidectl.simulation.assembly import SpawnedRobot
 from slidectl.simulation.simulation import Simulation
 
@@ -38,8 +41,10 @@ _PR_SET_TIMERSLACK = 29
 class Daemon:
     """Built when the lock is held and the socket is bound; `run` returns when it is stopped."""
 
-    def __init__(self, start: Start, listener: socket.socket, log: LogFile, began_s: float) -> None:
+    def __init__(self, start: Start, place: Place, listener: socket.socket, log: LogFile, began_s: float) -> None:
         self._start = start
+        self._place = place
+        self._place_trouble = ""
         self._log = log
         self._began_s = began_s
         self._stopping = ""
@@ -65,7 +70,7 @@ class Daemon:
     def run(self) -> None:
         """Turn until stopped: the cycles that are due and what they published, then the sockets and what they asked."""
         _wake_punctually()
-        self._log.write("info", f"slidectl {slidectl.__version__} answers on {self._start.paths.socket}")
+        self._log.write("info", f"slidectl {slidectl.__version__} answers on {shown(self._start.paths.socket_text)}")
         turn, server = self._pacer.turn, self._server
         busy, fresh = server.busy, server.publications.fresh
         while not self._stopping:
@@ -102,11 +107,31 @@ class Daemon:
         self._next_tidy_s = now + _TIDY_EVERY_S
         self.simulation.engine.is_welcome = now - self._began_s > _FIRST_COMMANDS_S
         self._collect_garbage()
-        self._server.publications.tidy()
+        self._server.tidy()
+        self._look_after_place()
         given_up = self._pacer.given_up_s
         if given_up > max(self._given_up_s + 1.0, 2.0 * self._given_up_s):  # ever rarer, or it would fill the log
             self._given_up_s = given_up
             self._log.write("warn", f"slower than asked: {given_up:.0f} s of wall time given up so far")
+
+    def _look_after_place(self) -> None:
+        """What cleaners of temporary folders have deleted is made again; where another daemon is now, this one ends."""
+        try:
+            gone, listener = self._place.mend()
+        except TakenOver as error:
+            self._stopping = f"stopped: {error.message}"
+            return
+        except SlidectlError as error:
+            if str(error) != self._place_trouble:
+                self._log.write("error", f"nobody can find this daemon any more: {error}")
+            self._place_trouble = str(error)
+            return
+        self._place_trouble = ""
+        if listener is not None:
+            self._server.listen_on(listener)
+        if gone:
+            self._log.reopen()
+            self._log.write("warn", f"somebody deleted {' and '.join(gone)}; made again")
 
     def _collect_garbage(self) -> None:
         """What stays is not looked through: with a hundred robots that would hold up the world for 20 ms.
@@ -169,11 +194,11 @@ class Daemon:
         return {
             "version": slidectl.__version__,
             "pid": os.getpid(),
-            "instance": self._start.paths.name,
+            "instance": shown(self._start.paths.name),
             "connections": len(self._server.sessions),
             "memory": _resident_bytes(),
             "uptime": time.monotonic() - self._began_s,
-            "log": str(self._start.paths.log),
+            "log": shown(str(self._start.paths.log)),
             **self._pacer.report(),
         }
 

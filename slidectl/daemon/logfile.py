@@ -77,6 +77,11 @@ class LogFile:
         os.close(self._fd)
         self._open()
 
+    def reopen(self) -> None:
+        """The file may have been deleted: go on in one that others find."""
+        os.close(self._fd)
+        self._open()
+
     def close(self) -> None:
         """Let go of the file. stdout and stderr keep it."""
         os.close(self._fd)

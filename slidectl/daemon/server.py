@@ -69,6 +69,7 @@ class Server:
         self._loop = loop
         self._serial = 0
         self._listening = False
+        self._paused_for = ""
         self._messages_due_s = 0.0
         self._sending_s = 0.0
         self._listen()
@@ -122,6 +123,25 @@ class Server:
             self._loop.forget(self._listener.fileno())
         self._listener.close()
 
+    def tidy(self) -> None:
+        """Now and then: give up lines that nobody wants, and look whether there is room for connections again."""
+        self.publications.tidy()
+        if len(self.sessions) < self._most:
+            self._listen()
+
+    def listen_on(self, listener: socket.socket) -> None:
+        """Accept connections here from now on; those that there are stay."""
+        self._pause()
+        self._listener.close()
+        self._listener = listener
+        if len(self.sessions) < self._most:
+            self._listen()
+
+    def _pause(self) -> None:
+        if self._listening:
+            self._loop.forget(self._listener.fileno())
+        self._listening = False
+
     def _listen(self) -> None:
         """Accept while there is room: a listener that is ready and not served would keep the loop from waiting."""
         if not self._listening:
@@ -137,15 +157,17 @@ class Server:
             except OSError as error:  # out of file descriptors: the others are served on
                 self._pause_listening(f"cannot accept: {error.strerror}")
                 return
+            self._paused_for = ""
             self._admit(connection)
             if len(self.sessions) >= self._most:
                 self._pause_listening(f"{self._most} connections are open; others wait until one of them ends")
                 return
 
     def _pause_listening(self, why: str) -> None:
-        self.graph.log("warn", "/slidectl", why)
-        self._loop.forget(self._listener.fileno())
-        self._listening = False
+        if why != self._paused_for:  # it is tried again and again
+            self.graph.log("warn", "/slidectl", why)
+        self._paused_for = why
+        self._pause()
 
     def _admit(self, connection: socket.socket) -> None:
         pid, uid = peer(connection)

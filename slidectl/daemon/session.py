@@ -14,7 +14,7 @@ from slidectl.client.lines import LONGEST_LINE, BadLine, decode, encode
 from slidectl.daemon import wire
 from slidectl.daemon.connection import Connection
 from slidectl.daemon.feed import Feed, Publications
-from slidectl.errors import Refused, SlidectlError, UsageError, listing
+from slidectl.errors import NoDescriptors, Refused, SlidectlError, UsageError, listing
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.services import Service
@@ -91,6 +91,9 @@ class Session:
         except SlidectlError as error:
             self._complain(error, message)
         except Exception as error:
+            if isinstance(error, OSError) and error.errno in NoDescriptors.ERRNOS:
+                self._complain(NoDescriptors("the daemon"), message)
+                return
             self.unexpected(f"{self.node} sent {line[:200]!r}")
             self._complain(Refused(f"internal error: {error!r}; the daemon's log has more"), message)
 
