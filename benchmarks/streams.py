@@ -10,6 +10,7 @@ import re
 import selectors
 import socket
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 from benchmarks.harness import RRBOT_CONTROLLERS, Daemon, Row, daemon, process_cpu_s
@@ -17,6 +18,16 @@ from benchmarks.harness import RRBOT_CONTROLLERS, Daemon, Row, daemon, process_c
 SECONDS = 5.0
 SUBSCRIBERS = (1, 10, 50)
 TOPIC = "/rrbot/joint_states"
+STOPPED, READING = 50, 150
+STOPPED_ON = (
+    TOPIC,
+    "/clock",
+    "/tf",
+    "/gazebo/link_states",
+    "/gazebo/model_states",
+    "/rrbot/joint1_position_controller/state",
+    "/rrbot/joint2_position_controller/state",
+)
 _SEQ = re.compile(rb'"seq":(\d+)')
 
 
@@ -26,7 +37,7 @@ class Reader:
     def __init__(self, instance: Daemon) -> None:
         self.socket = socket.socket(socket.AF_UNIX)
         self.socket.connect(str(Path(instance.folder) / "slidectl" / "bench" / "socket"))
-        self.socket.sendall(json.dumps({"op": "subscribe", "topic": TOPIC}).encode() + b"\n")
+        _subscribe(self.socket, TOPIC)
         self.count = 0
         self.dropped = False
         self.first = self.last = -1
@@ -49,7 +60,7 @@ class Reader:
 
 
 def measure() -> list[Row]:
-    """So many readers, then ten beside one that does not read."""
+    """So many readers, then ten beside one that does not read, then many beside many that do not."""
     rows = []
     with daemon("--rtf", "1.0") as instance:
         instance.spawn("rrbot", ())
@@ -59,9 +70,21 @@ def measure() -> list[Row]:
             rows += _stream(instance, number, f"{number} at 1 kHz")
         with socket.socket(socket.AF_UNIX) as idle:
             idle.connect(str(Path(instance.folder) / "slidectl" / "bench" / "socket"))
-            idle.sendall(json.dumps({"op": "subscribe", "topic": TOPIC}).encode() + b"\n")
+            _subscribe(idle, TOPIC)
             rows += _stream(instance, 10, "10 beside one that stopped")
+        with ExitStack() as stack:
+            for _ in range(STOPPED):
+                idle = stack.enter_context(socket.socket(socket.AF_UNIX))
+                idle.connect(str(Path(instance.folder) / "slidectl" / "bench" / "socket"))
+                for topic in STOPPED_ON:
+                    _subscribe(idle, topic)
+            title = f"{READING} at 1 kHz beside {STOPPED} that stopped, on {len(STOPPED_ON)} topics each"
+            rows += _stream(instance, READING, title)
     return rows
+
+
+def _subscribe(connection: socket.socket, topic: str) -> None:
+    connection.sendall(json.dumps({"op": "subscribe", "topic": topic}).encode() + b"\n")
 
 
 def _stream(instance: Daemon, number: int, title: str) -> list[Row]:

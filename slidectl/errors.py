@@ -6,6 +6,8 @@ themselves, so that every door (CLI, client, service answer, log) says the same.
 
 from __future__ import annotations
 
+import errno
+from bisect import bisect
 from collections.abc import Iterable, Sequence
 
 EXIT_DONE = 0
@@ -16,8 +18,39 @@ EXIT_TIMED_OUT = 4
 EXIT_INTERRUPTED = 130
 
 
+_LONGEST_SHOWN = 120
+_LONGEST_TEXT = 4000
+_LONGEST_ERROR = 20_000
+_LONGEST_COMPARED = 200
+_MOST_COMPARED = 500
+
+
+def cut(text: str, most: int = _LONGEST_TEXT) -> str:
+    """The text, without its middle where it is longer than `most` characters."""
+    if len(text) <= most:
+        return text
+    half = most // 2
+    return f"{text[:half]} ... ({len(text) - 2 * half} characters left out) ... {text[-half:]}"
+
+
+def quoted(name: str) -> str:
+    """The name in quotes, as an error shows it: whoever sent one of a million characters knows the rest."""
+    return repr(cut(name, _LONGEST_SHOWN))
+
+
 def closest(name: str, known: Iterable[str]) -> str | None:
-    """The known name nearest in spelling, or None; a short name is held against the ends of full ones."""
+    """The known name nearest in spelling, or None; a short name is held against the ends of full ones.
+
+    Comparing takes long, and the names may come from anybody: long ones are not compared, and of many known ones only
+    those whose beginning is nearest.
+    """
+    if len(name) > _LONGEST_COMPARED:
+        return None
+    known = [full for full in known if len(full) <= 2 * _LONGEST_COMPARED]
+    if len(known) > _MOST_COMPARED:
+        known.sort()
+        begin = max(0, bisect(known, name) - _MOST_COMPARED // 2)
+        known = known[begin : begin + _MOST_COMPARED]
     from difflib import SequenceMatcher, get_close_matches  # only an error needs it, and every command imports us
 
     components = name.count("/") + 1
@@ -45,7 +78,7 @@ def listing(known: Iterable[str], most: int = 12) -> str:
     if not names:
         return "none"
     rest = len(names) - most
-    return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
+    return ", ".join(cut(name, _LONGEST_SHOWN) for name in names[:most]) + (f" and {rest} more" if rest > 0 else "")
 
 
 class SlidectlError(Exception):
@@ -54,9 +87,9 @@ class SlidectlError(Exception):
     exit_code = EXIT_REFUSED
 
     def __init__(self, message: str, hint: str | None = None) -> None:
-        super().__init__(message)
-        self.message = message
-        self.hint = hint
+        self.message = cut(message, _LONGEST_ERROR)
+        self.hint = None if hint is None else cut(hint, _LONGEST_ERROR)
+        super().__init__(self.message)
 
     def __str__(self) -> str:
         return f"{self.message}\n{self.hint}" if self.hint else self.message
@@ -107,6 +140,17 @@ class TimedOut(SlidectlError):
     exit_code = EXIT_TIMED_OUT
 
 
+class NoDescriptors(SlidectlError):
+    """A process has as many files and sockets open as it may."""
+
+    ERRNOS = (errno.EMFILE, errno.ENFILE)
+
+    def __init__(self, who: str) -> None:
+        super().__init__(
+            f"{who} cannot open more files: the limit is too low, or it has too many open", "raise it: ulimit -n 1024"
+        )
+
+
 class UnknownName(SlidectlError):
     """A name that does not exist: says which do, and suggests the closest."""
 
@@ -115,7 +159,7 @@ class UnknownName(SlidectlError):
         suggestion = f" Did you mean {near!r}?" if near else ""
         inside = f" {where}" if where else ""
         plural = kind if kind.endswith("s") else f"{kind[:-1]}ies" if kind.endswith("y") else f"{kind}s"
-        super().__init__(f"no {kind} {name!r}{inside}.{suggestion}", f"{plural}: {listing(known)}")
+        super().__init__(f"no {kind} {quoted(name)}{inside}.{suggestion}", f"{plural}: {listing(known)}")
         self.kind = kind
         self.name = name
         self.known = list(known)
@@ -125,7 +169,9 @@ class AmbiguousName(UsageError):
     """A short name that fits more than one full name."""
 
     def __init__(self, kind: str, name: str, matches: Sequence[str]) -> None:
-        super().__init__(f"{name!r} fits more than one {kind}: {listing(matches)}", "write the full name, or give --ns")
+        super().__init__(
+            f"{quoted(name)} fits more than one {kind}: {listing(matches)}", "write the full name, or give --ns"
+        )
         self.matches = list(matches)
 
 
@@ -136,7 +182,7 @@ class BadName(UsageError):
     """Text that is not a legal graph name."""
 
     def __init__(self, name: str, rule: str = _ANY_NAME, hint: str | None = None) -> None:
-        super().__init__(f"{name!r} is not a legal {rule}", hint)
+        super().__init__(f"{quoted(name)} is not a legal {rule}", hint)
 
 
 class BadMessage(UsageError):

@@ -11,21 +11,36 @@ from collections.abc import Iterable
 
 from slidectl.errors import AmbiguousName, BadName, UnknownName
 
+LONGEST = 1000
+"""Characters of a name, with all that stands above it. What is longer is an error or an attack."""
+
 _LEGAL = r"(?a)[A-Za-z/~][\w/]*\Z"
 _COMPONENT = r"(?a)[A-Za-z]\w*\Z"
 _PARAMETER = r"(?=.)/?(?:[^\s\x00-\x1f\x7f/~][^\s\x00-\x1f\x7f/]*(?:/(?!\Z)|\Z))*\Z"
 
 
 def is_legal(name: str) -> bool:
-    """True for a legal graph name (no double or trailing slash; `/` alone is the root)."""
-    return bool(re.match(_LEGAL, name)) and "//" not in name and (name == "/" or not name.endswith("/"))
+    """True for a legal graph name (no double or trailing slash; `/` alone is the root; not longer than LONGEST)."""
+    return (
+        len(name) <= LONGEST
+        and bool(re.match(_LEGAL, name))
+        and "//" not in name
+        and (name == "/" or not name.endswith("/"))
+    )
 
 
 def check(name: str) -> str:
     """The name itself. Raises BadName when it is not legal."""
     if not is_legal(name):
-        raise BadName(name)
+        raise TooLong(name) if len(name) > LONGEST else BadName(name)
     return name
+
+
+class TooLong(BadName):
+    """A name of more characters than any name may have."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name, f"name: it has {len(name)} characters, and {LONGEST} is the most")
 
 
 def check_absolute(name: str, kind: str) -> str:
@@ -38,6 +53,8 @@ def check_absolute(name: str, kind: str) -> str:
 
 def check_parameter(name: str) -> str:
     """The name itself. Raises BadName when no parameter can have it: they may be `joint-1.2`, but hold no blanks."""
+    if len(name) > LONGEST:
+        raise TooLong(name)
     if not re.match(_PARAMETER, name):
         raise BadName(name, "name of a parameter: parts without blanks, with a '/' between and no '~' in front")
     return name
@@ -45,6 +62,8 @@ def check_parameter(name: str) -> str:
 
 def check_robot(name: str) -> str:
     """The name itself. Raises BadName unless it can be a robot's: one component of a name."""
+    if len(name) > LONGEST:
+        raise TooLong(name)
     if not re.match(_COMPONENT, name):
         raise BadName(name, "name of a robot: a letter, then letters, digits and '_'", "give it another name (-n NAME)")
     return name

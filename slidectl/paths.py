@@ -129,6 +129,8 @@ def make_private(folder: Path) -> None:
         Refused: it cannot be made, belongs to somebody else, is a link, or is open to others. Or somebody else may
             put another one into its place: that is checked for the folder that holds all instances.
     """
+    if _is_ours_to_name(folder):
+        _check_link(folder.parent)
     try:
         folder.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         folder.mkdir(mode=0o700, exist_ok=True)
@@ -145,6 +147,19 @@ def make_private(folder: Path) -> None:
 def _is_ours_to_name(folder: str | Path) -> bool:
     """True for the folder of an instance; that of a named socket is the user's affair."""
     return os.path.dirname(os.fspath(folder)) == runtime_folder()
+
+
+def _check_link(folder: Path) -> None:
+    """Raise Refused for a symbolic link of another user: anybody may put one into the temporary folder."""
+    try:
+        info = os.lstat(folder)
+    except OSError:
+        return
+    if stat.S_ISLNK(info.st_mode) and info.st_uid != os.geteuid():
+        raise Refused(
+            f"{folder} is a symbolic link of another user (uid {info.st_uid})",
+            "set XDG_RUNTIME_DIR to a folder of your own",
+        )
 
 
 def _check_unswappable(folder: Path) -> None:
@@ -171,6 +186,11 @@ def check_private(folder: str | Path) -> None:
         # Never advise to close a folder that may serve others too: /tmp, a home, the root.
         own = "put the socket into a folder of your own, made with: mkdir -m 700 FOLDER"
         raise Refused(f"{folder} is open to other users", f"chmod 700 {folder}" if _is_ours_to_name(folder) else own)
+
+
+def shown(path: str) -> str:
+    """The path as text for messages: what of its bytes is no UTF-8 is written as `\\xff`."""
+    return os.fsencode(path).decode("utf-8", "backslashreplace")
 
 
 def with_package(environment: Mapping[str, str]) -> dict[str, str]:

@@ -37,6 +37,8 @@ def entry() -> NoReturn:
 
 
 def _run() -> int:
+    if sys.getfilesystemencoding() == "ascii" and sys.executable:
+        _become_utf8()
     gc.set_threshold(_GARBAGE_THRESHOLD)
     sys.unraisablehook = _unheard
     if None in (sys.stdin, sys.stdout, sys.stderr):
@@ -44,6 +46,11 @@ def _run() -> int:
     from slidectl.cli.main import run
 
     return run(sys.argv[1:])
+
+
+def _become_utf8() -> None:
+    """Begin again in Python's UTF-8 mode: the locale knows ASCII only, and what is typed is UTF-8 all the same."""
+    os.execv(sys.executable, [sys.executable, "-X", "utf8", *sys.orig_argv[1:]])
 
 
 def _unheard(unraisable: sys.UnraisableHookArgs) -> None:

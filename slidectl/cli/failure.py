@@ -14,7 +14,15 @@ import click
 
 from slidectl.cli.context import Context, paint
 from slidectl.cli.output import ClosedPipe, as_json, reader_has_gone
-from slidectl.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_REFUSED, EXIT_USAGE, NoDaemon, SlidectlError
+from slidectl.errors import (
+    EXIT_DONE,
+    EXIT_INTERRUPTED,
+    EXIT_REFUSED,
+    EXIT_USAGE,
+    NoDaemon,
+    NoDescriptors,
+    SlidectlError,
+)
 
 _LONGEST_LINE = 4000
 
@@ -104,5 +112,8 @@ def describe(error: Exception) -> tuple[str, str | None, int]:
         return error.format_message().replace("\n\t", " "), see, EXIT_USAGE
     if isinstance(error, click.ClickException):
         return error.format_message(), None, error.exit_code
+    if isinstance(error, OSError) and error.errno in NoDescriptors.ERRNOS:
+        lacking = NoDescriptors("slidectl")
+        return lacking.message, lacking.hint, lacking.exit_code
     fault = "this is a fault of slidectl; give -v twice to see where it happened"
     return f"{type(error).__name__}: {error}", fault, EXIT_REFUSED

@@ -13,6 +13,7 @@ from typing import Any
 from slidectl.errors import UsageError
 
 LONGEST_LINE = 16 * 1024 * 1024
+"""Bytes of a line, in both directions."""
 
 
 def _strict_encoder() -> Callable[[Any], str]:
@@ -58,11 +59,12 @@ def _without_nan(value: Any) -> Any:
 
 def decode(line: bytes) -> dict[str, Any]:
     """The object that the line holds. Raises BadLine."""
-    value = _decode_plain(line)
-    if type(value) is dict:
-        return value
     try:
-        value = json.loads(line)
+        value = _decode_plain(line)
+        if type(value) is dict:
+            return value
+        if value is None:
+            value = json.loads(line)
     except (ValueError, RecursionError) as error:
         raise BadLine(f"a line that is no JSON ({error}): {_beginning(line)}") from None
     if not isinstance(value, dict):
@@ -71,12 +73,14 @@ def decode(line: bytes) -> dict[str, Any]:
 
 
 def _decode_plain(line: bytes) -> Any:
-    """The value of a line as `encode` writes it; None for all else, which takes the slower and more patient way."""
-    try:
-        text = line.decode("ascii")
-        value, end = _decode_text(text)
-    except (ValueError, RecursionError):
+    """The value of a line as `encode` writes it; None for all else, which takes the slower and more patient way.
+
+    Raises ValueError, RecursionError: the slower way would come to the same.
+    """
+    if not line.isascii() or line[:1].isspace():
         return None
+    text = line.decode("ascii")
+    value, end = _decode_text(text)
     return value if end == len(text) else None
 
 

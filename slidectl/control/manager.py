@@ -17,7 +17,7 @@ from slidectl.control.parameters import Guard
 from slidectl.control.registry import ControllerLoader, RegistryLoader, UnknownType
 from slidectl.control.robot_hw import RobotHW
 from slidectl.control.switching import BEST_EFFORT, STRICT, Switch, plan_switch
-from slidectl.errors import BadName, Refused, SlidectlError, UnknownName
+from slidectl.errors import BadName, Refused, SlidectlError, UnknownName, quoted
 
 Names = list[str]
 
@@ -154,7 +154,7 @@ class ControllerManager:
         try:
             self._loaded[name] = self._load(name)
         except Exception as failure:
-            return self._refuse(f"cannot load controller {name!r}: {described(failure)}")
+            return self._refuse(f"cannot load controller {quoted(name)}: {described(failure)}")
         return True
 
     def _load(self, name: str) -> LoadedController:
@@ -185,9 +185,9 @@ class ControllerManager:
         if entry is None:
             return self._refuse(f"cannot unload: {described(UnknownName('controller', name, self.names()))}")
         if self._switch is not None:
-            return self._refuse(f"cannot unload controller {name!r}: a switch is under way")
+            return self._refuse(f"cannot unload controller {quoted(name)}: a switch is under way")
         if entry.is_running:
-            return self._refuse(f"cannot unload controller {name!r}: it is running; stop it first")
+            return self._refuse(f"cannot unload controller {quoted(name)}: it is running; stop it first")
         del self._loaded[name]
         entry.node.shutdown()
         return True

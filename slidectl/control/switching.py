@@ -13,10 +13,13 @@ from slidectl.control.duration import to_seconds
 from slidectl.control.loaded import LoadedController
 from slidectl.control.node import NodeHandle, Reasons
 from slidectl.control.robot_hw import ControllerInfo, RobotHW, SwitchState
-from slidectl.errors import Refused, UnknownName
+from slidectl.errors import Refused, UnknownName, quoted
 
 BEST_EFFORT = 1
 STRICT = 2
+MOST_NAMES = 1000
+"""Of one request: a robot has a few dozen controllers at most, and hooks are called for every name."""
+_MOST_TOLD = 20
 
 
 @dataclass
@@ -54,13 +57,20 @@ def _known(
     loaded: Mapping[str, LoadedController], wanted: Iterable[str], verb: str, strict: bool, node: NodeHandle
 ) -> list[LoadedController]:
     found = []
+    unknown = 0
     for name in wanted:
         if name in loaded:
             found.append(loaded[name])
         elif strict:
             raise UnknownName("controller", name, list(loaded), f"to {verb}")
         else:
-            node.log("warn", f"no controller {name!r} to {verb}; the rest of the request goes on")
+            unknown += 1
+            if unknown <= _MOST_TOLD:
+                node.log("warn", f"no controller {quoted(name)} to {verb}; the rest of the request goes on")
+    if unknown > _MOST_TOLD:
+        node.log("warn", f"and {unknown - _MOST_TOLD} more that are not there to {verb}")
+    if len(found) > MOST_NAMES:
+        raise Refused(f"{len(found)} controllers to {verb}, and {MOST_NAMES} is the most in one request")
     return found
 
 

@@ -6,18 +6,19 @@ Never waits: what the kernel does not take stays in the outbox. Knows lines, not
 from __future__ import annotations
 
 import socket
+import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol
 
 from slidectl.client.lines import BadLine, LineBuffer
 from slidectl.daemon.loop import HANG_UP, ONCE, PEER_CLOSED, READ, WRITE, EventLoop
-from slidectl.daemon.outbox import Content, Outbox, Share
+from slidectl.daemon.outbox import Outbox, Tally
 
 if TYPE_CHECKING:
     from slidectl.daemon.server import Busy
 
 _CHUNK = 64 * 1024
-_LINES_A_TURN = 32
+_SERVED_A_TURN_S = 0.002
 _SENT_A_TURN = 256 * 1024
 _MOST_UNREAD = 1024 * 1024
 
@@ -35,7 +36,7 @@ class Receiver(Protocol):
     def refuse(self, error: BadLine) -> None:
         """The stream is broken; the connection ends after what this sends."""
 
-    def report(self, share: Share) -> bytes:
+    def report(self, topic: str, dropped: int) -> bytes:
         """The line that tells of dropped messages."""
 
     def closed(self) -> None:
@@ -53,6 +54,7 @@ class Connection:
         connection: socket.socket,
         loop: EventLoop,
         busy: Busy,
+        tally: Tally,
         receiver: Callable[[Connection], Receiver],
         on_close: Callable[[Connection], None],
     ) -> None:
@@ -63,7 +65,7 @@ class Connection:
         self._on_close = on_close
         self._incoming = LineBuffer()
         self._receiver = receiver(self)
-        self._outbox = Outbox(self._receiver.report)
+        self.outbox = Outbox(self._receiver.report, tally)
         self._chunk: bytes | memoryview = b""
         self._failure: BadLine | None = None
         self._blocked = False  # the kernel takes no more for now
@@ -78,7 +80,15 @@ class Connection:
     # --- in -----------------------------------------------------------------------------------------------------
 
     def _ready(self, events: int) -> None:
-        self._safely(lambda: self._take_events(events))
+        """Events are only noted: what is done about them has its turn when all have been noted."""
+        self._readable = True
+        self._ends = self._ends or bool(events & (HANG_UP | PEER_CLOSED))
+        self._busy.with_input[self] = None
+        if events & HANG_UP:
+            self._stop_sending()
+        if events & WRITE:
+            self._blocked = False
+            self._busy.with_output[self] = None
 
     def _safely(self, action: Callable[[], None]) -> None:
         """A fault of ours ends one connection, not the daemon."""
@@ -88,26 +98,19 @@ class Connection:
             self._receiver.unexpected("serving a connection failed")
             self.close()
 
-    def _take_events(self, events: int) -> None:
-        self._readable = True
-        self._ends = bool(events & (HANG_UP | PEER_CLOSED))
-        if events & HANG_UP:
-            self._stop_sending()
-        self._serve_some()  # also what it said before it hung up
-        if events & WRITE and self.open:
-            self._blocked = False
-            self._send_some()
-
     def serve(self) -> None:
-        """Go on with what was left over. There is a limit to each turn, so that no client holds up the world."""
+        """Take in what has come. There is a limit to each turn, so that no client holds up the others."""
         self._safely(self._serve_some)
 
     def _serve_some(self) -> None:
         lines = self._incoming.lines
-        for _ in range(_LINES_A_TURN):
+        end = time.monotonic() + _SERVED_A_TURN_S
+        while not self.is_overfull:
             if lines:
                 self._receiver.take(lines.popleft())
             elif not self._receive():
+                break
+            if time.monotonic() >= end:
                 break
         if self._failure is not None and not lines:
             failure, self._failure = self._failure, None
@@ -138,6 +141,7 @@ class Connection:
 
     def _listening(self) -> bool:
         # A client that does not take its answers is not listened to until it does: that bounds what we keep for it.
+        # Lines of it that have come already wait as well.
         return self._readable and not self._ended and not self.is_overfull
 
     def _end_of_input(self) -> None:
@@ -151,7 +155,7 @@ class Connection:
         """A line that must arrive: an answer, a refusal."""
         if self._deaf:
             return
-        self._outbox.put(line)
+        self.outbox.put(line)
         if not self._blocked:
             # To the end of the row: answers leave in the order in which they were given, whoever they are for.
             self._busy.with_output.pop(self, None)
@@ -160,33 +164,22 @@ class Connection:
     @property
     def is_overfull(self) -> bool:
         """True while more waits for the client than may: what is not an answer to it should not be added."""
-        return self._outbox.unbounded >= _MOST_UNREAD
+        return self.unread >= _MOST_UNREAD
 
     @property
-    def is_blocked(self) -> bool:
-        """True while the client does not take what is sent: what is posted now waits, or makes room for newer."""
-        return self._blocked
-
-    def post(self, share: Share, line: Content) -> None:
-        """A message of a subscription; older ones of its share make room when the client does not read."""
-        if self._deaf:
-            return
-        self._outbox.put_in(share, line)
-        if not self._blocked:
-            self._busy.with_output[self] = None
-
-    def forget(self, share: Share) -> None:
-        """The subscription ended: what it has waiting is not sent."""
-        self._outbox.forget(share)
+    def unread(self) -> int:
+        """Bytes that wait for this client alone."""
+        return self.outbox.unbounded + len(self._chunk)
 
     def flush(self) -> None:
         """Send what the kernel takes now, within reason."""
-        self._safely(self._send_some)
+        if not self._blocked:
+            self._safely(self._send_some)
 
     def _send_some(self) -> None:
         sent = 0
-        while (self._chunk or self._outbox) and not self._blocked and sent < _SENT_A_TURN:
-            chunk = self._chunk or self._outbox.take(_CHUNK)
+        while (self._chunk or self.outbox) and not self._blocked and sent < _SENT_A_TURN:
+            chunk = self._chunk or self.outbox.take(_CHUNK)
             try:
                 count = self._socket.send(chunk)
             except BlockingIOError:
@@ -202,19 +195,19 @@ class Connection:
     def _stop_sending(self) -> None:
         self._deaf = True
         self._chunk = b""
-        self._outbox.clear()
+        self.outbox.clear()
 
     def _settle(self) -> None:
         """After anything changed: what to wait for, and whether the end is reached."""
         lines = bool(self._incoming.lines)
-        unsent = bool(self._chunk or self._outbox)
+        unsent = bool(self._chunk or self.outbox)
         if self._ended and not lines and not unsent and (self._deaf or not self._receiver.waiting):
             self.close()
         if not self.open:
             return
         if unsent and not self._blocked:
             self._busy.with_output[self] = None
-        if lines or self._listening():
+        if (lines and not self.is_overfull) or self._listening():
             self._busy.with_input[self] = None
         if self._blocked != self._waits_to_write:
             self._waits_to_write = self._blocked

@@ -22,7 +22,10 @@ from slidectl.daemon.loop import READ, EventLoop
 from slidectl.daemon.mesh_reader import MeshReader
 from slidectl.daemon.options import Start
 from slidectl.daemon.pacing import Pacer
+from slidectl.daemon.place import Place, TakenOver
 from slidectl.daemon.server import Server
+from slidectl.errors import SlidectlError
+from slidectl.paths import shown
 from slidectl.simulation.assembly import SpawnedRobot
 from slidectl.simulation.simulation import Simulation
 
@@ -33,20 +36,25 @@ _FIRST_COMMANDS_S = 1.0
 _YOUNG_OBJECTS = 2000
 _PROPERTIES = {"rtf": "speed", "timestep": "timestep", "gravity": "gravity"}
 """The options that say how the world is, by their names in the status."""
+_LONG_COLLECTION_S = 0.002
+"""What took so long to look through is not looked through again until there are twice as many objects."""
 _PR_SET_TIMERSLACK = 29
 
 
 class Daemon:
     """Built when the lock is held and the socket is bound; `run` returns when it is stopped."""
 
-    def __init__(self, start: Start, listener: socket.socket, log: LogFile, began_s: float) -> None:
+    def __init__(self, start: Start, place: Place, listener: socket.socket, log: LogFile, began_s: float) -> None:
         self._start = start
+        self._place = place
+        self._place_trouble = ""
         self._log = log
         self._began_s = began_s
         self._stopping = ""
         self._next_tidy_s = 0.0
         self._given_up_s = 0.0
         self._kept_robots: frozenset[SpawnedRobot] = frozenset()
+        self._most_kept_objects = 0
         options = start.options
         self.simulation = Simulation(options.timestep, options.gravity, options.ground, options.engine)
         self.simulation.driven = True
@@ -59,7 +67,7 @@ class Daemon:
         graph.log.sink = self._keep_line
         graph.services.advertise("/slidectl/shutdown", "slidectl/Shutdown", NODE, self._shut_down)
         self._loop = EventLoop()
-        self._pacer = Pacer(self.simulation.loop, knocked=self._loop.is_ready)
+        self._pacer = Pacer(self.simulation.loop, knocked=self._loop.is_ready, limit=self._limit_step)
         self._server = Server(listener, self._loop, graph, self._unexpected)
         self._mesh_reader = MeshReader(self._loop, self._unexpected)
         self.simulation.read_meshes = self._mesh_reader.read
@@ -68,23 +76,29 @@ class Daemon:
     def run(self) -> None:
         """Turn until stopped: the cycles that are due and what they published, then the sockets and what they asked."""
         _wake_punctually()
-        self._log.write("info", f"slidectl {slidectl.__version__} answers on {self._start.paths.socket}")
-        turn, server, busy = self._pacer.turn, self._server, self._server.busy
+        self._log.write("info", f"slidectl {slidectl.__version__} answers on {shown(self._start.paths.socket_text)}")
+        turn, server = self._pacer.turn, self._server
+        busy, fresh = server.busy, server.publications.fresh
         while not self._stopping:
             try:
                 wait_s = turn()
             except Exception:
                 wait_s = self._hold()
+            if busy.with_output or busy.with_messages or fresh:
+                server.flush()
+            if time.monotonic() >= self._next_tidy_s:
+                self._tidy()
+            self._loop.poll(server.wait(_TIDY_EVERY_S if wait_s is None else wait_s))
             if busy.with_input:
                 server.serve()
-            if busy.with_output:
-                server.flush()
-            if wait_s is None or time.monotonic() >= self._next_tidy_s:
-                self._tidy()
-            self._loop.poll(0.0 if busy.with_input or busy.with_output else wait_s)
-            if busy.with_output:
+            if busy.with_output or busy.with_messages or fresh:
                 server.flush()
         self._end()
+
+    def _limit_step(self, end_s: float | None) -> None:
+        """The simulation knows no wall time: it asks."""
+        now = time.perf_counter
+        self.simulation.loop.enough = None if end_s is None else lambda: now() >= end_s
 
     def _hold(self) -> float:
         """A fault of ours in a cycle holds the world and is told, instead of ending it."""
@@ -99,23 +113,56 @@ class Daemon:
         self._next_tidy_s = now + _TIDY_EVERY_S
         self.simulation.engine.is_welcome = now - self._began_s > _FIRST_COMMANDS_S
         self._collect_garbage()
+        self._server.tidy()
+        self._look_after_place()
         given_up = self._pacer.given_up_s
         if given_up > max(self._given_up_s + 1.0, 2.0 * self._given_up_s):  # ever rarer, or it would fill the log
             self._given_up_s = given_up
             self._log.write("warn", f"slower than asked: {given_up:.0f} s of wall time given up so far")
 
+    def _look_after_place(self) -> None:
+        """What cleaners of temporary folders have deleted is made again; where another daemon is now, this one ends."""
+        try:
+            gone, listener = self._place.mend()
+        except TakenOver as error:
+            self._stopping = f"stopped: {error.message}"
+            return
+        except SlidectlError as error:
+            if str(error) != self._place_trouble:
+                self._log.write("error", f"nobody can find this daemon any more: {error}")
+            self._place_trouble = str(error)
+            return
+        self._place_trouble = ""
+        if listener is not None:
+            self._server.listen_on(listener)
+        if gone:
+            self._log.reopen()
+            self._log.write("warn", f"somebody deleted {' and '.join(gone)}; made again")
+
     def _collect_garbage(self) -> None:
-        """Robots that stay are not looked through: with a hundred of them that would hold up the world for 20 ms."""
+        """What stays is not looked through: with a hundred robots that would hold up the world for 20 ms.
+
+        The same holds for connections, topics and parameters in such numbers that looking through them takes long.
+        """
         robots = frozenset(self.simulation.robots)
         if self._kept_robots - robots:
-            gc.unfreeze()
-            gc.collect()
-            gc.freeze()
+            self._collect_all()
         elif robots - self._kept_robots:
             gc.freeze()
         elif gc.get_count()[0] > _YOUNG_OBJECTS:
+            began = time.thread_time()
             gc.collect()
+            if time.thread_time() - began > _LONG_COLLECTION_S:
+                gc.freeze()
+                if gc.get_freeze_count() > self._most_kept_objects:
+                    self._collect_all()
         self._kept_robots = robots
+
+    def _collect_all(self) -> None:
+        gc.unfreeze()
+        gc.collect()
+        gc.freeze()
+        self._most_kept_objects = 2 * gc.get_freeze_count()
 
     # --- ends ---------------------------------------------------------------------------------------------------
 
@@ -154,11 +201,11 @@ class Daemon:
         return {
             "version": slidectl.__version__,
             "pid": os.getpid(),
-            "instance": self._start.paths.name,
+            "instance": shown(self._start.paths.name),
             "connections": len(self._server.sessions),
             "memory": _resident_bytes(),
             "uptime": time.monotonic() - self._began_s,
-            "log": str(self._start.paths.log),
+            "log": shown(str(self._start.paths.log)),
             **self._pacer.report(),
         }
 

@@ -89,7 +89,7 @@ class InstanceLock:
     def _is_current(self, fd: int) -> bool:
         try:
             return os.path.samestat(os.fstat(fd), os.stat(self._path))
-        except FileNotFoundError:
+        except OSError:
             return False
 
     def _note_pid(self) -> None:
@@ -98,10 +98,19 @@ class InstanceLock:
             os.ftruncate(self._fd, 0)
             os.write(self._fd, f"{os.getpid()}\n".encode())
 
+    def is_current(self) -> bool:
+        """True while the file that is locked is the one that others find."""
+        return self._fd >= 0 and self._is_current(self._fd)
+
     def release(self) -> None:
         """Remove the file while it is still ours, then let go. Harmless when it was not acquired."""
-        if self._fd >= 0:
+        if self.is_current():
             with suppress(FileNotFoundError):
                 os.unlink(self._path)
+        self.forget()
+
+    def forget(self) -> None:
+        """Let go of a lock whose file has gone."""
+        if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1

@@ -10,6 +10,8 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
+from slidectl.errors import cut
+
 MOST_BYTES = 1024 * 1024
 COPIES = 2
 """Rotated copies beside the file itself: `log.1` is the younger."""
@@ -41,10 +43,10 @@ class LogFile:
         self._fd = fd
 
     def write(self, severity: str, text: str) -> None:
-        """One entry; the lines of a longer text are indented."""
+        """One entry; the lines of a longer text are indented. Of one of more than a few kB the middle is left out."""
         now = time.time()
         stamp = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(now)) + f".{int(now % 1 * 1000):03d}"
-        body = text.rstrip("\n").replace("\n", "\n    ")
+        body = cut(text).rstrip("\n").replace("\n", "\n    ")
         self._append(f"{stamp} {severity:<5} {body}\n")
 
     def _append(self, entry: str) -> None:
@@ -72,6 +74,11 @@ class LogFile:
             for older, newer in zip(reversed(names), reversed(names[:-1]), strict=False):
                 with suppress(FileNotFoundError):
                     os.replace(newer, older)
+        os.close(self._fd)
+        self._open()
+
+    def reopen(self) -> None:
+        """The file may have been deleted: go on in one that others find."""
         os.close(self._fd)
         self._open()
 

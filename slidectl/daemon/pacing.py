@@ -53,7 +53,8 @@ class Pacer:
     Cycles at a real-time factor run in groups of at least 1 ms of wall time, each group when its time has come:
     one cycle at the usual 1 kHz. `lateness` is how much later than that a group began, `durations` the wall time of a
     cycle (the mean of a group), `overruns` the groups that began more than their own length too late. Cycles that run
-    as fast as possible make way as soon as `knocked` says that a client wants something.
+    as fast as possible make way as soon as `knocked` says that a client wants something. `limit` tells the simulation
+    the time at which it is to end a step early (None: never): cycles may suddenly take a thousand times as long.
     """
 
     def __init__(
@@ -61,9 +62,11 @@ class Pacer:
         simulation: Steppable,
         clock: Callable[[], float] = time.perf_counter,
         knocked: Callable[[], bool] = lambda: False,
+        limit: Callable[[float | None], None] = lambda _: None,
     ) -> None:
         self._simulation = simulation
         self._knocked = knocked
+        self._limit = limit
         self._clock = clock
         self._mode: tuple[float, int] | None = None
         self._step_s = 0.0
@@ -99,6 +102,7 @@ class Pacer:
         period_s = self._step_s / factor
         # A million cycles a second and more are what no machine reaches: as fast as possible comes to the same.
         self._is_free = period_s * _LONGEST_CHUNK < _SHORTEST_WAIT_S
+        self._limit(None)
         self._group = 1 if self._is_free else max(1, int(_SHORTEST_WAIT_S / period_s))
         self._group_s = self._group * period_s
         self._due_s = self._clock()
@@ -109,6 +113,7 @@ class Pacer:
         run, step, clock, speed = self._simulation.run, self._simulation.step, self._clock, self.speed
         now = clock()
         end = now + FREE_SLICE_S
+        self._limit(end)
         while now < end and (asked := run.allowed(self._chunk)):
             done = step(asked)
             began, now = now, clock()

@@ -9,6 +9,7 @@ from __future__ import annotations
 import gc
 import json
 import os
+import resource
 import signal
 import sys
 import time
@@ -16,16 +17,21 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
-from slidectl.daemon.lock import InstanceLock, holder
+from slidectl.daemon.lock import holder
 from slidectl.daemon.logfile import LogFile
 from slidectl.daemon.options import Start, parse
-from slidectl.errors import EXIT_DONE, SlidectlError
-from slidectl.paths import make_private
+from slidectl.errors import EXIT_DONE, Refused, SlidectlError
 
 if TYPE_CHECKING:
     import socket
 
+    from slidectl.daemon.place import Place
+
 _OOM_SCORE = "300"
+_LEAST_DESCRIPTORS = 24
+"""File descriptors: those of a daemon with a few clients that reads a robot and starts a compiler."""
+_LONGEST_NUMBER = 640
+"""Digits of an integer, the least that Python can be told: reading them takes time that grows with their square."""
 _PR_SET_PDEATHSIG = 1
 
 
@@ -53,6 +59,7 @@ def main(arguments: Sequence[str]) -> int:
     start = parse(arguments)
     starter = Starter(start.ready_fd)
     try:
+        _check_limit()
         _settle_in(start)
         return _run(start, starter)
     except Stopped:
@@ -63,9 +70,20 @@ def main(arguments: Sequence[str]) -> int:
         return error.exit_code
 
 
+def _check_limit() -> None:
+    """Raises Refused: what a daemon opens before it answers does not fit into the limit, and imports would fail."""
+    limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    if 0 <= limit < _LEAST_DESCRIPTORS:
+        raise Refused(
+            f"a daemon needs {_LEAST_DESCRIPTORS} open files at least, and the limit is {limit}",
+            "raise it: ulimit -n 1024",
+        )
+
+
 def _settle_in(start: Start) -> None:
     """Be nobody's child: private files, no terminal, none of the starter's descriptors or its folder."""
     os.umask(0o077)
+    sys.set_int_max_str_digits(_LONGEST_NUMBER)
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, _early.take)
     if start.parent is not None:
@@ -125,33 +143,30 @@ _early = _EarlyStop()
 
 
 def _run(start: Start, starter: Starter) -> int:
-    from slidectl.daemon.listener import listen
+    from slidectl.daemon.place import Place
 
-    make_private(start.paths.folder)
     with ExitStack() as stack:
-        lock = InstanceLock(start.paths.lock)
-        stack.callback(lock.release)
-        if not lock.acquire():
+        place = Place(start.paths)
+        stack.callback(place.give_back)
+        if not place.take():
             starter.tell("running", pid=holder(start.paths.lock))
             print(f"a daemon runs there already (process {holder(start.paths.lock)})", file=sys.stderr, flush=True)
             return EXIT_DONE
         log = LogFile(start.paths.log, start.foreground)
         with _early.held():
-            listener = listen(start.paths.socket)
-            stack.callback(start.paths.socket.unlink, missing_ok=True)
-            stack.callback(listener.close)
-        _serve(start, listener, log, lambda: starter.tell("ready", pid=os.getpid()))
+            listener = place.listen()
+        _serve(start, place, listener, log, lambda: starter.tell("ready", pid=os.getpid()))
     return EXIT_DONE
 
 
-def _serve(start: Start, listener: socket.socket, log: LogFile, ready: Callable[[], None]) -> None:
+def _serve(start: Start, place: Place, listener: socket.socket, log: LogFile, ready: Callable[[], None]) -> None:
     began = time.monotonic()
     gc.disable()  # what is imported stays; looking through it for garbage would only take time
     # MuJoCo's package looks for a way to draw when it is imported. Nothing is drawn here, and the search takes 30 ms.
     os.environ.setdefault("MUJOCO_GL", "disable")
     from slidectl.daemon.daemon import Daemon
 
-    daemon = Daemon(start, listener, log, began)
+    daemon = Daemon(start, place, listener, log, began)
     gc.freeze()
     _early.check()
     ready()

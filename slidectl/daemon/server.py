@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import resource
 import socket
+import time
 from collections.abc import Callable
 from contextlib import suppress
+from typing import Any
 
 from slidectl.client.lines import encode
 from slidectl.client.link import peer
@@ -23,6 +25,12 @@ MOST_CONNECTIONS = 512
 _KEPT_DESCRIPTORS = 32
 """File descriptors that connections must leave to the rest of the process."""
 _ACCEPTED_A_TURN = 16
+_GONE: Any = object()
+_SERVED_A_TURN_S = 0.005
+_SENT_A_TURN_S = 0.003
+_COSTLY_S, _LONGEST_PAUSE_S = 0.0003, 0.1
+_PAUSE_FACTOR = 3.0
+"""Between two rounds of messages that took long, so many times that time is left to the cycles and to all else."""
 
 
 class Busy:
@@ -31,11 +39,14 @@ class Busy:
     def __init__(self) -> None:
         self.with_input: dict[Connection, None] = {}
         self.with_output: dict[Connection, None] = {}
+        self.with_messages: dict[Connection, None] = {}
+        """Readers of topics that have new messages."""
 
     def forget(self, connection: Connection) -> None:
         """It was closed."""
         self.with_input.pop(connection, None)
         self.with_output.pop(connection, None)
+        self.with_messages.pop(connection, None)
 
 
 class Server:
@@ -58,19 +69,49 @@ class Server:
         self._loop = loop
         self._serial = 0
         self._listening = False
+        self._paused_for = ""
+        self._messages_due_s = 0.0
+        self._sending_s = 0.0
         self._listen()
 
     def serve(self) -> None:
-        """Go on with those who said more than one turn allows; they come before what has arrived since."""
-        connections, self.busy.with_input = self.busy.with_input, {}
-        for connection in connections:
-            connection.serve()
+        """Take in what clients have said, in turn. Who has no turn before the time is up is the first the next time."""
+        _in_turn(self.busy.with_input, Connection.serve, time.monotonic() + _SERVED_A_TURN_S)
 
     def flush(self) -> None:
-        """Send what the clients take."""
-        connections, self.busy.with_output = self.busy.with_output, {}
-        for connection in connections:
-            connection.flush()
+        """Send what the clients take: messages of topics when it is time for these, then answers.
+
+        Messages come first: an answer says that its effect is there.
+        """
+        began = time.monotonic()
+        busy, fresh = self.busy, self.publications.fresh
+        if fresh and not busy.with_messages and began >= self._messages_due_s:
+            busy.with_messages = {reader: None for channel in fresh for reader in channel.readers}
+            fresh.clear()
+            self._sending_s = 0.0
+        if busy.with_messages:
+            self._send_messages(began)
+            began = time.monotonic()
+        _in_turn(busy.with_output, Connection.flush, began + _SENT_A_TURN_S)
+
+    def _send_messages(self, began: float) -> None:
+        """To a hundred readers sending takes longer than a cycle: then several cycles' messages are sent together."""
+        with_messages = self.busy.with_messages
+        _in_turn(with_messages, Connection.flush, began + _SENT_A_TURN_S)
+        now = time.monotonic()
+        self._sending_s += now - began
+        if not with_messages and self._sending_s > _COSTLY_S:
+            self._messages_due_s = now + min(_LONGEST_PAUSE_S, _PAUSE_FACTOR * self._sending_s)
+
+    def wait(self, most_s: float | None) -> float | None:
+        """How long the loop may wait for clients when it has nothing else to do for `most_s`."""
+        busy = self.busy
+        if busy.with_input or busy.with_output or busy.with_messages:
+            return 0.0
+        if not self.publications.fresh:
+            return most_s
+        due_s = max(0.0, self._messages_due_s - time.monotonic())
+        return due_s if most_s is None else min(most_s, due_s)
 
     def close(self, farewell: str) -> None:
         """Say goodbye to all and let go of everything. What a client does not take at once is lost."""
@@ -81,6 +122,25 @@ class Server:
         if self._listening:
             self._loop.forget(self._listener.fileno())
         self._listener.close()
+
+    def tidy(self) -> None:
+        """Now and then: give up lines that nobody wants, and look whether there is room for connections again."""
+        self.publications.tidy()
+        if len(self.sessions) < self._most:
+            self._listen()
+
+    def listen_on(self, listener: socket.socket) -> None:
+        """Accept connections here from now on; those that there are stay."""
+        self._pause()
+        self._listener.close()
+        self._listener = listener
+        if len(self.sessions) < self._most:
+            self._listen()
+
+    def _pause(self) -> None:
+        if self._listening:
+            self._loop.forget(self._listener.fileno())
+        self._listening = False
 
     def _listen(self) -> None:
         """Accept while there is room: a listener that is ready and not served would keep the loop from waiting."""
@@ -97,15 +157,17 @@ class Server:
             except OSError as error:  # out of file descriptors: the others are served on
                 self._pause_listening(f"cannot accept: {error.strerror}")
                 return
+            self._paused_for = ""
             self._admit(connection)
             if len(self.sessions) >= self._most:
                 self._pause_listening(f"{self._most} connections are open; others wait until one of them ends")
                 return
 
     def _pause_listening(self, why: str) -> None:
-        self.graph.log("warn", "/slidectl", why)
-        self._loop.forget(self._listener.fileno())
-        self._listening = False
+        if why != self._paused_for:  # it is tried again and again
+            self.graph.log("warn", "/slidectl", why)
+        self._paused_for = why
+        self._pause()
 
     def _admit(self, connection: socket.socket) -> None:
         pid, uid = peer(connection)
@@ -128,12 +190,21 @@ class Server:
             begun.append(Session(connection, self, node))
             return begun[0]
 
-        connection = Connection(raw, self._loop, self.busy, session_of, self._ended)
+        connection = Connection(raw, self._loop, self.busy, self.publications.tally, session_of, self._ended)
         self.sessions[connection] = begun[0]
 
     def _ended(self, connection: Connection) -> None:
         self.sessions.pop(connection, None)
         self._listen()
+
+
+def _in_turn(waiting: dict[Connection, None], action: Callable[[Connection], None], end_s: float) -> None:
+    """Act for those who wait, until the time is up: the others stay, before those who come to wait meanwhile."""
+    for connection in list(waiting):
+        if waiting.pop(connection, _GONE) is not _GONE:
+            action(connection)
+            if time.monotonic() >= end_s:
+                break
 
 
 def _room() -> int:

@@ -10,14 +10,13 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 import slidectl
-from slidectl import msgs
-from slidectl.client.lines import BadLine, decode, encode
+from slidectl import msgs, names
+from slidectl.client.lines import LONGEST_LINE, BadLine, decode, encode
 from slidectl.control.node import Reasons
 from slidectl.daemon import wire
 from slidectl.daemon.connection import Connection
 from slidectl.daemon.feed import Feed, Publications
-from slidectl.daemon.outbox import Share
-from slidectl.errors import Refused, SlidectlError, UsageError, listing
+from slidectl.errors import NoDescriptors, Refused, SlidectlError, UsageError, listing
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.services import Service
@@ -27,6 +26,11 @@ LEVELS = {"info": 0, "warning": 1, "error": 2, "none": 3}
 Message = dict[str, Any]
 
 _MOST_OPEN_CALLS = 1000
+_LONGEST_LATE, _MOST_LATE = 4096, 8 * 1024 * 1024
+"""Bytes of an answer, and of what waits before it, from which on it is given up when it comes later than its call.
+
+What answers at once is bounded otherwise: a connection with so much unread is not listened to.
+"""
 
 
 class Surroundings(Protocol):
@@ -80,12 +84,20 @@ class Session:
         log = self._graph.log
         log.reasons = []
         try:
+            try:
+                wire.check_size(line)
+            except BadLine:
+                message = wire.envelope(line)
+                raise
             message = decode(line)
             wire.check_id(message)
             self._operation(message)(message)
         except SlidectlError as error:
             self._complain(error, message)
         except Exception as error:
+            if isinstance(error, OSError) and error.errno in NoDescriptors.ERRNOS:
+                self._complain(NoDescriptors("the daemon"), message)
+                return
             self.unexpected(f"{self.node} sent {line[:200]!r}")
             self._complain(Refused(f"internal error: {error!r}; the daemon's log has more"), message)
         finally:
@@ -103,12 +115,12 @@ class Session:
         """The stream is broken."""
         self._complain(error, {})
 
-    def report(self, share: Share) -> bytes:
+    def report(self, topic: str, dropped: int) -> bytes:
         """The line that tells of messages that were dropped; empty for a client that does not want to know."""
         if self._level > LEVELS["warning"]:
             return b""
-        text = f"{share.dropped} messages on {share.topic} were dropped: read too slowly"
-        return encode({"op": "status", "level": "warning", "topic": share.topic, "dropped": share.dropped, "msg": text})
+        text = f"{dropped} messages on {topic} were dropped: read too slowly"
+        return encode({"op": "status", "level": "warning", "topic": topic, "dropped": dropped, "msg": text})
 
     def unexpected(self, what: str) -> None:
         """The exception that is being handled is a fault of ours: log it."""
@@ -134,7 +146,7 @@ class Session:
     def _complain(self, error: SlidectlError, message: Message) -> None:
         """Tell the client; who called a service gets an answer even when it is this one."""
         if message.get("op") == "call_service" and isinstance(message.get("service"), str):
-            asked = {"op": "service_response", "service": message["service"]}
+            asked = {"op": "service_response", "service": message["service"][: names.LONGEST]}
             self._connection.send(encode(asked | _returned(message) | _failure(error) | self._reasons()))
         elif self._level <= LEVELS["error"] or message.get("ack"):
             status = {"op": "status", "level": "error", "msg": str(error), "exit_code": error.exit_code}
@@ -182,13 +194,15 @@ class Session:
         topic = wire.name(message, "topic")
         throttle, queue = wire.number(message, "throttle_rate"), wire.number(message, "queue_length")
         if wire.text(message, "compression", "none") != "none":
-            raise UsageError(f"compression {message['compression']!r} is not offered", "compression: none")
+            raise UsageError(
+                f"compression {wire.shortened(message['compression'])} is not offered", "compression: none"
+            )
         kind = wire.text(message, "type", "") or None
         feed = self._feeds.get(topic)
         if feed is None:
             feed = Feed(topic, self._connection, self._around.publications)
             feed.want(wire.wish_id(message), throttle, int(queue))
-            feed.subscription = self._graph.topics.subscribe(topic, kind, self.node, feed.take)
+            feed.begin(self._graph.topics, kind, self.node)
             self._feeds[topic] = feed
             return
         if kind is not None:  # complains when the type is another one
@@ -203,7 +217,6 @@ class Session:
         if feed.unwant(wire.wish_id(message)):
             del self._feeds[topic]
             feed.close()
-            self._connection.forget(feed.share)
 
     # --- services -----------------------------------------------------------------------------------------------
 
@@ -238,6 +251,12 @@ class Session:
             response |= _failure(pending.error)
         try:
             line = encode(response)
+            if len(line) > LONGEST_LINE:
+                what = f"its answer has {len(line)} bytes, and a line has at most {LONGEST_LINE}"
+                line = encode(response | _failure(Refused(f"{service}: {what}", "ask for less")))
+            if len(line) > _LONGEST_LATE and self._connection.unread > _MOST_LATE:
+                what = f"its answer of {len(line)} bytes was given up: this connection does not read its answers"
+                line = encode(response | _failure(Refused(f"{service}: {what}")))
         except Exception as error:  # this may be called from within a control cycle, which must not fail for it
             self.unexpected(f"the answer of {service} to {self.node}")
             line = encode(response | _failure(Refused(f"internal error: {error!r}; the daemon's log has more")))
@@ -274,7 +293,7 @@ class Session:
     def _service_response(self, message: Message) -> None:
         pending = self._asked.pop(str(message.get("id")), None)
         if pending is None:
-            raise Refused(f"nobody waits for the service response {message.get('id')!r}")
+            raise Refused(f"nobody waits for the service response {wire.shortened(message.get('id'))}")
         values = message.get("values", {})
         if message.get("result", True):
             pending.resolve(values)
@@ -284,7 +303,7 @@ class Session:
     def _set_level(self, message: Message) -> None:
         level = wire.text(message, "level")
         if level not in LEVELS:
-            raise UsageError(f"unknown level {level!r}", f"levels: {', '.join(LEVELS)}")
+            raise UsageError(f"unknown level {wire.shortened(level)}", f"levels: {', '.join(LEVELS)}")
         self._level = LEVELS[level]
 
 

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import json
+import re
 from typing import Any
 
 from slidectl import names
+from slidectl.client.lines import BadLine
 from slidectl.errors import UsageError
 
 Message = dict[str, Any]
 
+_MOST_VALUES = 100_000
+_MOST_MAPPINGS = 20_000
+"""A mapping may stand for a message with all its default values."""
+_LONGEST_ENVELOPE = 4096
+_FIELD = re.compile(r'"(op|id|service)"\s*:\s*("(?:[^"\\\x00-\x1f]|\\["\\/bfnrt])*"|-?\d{1,18}(?=\s*[,}]))')
 _LONGEST_ID = 1000
 _DEEPEST_ID = 200
 """Characters of an id that is a list or a mapping: enough to number things with, too few to nest deeply."""
@@ -24,8 +32,34 @@ def text(message: Message, key: str, default: str | None = None) -> str:
 
 
 def name(message: Message, key: str) -> str:
-    """A name, from the root if it is relative. Raises UsageError."""
-    return names.join("/", text(message, key))
+    """A name, from the root if it is relative. Raises UsageError: BadName for one that is too long."""
+    given = text(message, key)
+    if len(given) > names.LONGEST:
+        raise names.TooLong(given)
+    return names.join("/", given)
+
+
+def check_size(line: bytes) -> None:
+    """Raises BadLine for one that would take long to read, with as much of the message as tells what it is.
+
+    Text is quick to read, values are not: a message of more than so many holds up the world. They are counted by what
+    stands between them, without looking whether that is inside of a text.
+    """
+    if len(line) < _MOST_VALUES:
+        return
+    values = line.count(b",") + line.count(b"[")
+    mappings = line.count(b"{")
+    if values + mappings > _MOST_VALUES:
+        raise BadLine(f"a line with {values + mappings} values, and {_MOST_VALUES} is the most")
+    if mappings > _MOST_MAPPINGS:
+        raise BadLine(f"a line with {mappings} mappings, and {_MOST_MAPPINGS} is the most")
+
+
+def envelope(line: bytes) -> Message:
+    """What stands before the first list of a line that is not read: its op, its id, its service, where given."""
+    beginning = line[:_LONGEST_ENVELOPE].decode("utf-8", "replace")
+    fields = {match[1]: json.loads(match[2]) for match in _FIELD.finditer(beginning.partition("[")[0])}
+    return {key: fields[key] for key in ("op", "id", "service") if key in fields}
 
 
 def check_id(message: Message) -> None:
@@ -62,5 +96,5 @@ def number(message: Message, key: str) -> float:
 
 def shortened(value: Any) -> str:
     """The value as an error quotes it."""
-    text = repr(value)
+    text = repr(value[:60] if isinstance(value, str) else value)
     return text if len(text) <= 60 else text[:57] + "..."

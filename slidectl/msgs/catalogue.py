@@ -33,7 +33,8 @@ def definition_of(type_name: str) -> Definition:
     """The definition of `pkg/Type`. Raises UnknownName."""
     found = _definitions.get(type_name) or _find(type_name)
     if found is None:
-        raise _unknown("message type", type_name, _siblings_here(type_name) or type_names())
+        short = type_name[:_LONGEST_SHOWN]
+        raise _unknown("message type", short, _siblings_here(short) or type_names())
     return found
 
 
@@ -92,10 +93,15 @@ def _names_here() -> set[str]:
 
 
 def _siblings_here(type_name: str) -> list[str]:
-    """The types of its package, when all of them are in files: a slip of the pen must not cost a daemon 0.1 s."""
+    """The types of its package, when all of them are in files: a slip of the pen must not cost a daemon 0.1 s.
+
+    Of one without a package, all that are in files.
+    """
     package = type_name.rpartition("/")[0]
-    if not package or package in _ROSBAGS_PACKAGES:
+    if package in _ROSBAGS_PACKAGES:
         return []
+    if not package:
+        return sorted(_names_here())
     return sorted(name for name in _names_here() if name.startswith(f"{package}/"))
 
 
@@ -108,10 +114,11 @@ def _names(kind: str) -> Iterator[str]:
 
 def _unknown(kind: str, name: str, known: list[str]) -> UnknownName:
     """Shows the names of the same package, else those of the same last word, else all."""
+    name = name[:_LONGEST_SHOWN]
     package, _, word = name.rpartition("/")
     siblings = [other for other in known if package and other.startswith(package + "/")]
     namesakes = [other for other in known if other.endswith("/" + word)]
-    return UnknownName(kind, name[:_LONGEST_SHOWN], siblings or namesakes or known)
+    return UnknownName(kind, name, siblings or namesakes or known)
 
 
 def _find(type_name: str) -> Definition | None:

@@ -33,6 +33,9 @@ class Loop:
         self.run = RunState()
         self.driven = False
         """True when somebody else (the daemon) calls `step` as `run` says; else time moves only when asked."""
+        self.enough: Callable[[], bool] | None = None
+        """Asked now and then between two cycles of a `step`: True ends it, since the driver has other things to do.
+        How dear the next cycles are is not known before they have run: a robot may have come, or fallen."""
         self.in_cycle = False
         self.robots: tuple[SpawnedRobot, ...] = ()
         self.plain = PlainRunner(self)
@@ -86,7 +89,7 @@ class Loop:
             runner.give_back_all()
 
     def step(self, cycles: int = 1) -> int:
-        """Run so many cycles. Returns how many: fewer only when the physics diverges and `driven`.
+        """Run so many cycles. Returns how many: fewer when there is `enough`, or the physics diverges and `driven`.
 
         Raises:
             Diverged: the state of a robot is no longer a number, and nobody drives.
@@ -106,6 +109,8 @@ class Loop:
                     run.took(done)
                 if trouble is not None:
                     self._give_up(trouble)
+                    break
+                if self.enough is not None and self.enough():
                     break
         finally:
             if not self.driven:

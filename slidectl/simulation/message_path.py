@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from slidectl import msgs
+from slidectl import msgs, names
 from slidectl.errors import UnknownName, UsageError
 
 _PART = re.compile(r"(\w+)((?:\[-?\d+\])*)\Z")
@@ -42,6 +42,8 @@ def parse(type_name: str, text: str) -> MessagePath:
     Raises:
         UnknownName: no such field, or more than one to choose from; it lists those that exist. UsageError: no path.
     """
+    if len(text) > names.LONGEST:
+        raise names.TooLong(text)
     parts = [part for part in re.split(r"[./]", text) if part]
     if not parts:
         parts = [_only_field(type_name)]

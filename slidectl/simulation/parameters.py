@@ -8,18 +8,24 @@ Semantics of the ROS parameter server, without its silent corners: names are che
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterator, Mapping
 from copy import deepcopy
 from typing import Any, Generic, TypeVar
 
 from slidectl import names
 from slidectl.control.node import MISSING, ParameterChange, ParameterJudge
-from slidectl.errors import UnknownName, UsageError
+from slidectl.errors import UnknownName, UsageError, quoted
 
 Path = tuple[str, ...]
 C = TypeVar("C")
 DEEPEST = 64
 """Levels of namespaces, mappings and lists above a value."""
+
+
+_BLANK = re.compile(r"\s")
+_PLAIN_KEY = re.compile(r"\w{1,100}\Z", re.ASCII)
+_LARGE = 1 << 53
 
 
 class UnknownParameter(UnknownName, KeyError):
@@ -74,14 +80,21 @@ class Parameters:
 
     def __init__(self) -> None:
         self._root: dict[str, Any] = {}
+        self._names: list[str] | None = None
+        """All names in order; None when that must be looked up again."""
         self._watches: Hooks[Callable[[], None]] = Hooks()
         self._guards: Hooks[ParameterJudge] = Hooks()
 
     def get(self, name: str, default: Any = MISSING) -> Any:
         """The value, a dict for a namespace. Raises UnknownParameter (a KeyError too) when unset without default."""
+        found = self.look(name, default)
+        return found if found is default else deepcopy(found)
+
+    def look(self, name: str, default: Any = MISSING) -> Any:
+        """What `get` gives, not copied: for reading at once. Raises as `get`."""
         found = self._find(_path(name))
         if found is not MISSING:
-            return deepcopy(found)
+            return found
         if default is MISSING:
             raise UnknownParameter("parameter", name, self.names())
         return default
@@ -109,6 +122,8 @@ class Parameters:
 
     def _set(self, leaves: list[tuple[Path, Any]], known_only: bool = False) -> None:
         self._judge(leaves, known_only=known_only)
+        if any(_has_names(content) or _has_names(self._find(leaf)) for leaf, content in leaves):
+            self._names = None
         for leaf, content in leaves:
             self._put(leaf, content)
         self._tell([leaf for leaf, _ in leaves])
@@ -123,6 +138,7 @@ class Parameters:
         if self._find(path) is MISSING:
             raise UnknownParameter("parameter", name, self.names())
         self._judge([(path, MISSING)], deletes=True)
+        self._names = None
         if path:
             del self._find(path[:-1])[path[-1]]
             self._prune(path[:-1])
@@ -133,8 +149,16 @@ class Parameters:
     def names(self, namespace: str = "/") -> list[str]:
         """Absolute names of all values below `namespace`, sorted."""
         path = _path(namespace)
+        if not path and self._names is not None:
+            return list(self._names)
         found = self._find(path)
-        return [] if found is MISSING else sorted("/" + "/".join(leaf) for leaf, _ in _leaves(found, path) if leaf)
+        result: list[str] = []
+        if found is not MISSING and (path or found):
+            _collect_names(found, "".join(f"/{part}" for part in path), result)
+            result.sort()
+        if not path:
+            self._names = list(result)
+        return result
 
     def search(self, namespace: str, name: str) -> str | None:
         """`name` in `namespace` or the nearest namespace above that has its first component, else None."""
@@ -240,7 +264,15 @@ def _settable(name: str, value: Any) -> tuple[Path, Any]:
     return path, checked
 
 
+def _has_names(value: Any) -> bool:
+    """True for what is not set or holds parameters of its own: to put it, or to replace it, changes the names."""
+    return value is MISSING or isinstance(value, dict)
+
+
 def _path(name: str) -> Path:
+    """Raises TooLong: names come from anybody, and one of a million parts is not worth to be taken apart."""
+    if len(name) > names.LONGEST:
+        raise names.TooLong(name)
     return tuple(part for part in name.split("/") if part)
 
 
@@ -261,6 +293,14 @@ def _leaves(value: Any, path: Path) -> Iterator[tuple[Path, Any]]:
         yield path, value
 
 
+def _collect_names(value: Any, name: str, result: list[str]) -> None:
+    if isinstance(value, dict) and value:
+        for key, below in value.items():
+            _collect_names(below, f"{name}/{key}", result)
+    else:
+        result.append(name)
+
+
 def _checked(value: Any, where: str, depth: int) -> Any:
     """A copy with keys that hold slashes taken apart, or an error that says where it is wrong."""
     if depth > DEEPEST:
@@ -268,7 +308,7 @@ def _checked(value: Any, where: str, depth: int) -> Any:
     if isinstance(value, dict):
         return _checked_mapping(value, where, depth)
     if isinstance(value, list | tuple):
-        return [_checked(item, f"{where}[{index}]", depth + 1) for index, item in enumerate(value)]
+        return [_checked_item(item, where, index, depth + 1) for index, item in enumerate(value)]
     if isinstance(value, str):
         return _checked_text(value, where)
     if isinstance(value, bool | int | float):
@@ -277,6 +317,16 @@ def _checked(value: Any, where: str, depth: int) -> Any:
     raise UsageError(
         f"parameter {where}: {kind} is no value", "a parameter is a bool, a number, a string, a list or a mapping"
     )
+
+
+def _checked_item(item: Any, where: str, index: int, depth: int) -> Any:
+    return item if _is_plain(item) else _checked(item, f"{where}[{index}]", depth)
+
+
+def _is_plain(value: Any) -> bool:
+    """True for the numbers that are sound at first sight: of these there may be very many."""
+    kind = type(value)
+    return kind is bool or (kind is float and value - value == 0.0) or (kind is int and -_LARGE < value < _LARGE)
 
 
 def _checked_number(value: float, where: str) -> float:
@@ -306,8 +356,11 @@ def _checked_text(text: str, where: str) -> str:
 def _checked_mapping(value: dict[Any, Any], where: str, depth: int) -> dict[str, Any]:
     result: dict[str, Any] = {}
     for key, below in value.items():
-        if not isinstance(key, str) or not _path(key) or any(letter.isspace() for letter in key):
-            raise UsageError(f"parameter {where}: {key!r} cannot be a name", "names are text without blanks")
+        if isinstance(key, str) and _is_plain(below) and _PLAIN_KEY.match(key):
+            result[key] = below
+            continue
+        if not isinstance(key, str) or not _path(key) or _BLANK.search(key):
+            raise UsageError(f"parameter {where}: {quoted(str(key))} cannot be a name", "names are text without blanks")
         _checked_text(key, where)
         *above, last = _path(key)
         content = _checked(below, f"{where.rstrip('/')}/{key.strip('/')}", depth + 1 + len(above))

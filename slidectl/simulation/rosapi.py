@@ -38,6 +38,9 @@ def advertise(graph: Graph) -> None:
 def _topic_services(graph: Graph) -> dict[str, Offer]:
     topics = graph.topics
 
+    def type_of(topic: str) -> str:
+        return topics.type_of(topic) if topics.exists(topic) else ""
+
     def raw_types() -> list[str]:
         return [msgs.definition(kind) for kind in topics.types().values()]
 
@@ -48,7 +51,10 @@ def _topic_services(graph: Graph) -> dict[str, Offer]:
     return {
         "topics": ("Topics", lambda _: listing()),
         "topics_and_raw_types": ("TopicsAndRawTypes", lambda _: {**listing(), "typedefs_full_text": raw_types()}),
-        "topic_type": ("TopicType", lambda request: {"type": topics.types().get(request["topic"], "")}),
+        "topic_type": (
+            "TopicType",
+            lambda request: {"type": type_of(request["topic"])},
+        ),
         "topics_for_type": ("TopicsForType", lambda request: {"topics": _having(topics.types(), request["type"])}),
         "publishers": ("Publishers", lambda request: {"publishers": topics.publishers(request["topic"])}),
         "subscribers": ("Subscribers", lambda request: {"subscribers": topics.subscribers(request["topic"])}),
@@ -57,6 +63,9 @@ def _topic_services(graph: Graph) -> dict[str, Offer]:
 
 def _service_services(graph: Graph) -> dict[str, Offer]:
     services = graph.services
+
+    def type_of(service: str) -> str:
+        return services.type_of(service) if services.exists(service) else ""
 
     def providers(asked: str) -> list[str]:
         """rosapi asks by type; a service's own name is understood too."""
@@ -68,7 +77,10 @@ def _service_services(graph: Graph) -> dict[str, Offer]:
 
     return {
         "services": ("Services", lambda _: {"services": services.names()}),
-        "service_type": ("ServiceType", lambda request: {"type": services.types().get(request["service"], "")}),
+        "service_type": (
+            "ServiceType",
+            lambda request: {"type": type_of(request["service"])},
+        ),
         "services_for_type": (
             "ServicesForType",
             lambda request: {"services": _having(services.types(), request["type"])},
@@ -84,9 +96,9 @@ def _node_services(graph: Graph) -> dict[str, Offer]:
 
     def details(node: str) -> Message:
         return {
-            "subscribing": [name for name in topics.names() if node in topics.subscribers(name)],
-            "publishing": [name for name in topics.names() if node in topics.publishers(name)],
-            "services": [name for name in services.names() if services.node_of(name) == node],
+            "subscribing": topics.subscribed_by(node),
+            "publishing": topics.published_by(node),
+            "services": services.provided_by(node),
         }
 
     return {

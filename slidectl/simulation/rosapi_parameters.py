@@ -11,8 +11,14 @@ from typing import Any
 
 from slidectl import names
 from slidectl.control.node import MISSING, Message
-from slidectl.errors import BadMessage
+from slidectl.errors import BadMessage, Refused, quoted
 from slidectl.simulation.parameters import Parameters
+
+_LONGEST = 8 * 1024 * 1024
+"""Characters of a value: what is written twice as JSON must not take longer than a world can be held up."""
+_LEAST = 80
+"""What a single value counts: a hundred thousand of them take as long to write as a text of that length."""
+_MOST_VALUES = 100_000
 
 
 def parameter_services(parameters: Parameters) -> dict[str, tuple[str, Callable[[Message], Message]]]:
@@ -20,7 +26,9 @@ def parameter_services(parameters: Parameters) -> dict[str, tuple[str, Callable[
 
     def get(request: Message) -> Message:
         default = _text_or_json(request["default"]) if request["default"] else MISSING
-        return {"value": json.dumps(parameters.get(absolute(request["name"]), default))}
+        value = parameters.look(absolute(request["name"]), default)
+        _check_size(value, request["name"])
+        return {"value": json.dumps(value)}
 
     def put(request: Message) -> Message:
         parameters.set(absolute(request["name"]), from_json(request["value"]))
@@ -43,6 +51,23 @@ def parameter_services(parameters: Parameters) -> dict[str, tuple[str, Callable[
     }
 
 
+def _check_size(value: Any, name: str) -> None:
+    """Raises Refused for what would take long to be written, and no line can hold."""
+    left, rest = _LONGEST, [value]
+    while rest and left > 0:
+        here = rest.pop()
+        if isinstance(here, dict):
+            rest += here.values()
+            left -= sum(map(len, here))
+        elif isinstance(here, list):
+            if len(here) * _LEAST > left:
+                left = 0
+            rest += here
+        left -= len(here) if isinstance(here, str) else _LEAST
+    if left <= 0:
+        raise Refused(f"the value of {quoted(name)} is too large for an answer", "ask for a part of it")
+
+
 def absolute(name: str) -> str:
     """The name of a request: relative ones stand in the root."""
     return names.join("/", name.rstrip("/") or "/")
@@ -50,6 +75,10 @@ def absolute(name: str) -> str:
 
 def from_json(text: str) -> Any:
     """The value of a request. Raises BadMessage."""
+    if len(text) > _LONGEST:
+        raise BadMessage(f"a value of {len(text)} characters, and {_LONGEST} is the most", "value")
+    if text.count(",") + text.count("[") + text.count("{") > _MOST_VALUES:
+        raise BadMessage(f"a value of more than {_MOST_VALUES} parts", "value", "set parts of it one after the other")
     try:
         return json.loads(text)
     except (ValueError, RecursionError) as error:

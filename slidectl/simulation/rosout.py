@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from slidectl.control.node import Reasons
+from slidectl.errors import cut
 from slidectl.simulation.clock import stamp
 from slidectl.simulation.topics import NodePublisher, Topics
 
@@ -34,6 +35,7 @@ class Rosout:
     def __call__(self, severity: str, node: str, text: str) -> None:
         """One line; `severity` is a key of LEVELS."""
         level = LEVELS[severity]
+        text = cut(text)  # what a client sent may be part of it
         if self.reasons is not None and level >= LEVELS["warn"] and len(self.reasons) < MOST_REASONS:
             self.reasons.append(text)
         now = self._now_ns()

@@ -16,11 +16,16 @@ CHECK_EVERY = 256
 """Cycles between two looks at whether the physics has diverged; counted from time 0, however stepping is cut."""
 
 
+_LOOK_MASK = 7
+"""The interpreter looks after so many cycles, and one more, whether there is `enough`."""
+
+
 class Runner(Protocol):
     """Runs cycles: the clock advances, every robot has its part, the physics makes its step, timers fire."""
 
     def run(self, count: int) -> int:
-        """At most `count` cycles, up to and with the first after which a timer is due, or the physics is to be checked.
+        """At most `count` cycles, up to and with the first after which a timer is due, the physics is to be checked, or
+        the driver says that there is enough.
 
         Returns how many. Raises EngineError: MuJoCo cannot go on.
         """
@@ -60,12 +65,12 @@ class PlainRunner:
     def run(self, count: int) -> int:
         loop, world, robots = self._loop, self._loop.world, self._cycles
         clock, timers, clock_topic, step_ns = loop.graph.clock, loop.graph.timers, loop.graph.clock_topic, loop.step_ns
-        clock_publisher = clock_topic.publisher
+        clock_publisher, enough = clock_topic.publisher, loop.enough
         time_ns = clock.time_ns
         done = 0
         loop.in_cycle = True
         try:
-            for done in range(1, min(count, CHECK_EVERY - clock.cycles % CHECK_EVERY) + 1):  # noqa: B007
+            for done in range(1, min(count, CHECK_EVERY - clock.cycles % CHECK_EVERY) + 1):
                 time_ns += step_ns
                 clock.time_ns = time_ns
                 if clock_publisher.wanted:
@@ -73,7 +78,7 @@ class PlainRunner:
                 for robot in robots:
                     robot(time_ns)
                 world.step()
-                if time_ns >= timers.next_ns:
+                if time_ns >= timers.next_ns or (enough is not None and not done & _LOOK_MASK and enough()):
                     break
         finally:
             loop.in_cycle = False

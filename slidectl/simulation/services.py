@@ -50,6 +50,9 @@ class Services:
 
     def __init__(self) -> None:
         self._services: dict[str, Service] = {}
+        self._names: list[str] | None = []
+        """All names in order; None when that must be looked up again."""
+        self._by_node: dict[str, dict[Service, None]] = {}
 
     def advertise(self, name: str, type_name: str, node: str, handler: Handler) -> Service:
         """Provide a service. The handler raises SlidectlError to fail a call, or gives a Pending to answer later.
@@ -61,6 +64,8 @@ class Services:
         if name in self._services:
             raise Refused(f"service {name} is already provided by {self._services[name].node}")
         service = self._services[name] = Service(name, type_name, node, handler, self._forget)
+        self._by_node.setdefault(node, {})[service] = None
+        self._names = None
         return service
 
     def call(self, name: str, request: Any = None) -> Pending:
@@ -79,7 +84,9 @@ class Services:
 
     def names(self) -> list[str]:
         """All services, sorted."""
-        return sorted(self._services)
+        if self._names is None:
+            self._names = sorted(self._services)
+        return list(self._names)
 
     def exists(self, name: str) -> bool:
         """True when somebody provides it."""
@@ -87,7 +94,7 @@ class Services:
 
     def types(self) -> dict[str, str]:
         """Type of each service, in the order of the names."""
-        return {name: self._services[name].type for name in sorted(self._services)}
+        return {name: self._services[name].type for name in self.names()}
 
     def type_of(self, name: str) -> str:
         """Raises UnknownName when nobody provides it."""
@@ -99,11 +106,15 @@ class Services:
 
     def nodes(self) -> set[str]:
         """Names of all providers."""
-        return {service.node for service in self._services.values()}
+        return set(self._by_node)
+
+    def provided_by(self, node: str) -> list[str]:
+        """Names of the services of the node, sorted."""
+        return sorted(service.name for service in self._by_node.get(node, ()))
 
     def close_node(self, node: str) -> None:
         """A node has gone: its services go too."""
-        for service in [s for s in self._services.values() if s.node == node]:
+        for service in list(self._by_node.get(node, ())):
             service.close()
 
     def _known(self, name: str) -> Service:
@@ -114,6 +125,11 @@ class Services:
     def _forget(self, service: Service) -> None:
         if self._services.get(service.name) is service:
             del self._services[service.name]
+            self._names = None
+            of_node = self._by_node[service.node]
+            del of_node[service]
+            if not of_node:
+                del self._by_node[service.node]
 
 
 def _follow(service: Service, inner: Pending) -> Pending:

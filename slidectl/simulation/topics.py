@@ -30,10 +30,10 @@ class TopicPublisher:
 
     first: ClassVar[int] = 1
     """`header.seq` of the first message, as rospy has it (rostopic pub)."""
-    __slots__ = ("_on_close", "_topic", "last", "latch", "node", "sequence", "wanted")
+    __slots__ = ("_on_close", "last", "latch", "node", "sequence", "topic", "wanted")
 
     def __init__(self, topic: Topic, node: str, latch: bool, on_close: Callable[[TopicPublisher], None]) -> None:
-        self._topic = topic
+        self.topic = topic
         self._on_close = on_close
         self.node = node
         self.latch = latch
@@ -47,13 +47,13 @@ class TopicPublisher:
         Raises:
             SlidectlError: what the first subscriber said that refused it; all of them have been asked.
         """
-        if self._topic.has_header:
+        if self.topic.has_header:
             message["header"]["seq"] = self.sequence
             self.sequence += 1
         if self.latch:
             self.last = message
         refusal: SlidectlError | None = None
-        for callback in self._topic.callbacks:
+        for callback in self.topic.callbacks:
             try:
                 callback(message)
             except SlidectlError as error:
@@ -97,6 +97,11 @@ class Subscription:
         self.callback = callback
         self._on_close = on_close
 
+    def redirect(self, callback: MessageCallback) -> None:
+        """Call back another one from now on."""
+        self.callback = callback
+        self.topic.update()
+
     def close(self) -> None:
         """No message is delivered any more."""
         self._on_close(self)
@@ -105,7 +110,7 @@ class Subscription:
 class Topic:
     """A name, its type, and those who use it. `callbacks` is a tuple: it may be replaced during a delivery."""
 
-    __slots__ = ("callbacks", "has_header", "is_inside", "name", "publishers", "subscriptions", "type")
+    __slots__ = ("callbacks", "has_header", "name", "publishers", "subscriptions", "type")
 
     def __init__(self, name: str, type_name: str) -> None:
         self.name = name
@@ -113,8 +118,6 @@ class Topic:
         self.publishers: list[TopicPublisher] = []
         self.subscriptions: list[Subscription] = []
         self.callbacks: tuple[MessageCallback, ...] = ()
-        self.is_inside = True
-        """No client publishes it."""
         first = msgs.fields(type_name)[:1]
         self.has_header = any(field.name == "header" and field.type == "std_msgs/Header" for field in first)
 
@@ -128,8 +131,8 @@ class Topic:
 
     def update(self) -> None:
         """After somebody came or went."""
-        self.callbacks = tuple(subscription.callback for subscription in self.subscriptions)
-        self.is_inside = all(isinstance(publisher, NodePublisher) for publisher in self.publishers)
+        # A callback that many subscriptions have in common is called once for all of them.
+        self.callbacks = tuple(dict.fromkeys(subscription.callback for subscription in self.subscriptions))
         for publisher in self.publishers:
             publisher.wanted = publisher.latch or bool(self.callbacks)
 
@@ -139,6 +142,10 @@ class Topics:
 
     def __init__(self) -> None:
         self._topics: dict[str, Topic] = {}
+        self._names: list[str] | None = []
+        """All names in order; None when that must be looked up again."""
+        # By node: one that goes must not cost a look at all topics, of which a client may have made many.
+        self._users: dict[str, dict[TopicPublisher | Subscription, None]] = {}
         self.changes = 0
         """How often a publisher or a subscriber came or went: while it stays, so does `wanted` of every publisher."""
 
@@ -158,11 +165,22 @@ class Topics:
         entry = self._entry(topic, type_name)
         publisher = kind(entry, node, latch, self._forget_publisher)
         entry.publishers.append(publisher)
+        self._users.setdefault(node, {})[publisher] = None
         self._update(entry)
         return publisher
 
-    def subscribe(self, topic: str, type_name: str | None, node: str, callback: MessageCallback) -> Subscription:
+    def subscribe(
+        self,
+        topic: str,
+        type_name: str | None,
+        node: str,
+        callback: MessageCallback,
+        latched: MessageCallback | None = None,
+    ) -> Subscription:
         """Call back for each message; latched ones at once. Without a type the topic must exist already.
+
+        Subscriptions may have a callback in common, which is called once for each message; then `latched` is what takes
+        the messages that were latched before, for this subscription alone.
 
         Raises:
             BadName, TypeConflict. UnknownName: no such topic or message type.
@@ -170,12 +188,13 @@ class Topics:
         entry = self._entry(topic, type_name or self.type_of(topic))
         subscription = Subscription(entry, node, callback, self._forget_subscription)
         entry.subscriptions.append(subscription)
+        self._users.setdefault(node, {})[subscription] = None
         self._update(entry)
         for publisher in tuple(entry.publishers):
             message = publisher.for_newcomer()
             if message is not None:
                 with suppress(SlidectlError):  # who published it is not there to hear a refusal
-                    callback(message)
+                    (latched or callback)(message)
         return subscription
 
     def publish(self, topic: str, type_name: str | None, message: Any, node: str) -> None:
@@ -193,11 +212,13 @@ class Topics:
 
     def names(self) -> list[str]:
         """All topics, sorted."""
-        return sorted(self._topics)
+        if self._names is None:
+            self._names = sorted(self._topics)
+        return list(self._names)
 
     def types(self) -> dict[str, str]:
         """Type of each topic, in the order of the names."""
-        return {name: self._topics[name].type for name in sorted(self._topics)}
+        return {name: self._topics[name].type for name in self.names()}
 
     def exists(self, topic: str) -> bool:
         """True when somebody publishes or subscribes it."""
@@ -217,13 +238,20 @@ class Topics:
 
     def nodes(self) -> set[str]:
         """Names of all nodes that publish or subscribe something."""
-        return {node for topic in self._topics.values() for node in topic.nodes()}
+        return set(self._users)
+
+    def published_by(self, node: str) -> list[str]:
+        """Names of the topics that the node publishes, sorted."""
+        return sorted({user.topic.name for user in self._users.get(node, ()) if isinstance(user, TopicPublisher)})
+
+    def subscribed_by(self, node: str) -> list[str]:
+        """Names of the topics that the node subscribes, sorted."""
+        return sorted({user.topic.name for user in self._users.get(node, ()) if isinstance(user, Subscription)})
 
     def close_node(self, node: str) -> None:
         """A node has gone: all its publishers and subscriptions go too."""
-        for topic in list(self._topics.values()):
-            for user in [user for user in topic.users() if user.node == node]:
-                user.close()
+        for user in list(self._users.get(node, ())):
+            user.close()
 
     def _known(self, topic: str) -> Topic:
         if topic not in self._topics:
@@ -244,19 +272,28 @@ class Topics:
         self._agrees(topic, type_name)
         if topic not in self._topics:
             self._topics[names.check_absolute(topic, "topic")] = Topic(topic, type_name)
+            self._names = None
         return self._topics[topic]
 
     def _forget_publisher(self, publisher: TopicPublisher) -> None:
-        topic = publisher._topic
-        if publisher in topic.publishers:
-            topic.publishers.remove(publisher)
-            self._tidy(topic)
+        if self._has_gone(publisher):
+            publisher.topic.publishers.remove(publisher)
+            self._tidy(publisher.topic)
 
     def _forget_subscription(self, subscription: Subscription) -> None:
-        topic = subscription.topic
-        if subscription in topic.subscriptions:
-            topic.subscriptions.remove(subscription)
-            self._tidy(topic)
+        if self._has_gone(subscription):
+            subscription.topic.subscriptions.remove(subscription)
+            self._tidy(subscription.topic)
+
+    def _has_gone(self, user: TopicPublisher | Subscription) -> bool:
+        """Take it from those of its node. False when that has been done before."""
+        users = self._users.get(user.node, {})
+        if user not in users:
+            return False
+        del users[user]
+        if not users:
+            del self._users[user.node]
+        return True
 
     def _update(self, topic: Topic) -> None:
         self.changes += 1
@@ -266,6 +303,7 @@ class Topics:
         self._update(topic)
         if not topic.publishers and not topic.subscriptions:
             self._topics.pop(topic.name, None)
+            self._names = None
 
 
 def _distinct(nodes: list[str]) -> list[str]:

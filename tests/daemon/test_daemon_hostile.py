@@ -7,10 +7,14 @@ import os
 import random
 import resource
 import select
+import signal
 import socket
 import struct
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from daemon_fixture import Runtime
@@ -257,6 +261,76 @@ def test_a_subscriber_that_does_not_read_keeps_the_newest_and_holds_up_nobody(co
     assert received + dropped == 20_000
 
 
+def test_fifty_readers_that_stop_cost_no_memory_of_their_own_and_the_others_nothing(
+    daemon: Runtime, connect: Connect
+) -> None:
+    topics = ("/clock", "/gazebo/model_states", "/gazebo/link_states")
+    sleepers, reader, driver = [connect() for _ in range(50)], connect(), connect()
+    for each in (*sleepers, reader):
+        for topic in topics:
+            each.send(op="subscribe", topic=topic, queue_length=1000 if each is reader else 100)
+        each.call("/rosapi/get_time")
+    assert daemon.pid is not None
+    driver.call("/slidectl/step", cycles=1500)
+    before = resident_bytes(daemon.pid)
+    received = read_clocks(reader, driver.call("/rosapi/get_time")["values"]["time"])
+    for _ in range(4):
+        driver.call("/slidectl/step", cycles=500)
+        received += read_clocks(reader, driver.call("/rosapi/get_time")["values"]["time"])
+    assert resident_bytes(daemon.pid) - before < 8 * 2**20
+    times = [message["msg"]["clock"] for message in received if message.get("topic") == "/clock"]
+    assert len(times) == len({(time["secs"], time["nsecs"]) for time in times}) == 3_500
+    assert not any("dropped" in message for message in received)
+    for sleeper in sleepers:
+        late = read_clocks(sleeper, driver.call("/rosapi/get_time")["values"]["time"])
+        told = sum(message["dropped"] for message in late if message.get("dropped") and message["topic"] == "/clock")
+        assert told > 0
+        assert told + sum(message["op"] == "publish" and message["topic"] == "/clock" for message in late) == 3_500
+
+
+def read_clocks(wire: Wire, end: dict[str, int]) -> list[dict[str, Any]]:
+    """All that comes up to the clock's message of this time."""
+    messages = [wire.receive()]
+    while messages[-1].get("topic") != "/clock" or messages[-1].get("msg") != {"clock": end}:
+        messages.append(wire.receive())
+    return messages
+
+
+def test_a_reader_may_change_its_throttle_and_loses_nothing_of_what_was_sent_before(connect: Connect) -> None:
+    reader, writer = connect(), connect()
+    writer.send(op="advertise", topic="/counted", type="std_msgs/Int32")
+    writer.call("/rosapi/get_time")
+
+    def publish(*numbers: int) -> None:
+        for number in numbers:
+            writer.send(op="publish", topic="/counted", msg={"data": number})
+        writer.call("/rosapi/get_time")
+
+    reader.send(op="subscribe", id="all", topic="/counted")
+    reader.send(op="subscribe", id="some", topic="/counted", throttle_rate=1_000_000)
+    reader.call("/rosapi/get_time")
+    publish(1, 2, 3)
+    reader.send(op="unsubscribe", id="all", topic="/counted")
+    reader.send(op="call_service", id="throttled", service="/rosapi/get_time")
+    messages = read_until_answer(reader, "throttled")
+    publish(4, 5, 6)
+    reader.send(op="subscribe", id="all", topic="/counted")
+    reader.send(op="call_service", id="end", service="/rosapi/get_time")
+    messages += read_until_answer(reader, "end")
+    publish(7, 8)
+    messages += [reader.receive(), reader.receive()]
+    numbers = [message["msg"]["data"] for message in messages if message["op"] == "publish"]
+    assert numbers == [1, 2, 3, 4, 7, 8]
+
+
+def read_until_answer(wire: Wire, call_id: str) -> list[dict[str, Any]]:
+    """All that comes before the answer."""
+    messages = []
+    while (message := wire.receive()).get("id") != call_id:
+        messages.append(message)
+    return messages
+
+
 def test_a_client_that_asks_and_does_not_read_is_not_listened_to_until_it_does(
     daemon: Runtime, connect: Connect
 ) -> None:
@@ -268,6 +342,106 @@ def test_a_client_that_asks_and_does_not_read_is_not_listened_to_until_it_does(
     greedy.socket.setblocking(True)
     answers = [greedy.receive() for _ in range(asked // len(question))]
     assert all(answer["result"] is True for answer in answers)
+
+
+def test_answers_that_are_not_read_are_bounded_by_one_beyond_the_bound(daemon: Runtime, connect: Connect) -> None:
+    greedy, modest = connect(), connect()
+    text = "x" * 4_000_000
+    assert modest.call("/rosapi/set_param", name="/large", value=json.dumps(text))["result"]
+    assert daemon.pid is not None
+    before = resident_bytes(daemon.pid)
+    for number in range(200):
+        greedy.send(op="call_service", id=number, service="/rosapi/get_param", args={"name": "/large"})
+        greedy.send(op="publish", topic="/nobody/knows", msg={})
+    for _ in range(10):
+        assert modest.call("/rosapi/get_time")["result"] is True
+    assert resident_bytes(daemon.pid) - before < 60 * 2**20
+    for number in range(200):
+        assert len(greedy.receive()["values"]["value"]) == len(text) + 2
+        assert greedy.receive()["level"] == "error"
+    assert modest.call("/rosapi/delete_param", name="/large")["result"]
+
+
+def test_one_that_leaves_without_its_answers_leaves_nothing(daemon: Runtime, connect: Connect) -> None:
+    modest = connect()
+    assert modest.call("/rosapi/set_param", name="/large", value=json.dumps("x" * 4_000_000))["result"]
+    for _ in range(20):
+        greedy = connect()
+        for number in range(50):
+            greedy.send(op="call_service", id=number, service="/rosapi/get_param", args={"name": "/large"})
+        greedy.close()
+    assert modest.call("/rosapi/delete_param", name="/large")["result"]
+    while modest.call("/slidectl/status")["values"]["connections"] > 1:
+        pass
+
+
+def test_late_answers_to_one_who_does_not_read_are_given_up_and_told(daemon: Runtime, connect: Connect) -> None:
+    provider, greedy = connect(), connect()
+    provider.send(op="advertise_service", service="/large", type="rosapi/GetParam")
+    provider.call("/rosapi/get_time")
+    for number in range(50):
+        greedy.send(op="call_service", id=number, service="/large", args={})
+    calls = [provider.until("call_service") for _ in range(50)]
+    assert daemon.pid is not None
+    before = resident_bytes(daemon.pid)
+    for call in calls:
+        provider.send(op="service_response", id=call["id"], service="/large", values={"value": "x" * 4_000_000})
+    provider.call("/rosapi/get_time")
+    assert resident_bytes(daemon.pid) - before < 80 * 2**20
+    answers = [greedy.receive() for _ in range(50)]
+    assert [answer["id"] for answer in answers] == list(range(50))
+    lost = [answer for answer in answers if not answer["result"]]
+    assert 0 < len(lost) < 50
+    assert all("does not read its answers" in answer["values"] for answer in lost)
+
+
+def test_one_that_says_no_more_still_gets_its_answers_and_messages(connect: Connect) -> None:
+    half, driver = connect(), connect()
+    half.send(op="subscribe", topic="/clock")
+    half.send(op="call_service", id="a", service="/rosapi/get_time")
+    half.socket.shutdown(socket.SHUT_WR)
+    assert half.until("service_response", id="a")["result"] is True
+    driver.call("/slidectl/step", cycles=3)
+    assert [half.until("publish")["topic"] for _ in range(3)] == ["/clock"] * 3
+
+
+def test_one_that_reads_no_more_is_let_go_and_what_it_said_is_done(connect: Connect) -> None:
+    listener, deaf = connect(), connect()
+    listener.send(op="subscribe", topic="/last", type="std_msgs/Int32")
+    listener.call("/rosapi/get_time")
+    deaf.socket.shutdown(socket.SHUT_RD)
+    for number in range(100):
+        deaf.send(op="publish", topic="/last", msg={"data": number})
+    assert [listener.receive()["msg"]["data"] for _ in range(100)] == list(range(100))
+    deaf.close()
+
+
+def test_a_client_that_is_stopped_holds_up_nobody_and_goes_on_where_it_was(daemon: Runtime, connect: Connect) -> None:
+    script = (
+        "import sys\nfrom slidectl.client import Client\nclient = Client(socket=sys.argv[1], timeout=60)\n"
+        "subscription = client.subscribe('/clock')\nprint('subscribed', flush=True)\nsys.stdin.readline()\n"
+        "number = sum(1 for _ in zip(range(2000 - 1), iter(subscription))) + 1 + subscription.dropped\n"
+        "print('answered', client.call('/rosapi/get_time')['time']['secs'] >= 0, flush=True)\n"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", script, str(daemon.paths.socket)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env=daemon.env,
+    ) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        assert process.stdout.readline() == "subscribed\n"
+        process.send_signal(signal.SIGSTOP)
+        driver = connect()
+        for _ in range(5):
+            assert driver.call("/slidectl/step", cycles=2000)["values"]["success"] is True
+        process.send_signal(signal.SIGCONT)
+        process.stdin.write("\n")
+        process.stdin.flush()
+        driver.call("/slidectl/step", cycles=2000)
+        assert process.stdout.readline() == "answered True\n"
 
 
 def send_until_not_listened_to(greedy: Wire, question: bytes, modest: Wire) -> int:

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import ast
+import json
 import os
+import resource
 import select
+import shutil
 import signal
 import socket
 import subprocess
 import sys
+import tempfile
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from unittest import mock
 
 import pytest
 from daemon_fixture import Runtime
@@ -330,3 +336,130 @@ def test_a_log_that_cannot_be_written_harms_nobody(runtime: Runtime) -> None:
     with runtime.client() as client:
         assert client.call("/slidectl/step", {"cycles": 10})["success"]
     assert runtime.stop() is not None
+
+
+def wait_until_found(runtime: Runtime, pid: int) -> None:
+    """Until the daemon of this process can be found again."""
+    end = time.monotonic() + LIMIT_S
+    while runtime.pid != pid or not runtime.paths.socket.exists():
+        assert time.monotonic() < end, "the daemon does not mend its place"
+        select.select([], [], [], 0.02)
+
+
+@pytest.mark.parametrize("gone", ["lock", "socket", "instance", "slidectl"])
+def test_a_daemon_whose_files_are_deleted_makes_them_again_and_says_so(runtime: Runtime, gone: str) -> None:
+    pid, _ = runtime.start(paused=True)
+    with runtime.client() as before:
+        folder = runtime.paths.folder
+        if gone in ("lock", "socket"):
+            (folder / gone).unlink()
+        else:
+            shutil.rmtree(folder if gone == "instance" else folder.parent)
+        wait_until_found(runtime, pid)
+        assert before.call("/slidectl/status")["pid"] == pid
+    with runtime.client() as client:
+        assert client.call("/slidectl/status")["pid"] == pid
+    assert "somebody deleted its " in runtime.log
+    assert runtime.start() == (pid, True)
+    assert runtime.stop() == pid
+    assert [file.name for file in runtime.paths.folder.iterdir()] == ["log"]
+
+
+def test_a_daemon_whose_place_another_has_taken_ends_and_leaves_it_its_files(runtime: Runtime) -> None:
+    first, _ = runtime.start(paused=True)
+    os.kill(first, signal.SIGSTOP)
+    runtime.paths.lock.unlink()
+    runtime.paths.socket.unlink()
+    second, already = runtime.start(paused=True)
+    assert not already
+    os.kill(first, signal.SIGCONT)
+    wait_for_end(first)
+    assert f"another daemon (process {second}) has taken this place" in runtime.log
+    with runtime.client() as client:
+        assert client.call("/slidectl/status")["pid"] == second
+    assert runtime.stop() == second
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can make another user's link")
+def test_a_runtime_folder_that_is_another_users_link_is_not_entered(tmp_path: Path) -> None:
+    ours = tmp_path / "ours"
+    ours.mkdir(mode=0o700)
+    link = tmp_path / f"slidectl-{os.getuid()}"
+    link.symlink_to(ours)
+    os.lchown(link, 65534, 65534)
+    environment = {key: value for key, value in os.environ.items() if key != "XDG_RUNTIME_DIR"}
+    with (
+        mock.patch.dict(os.environ, environment | {"TMPDIR": str(tmp_path)}, clear=True),
+        pytest.raises(Refused, match=r"is a symbolic link of another user \(uid 65534\)"),
+    ):
+        lifecycle.start(paths.instance())
+    assert list(ours.iterdir()) == []
+
+
+def slidectl(runtime: Runtime, *words: bytes | str, **env: str) -> subprocess.CompletedProcess[bytes]:
+    return subprocess.run(
+        [sys.executable, "-m", "slidectl", *words], env=runtime.env | env, capture_output=True, timeout=60, check=False
+    )
+
+
+def test_commands_work_in_a_folder_whose_name_is_no_utf8_and_a_locale_that_knows_ascii() -> None:
+    folder = tempfile.mkdtemp(prefix=os.fsdecode(b"slidectl-\xff"), dir="/tmp")
+    runtime = Runtime(Path(folder))
+    ascii_only = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    try:
+        for env in ({}, {"LC_ALL": "C"}, ascii_only):
+            for words in (["daemon", "start"], ["daemon", "status"], ["param", "set", "/x", "é".encode()]):
+                done = slidectl(runtime, *words, **env)
+                assert done.returncode == 0, (words, env, done)
+            assert b"\\xff" in slidectl(runtime, "daemon", "status", "--json", **env).stdout
+            with runtime.client() as client:
+                assert client.call("/rosapi/get_param", {"name": "/x"})["value"] == json.dumps("é")
+            assert slidectl(runtime, "daemon", "stop", **env).returncode == 0
+    finally:
+        runtime.remove()
+
+
+@pytest.mark.parametrize("limit", [6, 7, 8, 9, 12, 16, 20])
+def test_a_daemon_that_may_open_few_files_is_not_started_and_says_why(runtime: Runtime, limit: int) -> None:
+    script = f"ulimit -n {limit}; exec {sys.executable} -m slidectl daemon start"
+    done = subprocess.run(
+        ["sh", "-c", script], env=runtime.env, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 1
+    assert "Traceback" not in done.stdout + done.stderr
+    assert "raise it: ulimit -n 1024" in done.stderr
+    assert runtime.pid is None
+
+
+@pytest.mark.parametrize("limit", [7, 9, 12])
+def test_a_command_that_may_open_few_files_works_or_says_why(runtime: Runtime, limit: int) -> None:
+    runtime.start(paused=True)
+    script = f"ulimit -n {limit}; exec {sys.executable} -m slidectl topic list"
+    done = subprocess.run(
+        ["sh", "-c", script], env=runtime.env, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert "Traceback" not in done.stderr
+    assert done.returncode == 0 or "raise it: ulimit -n 1024" in done.stderr
+
+
+def test_a_daemon_without_file_descriptors_waits_for_one_and_does_not_spin(runtime: Runtime) -> None:
+    pid, _ = runtime.start(paused=True)
+    clients = [runtime.client()]
+    used = len(os.listdir(f"/proc/{pid}/fd"))
+    _, hard = resource.prlimit(pid, resource.RLIMIT_NOFILE)
+    resource.prlimit(pid, resource.RLIMIT_NOFILE, (used, hard))
+    waiting = socket.socket(socket.AF_UNIX)
+    with clients[0] as client, waiting:
+        waiting.connect(str(runtime.paths.socket))
+        turns = client.call("/slidectl/status")["pid"]
+        assert turns == pid
+        before = Path(f"/proc/{pid}/stat").read_text().split()[13:15]
+        for _ in range(3):
+            select.select([waiting], [], [], 0.1)
+        after = Path(f"/proc/{pid}/stat").read_text().split()[13:15]
+        assert sum(map(int, after)) - sum(map(int, before)) < 15  # hundredths of a second; a loop that spins takes 30
+        resource.prlimit(pid, resource.RLIMIT_NOFILE, (1024, hard))
+        waiting.sendall(b'{"op": "call_service", "service": "/rosapi/get_time"}\n')
+        waiting.settimeout(LIMIT_S)
+        assert b"service_response" in waiting.recv(65536)
+    assert runtime.log.count("cannot accept") == 1

@@ -3,134 +3,183 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slidectl.daemon.outbox import MOST_BYTES, Outbox, Share
+from slidectl.daemon.feed import MOST_BYTES_IN_ALL, Publications
+from slidectl.daemon.outbox import MOST_BYTES, Channel, Outbox, Share, Tally
 
 
-def report(share: Share) -> bytes:
-    return b"<%d of %s>" % (share.dropped, share.topic.encode())
+def report(topic: str, dropped: int) -> bytes:
+    return b"<%d of %s>" % (dropped, topic.encode())
 
 
-def test_lines_leave_in_the_order_in_which_they_came() -> None:
-    outbox, share = Outbox(report), Share("t", 10)
-    outbox.put(b"1")
-    outbox.put_in(share, b"2")
-    outbox.put(b"3")
-    assert outbox.take(100) == b"123"
-    assert not outbox
+class Desk:
+    """One client's outbox, and topics that it reads."""
+
+    def __init__(self, tally: Tally | None = None) -> None:
+        self.tally = tally or Tally()
+        self.outbox = Outbox(report, self.tally)
+
+    def channel(self, topic: str, limit: int) -> Channel:
+        """A topic with this client as its reader."""
+        channel = Channel(topic, self.tally)
+        self.read(channel, limit)
+        return channel
+
+    def read(self, channel: Channel, limit: int) -> Share:
+        share = channel.readers[self] = Share(channel, limit)
+        self.outbox.join(share)
+        return share
 
 
-def test_a_piece_is_no_larger_than_asked_by_more_than_a_line() -> None:
-    outbox = Outbox(report)
-    for _ in range(5):
-        outbox.put(b"abc")
-    assert (outbox.take(4), outbox.take(1), outbox.take(100)) == (b"abcabc", b"abc", b"abcabc")
+@pytest.fixture
+def desk() -> Desk:
+    return Desk()
 
 
-def test_a_full_share_keeps_its_newest_and_reports_once_where_the_gap_is() -> None:
-    outbox, share = Outbox(report), Share("t", 2)
-    outbox.put(b"answer")
+def test_lines_leave_in_the_order_in_which_they_came(desk: Desk) -> None:
+    channel = desk.channel("t", 10)
+    desk.outbox.put(b"1")
+    channel.put(b"2")
+    desk.outbox.put(b"3")
+    assert desk.outbox.take(100) == b"123"
+    assert not desk.outbox
+
+
+def test_a_piece_is_no_larger_than_asked_by_more_than_a_line(desk: Desk) -> None:
+    channel = desk.channel("t", 10)
+    for line in (desk.outbox.put, channel.put, desk.outbox.put, channel.put, channel.put):
+        line(b"abc")
+    assert [desk.outbox.take(most) for most in (4, 1, 100)] == [b"abcabc", b"abc", b"abcabc"]
+
+
+def test_a_reader_who_is_behind_gets_the_newest_and_one_report_where_the_gap_is(desk: Desk) -> None:
+    channel = desk.channel("t", 2)
+    desk.outbox.put(b"answer")
     for number in range(5):
-        outbox.put_in(share, b"%d" % number)
-    outbox.put(b"end")
-    assert outbox.take(100) == b"answer<3 of t>34end"
-    outbox.put_in(share, b"5")
-    assert outbox.take(100) == b"5"
+        channel.put(b"%d" % number)
+    desk.outbox.put(b"end")
+    assert desk.outbox.take(100) == b"answer<3 of t>34end"
+    channel.put(b"5")
+    assert desk.outbox.take(100) == b"5"
 
 
-def test_shares_do_not_take_room_from_each_other() -> None:
-    outbox, small, large = Outbox(report), Share("small", 1), Share("large", 3)
+def test_topics_do_not_take_room_from_each_other(desk: Desk) -> None:
+    small, large = desk.channel("small", 1), desk.channel("large", 3)
     for number in range(3):
-        outbox.put_in(small, b"s%d" % number)
-        outbox.put_in(large, b"l%d" % number)
-    assert outbox.take(100) == b"l0l1<2 of small>s2l2"
+        small.put(b"s%d" % number)
+        large.put(b"l%d" % number)
+    assert desk.outbox.take(100) == b"l0l1<2 of small>s2l2"
 
 
-def test_large_messages_are_bounded_by_their_bytes_and_the_newest_is_kept() -> None:
-    outbox, share = Outbox(report), Share("t", 1000)
+def test_large_messages_are_bounded_by_their_bytes_and_the_newest_is_kept(desk: Desk) -> None:
+    channel = desk.channel("t", 1000)
     for _ in range(5):
-        outbox.put_in(share, b"x" * (MOST_BYTES // 2))
-    outbox.put_in(share, b"y" * (MOST_BYTES + 1))
-    assert (len(share.lines), share.dropped) == (1, 5)
-    assert outbox.take(1) == b"<5 of t>" + b"y" * (MOST_BYTES + 1)
+        channel.put(b"x" * (MOST_BYTES // 2))
+    channel.put(b"y" * (MOST_BYTES + 1))
+    assert channel.size == desk.tally.kept == MOST_BYTES + 1
+    assert desk.outbox.take(1) == b"<5 of t>" + b"y" * (MOST_BYTES + 1)
 
 
-class Lines:
-    """Makes lines, and counts how many were made."""
-
-    def __init__(self, length: int = 4) -> None:
-        self.length = length
-        self.made = 0
-
-    def __call__(self, number: int) -> Callable[[], bytes]:
-        def make() -> bytes:
-            self.made += 1
-            return b"%d" % number + b" " * (self.length - len(b"%d" % number))
-
-        return make
+def test_readers_who_stop_have_the_lines_of_a_topic_in_common(desk: Desk) -> None:
+    channel = desk.channel("t", 100)
+    others = [Desk(desk.tally) for _ in range(50)]
+    for other in others:
+        other.read(channel, 100)
+    for number in range(100_000):
+        channel.put(b"%06d" % number)
+    assert desk.tally.kept == channel.size < 500 * 6
+    expected = b"<99900 of t>" + b"".join(b"%06d" % number for number in range(99_900, 100_000))
+    assert [each.outbox.take(10_000) for each in (desk, *others)] == [expected] * 51
 
 
-def test_lines_that_are_given_up_are_not_made() -> None:
-    outbox, share, lines = Outbox(report), Share("t", 10), Lines()
-    for number in range(1600):
-        outbox.put_in(share, lines(number))
-    assert lines.made == 100
-    assert outbox.take(1000) == b"<1590 of t>" + b"".join(b"%d" % number for number in range(1590, 1600))
-    assert lines.made < 111
+def test_a_reader_who_reads_loses_nothing_beside_one_who_does_not(desk: Desk) -> None:
+    channel = desk.channel("t", 10)
+    Desk(desk.tally).read(channel, 10)
+    received = []
+    for number in range(5000):
+        channel.put(b"%05d" % number)
+        received.append(desk.outbox.take(100))
+    assert received == [b"%05d" % number for number in range(5000)]
 
 
-def test_lines_that_are_not_made_are_bounded_by_the_memory_that_they_take() -> None:
-    outbox, share, lines = Outbox(report), Share("t", 1000), Lines(10_000)
-    for number in range(1000):
-        outbox.put_in(share, lines(number))
-    assert len(share.lines) < MOST_BYTES / (2 * lines.length)
-    lines.length = MOST_BYTES // 4
-    for number in range(40):
-        outbox.put_in(share, lines(number))
-    assert len(share.lines) == 1
-    sent = outbox.take(1)
-    assert sent.endswith(b"39" + b" " * (lines.length - 2))
-    assert share.size == 0
+def test_what_all_have_read_is_given_up(desk: Desk) -> None:
+    channel = desk.channel("t", 1000)
+    for _ in range(10):
+        channel.put(b"x" * 100)
+    desk.outbox.take(10_000)
+    channel.tidy()
+    assert channel.size == 0
 
 
-def test_a_forgotten_share_sends_nothing_more() -> None:
-    outbox, share = Outbox(report), Share("t", 2)
+def test_topics_of_large_messages_are_bounded_together() -> None:
+    publications = Publications()
+    reader = Desk(publications.tally)
+    for number in range(100):
+        channel = publications.shared(f"/t{number}")
+        reader.read(channel, 10)
+        channel.take({"data": "x" * 1_000_000})
+    assert publications.tally.kept <= MOST_BYTES_IN_ALL
+    sent = b"".join(iter(lambda: reader.outbox.take(1_000_000), b""))
+    told = sent.count(b"<1 of /t")
+    assert told > 0
+    assert told + sent.count(b"\n") == 100
+
+
+def test_a_share_that_ends_sends_nothing_more(desk: Desk) -> None:
+    channel = desk.channel("t", 2)
     for number in range(5):
-        outbox.put_in(share, b"%d" % number)
-    outbox.put(b"answer")
-    outbox.forget(share)
-    assert outbox.take(100) == b"answer"
+        channel.put(b"%d" % number)
+    desk.outbox.put(b"answer")
+    desk.outbox.leave(channel.readers[desk])
+    assert desk.outbox.take(100) == b"answer"
 
 
-def test_bytes_that_cannot_be_dropped_are_counted() -> None:
-    outbox, share = Outbox(report), Share("t", 2)
-    outbox.put(b"12345")
-    outbox.put_in(share, b"678")
-    assert outbox.unbounded == 5
-    outbox.take(100)
-    assert outbox.unbounded == 0
+def test_a_share_that_is_replaced_sends_what_it_has_waiting(desk: Desk) -> None:
+    channel = desk.channel("t", 2)
+    for number in range(3):
+        channel.put(b"%d" % number)
+    desk.outbox.put(b"answer")
+    desk.outbox.retire(channel.readers[desk])
+    channel.put(b"3")
+    assert desk.outbox.take(100) == b"<1 of t>12answer"
+    assert desk.outbox.unbounded == 0
 
 
-@given(st.lists(st.tuples(st.sampled_from("abc-"), st.integers(1, 600)), max_size=10))
-def test_any_history_gives_what_a_plain_queue_per_share_would_keep(history: list[tuple[str, int]]) -> None:
-    outbox = Outbox(report)
-    shares = {name: Share(name, limit) for name, limit in (("a", 1), ("b", 7), ("c", 300))}
-    kept: dict[str, deque[bytes]] = {name: deque(maxlen=share.limit) for name, share in shares.items()}
+def test_bytes_that_cannot_be_dropped_are_counted(desk: Desk) -> None:
+    channel = desk.channel("t", 2)
+    desk.outbox.put(b"12345")
+    channel.put(b"678")
+    assert desk.outbox.unbounded == 5
+    desk.outbox.take(100)
+    assert desk.outbox.unbounded == 0
+
+
+@given(st.lists(st.tuples(st.sampled_from("abc-"), st.integers(1, 600)), max_size=10), st.integers(1, 5000))
+def test_any_history_gives_what_a_plain_queue_per_share_would_keep(history: list[tuple[str, int]], most: int) -> None:
+    desk = Desk()
+    limits = {"a": 1, "b": 7, "c": 300}
+    channels = {name: desk.channel(name, limit) for name, limit in limits.items()}
+    kept: dict[str, deque[bytes]] = {name: deque(maxlen=limit) for name, limit in limits.items()}
     kept["-"] = deque()
+    drops = dict.fromkeys(limits, 0)
     serial = 0
     for name, count in history:
         for _ in range(count):
             serial += 1
             line = b"%s%05d" % (name.encode(), serial)
+            if name == "-":
+                desk.outbox.put(line)
+            else:
+                drops[name] += len(kept[name]) == limits[name]
+                channels[name].put(line)
             kept[name].append(line)
-            outbox.put(line) if name == "-" else outbox.put_in(shares[name], line)
     expected = sorted((line for lines in kept.values() for line in lines), key=lambda line: line[1:])
-    drops = {name: share.dropped for name, share in shares.items()}
-    sent = outbox.take(1 << 30)
+    sent = b"".join(iter(lambda: desk.outbox.take(most), b""))
     for name, dropped in drops.items():
-        sent = sent.replace(b"<%d of %s>" % (dropped, name.encode()), b"", 1)
+        assert (report(name, dropped) in sent) == bool(dropped)
+        sent = sent.replace(report(name, dropped), b"", 1)
     assert sent == b"".join(expected)

@@ -111,6 +111,21 @@ def test_free_running_returns_to_the_sockets_after_a_slice(simulation: FakeSimul
     assert simulation.cycles > 1000
 
 
+def test_free_running_cycles_are_limited_by_the_clock_and_paced_ones_by_their_number(
+    simulation: FakeSimulation,
+) -> None:
+    limits: list[float | None] = []
+    pacer = Pacer(simulation, simulation.clock, limit=limits.append)
+    pacer.turn()
+    simulation.run.speed = math.inf
+    began = simulation.now_s
+    pacer.turn()
+    simulation.run.speed = 1.0
+    pacer.turn()
+    assert [limit for limit in limits if limit is not None] == [began + FREE_SLICE_S]
+    assert limits[-1] is None
+
+
 def test_heavy_cycles_are_run_one_at_a_time(simulation: FakeSimulation, pacer: Pacer) -> None:
     simulation.run.speed = math.inf
     simulation.cost_s = 0.05

@@ -12,6 +12,9 @@ from slidectl import msgs
 from slidectl.errors import Refused, SlidectlError, UnknownName
 from slidectl.physics import Diverged, EngineError
 from slidectl.simulation import Pending, Simulation
+from slidectl.simulation.compiled import object_file
+
+needs_numba = pytest.mark.skipif(not object_file.is_possible(), reason="numba is not installed")
 
 
 @pytest.fixture
@@ -321,3 +324,23 @@ def test_the_time_step_does_not_change_inside_a_cycle(engine: str) -> None:
     simulation.step(100)
     assert set(refusals) == {"cannot change the time step in the middle of a control cycle"}
     assert (simulation.time_ns, simulation.world.data.time) == (100_000_000, pytest.approx(0.1))
+
+
+@pytest.mark.parametrize("engine", ["plain", pytest.param("compiled", marks=needs_numba)])
+def test_a_step_ends_after_few_cycles_when_the_driver_has_had_enough(engine: str) -> None:
+    simulation = running_cart(engine=engine)
+    simulation.driven = True
+    asked = []
+
+    def enough() -> bool:
+        asked.append(simulation.loop.graph.clock.cycles)
+        return len(asked) > 2
+
+    simulation.loop.enough = enough
+    done = simulation.step(1_000_000)
+    assert len(asked) >= 3
+    assert done < 200
+    asked.clear()
+    simulation.loop.enough = None
+    assert simulation.step(500) == 500
+    assert asked == []

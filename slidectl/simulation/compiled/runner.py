@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 _FEW_ROWS = 1000
 """Rows that nobody uses and that are not worth beginning again."""
 
+_FIRST_LOOK = 16
+"""Cycles before the driver is asked for the first time whether there is enough."""
+
 
 class CompiledRunner:
     """The cycles of a loop's robots, by `code`."""
@@ -170,7 +173,10 @@ class CompiledRunner:
             self._look_outside()
         loop.in_cycle = True
         try:
-            self._run_turns(before + count)
+            if loop.enough is None:
+                self._run_turns(before + count)
+            else:
+                self._run_until_enough(before + count, loop.enough)
         finally:
             loop.in_cycle = False
             clock.time_ns = progress.time_ns
@@ -185,6 +191,18 @@ class CompiledRunner:
                 self.give_back_all()
             self._graph.timers.fire()
         return done
+
+    def _run_until_enough(self, end: int, enough: Callable[[], bool]) -> None:
+        """Few cycles, then ever more: who asks after each costs as much as a cycle."""
+        progress, timers = self._progress, self._graph.timers
+        some = _FIRST_LOOK
+        while True:
+            until = min(end, progress.cycles + some)
+            self._run_turns(until)
+            is_last = progress.cycles >= end or progress.cycles < until or progress.time_ns >= timers.next_ns
+            if is_last or progress.cycles % CHECK_EVERY == 0 or enough():
+                break
+            some *= 2
 
     def _run_turns(self, end: int) -> None:
         """Turn by turn, until all cycles are done or one of them is the last for now."""

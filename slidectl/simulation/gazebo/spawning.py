@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from slidectl.control.node import Message
-from slidectl.errors import Refused, SlidectlError
+from slidectl.errors import Refused, SlidectlError, quoted
 from slidectl.physics import hulls
 from slidectl.physics.frames import compose
 from slidectl.simulation.assembly import SpawnedRobot
@@ -17,6 +17,9 @@ from slidectl.simulation.pending import Pending
 
 if TYPE_CHECKING:
     from slidectl.simulation.simulation import Simulation
+
+_MOST_TAGS = 100_000
+"""Opening and closing tags of a URDF: some thousand links. To read more than these holds up the world."""
 
 
 def advertise(simulation: Simulation) -> None:
@@ -30,6 +33,9 @@ def advertise(simulation: Simulation) -> None:
 def _spawn(simulation: Simulation, request: Message) -> Answer | Pending:
     """At once, or as soon as its meshes are read: a driver lets the world go on meanwhile."""
     place = compose(frame(simulation, request["reference_frame"]).pose, pose(request["initial_pose"]))
+    tags = request["model_xml"].count("<")
+    if tags > _MOST_TAGS:
+        raise Refused(f"the URDF has {tags} tags, and {_MOST_TAGS} is the most")
     robots = simulation.robots
     newcomer = robots.read(request["model_xml"], request["model_name"], request["robot_namespace"] or None)
     wanted = hulls.sources(newcomer.paper)
@@ -57,7 +63,7 @@ def _spawned(robot: SpawnedRobot) -> Answer:
 
 def _refuse_sdf(request: Message) -> Answer:
     raise Refused(
-        f"{request['model_name']!r} is SDF, and only URDF can be spawned", "describe the robot in URDF or xacro"
+        f"{quoted(request['model_name'])} is SDF, and only URDF can be spawned", "describe the robot in URDF or xacro"
     )
 
 
