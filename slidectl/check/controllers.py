@@ -28,6 +28,8 @@ from slidectl.errors import BadFile, closest, listing
 Tree = dict[str, Any]
 
 _UNSPACED = re.compile(r"^\w+:\S")
+# MoveIt's planners have a `type`, too.
+_PLANNERS = "planner_configs"
 # What is read by others than controllers, wherever it is.
 _OTHERS = {
     "robot_description": "the robot, for whoever draws or plans",
@@ -110,7 +112,9 @@ class ControllerCheck:
             self.source.add("used", "/", "note: the file holds no parameters")
         for key, value in tree.items():
             below = f"{path}/{key}"
-            if isinstance(value, Mapping) and _is_controller(value):
+            if key == _PLANNERS:
+                self.source.unknown(below, "MoveIt's planners; nobody reads them here", value)
+            elif isinstance(value, Mapping) and _is_controller(value):
                 self._controller(below, value)
             elif isinstance(value, Mapping) and key in hardware.PLACES:
                 self._hardware(key, below, value)

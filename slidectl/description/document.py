@@ -76,7 +76,7 @@ def _make_meshes_absolute(root: Element, meshes: MeshFiles, all_meshes: bool) ->
     """Turn the names of meshes into `file://` ones, so that whoever reads the text needs no package path.
 
     Raises:
-        BadFile: a mesh that collides is not there. One that is only looked at keeps its name, for the parser to report.
+        BadFile: a mesh that collides is not there. One that is only looked at is left for the parser to report.
     """
     for shape in (element for element in root.walk() if element.tag in ("visual", "collision")):
         for element in (below for below in shape.walk() if below.tag == "mesh"):
@@ -86,6 +86,9 @@ def _make_meshes_absolute(root: Element, meshes: MeshFiles, all_meshes: bool) ->
                 element.attributes["filename"] = path.as_uri()
             elif uri and shape.tag == "collision" and all_meshes:
                 raise element.error(f"mesh {uri!r}: {why}")
+            elif uri.strip() and (expected := meshes.expected(uri, element.file)) is not None:
+                # Whoever reads the text has no package path, and would say that the package is missing.
+                element.attributes["filename"] = expected.absolute().as_uri()
 
 
 def declared_arguments(source: str | Path, packages: Packages | None = None) -> dict[str, str]:
