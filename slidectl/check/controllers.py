@@ -23,6 +23,7 @@ from slidectl.control.interfaces import ResourceManager
 from slidectl.control.parameters import Parameter
 from slidectl.description.controllers_file import retarget
 from slidectl.description.models import read_file
+from slidectl.description.robot import Notice
 from slidectl.errors import BadFile, closest, listing
 
 Tree = dict[str, Any]
@@ -35,6 +36,8 @@ _OTHERS = {
     "robot_description": "the robot, for whoever draws or plans",
     "use_sim_time": "time is always simulated here",
 }
+
+_UNKNOWN = "is unknown to the controller and has no effect"
 
 Reader = Callable[[str], str | None]
 """Who, other than controllers and hardware, reads the parameter of that full name; None: nobody."""
@@ -81,6 +84,15 @@ def _tell_namespace(source: ParameterFile, tree: Tree, model: Model, checker: Co
     elif placed is not tree:
         source.namespace = model.namespace
     checker.moved = placed is not tree
+
+
+def unknown(tree: Mapping[str, Any], source: ParameterFile) -> list[Notice]:
+    """Findings on the parameters in a tree that their controllers, or simulated hardware, do not know; on nothing else.
+
+    For those who load parameters: a name with a slip is told at once, as a check tells it.
+    """
+    ControllerCheck(source, []).check(tree)
+    return [notice for notice in source.findings.sorted() if notice.text.startswith((_UNKNOWN, hardware.UNKNOWN))]
 
 
 class ControllerCheck:
@@ -234,7 +246,7 @@ class _Parameters:
         if parameter is None:
             near = self.declared.closest(name)
             hint = f"did you mean {near!r}?" if near else f"it knows {listing(self.declared.names())}"
-            self.source.unknown(path, f"is unknown to the controller and has no effect; {hint}", value)
+            self.source.unknown(path, f"{_UNKNOWN}; {hint}", value)
             return
         trouble = self._joint_trouble(parameter, value)
         number = parameter.kind.convert(value) if parameter.unless_positive else None
