@@ -20,6 +20,9 @@ from slidectl.errors import closest, listing
 PLACES = ("joint_limits", "gazebo_ros_control")
 GAINS_PLACE = "pid_gains"
 
+UNKNOWN = "simulated hardware does not read it"
+"""How findings on names that nobody knows begin."""
+
 # A flag, and the values that it lets count.
 _GROUPS = {
     "has_position_limits": ("min_position", "max_position"),
@@ -89,7 +92,7 @@ class _Joints:
             elif parameter is None:
                 near = self.declared.closest(name)
                 hint = f"did you mean {near!r}?" if near else f"known: {listing(self.declared.names())}"
-                self.source.unknown(f"{path}/{name}", f"simulated hardware does not read it; {hint}", value)
+                self.source.unknown(f"{path}/{name}", f"{UNKNOWN}; {hint}", value)
             else:
                 self.source.value(f"{path}/{name}", value, parameter)
         for name, parameter in self.declared.missing(values):

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from slidectl.check.findings import Findings
 from slidectl.check.traced import Trace, plain
 from slidectl.description.robot import Joint, Limit, Notice, Robot, Verdict
+from slidectl.description.transmissions import driving
 from slidectl.description.xml_tree import Element
 
 _MOVING = ("revolute", "continuous", "prismatic")
@@ -35,10 +36,9 @@ _MEANINGS = {
 def driven_joints(robot: Robot) -> dict[str, str]:
     """The joints that simulated hardware drives, with the interface that each takes commands by."""
     found: dict[str, str] = {}
-    for transmission in robot.transmissions:
-        if len(transmission.joints) == 1:
-            joint = transmission.joints[0]
-            found[joint.name] = "hardware_interface/" + joint.hardware_interfaces[0].rpartition("/")[2]
+    for transmission in driving(robot.transmissions):
+        joint = transmission.joints[0]
+        found[joint.name] = "hardware_interface/" + joint.hardware_interfaces[0].rpartition("/")[2]
     return found
 
 

@@ -161,7 +161,10 @@ def types(ctx: Context, manager: str | None) -> None:
 @click.pass_obj
 def load(ctx: Context, manager: str | None, names: tuple[str, ...]) -> None:
     """Load controllers; they are ready to be started."""
+    from slidectl.cli import configuration
+
     target, local = owner(ctx, manager, names)
+    configuration.warn_unknown(ctx, target.namespace, local)
     with Report(ctx, target, local):
         each(target.load, local)
 
@@ -285,7 +288,10 @@ def spawn(ctx: Context, manager: str | None, stopped: bool, wait: bool, names: t
     """
     if wait:
         wait_for_owner(ctx, manager, names)
+    from slidectl.cli import configuration
+
     target, local = owner(ctx, manager, names)
+    configuration.warn_unknown(ctx, target.namespace, local)
     with Report(ctx, target, local):
         bring_up(target, local, start=not stopped)
 

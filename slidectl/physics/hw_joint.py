@@ -24,6 +24,7 @@ from slidectl.control.limit_laws import LARGEST
 from slidectl.control.limits import LimitHandle, limit_handle
 from slidectl.control.node import NodeHandle
 from slidectl.description.robot import Joint, TransmissionInfo, TransmissionJoint
+from slidectl.description.transmissions import driving
 from slidectl.errors import Refused, SlidectlError, listing
 from slidectl.physics.body import Body
 from slidectl.physics.effort import EffortTruncation
@@ -122,16 +123,13 @@ class HardwareJoint:
 def hardware_joints(body: Body) -> list[HardwareJoint]:
     """The joints that the transmissions drive, in the order of the file; those with several joints are passed over.
 
-    Of several interfaces the first counts, with or without its prefix.
+    Of several interfaces of a joint the first counts, with or without its prefix.
 
     Raises:
         UnsupportedInterface, MissingJoint.
     """
-    made = []
-    for transmission in body.robot.transmissions:
-        if len(transmission.joints) == 1:
-            made.append(_hardware_joint(body, transmission, transmission.joints[0]))
-    return made
+    found = driving(body.robot.transmissions)
+    return [_hardware_joint(body, transmission, transmission.joints[0]) for transmission in found]
 
 
 def _hardware_joint(body: Body, transmission: TransmissionInfo, driven: TransmissionJoint) -> HardwareJoint:
