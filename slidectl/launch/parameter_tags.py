@@ -144,9 +144,11 @@ def _load(tag: Tag, name: str) -> None:
 
 def _substituted(tag: Tag, text: str, substitution: Substitution) -> str:
     try:
-        return plain(substitution.resolve(text))
+        resolved = substitution.resolve(text)
     except (SubstitutionError, UnknownPackage) as error:
         raise tag.error(error.message, error.hint) from None
+    tag.scope.launch.count_text(tag, resolved)
+    return plain(resolved)
 
 
 def _yaml(tag: Tag, text: str, file: str | None, name: str) -> Any:

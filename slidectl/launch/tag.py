@@ -54,11 +54,13 @@ class Tag:
         if text is None or OPEN not in text:
             return text
         try:
-            return self.scope.substitution.resolve(text)
+            resolved = self.scope.substitution.resolve(text)
         except UnknownPackage as error:
             raise self.error(error.message, error.hint) from None
         except SubstitutionError as error:
             raise self.error(f"{attribute}: {error.message}", error.hint) from None
+        self.scope.launch.count_text(self, resolved)
+        return resolved
 
     def get(self, attribute: str) -> str | None:
         """The attribute with substitutions, or None. Raises BadFile."""
