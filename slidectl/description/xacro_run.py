@@ -191,8 +191,9 @@ class _Run:
 
     def placed(self, error: SlidectlError) -> BadFile:
         """An error of ours, at the place where xacro met it unless it has one of its own."""
-        has_place = isinstance(error, BadFile) and error.line is not None
-        return error if has_place else self.error(error.message, error.hint)
+        if isinstance(error, BadFile) and error.line is not None:
+            return error
+        return self.error(error.message, error.hint)
 
 
 def _evaluated(expression: str, symbols: Mapping[str, Any], _locals: object = None) -> Any:
