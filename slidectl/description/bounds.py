@@ -12,7 +12,7 @@ from slidectl.errors import Refused
 MOST_MEMORY = 1 << 30
 """Bytes that a run may take on top of what the process has."""
 
-MOST_STEPS = 100_000
+MOST_STEPS = 50_000
 """Elements that xacro looks at; a humanoid takes some ten thousand."""
 MOST_SECONDS = 60.0
 """Of the processor's time, so that a busy machine refuses no more than an idle one."""

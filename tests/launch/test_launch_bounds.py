@@ -35,7 +35,7 @@ def arguments(levels: int) -> str:
 
 def test_macros_that_unfold_without_end_are_refused(workspace: Workspace) -> None:
     path = workspace.write("urdf/bomb.xacro", macros(40))
-    with pytest.raises(BadFile, match=r"bomb.xacro:\d+: unfolds to more than 100000 elements \(in macro 'm"):
+    with pytest.raises(BadFile, match=r"bomb.xacro:\d+: unfolds to more than 50000 elements \(in macro 'm"):
         description.load(path, {}, workspace.packages)
 
 
