@@ -23,7 +23,7 @@ from slidectl.control import limits as limit_handles
 from slidectl.control import transmissions
 from slidectl.control.duration import from_seconds, to_seconds
 from slidectl.control.handles import JointHandle
-from slidectl.control.joint_limits import JointLimits, SoftJointLimits
+from slidectl.control.limits import JointLimits, SoftJointLimits
 from slidectl.control.pid import Gains, Pid
 from slidectl.errors import SlidectlError
 

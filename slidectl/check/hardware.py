@@ -13,7 +13,7 @@ from slidectl.check.declared import Declared
 from slidectl.check.joints import driven_joints
 from slidectl.check.model import Model
 from slidectl.check.parameter_file import ParameterFile
-from slidectl.control.joint_limits import LIMITS
+from slidectl.control.limits import LIMITS
 from slidectl.control.live_pid import GAINS
 from slidectl.errors import closest, listing
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from math import isnan
 from typing import Any, NamedTuple
 
-from slidectl.control.limit_laws import bounded
+from slidectl.control.limits import bounded
 from slidectl.control.node import Message
 from slidectl.control.pid import Gains
 from slidectl.errors import Refused, UnknownName

@@ -9,7 +9,7 @@ from slidectl.control.angles import distance_with_limits, shortest_angular_dista
 from slidectl.control.handles import JointHandle
 from slidectl.control.interfaces import EffortJointInterface, PositionJointInterface
 from slidectl.control.laws import Columns, law
-from slidectl.control.limit_laws import bounded
+from slidectl.control.limits import bounded
 from slidectl.control.live_pid import LivePid
 from slidectl.control.node import NodeHandle
 from slidectl.control.params import BadParameter

@@ -14,14 +14,15 @@ from slidectl.control.interfaces import (
     PositionJointInterface,
     VelocityJointInterface,
 )
-from slidectl.control.joint_limits import (
+from slidectl.control.limits import (
+    LARGEST,
     NO_LIMITS,
+    LimitHandle,
+    limit_handle,
     limits_from_joint,
     limits_from_parameters,
     soft_limits_from_joint,
 )
-from slidectl.control.limit_laws import LARGEST
-from slidectl.control.limits import LimitHandle, limit_handle
 from slidectl.control.node import NodeHandle
 from slidectl.description.robot import Joint, TransmissionInfo, TransmissionJoint
 from slidectl.errors import Refused, SlidectlError, listing

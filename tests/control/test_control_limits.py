@@ -5,16 +5,17 @@ from math import inf, nan
 import pytest
 
 from slidectl.control.handles import JointHandle
-from slidectl.control.joint_limits import JointLimits, SoftJointLimits
-from slidectl.control.limit_laws import bounded
 from slidectl.control.limits import (
     BadLimits,
     EffortJointSaturation,
     EffortJointSoftLimits,
+    JointLimits,
     PositionJointSaturation,
     PositionJointSoftLimits,
+    SoftJointLimits,
     VelocityJointSaturation,
     VelocityJointSoftLimits,
+    bounded,
     in_order,
     limit_handle,
 )

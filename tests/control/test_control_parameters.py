@@ -9,7 +9,7 @@ from fake_node import FakeGraph
 from fake_robot import FakeRobot
 
 from slidectl.control import parameters, registry
-from slidectl.control.joint_limits import LIMITS, limits_from_parameters, soft_limits_from_parameters
+from slidectl.control.limits import LIMITS, limits_from_parameters, soft_limits_from_parameters
 from slidectl.control.parameters import Parameter
 
 URDF = """<robot name="bot">
