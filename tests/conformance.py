@@ -20,9 +20,9 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from slidectl.control import limits as limit_handles
-from slidectl.control import transmissions
+from slidectl.control import transmission_interface as transmissions
 from slidectl.control.duration import from_seconds, to_seconds
-from slidectl.control.handles import JointHandle
+from slidectl.control.hardware_interface import JointHandle
 from slidectl.control.limits import JointLimits, SoftJointLimits
 from slidectl.control.pid import Gains, Pid
 from slidectl.errors import SlidectlError

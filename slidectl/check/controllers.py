@@ -18,9 +18,9 @@ from slidectl.check.joints import driven_joints
 from slidectl.check.model import Model
 from slidectl.check.parameter_file import ParameterFile, shown
 from slidectl.control import registry
-from slidectl.control.controller import ControllerBase
-from slidectl.control.interfaces import ResourceManager
-from slidectl.control.parameters import Parameter
+from slidectl.control.controller_interface import ControllerBase
+from slidectl.control.hardware_interface import ResourceManager
+from slidectl.control.params import Parameter
 from slidectl.description.controllers_file import retarget
 from slidectl.description.models import read_file
 from slidectl.errors import BadFile, closest, listing

@@ -14,7 +14,7 @@ from slidectl.check.joints import driven_joints
 from slidectl.check.model import Model
 from slidectl.check.parameter_file import ParameterFile
 from slidectl.control.limits import LIMITS
-from slidectl.control.live_pid import GAINS
+from slidectl.control.reconfigurable_pid import GAINS
 from slidectl.errors import closest, listing
 
 PLACES = ("joint_limits", "gazebo_ros_control")

@@ -13,10 +13,10 @@ from math import inf, nan
 from typing import Any, ClassVar
 
 from slidectl.control import params
-from slidectl.control.handles import JointHandle
+from slidectl.control.hardware_interface import JointHandle
 from slidectl.control.laws import Columns, law
-from slidectl.control.node import NodeHandle
-from slidectl.control.parameters import BOOLEAN, NUMBER, Parameter
+from slidectl.control.node_handle import NodeHandle
+from slidectl.control.params import BOOLEAN, NUMBER, Parameter
 from slidectl.description.robot import Joint
 from slidectl.errors import Refused
 

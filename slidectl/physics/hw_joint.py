@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from slidectl.control.handles import JointHandle
-from slidectl.control.interfaces import (
+from slidectl.control.hardware_interface import (
     EffortJointInterface,
     JointCommandInterface,
+    JointHandle,
     PositionJointInterface,
     VelocityJointInterface,
 )
@@ -23,7 +23,7 @@ from slidectl.control.limits import (
     limits_from_parameters,
     soft_limits_from_joint,
 )
-from slidectl.control.node import NodeHandle
+from slidectl.control.node_handle import NodeHandle
 from slidectl.description.robot import Joint, TransmissionInfo, TransmissionJoint
 from slidectl.errors import Refused, SlidectlError, listing
 from slidectl.physics.body import Body

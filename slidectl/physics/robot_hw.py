@@ -8,18 +8,18 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
-from slidectl.control.angles import unwrapped
-from slidectl.control.handles import JointHandle
-from slidectl.control.interfaces import (
+from slidectl.control.angular_distance import unwrapped
+from slidectl.control.hardware_interface import (
     EffortJointInterface,
     JointCommandInterface,
+    JointHandle,
     JointStateInterface,
     PositionJointInterface,
+    RobotHW,
     VelocityJointInterface,
 )
 from slidectl.control.limits import LimitHandle, in_order
-from slidectl.control.node import NodeHandle
-from slidectl.control.robot_hw import RobotHW
+from slidectl.control.node_handle import NodeHandle
 from slidectl.description.robot import Robot
 from slidectl.errors import Refused
 from slidectl.physics.body import Body, JointPlace

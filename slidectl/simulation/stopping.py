@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from slidectl.control.node import Message
+from slidectl.control.node_handle import Message
 from slidectl.errors import Refused, SlidectlError, UnknownName
 from slidectl.simulation.assembly import SpawnedRobot
 

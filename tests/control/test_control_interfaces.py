@@ -2,16 +2,20 @@
 
 import pytest
 
-from slidectl.control.handles import JointHandle, JointStateHandle
-from slidectl.control.interfaces import (
+from slidectl.control.hardware_interface import (
     ClaimedResources,
+    Conflict,
+    ControllerInfo,
     EffortJointInterface,
+    JointHandle,
+    JointStateHandle,
     JointStateInterface,
     PositionJointInterface,
+    RobotHW,
+    SwitchState,
     UnknownResource,
     VelocityJointInterface,
 )
-from slidectl.control.robot_hw import Conflict, ControllerInfo, RobotHW, SwitchState
 
 COMMANDING = [EffortJointInterface, VelocityJointInterface, PositionJointInterface]
 

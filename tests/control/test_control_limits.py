@@ -4,7 +4,7 @@ from math import inf, nan
 
 import pytest
 
-from slidectl.control.handles import JointHandle
+from slidectl.control.hardware_interface import JointHandle
 from slidectl.control.limits import (
     BadLimits,
     EffortJointSaturation,

@@ -5,7 +5,7 @@
 import pytest
 from fake_robot import Bench, FakeRobot, Recorder
 
-from slidectl.control.robot_hw import SwitchState
+from slidectl.control.hardware_interface import SwitchState
 
 BEST_EFFORT, STRICT = 1, 2
 DONE, ONGOING, ERROR = SwitchState.DONE, SwitchState.ONGOING, SwitchState.ERROR

@@ -2,7 +2,7 @@
 
 import pytest
 
-from slidectl.control.transmissions import (
+from slidectl.control.transmission_interface import (
     BadTransmission,
     DifferentialTransmission,
     FourBarLinkageTransmission,

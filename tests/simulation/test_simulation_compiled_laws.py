@@ -18,15 +18,11 @@ import pytest
 
 numba = pytest.importorskip("numba")
 
-from slidectl.control import angles, limits  # noqa: E402
+from slidectl.control import angular_distance, limits  # noqa: E402
 from slidectl.control.duration import from_seconds, to_seconds  # noqa: E402
-from slidectl.control.handles import JointHandle  # noqa: E402
+from slidectl.control.hardware_interface import JointHandle  # noqa: E402
 from slidectl.control.laws import Columns  # noqa: E402
-from slidectl.control.limits import (  # noqa: E402
-    JointLimits,
-    LimitHandle,
-    SoftJointLimits,
-)
+from slidectl.control.limits import JointLimits, LimitHandle, SoftJointLimits  # noqa: E402
 from slidectl.control.pid import Pid, next_command, next_command_from, pid_law  # noqa: E402
 from slidectl.physics import drives  # noqa: E402
 from slidectl.physics.drives import Drive  # noqa: E402
@@ -41,12 +37,12 @@ SCALAR_LAWS = [
     to_seconds,
     limits.bounded,
     limits.bounded_twice,
-    angles.normalize_angle,
-    angles.shortest_angular_distance,
-    angles.unwrapped,
-    angles.two_pi_complement,
-    angles.distance_with_large_limits,
-    angles.distance_with_limits,
+    angular_distance.normalize_angle,
+    angular_distance.shortest_angular_distance,
+    angular_distance.unwrapped,
+    angular_distance.two_pi_complement,
+    angular_distance.distance_with_large_limits,
+    angular_distance.distance_with_limits,
 ]
 VALUES = (
     0.0,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from slidectl.control.angles import unwrapped
+from slidectl.control.angular_distance import unwrapped
 from slidectl.control.laws import law
 from slidectl.control.limits import enforce
 from slidectl.physics.divergence import HUGE
