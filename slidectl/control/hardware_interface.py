@@ -12,6 +12,7 @@ from enum import Enum
 from math import inf
 from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
 
+from slidectl.description.transmissions import interface_name, is_simulated
 from slidectl.errors import UnknownName
 
 
@@ -126,7 +127,10 @@ class JointStateInterface(ResourceManager[JointStateHandle]):
 
 
 class JointCommandInterface(ResourceManager[JointHandle]):
-    """Joints that take one command. Not registered itself: its children say what the command is."""
+    """Joints that take one command. Not registered itself: its children say what the command is.
+
+    What limits make of the command is in `limits.LIMIT_HANDLES`, what drives a joint by it in `physics/drives.py`.
+    """
 
     claims = True
 
@@ -147,6 +151,20 @@ class PositionJointInterface(JointCommandInterface):
     """Commands in m or rad."""
 
     type_name = "hardware_interface::PositionJointInterface"
+
+
+COMMAND_INTERFACES: tuple[type[JointCommandInterface], ...] = (
+    EffortJointInterface,
+    PositionJointInterface,
+    VelocityJointInterface,
+)
+"""All interfaces by which a joint of simulated hardware takes commands."""
+
+
+def command_interface(written: str) -> type[JointCommandInterface] | None:
+    """The interface that a transmission asks for, with or without its prefix; None: simulated hardware has it not."""
+    name = interface_name(written) if is_simulated(written) else None
+    return next((interface for interface in COMMAND_INTERFACES if interface.__name__ == name), None)
 
 
 I = TypeVar("I", bound=ResourceManager[Any])  # noqa: E741 - the field's letter for an interface

@@ -13,7 +13,13 @@ from math import inf, nan
 from typing import Any, ClassVar
 
 from slidectl.control import params
-from slidectl.control.hardware_interface import JointHandle
+from slidectl.control.hardware_interface import (
+    EffortJointInterface,
+    JointCommandInterface,
+    JointHandle,
+    PositionJointInterface,
+    VelocityJointInterface,
+)
 from slidectl.control.laws import Columns, law
 from slidectl.control.node_handle import NodeHandle
 from slidectl.control.params import BOOLEAN, NUMBER, Parameter
@@ -441,29 +447,27 @@ class VelocityJointSoftLimits(LimitHandle):
     kind = VELOCITY_SOFT
 
 
-SATURATION: dict[str, type[LimitHandle]] = {
-    "hardware_interface::EffortJointInterface": EffortJointSaturation,
-    "hardware_interface::PositionJointInterface": PositionJointSaturation,
-    "hardware_interface::VelocityJointInterface": VelocityJointSaturation,
+LIMIT_HANDLES: dict[type[JointCommandInterface], tuple[type[LimitHandle], type[LimitHandle]]] = {
+    EffortJointInterface: (EffortJointSaturation, EffortJointSoftLimits),
+    PositionJointInterface: (PositionJointSaturation, PositionJointSoftLimits),
+    VelocityJointInterface: (VelocityJointSaturation, VelocityJointSoftLimits),
 }
-SOFT_LIMITS: dict[str, type[LimitHandle]] = {
-    "hardware_interface::EffortJointInterface": EffortJointSoftLimits,
-    "hardware_interface::PositionJointInterface": PositionJointSoftLimits,
-    "hardware_interface::VelocityJointInterface": VelocityJointSoftLimits,
-}
+"""The handles of saturation and of soft limits for the joints of each interface."""
 
 
 def limit_handle(
-    interface: str, handle: JointHandle, limits: JointLimits, soft: SoftJointLimits | None = None
+    interface: type[JointCommandInterface],
+    handle: JointHandle,
+    limits: JointLimits,
+    soft: SoftJointLimits | None = None,
 ) -> LimitHandle:
-    """The handle for a joint of that interface (`hardware_interface::X`): soft limits alone when there are some.
+    """The handle for a joint of that interface: soft limits alone when there are some.
 
     Raises:
         BadLimits: the limits lack one that the handle needs.
     """
-    if soft is not None:
-        return SOFT_LIMITS[interface](handle, limits, soft)
-    return SATURATION[interface](handle, limits)
+    saturation, soft_limits = LIMIT_HANDLES[interface]
+    return saturation(handle, limits) if soft is None else soft_limits(handle, limits, soft)
 
 
 def in_order(handles: Iterable[LimitHandle]) -> list[LimitHandle]:
