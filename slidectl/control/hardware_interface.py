@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from math import inf
-from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from slidectl.description.transmissions import interface_name, is_simulated
 from slidectl.errors import UnknownName
@@ -110,15 +110,6 @@ class ResourceManager(Generic[H]):
         self._claimed.clear()
         return claimed
 
-    @classmethod
-    def combined(cls, sources: Iterable[Self]) -> Self:
-        """One interface with the handles of several; of two of one name the last stays."""
-        whole = cls()
-        for source in sources:
-            for handle in source._handles.values():
-                whole.register_handle(handle)
-        return whole
-
 
 class JointStateInterface(ResourceManager[JointStateHandle]):
     """Position, velocity and effort of joints, to read only."""
@@ -200,12 +191,10 @@ class Conflict:
 
 
 class RobotHW:
-    """Interfaces of a robot, its own and those of parts; `read` and `write` once a cycle."""
+    """Interfaces of a robot by type; `read` and `write` once a cycle."""
 
     def __init__(self) -> None:
         self._interfaces: dict[str, AnyInterface] = {}
-        self._parts: list[RobotHW] = []
-        self._combined: dict[str, tuple[int, AnyInterface]] = {}
 
     def register_interface(self, interface: AnyInterface) -> AnyInterface | None:
         """Put the interface under its type's name. Returns the one that it replaces, else None."""
@@ -213,41 +202,14 @@ class RobotHW:
         self._interfaces[interface.type_name] = interface
         return replaced
 
-    def register_part(self, part: RobotHW) -> None:
-        """Make the interfaces of another hardware visible through this one."""
-        self._parts.append(part)
-
     def get(self, interface_type: type[I]) -> I | None:
-        """The interface of that type; several parts' are combined into one; None when nobody has it."""
-        sources = self._sources(interface_type)
-        if len(sources) < 2:
-            return sources[0] if sources else None
-        count, whole = self._combined.get(interface_type.type_name, (0, None))
-        if not isinstance(whole, interface_type) or count != len(sources):
-            whole = interface_type.combined(sources)
-            self._combined[interface_type.type_name] = (len(sources), whole)
-        return whole
-
-    def _sources(self, interface_type: type[I]) -> list[I]:
-        own = self._interfaces.get(interface_type.type_name)
-        found = [own] if isinstance(own, interface_type) else []
-        nested = (part.get(interface_type) for part in self._parts)
-        return found + [interface for interface in nested if interface is not None]
+        """The interface of that type; None when the robot has none."""
+        interface = self._interfaces.get(interface_type.type_name)
+        return interface if isinstance(interface, interface_type) else None
 
     def interface_names(self) -> list[str]:
         """The type names of all interfaces, alphabetical."""
-        names = set(self._interfaces)
-        for part in self._parts:
-            names.update(part.interface_names())
-        return sorted(names)
-
-    def interface_resources(self, type_name: str) -> list[str]:
-        """The names of the handles in the interface of that type name, alphabetical; empty when there is none."""
-        own = self._interfaces.get(type_name)
-        names = set(own.names()) if own is not None else set()
-        for part in self._parts:
-            names.update(part.interface_resources(type_name))
-        return sorted(names)
+        return sorted(self._interfaces)
 
     def check_for_conflict(self, infos: Sequence[ControllerInfo]) -> list[Conflict]:
         """Resources claimed more than once if these controllers ran together, over all interfaces."""

@@ -134,11 +134,6 @@ def needed_text(node: NodeHandle, name: str) -> str:
     return _needed(node, name, TEXT)
 
 
-def needed_texts(node: NodeHandle, name: str) -> list[str]:
-    """The parameter as a list of strings. Raises BadParameter when it is not one."""
-    return _needed(node, name, TEXTS)
-
-
 def _read(node: NodeHandle, name: str, kind: Kind[T]) -> T | None:
     value = node.get_param(name, None)
     if value is None:

@@ -68,21 +68,21 @@ class ForwardController(ScalarController):
 
 
 @controller("effort_controllers/JointEffortController")
-class JointEffortController(ForwardController):
+class ForwardEffortController(ForwardController):
     """Commands are efforts, N or N·m."""
 
     interface_type = EffortJointInterface
 
 
 @controller("velocity_controllers/JointVelocityController")
-class JointVelocityController(ForwardController):
+class ForwardVelocityController(ForwardController):
     """Commands are velocities, m/s or rad/s."""
 
     interface_type = VelocityJointInterface
 
 
 @controller("position_controllers/JointPositionController")
-class JointPositionController(ForwardController):
+class ForwardPositionController(ForwardController):
     """Commands are positions, m or rad. It starts by holding the measured one."""
 
     interface_type = PositionJointInterface
