@@ -14,9 +14,9 @@ from typing import Any
 import mujoco
 
 from benchmarks.harness import RRBOT_CONTROLLERS, SLIDER_CONTROLLERS, Row
-from slidectl.control.controller import Controller
-from slidectl.control.interfaces import JointStateInterface
-from slidectl.control.node import NodeHandle
+from slidectl.control.controller_interface import Controller
+from slidectl.control.hardware_interface import JointStateInterface
+from slidectl.control.node_handle import NodeHandle
 from slidectl.control.registry import controller
 from slidectl.description import load
 from slidectl.description.controllers_file import read

@@ -18,9 +18,9 @@ from slidectl.check.joints import driven_joints
 from slidectl.check.model import Model
 from slidectl.check.parameter_file import ParameterFile, shown
 from slidectl.control import registry
-from slidectl.control.controller import ControllerBase
-from slidectl.control.interfaces import ResourceManager
-from slidectl.control.parameters import Parameter
+from slidectl.control.controller_interface import ControllerBase
+from slidectl.control.hardware_interface import JointStateInterface, ResourceManager
+from slidectl.control.params import Parameter
 from slidectl.description.controllers_file import retarget
 from slidectl.description.models import read_file
 from slidectl.description.robot import Notice
@@ -282,8 +282,8 @@ class _Parameters:
         if joint not in self.driven:
             return f"no transmission drives joint {joint!r}, so controllers do not know it"
         wanted = {interface.type_name.rpartition("::")[2] for interface in _interfaces(self.cls)}
-        offered = self.driven[joint].rpartition("/")[2]
-        if wanted and not wanted & {offered, "JointStateInterface"}:
+        offered = self.driven[joint]
+        if wanted and not wanted & {offered, JointStateInterface.__name__}:
             return f"the transmission of joint {joint!r} offers {offered}, the controller needs {' or '.join(wanted)}"
         return None
 

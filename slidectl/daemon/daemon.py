@@ -16,7 +16,7 @@ from contextlib import suppress
 from typing import Any
 
 import slidectl
-from slidectl.control.node import Message
+from slidectl.control.node_handle import Message
 from slidectl.daemon.logfile import LogFile
 from slidectl.daemon.loop import READ, EventLoop
 from slidectl.daemon.mesh_reader import MeshReader

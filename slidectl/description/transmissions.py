@@ -14,16 +14,28 @@ from slidectl.description.robot import Joint, TransmissionActuator, Transmission
 from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile
 
-_SIMULATED = ("EffortJointInterface", "PositionJointInterface", "VelocityJointInterface")
 _PREFIX = "hardware_interface/"
-_TO_ADD = f"add <hardwareInterface>{_PREFIX}{_SIMULATED[0]}</hardwareInterface>"
+SIMULATED_INTERFACES = tuple(
+    _PREFIX + name for name in ("EffortJointInterface", "PositionJointInterface", "VelocityJointInterface")
+)
+"""What a transmission may ask for, as it is best written. `control.hardware_interface` says what each is."""
+_TO_ADD = f"add <hardwareInterface>{SIMULATED_INTERFACES[0]}</hardwareInterface>"
 _JOINT_CHILDREN = {"role", "hardwareInterface", "offset", "mechanicalReduction"}
 _ACTUATOR_CHILDREN = {"role", "hardwareInterface", "mechanicalReduction"}
 
 
 def is_simulated(interface: str) -> bool:
     """Whether simulated hardware has an interface, with or without its prefix."""
-    return interface.removeprefix(_PREFIX) in _SIMULATED
+    return _prefixed(interface) in SIMULATED_INTERFACES
+
+
+def interface_name(interface: str) -> str:
+    """The name of an interface without any prefix."""
+    return interface.rpartition("/")[2]
+
+
+def _prefixed(interface: str) -> str:
+    return _PREFIX + interface.removeprefix(_PREFIX)
 
 
 def is_same_interface(first: str, second: str) -> bool:
@@ -200,12 +212,11 @@ class TransmissionReader:
         first = joint.hardware_interfaces[0]
         for other in others:
             self.report.ignored(other, f"of several hardware interfaces only the first counts, {first}", place)
-        if first in _SIMULATED:
-            self.report.converted(written, f"{first} is read as {_PREFIX}{first}", place)
-        elif not is_simulated(first):
-            known = [_PREFIX + name for name in _SIMULATED]
-            text = f"{first} is no interface of simulated joints; known: {', '.join(known)}"
+        if not is_simulated(first):
+            text = f"{first} is no interface of simulated joints; known: {', '.join(SIMULATED_INTERFACES)}"
             self.report.wrong(written, text, place)
+        elif first != _prefixed(first):
+            self.report.converted(written, f"{first} is read as {_prefixed(first)}", place)
 
 
 def _interfaces(element: Element) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from slidectl.control.node import Message
+from slidectl.control.node_handle import Message
 from slidectl.description.robot import Joint, Notice
 from slidectl.description.transmissions import driving
 from slidectl.physics import World
