@@ -17,7 +17,7 @@ from slidectl.physics.forces import JointForce, Wrench
 from slidectl.physics.motors import Asked
 from slidectl.physics.observer import Twist
 from slidectl.physics.rotation import Pose
-from slidectl.physics.touching import depths
+from slidectl.physics.touching import depths, link_of
 from slidectl.rotations import Vector, normalized
 
 
@@ -82,11 +82,11 @@ class World(WorldCore):
 
     def link_pose(self, name: str, link: str) -> Pose:
         """Place of the link's frame in the world. Raises UnknownName."""
-        return self._observer.pose(self.body(name).link_id(link))
+        return self._observer.pose(self.body(name).link(link))
 
     def link_twist(self, name: str, link: str) -> Twist:
         """Velocity of the link's frame (linear at its origin, angular), in the world's axes. Raises UnknownName."""
-        return self._observer.twist(self.body(name).link_id(link))
+        return self._observer.twist(self.body(name).link(link))
 
     def joint_state(self, name: str, joint: str) -> tuple[float, float, float]:
         """Position, velocity and applied effort of any moving joint, actuated or not. Raises UnknownName."""
@@ -125,12 +125,14 @@ class World(WorldCore):
     def overlaps(self, name: str, least: float) -> list[Overlap]:
         """Where links of the robot are in others by more than `least` (m), the deepest first. Raises UnknownName."""
         body = self.body(name)
-        links = {index: (owner.name, link) for owner in self._bodies.values() for link, index in owner.links.items()}
-        found = []
+        robots = {owner.root_id: owner.name for owner in self._bodies.values()}
+        deepest: dict[tuple[str, str | None, str | None], float] = {}
         for (own, other), depth in depths(self.model, self.data, body.root_id).items():
-            if depth > least:
-                robot, link = links.get(other, (None, None))
-                found.append(Overlap(links[own][1], robot, link, depth))
+            robot = robots.get(int(self.model.body_rootid[self.model.geom_bodyid[other]]))
+            theirs = None if robot is None else link_of(self.model, other, robot)
+            pair = (link_of(self.model, own, name), robot, theirs)
+            deepest[pair] = max(depth, deepest.get(pair, 0.0))
+        found = [Overlap(*pair, depth) for pair, depth in deepest.items() if depth > least]
         return sorted(found, key=lambda overlap: -overlap.depth)
 
     # -- forces from outside ---------------------------------------------------------------------------------------
@@ -167,7 +169,7 @@ class World(WorldCore):
     def clear_wrenches(self, name: str, link: str) -> None:
         """End all wrenches on a link. Raises UnknownName."""
         body = self.body(name)
-        body.link_id(link)
+        body.link(link)
         self.loads.forces.drop(
             lambda force: isinstance(force, JointForce) or force.body is not body or force.link != link
         )
