@@ -44,6 +44,23 @@ class RigidBody:
         return self.mover is not None or self.head != WORLD
 
 
+def lumped(parts: Sequence[tuple[Inertial, Matrix, Vector]]) -> Inertial:
+    """Mass, centre of mass and inertia about it of links that move as one, in the frame of their body.
+
+    Each part is what a link weighs, and the attitude and place of the link in that frame. The masses add up, and so do
+    the tensors, turned into the frame and shifted by Steiner's theorem; negative ones too, as in Gazebo.
+    """
+    made = [_Part(*part) for part in parts]
+    mass = sum(part.mass for part in made)
+    if mass < LEAST:
+        centre, about = (0.0, 0.0, 0.0), [part.tensor for part in made]
+    else:
+        centre = _vector(sum(part.mass * part.centre[i] for part in made) / mass for i in range(3))
+        about = [part.about(centre) for part in made]
+    ixx, ixy, ixz, iyy, iyz, izz = (sum(values) for values in zip(*about, strict=True))
+    return Inertial(Pose(centre), mass, (ixx, ixy, ixz, iyy, iyz, izz), parts[0][0].line)
+
+
 def rigid_bodies(root: str, joints: Mapping[str, Joint]) -> list[RigidBody]:
     """All bodies of a robot, the root's first. Linear in the number of joints."""
     welded: dict[str, list[str]] = {}
@@ -185,8 +202,7 @@ class Weigher:
     def _lumped(self, body: RigidBody) -> Inertial | None:
         """Mass, centre of mass and inertia about it of all links of a body, in the head's frame; None: nobody has any.
 
-        A single one is as it is written, in its own frame. Of several the masses add up, and the tensors, turned into
-        the head's frame and shifted by Steiner's theorem; negative ones too, as in Gazebo.
+        A single one is as it is written, in its own frame.
         """
         weighing = [(link, inertial) for link in body.links if (inertial := self.links[link].inertial) is not None]
         if not weighing:
@@ -194,15 +210,8 @@ class Weigher:
         first = weighing[0][1]
         if len(weighing) == 1:
             return replace(first, mended=True)
-        parts = [_Part(inertial, *self._seen_from(body.head, link)) for link, inertial in weighing]
-        mass = sum(part.mass for part in parts)
-        if mass < LEAST:
-            centre, about = (0.0, 0.0, 0.0), [part.tensor for part in parts]
-        else:
-            centre = _vector(sum(part.mass * part.centre[i] for part in parts) / mass for i in range(3))
-            about = [part.about(centre) for part in parts]
-        ixx, ixy, ixz, iyy, iyz, izz = (sum(values) for values in zip(*about, strict=True))
-        return Inertial(Pose(centre), mass, (ixx, ixy, ixz, iyy, iyz, izz), first.line, mended=True)
+        parts = [(inertial, *self._seen_from(body.head, link)) for link, inertial in weighing]
+        return replace(lumped(parts), mended=True)
 
     def _seen_from(self, head: str, link: str) -> tuple[Matrix, Vector]:
         """Attitude and place of a link in the frame of the head, to which fixed joints lead."""
