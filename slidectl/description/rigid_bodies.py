@@ -7,7 +7,6 @@ What a body can weigh is inertia.py's; joints between bodies are structure.py's.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -20,6 +19,9 @@ from slidectl.errors import listing
 from slidectl.rotations import Matrix, from_rpy, matrix
 
 WORLD = "world"
+
+LARGEST = 1e300
+"""kg, kg·m² and m. Sums and products of what a whole body weighs stay finite up to here."""
 
 _MOMENTS = "ixx ixy ixz iyy iyz izz"
 _NOTHING: Tensor = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -144,7 +146,14 @@ class Weigher:
                     self._mend(body, written, unfit)
                 else:
                     self._give_least(body)
+            elif len(body.links) > 1 and (whole := self._lumped(body)) is not None:
+                self._refuse_too_large(body, whole)
         return self.links
+
+    def _refuse_too_large(self, body: RigidBody, whole: Inertial) -> None:
+        """Raises BadFile when links that are each possible come to a body that no arithmetic can turn and shift."""
+        if not all(abs(part) <= LARGEST for part in (whole.mass, *whole.inertia, *whole.origin.xyz)):
+            raise self.link_at[body.head].error(f"link {body.head!r}: its masses or inertias are too large")
 
     def _leave_out(self, unfit: Sequence[_Unfit]) -> None:
         for found in unfit:
@@ -153,9 +162,8 @@ class Weigher:
 
     def _mend(self, body: RigidBody, written: Inertial, unfit: Sequence[_Unfit]) -> None:
         mass, moments = inertia.nearest_possible(written.mass, written.inertia)
-        if not all(map(math.isfinite, (mass, *moments, *written.origin.xyz))):
-            raise self.link_at[body.head].error(f"link {body.head!r}: its masses or inertias are too large")
         mended = replace(written, mass=mass, inertia=moments)
+        self._refuse_too_large(body, mended)
         weighing = [link for link in body.links if self.links[link].inertial is not None]
         change = _change(written, mended)
         whole = "it is" if len(weighing) == 1 else f"fixed to one another, {listing(weighing)} are"
