@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from launch_files import Workspace, notices
 
+from slidectl.description import source_note
 from slidectl.errors import BadFile
 
 
@@ -297,7 +298,7 @@ def test_xacro_is_a_program_that_can_be_called_by_its_path(workspace: Workspace,
         workspace.values(f'<param name="x" command="{command} {model}"/>')["/x"]
         for command in (f"env PATH=/usr/bin:/bin $(find xacro)/{name}", "xacro")
     )
-    assert called == ours
+    assert called == source_note.split(ours)[0]
     assert "/left" in called
 
 
