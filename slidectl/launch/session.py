@@ -22,7 +22,7 @@ from slidectl.launch.nodes.spawner import Spawner
 from slidectl.launch.plan import Node
 from slidectl.launch.setup import look_ahead, prepare
 from slidectl.launch.strays import Strays
-from slidectl.launch.task import Run, StepFailed, Task
+from slidectl.launch.task import HOOK_LIMIT_S, Run, StepFailed, Task
 from slidectl.launch.world import WorldSettings
 
 # Nobody tells when a robot comes or a parameter is set, so look now and then.
@@ -74,6 +74,8 @@ class Session:
         """Those that could not be done in a launch that keeps going."""
         self._strays: Strays | None = None
         self._over = False
+        self._found: set[tuple[str, int]] = set()
+        """Robots that were there before, with the sessions of those who asked for them."""
         run.watch.add(run.interrupts.fileno(), run.interrupts.clear)
 
     # --- up -------------------------------------------------------------------------------------------------------
@@ -92,6 +94,8 @@ class Session:
         client, run.owns_daemon = self.door.connect()
         run.connect(client)
         run.watch.add(client.fileno(), lambda: None)
+        if not run.owns_daemon:
+            self._found = set(self._robots())
         prepare(run, run.parameters)
         self._start_nodes()
         self._look_at_processes()
@@ -318,12 +322,37 @@ class Session:
         for task in reversed(self.begun):
             self._stop(task)
         self._escalate(processes)
+        if run.failed and run.is_connected and not run.owns_daemon and not self._lost_daemon:
+            self._delete_robots_of(processes)
         if run.is_connected:
             run.client.close()
         if self._began_daemon or run.owns_daemon:
             self._stop_daemon()
         if self._strays is not None:
             self._strays.end(run.options.sigterm_timeout_s, lambda: len(run.interrupts.received) > 1, self._tell_stray)
+
+    def _robots(self) -> list[tuple[str, int]]:
+        """Those in the world, each with the session id of the process that asked for it."""
+        robots = self.run.call("/slidectl/list_robots", {"name": ""}, HOOK_LIMIT_S)["robots"]
+        return [(robot["name"], robot["process_session"]) for robot in robots]
+
+    def _delete_robots_of(self, processes: Sequence[Process]) -> None:
+        """Delete what programs of this launch have spawned. A program in a session that it made itself is not known.
+
+        The id of a session may have belonged to another one before: hence robots that were found here stay.
+        """
+        owners = {number: process for process in processes for number in process.sessions}
+        if not owners:
+            return
+        try:
+            for name, number in self._robots():
+                if number in owners and (name, number) not in self._found:
+                    self.run.call("/gazebo/delete_model", {"model_name": name}, HOOK_LIMIT_S)
+                    owners[number].settled(self.run, f"{name}: deleted")
+        except NoDaemon:
+            self._lost_daemon = True
+        except SlidectlError as error:
+            self.run.console.warn(f"robots of programs of this launch may have stayed: {error.message}")
 
     def _tell_stray(self, pid: int, name: str) -> None:
         self.run.console.warn(f"process {pid} ({name}) was left behind by a node; it is ended")
