@@ -18,6 +18,7 @@ from slidectl.errors import NoDaemon, Refused, SlidectlError
 from slidectl.launch.interrupts import Interrupted
 from slidectl.launch.nodes.gazebo import Gazebo
 from slidectl.launch.nodes.process import Process, reason
+from slidectl.launch.nodes.spawn_model import SpawnModel
 from slidectl.launch.nodes.spawner import Spawner
 from slidectl.launch.plan import Node
 from slidectl.launch.setup import look_ahead, prepare
@@ -70,8 +71,6 @@ class Session:
         self._lost_daemon = False
         self._waiting: list[_Waiting] = []
         self._ended: dict[Process, int] = {}
-        self._left_out: list[Task] = []
-        """Those that could not be done in a launch that keeps going."""
         self._strays: Strays | None = None
         self._over = False
         self._found: set[tuple[str, int]] = set()
@@ -166,7 +165,7 @@ class Session:
         if not self.run.plan.missing.keeps_going:
             raise error if isinstance(error, StepFailed) else StepFailed(task, error) from None
         task.leave_out(self.run, "the node", error)
-        self._left_out.append(task)
+        self.run.left_out.append(task)
 
     def _look_again(self) -> None:
         """Start what can be started now; what has come to wait for something else says so."""
@@ -192,12 +191,12 @@ class Session:
                     entry.task.settled(self.run, f"waits for {entry.reason}")
                 if self._waits_in_vain(entry):
                     self._waiting.remove(entry)
-                    self._fail(entry.task, Refused(f"there is no {entry.reason}"))
+                    self._fail(entry.task, Refused(f"there is no {_bare(entry.reason)}"))
                 elif time.monotonic() >= entry.until:
                     if not entry.task.goes_on_waiting(self.run):
                         limit = f"within {entry.task.patience_s:g} s"
                         self._waiting.remove(entry)
-                        self._fail(entry.task, Refused(f"there was no {entry.reason} {limit}"))
+                        self._fail(entry.task, Refused(f"there was no {_bare(entry.reason)} {limit}"))
                     entry.until = math.inf
             self._turn(_LOOK_AGAIN_S)
             if self._over:
@@ -206,7 +205,10 @@ class Session:
 
     def _waits_in_vain(self, entry: _Waiting) -> bool:
         """Whether it waits for the robot of a node that was left out, and nobody else here could spawn one."""
-        nodes = [task.node for task in self.tasks if task not in self._left_out]
+        if isinstance(entry.task, SpawnModel):
+            awaited = entry.task.words.one("-wait")
+            return any(isinstance(task, SpawnModel) and task.model == awaited for task in self.run.left_out)
+        nodes = [task.node for task in self.tasks if task not in self.run.left_out]
         could_come = any(isinstance(task, Process) for task in self.begun) or any(map(_spawns, nodes))
         return isinstance(entry.task, Spawner) and not could_come and any(map(_spawns, self.run.plan.nodes))
 
@@ -221,7 +223,7 @@ class Session:
         elif any(map(_spawns, self.run.plan.nodes)):
             is_left = bool(self.run.spawned)
         else:
-            is_left = any(task not in self._left_out for task in self.begun)
+            is_left = any(task not in self.run.left_out for task in self.begun)
         if not is_left:
             raise Refused("nothing is left to drive", "\n".join(["left out:", *missing.lines()]))
 
@@ -263,7 +265,7 @@ class Session:
 
     def _running(self) -> list[Task]:
         waiting = [entry.task for entry in self._waiting]
-        gone = (*self._ended, *self._left_out, *waiting)
+        gone = (*self._ended, *self.run.left_out, *waiting)
         return [task for task in self.begun if task.keeps_running and task not in gone]
 
     def _is_required(self, task: Task) -> bool:
@@ -390,3 +392,8 @@ class Session:
 def _spawns(node: Node) -> bool:
     """Whether a node puts a robot into the world."""
     return node.package == "gazebo_ros" and node.type.removesuffix(".py") == "spawn_model"
+
+
+def _bare(reason: str) -> str:
+    """What a task waits for, to stand behind "no"."""
+    return reason.removeprefix("the ").removeprefix("a ")
