@@ -60,6 +60,7 @@ def _launch_files(context: click.Context, param: click.Parameter, incomplete: st
 @click.option("--wait", is_flag=True, help="Wait for a daemon instead of starting one (60 s, or --timeout).")
 @click.option("--package", "packages", multiple=True, metavar="NAME=PATH", help="Where a package is; may repeat.")
 @click.option("--keep-going", is_flag=True, help="Leave out all that is not there, and list it at the end.")
+@click.option("--strict", is_flag=True, help="Refuse impossible masses, inertias and shapes instead of mending them.")
 @click.option("--skip-unknown", is_flag=True, help="Leave out nodes that can neither be done nor run here.")
 @click.option("--no-commands", is_flag=True, help="Refuse <param command=...> that is not xacro.")
 @click.option("--screen", "output_of_all", flag_value="screen", help="Show the output of all nodes.")
@@ -81,7 +82,8 @@ def launch(ctx: Context, /, words: tuple[str, ...], packages: tuple[str, ...], *
     Starts a daemon when none runs, and then stops it at the end; Ctrl-C ends the nodes in reverse order, and so do
     SIGTERM and SIGHUP, with exit code 0. A step that fails ends the launch with 1 and names its file and line; a
     broken file is 2. Packages, files, programs and controllers that are not there end it before it starts, all in one
-    list; with --keep-going they are left out, and it exits with 1 only when nothing is left to drive. NAME is a launch
+    list; with --keep-going they are left out, and it exits with 1 only when nothing is left to drive. Robots that a
+    launch that fails has spawned, itself or by its programs, go again. NAME is a launch
     file that is shipped; - is standard input. JSON keys: event, text, and those of the event.
     """
     from slidectl.cli import launch_tell
@@ -187,6 +189,7 @@ def _session(
     options = Options(
         given["output_of_all"],
         given["required"],
+        given["strict"],
         given["sigint_timeout"],
         given["sigterm_timeout"],
     )

@@ -282,12 +282,13 @@ def _request(ctx: Context, name: str, xml: str, pose: dict[str, Any]) -> list[st
 
 def _tell_report(ctx: Context, name: str, document: Document) -> None:
     """What became of the tags: wrong ones and mended inertias in full, the others counted unless `-v`."""
+    from slidectl.description.report import needs_telling
+
     for notice in document.report:
         ctx.warn(str(notice))
     report = robots.find(robots.all_robots(ctx), name)["report"]
     for notice in report:
-        is_mended = notice["verdict"] == "converted" and "/<inertial>" in notice["subject"]
-        if ctx.verbose or notice["verdict"] == "wrong" or is_mended:
+        if ctx.verbose or needs_telling(notice["verdict"], notice["subject"]):
             ctx.warn(robots.notice_text(notice))
     if not ctx.verbose:
         ctx.say(robots.summary(name, report))

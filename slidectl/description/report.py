@@ -23,6 +23,11 @@ _FOREIGN = {
 }
 
 
+def needs_telling(verdict: str, subject: str) -> bool:
+    """Whether a notice is told in full at spawn: what is wrong, and masses and inertias that were mended."""
+    return verdict == "wrong" or (verdict == "converted" and "/<inertial>" in subject)
+
+
 class Report:
     """Collects notices in the order of reading."""
 

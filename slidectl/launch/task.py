@@ -57,6 +57,8 @@ class Options:
     output: str | None = None
     """`screen` or `log` for all nodes, whatever they say themselves."""
     all_required: bool = False
+    strict: bool = False
+    """Whether impossible masses, inertias and shapes are refused instead of mended."""
     sigint_timeout_s: float = 15.0
     sigterm_timeout_s: float = 2.0
 

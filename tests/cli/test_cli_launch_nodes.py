@@ -227,6 +227,25 @@ def test_a_robot_stays_with_a_program_that_dies_and_not_with_a_required_one(worl
             world.ok("delete", "slider")
 
 
+def test_a_launch_tells_of_masses_that_are_mended_and_refuses_them_when_strict(
+    world: CommandLine, write: Write
+) -> None:
+    folder = Path(write("")).parent
+    inertia = '<inertia ixx="1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/>'
+    urdf = f'<robot name="m">\n<link name="l"><inertial><mass value="1"/>{inertia}</inertial></link></robot>'
+    (folder / "plate.urdf").write_text(urdf)
+    spawning = node("gazebo_ros/spawn_model", "-urdf -param d -model m", name="s")
+    path = write(f'<param name="d" textfile="{folder}/plate.urdf"/>{spawning}')
+    strict = world("launch", path, "--strict")
+    assert strict.returncode == 1
+    assert f"{folder}/plate.urdf:2: link 'l' has an inertia that no body can have" in strict.stderr
+    assert world.ok("robots", "--json") == ""
+    done = world("launch", path)
+    assert done.returncode == 0, done.stderr
+    assert f"{folder}/plate.urdf:2: converted: link 'l'/<inertial>/<inertia>: has an inertia that" in done.stderr
+    assert "instead of 1 0 0 0.1 0 0.1 kg·m²" in done.stderr
+
+
 def test_spawning_can_wait_for_another_robot(world: CommandLine, write: Write) -> None:
     launched = Launched(world, write(spawn("-wait first -x 2 -robot_namespace /s")))
     launched.until("/urdf: waits for the model first")

@@ -12,7 +12,9 @@ from slidectl import description, names, rotations
 from slidectl.description import source_note
 from slidectl.description.joints import STARTS_OUTSIDE, place_of_limit
 from slidectl.description.packages import Packages, is_file
+from slidectl.description.report import needs_telling
 from slidectl.errors import BadFile, BadName, Refused, SlidectlError
+from slidectl.launch.files import shown
 from slidectl.launch.options import Words, number, parse
 from slidectl.launch.plan import Leaf, Node, Plan
 from slidectl.launch.task import HOOK_LIMIT_S, SPAWN_LIMIT_S, Run, Task
@@ -130,6 +132,8 @@ class SpawnModel(Task):
             return f"the model {awaited}"
         run.heard()
         document = self._document(run)
+        if run.options.strict:
+            description.parse(document.xml, document.file, strict=True)
         if self.model not in run.call("/slidectl/status")["robots"]:
             run.spawned.append(self.model)  # before it is there: a call that is cut short may have been heard
         try:
@@ -162,7 +166,11 @@ class SpawnModel(Task):
             raise Refused(f"the parameter {name} is not set to a robot's description", hint)
         if not _is_xml(xml):
             raise Refused(f"the parameter {name} holds no XML")
-        return description.load(xml if own is not None else _noted(run, xml), {}, packages, missing=missing)
+        if own is None:
+            return description.load(_noted(run, xml), {}, packages, missing=missing)
+        setting = next((one for one in reversed(run.plan.settings) if one.name == name), None)
+        title = shown(setting.source) if setting is not None and setting.source else f"parameter {name}"
+        return description.load(xml, {}, packages, missing=missing, title=title)
 
     def _spawn(self, run: Run, document: description.Document) -> None:
         request: dict[str, Any] = {
@@ -207,7 +215,7 @@ class SpawnModel(Task):
             raise
 
     def _tell(self, run: Run) -> None:
-        """Where it is, and what became of its tags: wrong ones in full, the others counted unless `-v`."""
+        """Where it is, and what became of its tags: what needs telling in full, the others counted unless `-v`."""
         run.heard()  # the same is said here
         robot = run.call("/slidectl/list_robots", {"name": self.model})["robots"][0]
         # What -J put elsewhere is between its limits: set_model_configuration refuses all else.
@@ -217,8 +225,8 @@ class SpawnModel(Task):
             where = f"{notice['file']}:{notice['line']}" if notice["line"] else notice["file"]
             if notice["text"].startswith(STARTS_OUTSIDE) and notice["subject"] in put:
                 continue
-            if notice["verdict"] == "wrong" or run.console.verbose:
-                run.console.warn(f"{where}: {notice['subject']}: {notice['text']}")
+            if needs_telling(notice["verdict"], notice["subject"]) or run.console.verbose:
+                run.console.warn(f"{where}: {notice['verdict']}: {notice['subject']}: {notice['text']}")
             elif notice["verdict"] == "ignored":
                 ignored += 1
         joints = " ".join(joint["name"] for joint in robot["joints"] if joint["type"] != "fixed") or "none"
