@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import click
@@ -12,7 +12,7 @@ from slidectl import names
 from slidectl.cli import live, output, parameters
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
-from slidectl.errors import AmbiguousName, BadFile, Refused, UnknownName, UsageError, closest, listing
+from slidectl.errors import AmbiguousName, BadFile, Refused, UnknownName, UsageError, closest
 from slidectl.writing import write_whole
 
 _INDEXED = re.compile(r"(?P<name>[^\[\]]+)(?P<indices>(\[-?\d+\])+)\Z")
@@ -25,21 +25,7 @@ def param() -> None:
 
 def _resolved(ctx: Context, name: str) -> str:
     """The full name of a parameter or of a namespace of parameters. Raises UnknownName, AmbiguousName."""
-    if name == "/":
-        return name
-    known = ctx.names("parameter")
-    spaces = {space for each in known for space in _above(each)}
-    try:
-        return names.resolve(name.rstrip("/"), {*known, *spaces}, kind="parameter", namespace=ctx.namespace)
-    except UnknownName as error:
-        error.hint = f"parameters: {listing(known)}"
-        raise
-
-
-def _above(name: str) -> Iterator[str]:
-    """The namespaces that hold a name, without the root."""
-    while (name := names.parent(name)) != "/":
-        yield name
+    return str(ctx.resolve("parameter", name)["name"])
 
 
 # --- list, get ------------------------------------------------------------------------------------------------------

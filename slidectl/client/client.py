@@ -13,7 +13,6 @@ from contextlib import suppress
 from typing import Any
 
 from slidectl import __version__, names, paths
-from slidectl.client import naming
 from slidectl.client.lines import LONGEST_LINE, BadLine, encode
 from slidectl.client.link import Link, command
 from slidectl.client.replies import Replies
@@ -78,6 +77,10 @@ class Client:
 
     def answer(self, call_id: str, *, timeout: float | None = None) -> Message:
         """The response to an earlier `call_async`. Raises as `call` does."""
+        self._await(call_id, timeout)
+        return self._replies.answer(call_id)
+
+    def _await(self, call_id: str, timeout: float | None) -> None:
         replies = self._replies
         if not replies.has(call_id):
             try:
@@ -85,7 +88,6 @@ class Client:
             except BaseException:
                 replies.forget(call_id)
                 raise
-        return replies.answer(call_id)
 
     @property
     def reasons(self) -> list[str]:
@@ -191,17 +193,28 @@ class Client:
         answer = self.call("/rosapi/topics")
         return dict(zip(answer["topics"], answer["types"], strict=True))
 
-    def resolve_topic(self, name: str, role: str | None = None, namespace: str = "/") -> str:
-        """The full name of the topic that `name` means among those with `publishers` or `subscribers` (the role).
+    def resolve(
+        self, kind: str, name: str, *, namespace: str = "/", role: str = "", with_field: bool = False
+    ) -> Message:
+        """What a short name means, as the command line has it: itself, or the one name that ends with it.
+
+        Args:
+            kind: `topic`, `service`, `parameter` (or a namespace of parameters), `node` or `robot`.
+            namespace: where relative names begin, and which of several is meant.
+            role: of a topic: only those with `publishers`, or with `subscribers`; empty for all.
+            with_field: of a topic: a field may follow the name.
+
+        Returns:
+            slidectl/Resolve's response: `name` is the full name; then `field`, `type`, `typedefs`,
+            `response_typedefs` and `nodes`, as far as the kind has them.
 
         Raises:
-            UnknownName, AmbiguousName: see `slidectl.names.resolve`.
+            UnknownName: nothing fits. AmbiguousName: several do. Unused: the topic has nobody in the role.
         """
-        return naming.topic(self, name, role, namespace)
-
-    def resolve_service(self, name: str, namespace: str = "/") -> str:
-        """The full name of the service that `name` means. Raises as `resolve_topic` does."""
-        return naming.service(self, name, namespace)
+        request = {"kind": kind, "name": name, "namespace": namespace, "role": role, "with_field": with_field}
+        call_id = self.call_async("/slidectl/resolve", request)
+        self._await(call_id, None)
+        return self._replies.resolved(call_id)
 
     # --- what arrives -------------------------------------------------------------------------------------------
 

@@ -313,4 +313,4 @@ def _returned(call: Message) -> Message:
 
 
 def _failure(error: SlidectlError) -> Message:
-    return {"values": str(error), "result": False, "exit_code": error.exit_code}
+    return {"values": str(error), "result": False, "exit_code": error.exit_code, "cause": type(error).__name__}
