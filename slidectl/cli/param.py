@@ -183,8 +183,9 @@ def load(ctx: Context, file: str, namespace: str | None) -> None:
     All documents of the file count; a key '_ns' puts a document into a namespace. Parameters that the file does not
     name stay. JSON keys: parameter, value; one line for each.
     """
-    from slidectl.cli.configuration import leaves, store
+    from slidectl.cli.configuration import store
     from slidectl.cli.documents import text_of
+    from slidectl.client.spawning import leaves
 
     shown = "stdin" if file == "-" else file
     inside = names.check_parameter(names.join(ctx.namespace, (namespace or "").rstrip("/") or ctx.namespace))

@@ -186,6 +186,9 @@ class Session:
             self._graph.topics.publish(topic, wire.text(message, "type", "") or None, content, self.node)
         else:
             publisher.publish(msgs.check(self._graph.topics.type_of(topic), content))
+        if message.get("unheard") and not self._graph.topics.subscribers(topic):
+            status = {"op": "status", "level": "info", **wire.given_id(message), "topic": topic, "unheard": True}
+            self._connection.send(encode({**status, "msg": f"nobody subscribes to {topic}"}))
         if message.get("ack"):
             status = {"op": "status", "level": "info", **wire.given_id(message), "msg": "delivered"}
             self._connection.send(encode(status | self._reasons()))
