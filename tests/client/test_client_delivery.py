@@ -28,8 +28,7 @@ def test_what_fits_no_line_is_refused_before_it_leaves(client: Client) -> None:
 
 def test_what_reached_nobody_is_an_error_when_the_client_is_left(daemon: Runtime) -> None:
     with pytest.raises(MessageRefused, match="nobody subscribes to /deaf: 2 published"), daemon.client() as client:
-        client.publish("/deaf", {"data": 1}, type="std_msgs/Int32")
-        client.publish("/deaf", {"data": 2})
+        [client.publish("/deaf", {"data": number}, type="std_msgs/Int32") for number in range(2)]
     with daemon.client() as client:
         client.publish("/kept", {"data": 1}, type="std_msgs/Int32", latch=True)
         client.publish("/heard", {"data": 1}, type="std_msgs/Int32")
