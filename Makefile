@@ -5,7 +5,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: help demo test fuzz lint types bench examples wheel clean
+.PHONY: docs help demo test fuzz lint types bench examples wheel clean
 .DEFAULT_GOAL := help
 
 help:  ## this list
@@ -40,6 +40,10 @@ bench: $(STAMP)  ## measure; prints a table and writes benchmarks/results/*.json
 
 examples: $(STAMP)  ## run every script of examples/
 	@PATH="$(CURDIR)/$(BIN):$$PATH" bash examples/run_all.sh
+
+docs: $(STAMP)  ## the documentation as a site, in build/site
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	@$(BIN)/mkdocs build --quiet --strict
 
 wheel: $(STAMP)  ## build the wheel and try it in a bare environment
 	@bash scripts/try_wheel.sh

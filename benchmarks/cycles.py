@@ -6,6 +6,7 @@ Ratios are of processor time, median of rounds in which both start from the same
 from __future__ import annotations
 
 import copy
+import re
 import statistics
 import time
 from collections.abc import Callable
@@ -14,9 +15,9 @@ from typing import Any
 import mujoco
 
 from benchmarks.harness import RRBOT_CONTROLLERS, SLIDER_CONTROLLERS, Row
-from slidectl.control.controller import Controller
-from slidectl.control.interfaces import JointStateInterface
-from slidectl.control.node import NodeHandle
+from slidectl.control.controller_interface import Controller
+from slidectl.control.hardware_interface import JointStateInterface
+from slidectl.control.node_handle import NodeHandle
 from slidectl.control.registry import controller
 from slidectl.description import load
 from slidectl.description.controllers_file import read
@@ -29,6 +30,7 @@ ROUND_S = 0.15
 CROWDS = (1, 10, 100, 200)
 JOINTS = (1, 6, 30)
 COMPILED_GOAL, CROWD_GOAL, PLAIN_GOAL = 0.90, 0.85, 0.25
+OWN_IMPORT_GOALS = (("rrbot", RRBOT_CONTROLLERS, 1.2), ("slider", SLIDER_CONTROLLERS, 1.45))
 SPACING_M = 5.0
 
 
@@ -42,6 +44,8 @@ def measure() -> list[Row]:
             rows += compared(f"{model}, its state topics heard, {engine}", heard(model, controllers, engine), None)
         rows += compared(f"rrbot and a watcher in Python, {engine}", watched(engine), None)
     if object_file.is_possible():
+        for model, controllers, own_goal in OWN_IMPORT_GOALS:
+            rows.append(beside_own_import(model, controllers, own_goal))
         for joints in JOINTS:
             rows += compared(f"one robot of {joints} joints, compiled", comb(joints), None, joints, "a joint")
         for count in CROWDS:
@@ -133,18 +137,47 @@ def compared(
     name: str, simulation: Simulation, goal: float | None, parts: int = 1, of_what: str = "a robot"
 ) -> list[Row]:
     """The rows of one simulation, run as a daemon runs it."""
+    model = copy.copy(simulation.world.model)
+    ratio, mine, theirs = in_turns(simulation, model, lambda: copy.copy(simulation.world.data))
+    each = f", {1e6 * mine / parts:.3g} us {of_what}" if parts > 1 else ""
+    note = f"{1e6 * mine:.3g} us a cycle{each}; bare {1e6 * theirs:.3g} us"
+    return [Row(f"{name}: ratio to bare mj_step", ratio, "", goal, better="higher", note=note)]
+
+
+def beside_own_import(name: str, controllers: tuple[str, ...], goal: float) -> Row:
+    """The compiled cycle beside `mj_step` of the model that MuJoCo itself makes of the URDF, with a ground plane."""
+    simulation = build(name, controllers, "compiled")
+    spec = mujoco.MjSpec.from_string(_without_instructions(load(name).xml))
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
+    spec.option.timestep, spec.option.gravity = simulation.world.timestep, simulation.world.gravity
+    model = spec.compile()
+
+    def start_state() -> Any:
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:] = simulation.world.data.qpos, simulation.world.data.qvel
+        return data
+
+    ratio, mine, theirs = in_turns(simulation, model, start_state)
+    note = f"{1e6 * mine:.3g} us a cycle; MuJoCo's own import {1e6 * theirs:.3g} us"
+    return Row(f"{name}: ratio to MuJoCo's own import", ratio, "", goal, better="higher", note=note)
+
+
+def _without_instructions(urdf: str) -> str:
+    """MuJoCo reads no XML processing instructions."""
+    return re.sub(r"<\?.*?\?>", "", urdf, flags=re.DOTALL)
+
+
+def in_turns(simulation: Simulation, model: Any, start_state: Callable[[], Any]) -> tuple[float, float, float]:
+    """The ratio of a bare step of the model to a cycle of the simulation, and the s of a cycle and of a bare step."""
     simulation.driven = True
-    model, cycles = copy.copy(simulation.world.model), _cycles_of_a_round(simulation)
+    cycles = _cycles_of_a_round(simulation)
     ratios, ours, bare = [], [], []
     for _ in range(ROUNDS):
-        data = copy.copy(simulation.world.data)
+        data = start_state()
         bare.append(_cpu_s(lambda data=data: mujoco.mj_step(model, data, nstep=cycles)) / cycles)
         ours.append(_cpu_s(lambda: simulation.step(cycles)) / cycles)
         ratios.append(bare[-1] / ours[-1])
-    mine, theirs = statistics.median(ours), statistics.median(bare)
-    each = f", {1e6 * mine / parts:.3g} us {of_what}" if parts > 1 else ""
-    note = f"{1e6 * mine:.3g} us a cycle{each}; bare {1e6 * theirs:.3g} us"
-    return [Row(f"{name}: ratio to bare mj_step", statistics.median(ratios), "", goal, better="higher", note=note)]
+    return statistics.median(ratios), statistics.median(ours), statistics.median(bare)
 
 
 def _cycles_of_a_round(simulation: Simulation) -> int:

@@ -38,8 +38,9 @@ Every command takes the common options too, before its name or after it:
 | 4 | timed out |
 | 130 | interrupted |
 
-Results go to stdout, all else to stderr. With `--json` an error is one object, the last line of stderr, with the keys `error` (what
-failed), `hint` (what to do next, or null) and `exit_code`; warnings before it stay text. A reader that closes the pipe ends a command quietly.
+Results go to stdout, all else to stderr. With `--json` an error is one object, the last line of stderr, with the keys
+`error` (what failed), `hint` (what to do next, or null) and `exit_code`; warnings before it stay text. A reader that
+closes the pipe ends a command quietly.
 """
 
 

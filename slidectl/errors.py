@@ -7,7 +7,6 @@ themselves, so that every door (CLI, client, service answer, log) says the same.
 from __future__ import annotations
 
 import errno
-from bisect import bisect
 from collections.abc import Iterable, Sequence
 
 EXIT_DONE = 0
@@ -49,6 +48,8 @@ def closest(name: str, known: Iterable[str]) -> str | None:
     known = [full for full in known if len(full) <= 2 * _LONGEST_COMPARED]
     if len(known) > _MOST_COMPARED:
         known.sort()
+        from bisect import bisect
+
         begin = max(0, bisect(known, name) - _MOST_COMPARED // 2)
         known = known[begin : begin + _MOST_COMPARED]
     from difflib import SequenceMatcher, get_close_matches  # only an error needs it, and every command imports us

@@ -12,6 +12,7 @@ import struct
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from math import inf, isfinite, isnan
 from pathlib import Path
 from typing import Any
@@ -20,11 +21,11 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from slidectl.control import limits as limit_handles
-from slidectl.control import transmissions
+from slidectl.control import transmission_interface as transmissions
 from slidectl.control.duration import from_seconds, to_seconds
-from slidectl.control.handles import JointHandle
-from slidectl.control.joint_limits import JointLimits, SoftJointLimits
-from slidectl.control.pid import Gains, Pid
+from slidectl.control.hardware_interface import JointHandle
+from slidectl.control.limits import JointLimits, SoftJointLimits
+from slidectl.control.pid import Gains, Pid, next_command_from
 from slidectl.errors import SlidectlError
 
 Case = dict[str, Any]
@@ -81,7 +82,7 @@ def pid_case(case: Case) -> Iterator[Comparison]:
         "reset2": pid.reset_to,
         "setGains": lambda *gains: pid.set_gains(Gains(*gains[:5], antiwindup=bool(gains[5]))),
     }
-    compute: Callable[..., float] = pid.compute_command if case["mode"] == "error" else pid.compute_command_from
+    compute: Callable[..., float] = pid.compute_command if case["mode"] == "error" else partial(next_command_from, pid)
     for k, inputs in enumerate(case["inputs"]):
         for operation in case["ops"]:
             if operation["before_input"] == k:

@@ -21,7 +21,7 @@ import yaml
 # A checkout runs as it stands, installed or not.
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from slidectl.control.interfaces import JointStateInterface
+from slidectl.control.hardware_interface import JointStateInterface
 from slidectl.errors import SlidectlError
 from slidectl.simulation.simulation import Simulation
 

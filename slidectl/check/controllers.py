@@ -18,21 +18,26 @@ from slidectl.check.joints import driven_joints
 from slidectl.check.model import Model
 from slidectl.check.parameter_file import ParameterFile, shown
 from slidectl.control import registry
-from slidectl.control.controller import ControllerBase
-from slidectl.control.interfaces import ResourceManager
-from slidectl.control.parameters import Parameter
+from slidectl.control.controller_interface import ControllerBase
+from slidectl.control.hardware_interface import JointStateInterface, ResourceManager
+from slidectl.control.params import Parameter
 from slidectl.description.controllers_file import retarget
 from slidectl.description.models import read_file
+from slidectl.description.robot import Notice
 from slidectl.errors import BadFile, closest, listing
 
 Tree = dict[str, Any]
 
 _UNSPACED = re.compile(r"^\w+:\S")
+# MoveIt's planners have a `type`, too.
+_PLANNERS = "planner_configs"
 # What is read by others than controllers, wherever it is.
 _OTHERS = {
     "robot_description": "the robot, for whoever draws or plans",
     "use_sim_time": "time is always simulated here",
 }
+
+_UNKNOWN = "is unknown to the controller and has no effect"
 
 Reader = Callable[[str], str | None]
 """Who, other than controllers and hardware, reads the parameter of that full name; None: nobody."""
@@ -86,6 +91,15 @@ def _tell_namespace(source: ParameterFile, tree: Tree, model: Model, checker: Co
     checker.moved = placed is not tree
 
 
+def unknown(tree: Mapping[str, Any], source: ParameterFile) -> list[Notice]:
+    """Findings on the parameters in a tree that their controllers, or simulated hardware, do not know; on nothing else.
+
+    For those who load parameters: a name with a slip is told at once, as a check tells it.
+    """
+    ControllerCheck(source, []).check(tree)
+    return [notice for notice in source.findings.sorted() if notice.text.startswith((_UNKNOWN, hardware.UNKNOWN))]
+
+
 class ControllerCheck:
     """One tree of parameters, and the robots that may be meant in it."""
 
@@ -115,7 +129,9 @@ class ControllerCheck:
             self.source.add("used", "/", "note: the file holds no parameters")
         for key, value in tree.items():
             below = f"{path}/{key}"
-            if isinstance(value, Mapping) and _is_controller(value):
+            if key == _PLANNERS:
+                self.source.unknown(below, "MoveIt's planners; nobody reads them here", value)
+            elif isinstance(value, Mapping) and _is_controller(value):
                 self._controller(below, value)
             elif isinstance(value, Mapping) and key in hardware.PLACES:
                 self._hardware(key, below, value)
@@ -236,7 +252,7 @@ class _Parameters:
         if parameter is None:
             near = self.declared.closest(name)
             hint = f"did you mean {near!r}?" if near else f"it knows {listing(self.declared.names())}"
-            self.source.unknown(path, f"is unknown to the controller and has no effect; {hint}", value)
+            self.source.unknown(path, f"{_UNKNOWN}; {hint}", value)
             return
         trouble = self._joint_trouble(parameter, value)
         number = parameter.kind.convert(value) if parameter.unless_positive else None
@@ -266,8 +282,8 @@ class _Parameters:
         if joint not in self.driven:
             return f"no transmission drives joint {joint!r}, so controllers do not know it"
         wanted = {interface.type_name.rpartition("::")[2] for interface in _interfaces(self.cls)}
-        offered = self.driven[joint].rpartition("/")[2]
-        if wanted and not wanted & {offered, "JointStateInterface"}:
+        offered = self.driven[joint]
+        if wanted and not wanted & {offered, JointStateInterface.__name__}:
             return f"the transmission of joint {joint!r} offers {offered}, the controller needs {' or '.join(wanted)}"
         return None
 

@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-from slidectl.control.parameters import LIST, Parameter
+from slidectl.control.params import LIST, Parameter
 from slidectl.errors import closest
 
 _INDEX = re.compile(r"\[\d+\]")

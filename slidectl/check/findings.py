@@ -60,6 +60,11 @@ class Findings:
             else:
                 self.fail(subject, error, start)
 
+    def withdraw(self, notices: Iterable[Notice]) -> None:
+        """Take findings back that do not hold once more is known."""
+        for notice in list(notices):
+            del self._notices[notice]
+
     def fail(self, subject: str, error: BadFile, *named: str) -> None:
         """A file that cannot be used, and why. `named` are ways in which the error may begin by naming the subject.
 

@@ -13,12 +13,16 @@ from slidectl.check.declared import Declared
 from slidectl.check.joints import driven_joints
 from slidectl.check.model import Model
 from slidectl.check.parameter_file import ParameterFile
-from slidectl.control.joint_limits import LIMITS
-from slidectl.control.live_pid import GAINS
+from slidectl.control.hardware_interface import EffortJointInterface
+from slidectl.control.limits import LIMITS
+from slidectl.control.reconfigurable_pid import GAINS
 from slidectl.errors import closest, listing
 
 PLACES = ("joint_limits", "gazebo_ros_control")
 GAINS_PLACE = "pid_gains"
+
+UNKNOWN = "simulated hardware does not read it"
+"""How findings on names that nobody knows begin."""
 
 # A flag, and the values that it lets count.
 _GROUPS = {
@@ -73,10 +77,10 @@ class _Joints:
             near = closest(joint, self.robot.joints)
             hint = f"did you mean {near!r}? " if near else ""
             return f"the robot has no joint {joint!r}; {hint}joints: {listing(self.robot.joints)}"
-        interface = driven_joints(self.robot).get(joint, "")
+        interface = driven_joints(self.robot).get(joint)
         if not interface:
             return f"no transmission drives joint {joint!r}, so simulated hardware does not read it"
-        if self.are_gains and interface.endswith("/EffortJointInterface"):
+        if self.are_gains and interface == EffortJointInterface.__name__:
             return f"joint {joint!r} takes efforts, for which simulated hardware needs no PID"
         return None
 
@@ -89,7 +93,7 @@ class _Joints:
             elif parameter is None:
                 near = self.declared.closest(name)
                 hint = f"did you mean {near!r}?" if near else f"known: {listing(self.declared.names())}"
-                self.source.unknown(f"{path}/{name}", f"simulated hardware does not read it; {hint}", value)
+                self.source.unknown(f"{path}/{name}", f"{UNKNOWN}; {hint}", value)
             else:
                 self.source.value(f"{path}/{name}", value, parameter)
         for name, parameter in self.declared.missing(values):

@@ -10,7 +10,13 @@ from collections.abc import Iterator
 
 from slidectl.check.findings import Findings
 from slidectl.check.traced import Trace, plain
+from slidectl.control.hardware_interface import (
+    EffortJointInterface,
+    PositionJointInterface,
+    VelocityJointInterface,
+)
 from slidectl.description.robot import Joint, Limit, Notice, Robot, Verdict
+from slidectl.description.transmissions import driving, interface_name
 from slidectl.description.xml_tree import Element
 
 _MOVING = ("revolute", "continuous", "prismatic")
@@ -33,12 +39,11 @@ _MEANINGS = {
 
 
 def driven_joints(robot: Robot) -> dict[str, str]:
-    """The joints that simulated hardware drives, with the interface that each takes commands by."""
+    """The joints that simulated hardware drives, with the name of the interface that each takes commands by."""
     found: dict[str, str] = {}
-    for transmission in robot.transmissions:
-        if len(transmission.joints) == 1:
-            joint = transmission.joints[0]
-            found[joint.name] = "hardware_interface/" + joint.hardware_interfaces[0].rpartition("/")[2]
+    for transmission in driving(robot.transmissions):
+        joint = transmission.joints[0]
+        found[joint.name] = interface_name(joint.hardware_interfaces[0])
     return found
 
 
@@ -76,17 +81,17 @@ class Joints:
 
     def _effect(self, joint: Joint, name: str) -> tuple[Verdict, str]:
         """What a limit does, which is for the interface to say that the joint takes commands by."""
-        interface = self.driven.get(joint.name, "").rpartition("/")[2]
+        interface = self.driven.get(joint.name)
         if not interface and name in ("velocity", "effort"):
             return "used", "bounds forces from outside only, as no transmission drives the joint"
         if not interface and name in _SOFT:
             return "ignored", "has no effect, as no transmission drives the joint"
         if joint.type == "continuous" and name in _SOFT and name != "k_velocity":
             return "ignored", "has no effect without position limits, which a continuous joint has not"
-        if interface == "PositionJointInterface" and name == "effort":
+        if interface == PositionJointInterface.__name__ and name == "effort":
             return "used", "counts only with gains in gazebo_ros_control/pid_gains"
-        if interface in ("PositionJointInterface", "VelocityJointInterface") and name == "k_velocity":
-            return "ignored", f"only an EffortJointInterface has a use for it, the joint's is a {interface}"
+        if interface in (PositionJointInterface.__name__, VelocityJointInterface.__name__) and name == "k_velocity":
+            return "ignored", f"only an {EffortJointInterface.__name__} has a use for it, the joint's is a {interface}"
         return "used", _MEANINGS[name][2]
 
     def tell(self, findings: Findings) -> None:

@@ -16,6 +16,7 @@ from slidectl.check.launch_parameters import LaunchParameters
 from slidectl.check.launch_tags import LaunchTags
 from slidectl.check.model import Model
 from slidectl.check.traced import plain
+from slidectl.description.joints import STARTS_OUTSIDE, place_of_limit
 from slidectl.description.packages import Packages, is_file
 from slidectl.description.robot import Verdict
 from slidectl.errors import BadFile, closest, listing
@@ -56,6 +57,7 @@ class LaunchNodes:
         self.strict = strict
         self.tasks = [task for node in plan.nodes if (task := self._task(node)) is not None]
         self.robots = [self._robot(task) for task in self.tasks if isinstance(task, SpawnModel)]
+        self._withdraw_starts()
         self.has_programs = any(isinstance(task, Process) for task in self.tasks)
 
     def _task(self, node: Node) -> Task | None:
@@ -104,6 +106,20 @@ class LaunchNodes:
         elif name not in self.parameters.robots and self.parameters.values.get(name) is not None:
             self._add("wrong", task.node, f"the parameter {name} holds no robot")
         return self.parameters.robots.get(name)
+
+    def _withdraw_starts(self) -> None:
+        """A joint that every spawn of a robot puts between its limits (-J) does not start outside of them."""
+        spawns = [task for task in self.tasks if isinstance(task, SpawnModel)]
+        put: dict[int, list[SpawnModel]] = {}
+        for spawned, task in zip(self.robots, spawns, strict=True):
+            if spawned.model is not None:
+                put.setdefault(id(spawned.model.robot), []).append(task)
+        for spawned in self.robots:
+            for joint in spawned.model.robot.joints.values() if spawned.model is not None else ():
+                starts = [task.start_of(joint.name) for task in put[id(spawned.model.robot)]]  # type: ignore[union-attr]
+                if joint.limit and all(joint.limit.lower <= start <= joint.limit.upper for start in starts):
+                    said = (notice for notice in self.findings.sorted() if notice.subject == place_of_limit(joint.name))
+                    self.findings.withdraw(notice for notice in said if notice.text.startswith(STARTS_OUTSIDE))
 
     # --- who reads parameters -----------------------------------------------------------------------------------------
 

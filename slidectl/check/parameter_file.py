@@ -11,8 +11,7 @@ from typing import Any
 
 from slidectl import names
 from slidectl.check.findings import Findings
-from slidectl.control.parameters import Parameter
-from slidectl.control.params import described
+from slidectl.control.params import Parameter, described
 from slidectl.description.robot import Verdict
 from slidectl.errors import NotThere
 

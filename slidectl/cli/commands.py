@@ -6,15 +6,12 @@ negative numbers as plain values, and options that take values until the next op
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import click
 
 from slidectl.cli.options import common_options, help_option
-
-# Marks an argument that must not be taken for an option. No argument of a process can hold a zero byte.
-_GUARD = "\0"
 
 
 def looks_like_number(token: str) -> bool:
@@ -98,52 +95,58 @@ class Command(_Shared):
         """
         return looks_like_number(token)
 
-    def make_parser(self, ctx: click.Context) -> Any:
-        """click's parser behind a door that marks values and spreads variadic options."""
-        parser = super().make_parser(ctx)
-        _know_short_options(parser)
-        inner = parser.parse_args
-        params = self.get_params(ctx)
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """click's own parser, on the arguments in an order that leaves it nothing to guess: see `_ordered`."""
+        ordered = self._ordered(list(args), ctx) if ctx.allow_interspersed_args else args
+        return super().parse_args(ctx, ordered)
 
-        def parse_args(args: list[str]) -> Any:
-            guarded = self._guarded(list(args), params, lenient=ctx.resilient_parsing)
-            values, rest, order = inner(args=guarded)
-            return {key: _unguarded(value) for key, value in values.items()}, _unguarded(rest), order
+    def _ordered(self, args: list[str], ctx: click.Context) -> list[str]:
+        """The options with their values, then `--`, then the rest: so a value may begin with `-`.
 
-        parser.parse_args = parse_args  # type: ignore[method-assign]
-        return parser
-
-    def _guarded(self, args: list[str], params: Sequence[click.Parameter], lenient: bool) -> list[str]:
-        variadic = {name: param for param in params if isinstance(param, Variadic) for name in param.opts}
-        options = {name for param in params if isinstance(param, click.Option) for name in param.opts}
-        result: list[str] = []
+        An option that takes values until the next one is repeated before each of its values.
+        """
+        named = {
+            name: param for param in self.get_params(ctx) if isinstance(param, click.Option) for name in param.opts
+        }
+        named |= {name: param for param in set(named.values()) for name in param.secondary_opts}
+        options: list[str] = []
+        values: list[str] = []
         index = 0
         while index < len(args):
             token = args[index]
             index += 1
+            param = named.get(token)
             if token == "--":
-                return [*result, *args[index - 1 :]]
-            if token in variadic:
-                end = _end_of_values(variadic[token], args, index)
-                if end == index and not lenient:
+                values += args[index:]
+                break
+            if isinstance(param, Variadic):
+                end = _end_of_values(param, args, index)
+                if end == index and not ctx.resilient_parsing:
                     raise click.BadOptionUsage(token, f"Option {token!r} requires an argument.")
-                result += [part for value in args[index:end] for part in (token, _GUARD + value)]
+                options += [part for value in args[index:end] for part in (token, value)]
                 index = end
-            elif token.startswith("-") and token not in options and self.is_value(token, args[: index - 1]):
-                result.append(_GUARD + token)
+            elif param is None and (
+                not token.startswith("-") or token == "-" or self.is_value(token, args[: index - 1])
+            ):
+                values.append(token)
+            elif param is None and token[2:3] == "=" and token[:2] in named:  # -n=5
+                options += [token[:2], token[3:]]
             else:
-                result.append(token)
-        return result
+                taken = _values_of(param, token, named)
+                options += [token, *args[index : index + taken]]
+                index += taken
+        return [*options, "--", *values] if values else options
 
 
-def _know_short_options(parser: Any) -> None:
-    """Save click a detour: it looks `-n` up as a long option first, and writes an error with suggestions when it fails.
-
-    That costs more than all the rest of parsing. Where click keeps its tables otherwise, the detour is taken.
-    """
-    long, short = getattr(parser, "_long_opt", None), getattr(parser, "_short_opt", None)
-    if isinstance(long, dict) and isinstance(short, dict):
-        long.update(short)
+def _values_of(param: click.Option | None, token: str, named: Mapping[str, click.Option]) -> int:
+    """How many of the arguments behind a token are values of its option: none of a flag, or of `-n5` and `--name=5`."""
+    if param is None and not token.startswith("--"):  # flags in one word, perhaps with an option behind them: -vn 5
+        for place, letter in enumerate(token[1:], 2):
+            param = named.get(f"-{letter}")
+            if param is None or not param.is_flag:
+                param = param if place == len(token) else None
+                break
+    return 0 if param is None or param.is_flag or param.count else param.nargs
 
 
 def _end_of_values(option: Variadic, args: Sequence[str], start: int) -> int:
@@ -151,14 +154,6 @@ def _end_of_values(option: Variadic, args: Sequence[str], start: int) -> int:
     while end < len(args) and option.takes(args[end]):
         end += 1
     return end
-
-
-def _unguarded(value: Any) -> Any:
-    if isinstance(value, str):
-        return value.removeprefix(_GUARD)
-    if isinstance(value, list | tuple):
-        return type(value)(_unguarded(item) for item in value)
-    return value
 
 
 class Group(_Shared, click.Group):

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from slidectl import names
 from slidectl.cli.context import Context
 from slidectl.client.spawning import Tree, find, leaves, placements
 from slidectl.errors import UsageError
@@ -33,7 +35,36 @@ def read(ctx: Context, file: str, namespaces: Sequence[str]) -> Tree:
     tree = controllers_file.read(path, notices)
     for notice in notices:
         ctx.warn(str(notice))
+    _warn_unknown(ctx, tree, path)
     return dict(leaves(_placed(ctx, tree, namespaces, str(path))))
+
+
+def _warn_unknown(ctx: Context, tree: Tree, path: Path) -> None:
+    """Names in a file that no controller knows, such as `kd` for a gain, as `check` tells them."""
+    from slidectl.check.controllers import unknown
+    from slidectl.check.findings import Findings
+    from slidectl.check.parameter_file import ParameterFile
+    from slidectl.description import yaml_tree
+    from slidectl.description.models import read_file
+
+    places = {name: (str(path), line) for name, line in yaml_tree.places(read_file(path), str(path)).items()}
+    for notice in unknown(tree, ParameterFile(str(path), places, Findings())):
+        ctx.warn(str(notice))
+
+
+def warn_unknown(ctx: Context, namespace: str, controllers: Sequence[str]) -> None:
+    """The same for the parameters that the daemon has for some controllers of a namespace."""
+    from slidectl.check.controllers import unknown
+    from slidectl.check.findings import Findings
+    from slidectl.check.parameter_file import ParameterFile
+
+    for name in dict.fromkeys(controllers):
+        request = {"name": names.join(namespace, name), "default": "null"}
+        tree = json.loads(ctx.call("/rosapi/get_param", request)["value"])
+        for part in reversed(name.split("/")):
+            tree = {part: tree}
+        for notice in unknown(tree, ParameterFile("", {}, Findings(), namespace)):
+            ctx.warn(f"{notice.subject}: {notice.text}")
 
 
 def _placed(ctx: Context, tree: Tree, namespaces: Sequence[str], file: str) -> Tree:

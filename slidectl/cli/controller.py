@@ -160,7 +160,10 @@ def types(ctx: Context, manager: str | None) -> None:
 @click.pass_obj
 def load(ctx: Context, manager: str | None, names: tuple[str, ...]) -> None:
     """Load controllers; they are ready to be started."""
+    from slidectl.cli import configuration
+
     target, local = owner(ctx, manager, names)
+    configuration.warn_unknown(ctx, target.namespace, local)
     with Report(ctx, target, local):
         target.load_all(local)
 
@@ -284,7 +287,10 @@ def spawn(ctx: Context, manager: str | None, stopped: bool, wait: bool, names: t
     """
     if wait:
         wait_for_owner(ctx, manager, names)
+    from slidectl.cli import configuration
+
     target, local = owner(ctx, manager, names)
+    configuration.warn_unknown(ctx, target.namespace, local)
     with Report(ctx, target, local):
         target.bring_up(local, start=not stopped)
 

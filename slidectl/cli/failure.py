@@ -8,7 +8,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from shlex import quote
 
 import click
 
@@ -91,6 +90,8 @@ def _two_commands(error: Exception, words: Sequence[str]) -> str | None:
         second = words[begins:] if begins is not None else []
     if begins is None or (second and second[0] not in COMMANDS):
         return None
+    from shlex import quote
+
     lines = [" ".join(["slidectl", *map(quote, each)]) for each in (words[:begins], second)]
     return f"these are two commands; each needs a line of its own, or a ';' between them: {'; '.join(lines)}"
 

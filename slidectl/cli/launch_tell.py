@@ -39,7 +39,7 @@ def _parameters(ctx: Context, plan: Plan) -> None:
     if ctx.format == "text":
         output.write(listing.parameters(plan))
     else:
-        ctx.emit({name: value for name, (value, _) in sorted(plan.parameters().items())})
+        ctx.emit(listing.parameter_values(plan))
     _notices(ctx, plan)
 
 

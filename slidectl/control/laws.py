@@ -7,15 +7,9 @@ PIDs and handles; the compiler with rows of tables that have columns of the same
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from operator import attrgetter
 from struct import Struct
-from typing import TYPE_CHECKING, Any, TypeVar
-
-if TYPE_CHECKING:
-    from slidectl.control.handles import JointHandle, JointStateHandle
-    from slidectl.control.node import Publisher
-    from slidectl.control.pid import Pid
+from typing import Any, TypeVar
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -75,32 +69,3 @@ def _getter(names: Sequence[str]) -> Callable[[object], tuple[Any, ...]]:
     if len(names) == 1:
         return lambda source: (getattr(source, names[0]),)
     return attrgetter(*names) if names else lambda _: ()
-
-
-@dataclass(frozen=True, slots=True)
-class Compiled:
-    """How a controller runs compiled: the law of its `update`, and the columns of its row.
-
-    `update(row, joints, pids, time_ns, period_s)` is a law: it does to the rows what the method does to the objects,
-    and returns True when `publish` is due. `Columns.places` are `pid` where there is a PID, `joint` where there is one
-    joint, and `wanted` where there is a publisher, in this order: indices into `pids` and `joints`, and a flag.
-    """
-
-    update: Callable[[Any, Any, Any, int, float], bool]
-    columns: Columns
-
-
-@dataclass(frozen=True, slots=True)
-class Parts:
-    """What a controller consists of besides itself, while it runs compiled."""
-
-    publisher: Publisher | None = None
-    """Where its `publish` goes; it is called only while that is wanted."""
-    joint: JointHandle | None = None
-    pid: Pid | None = None
-    shown: tuple[JointStateHandle, ...] = ()
-    """Joints of which `publish` tells."""
-
-    def handles(self) -> list[JointStateHandle]:
-        """All that are named here."""
-        return [*self.shown, *([] if self.joint is None else [self.joint])]

@@ -1,34 +1,326 @@
-"""Joint limit handles: each watches one joint and rewrites its command in place, once a step.
+"""Limits of joints: where they come from, and what they make of commands.
 
-The six handles of joint_limits_interface around the laws of `limit_steps.py`. Saturation handles clip to hard
-limits; soft limit handles slow the joint down before it gets there.
+After joint_limits_interface (ros_control 0.20), to the bit. Saturation clips to hard limits; soft limits slow the
+joint down before it gets there. Units are those of the joint (m or rad, and per s).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from functools import partial
 from math import inf, nan
-from typing import ClassVar
+from typing import Any, ClassVar
 
-from slidectl.control.handles import JointHandle
-from slidectl.control.joint_limits import JointLimits, SoftJointLimits
-from slidectl.control.laws import Columns
-from slidectl.control.limit_laws import LARGEST
-from slidectl.control.limit_steps import (
+from slidectl.control import params
+from slidectl.control.hardware_interface import (
+    EffortJointInterface,
+    JointCommandInterface,
+    JointHandle,
+    PositionJointInterface,
+    VelocityJointInterface,
+)
+from slidectl.control.laws import Columns, law
+from slidectl.control.node_handle import NodeHandle
+from slidectl.control.params import BOOLEAN, NUMBER, Parameter
+from slidectl.description.robot import Joint
+from slidectl.errors import Refused
+
+LARGEST = 1.7976931348623157e308
+"""The bound where there is none (DBL_MAX)."""
+
+
+@dataclass(frozen=True, slots=True)
+class JointLimits:
+    """Positions in m or rad, velocity in m/s or rad/s and so on, effort in N or N·m. Flags say which count."""
+
+    has_position_limits: bool = False
+    min_position: float = 0.0
+    max_position: float = 0.0
+    has_velocity_limits: bool = False
+    max_velocity: float = 0.0
+    has_acceleration_limits: bool = False
+    max_acceleration: float = 0.0
+    has_jerk_limits: bool = False
+    max_jerk: float = 0.0
+    has_effort_limits: bool = False
+    max_effort: float = 0.0
+    angle_wraparound: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class SoftJointLimits:
+    """Positions in m or rad; k_position in 1/s; k_velocity in N·s/m or N·m·s/rad."""
+
+    min_position: float = 0.0
+    max_position: float = 0.0
+    k_position: float = 0.0
+    k_velocity: float = 0.0
+
+
+NO_LIMITS = JointLimits()
+
+LIMITS = (
+    Parameter("has_position_limits", BOOLEAN, "min_position and max_position count, or (false) there are none"),
+    Parameter("min_position", NUMBER, "least position", "m or rad"),
+    Parameter("max_position", NUMBER, "largest position", "m or rad"),
+    Parameter("has_velocity_limits", BOOLEAN, "max_velocity counts, or (false) there is none"),
+    Parameter("max_velocity", NUMBER, "largest velocity", "m/s or rad/s"),
+    Parameter("has_acceleration_limits", BOOLEAN, "max_acceleration counts, or (false) there is none"),
+    Parameter("max_acceleration", NUMBER, "largest acceleration", "m/s² or rad/s²"),
+    Parameter("has_jerk_limits", BOOLEAN, "max_jerk counts, or (false) there is none"),
+    Parameter("max_jerk", NUMBER, "largest jerk", "m/s³ or rad/s³"),
+    Parameter("has_effort_limits", BOOLEAN, "max_effort counts, or (false) there is none"),
+    Parameter("max_effort", NUMBER, "largest effort", "N or N·m"),
+    Parameter("angle_wraparound", BOOLEAN, "the joint turns on and on"),
+    Parameter("has_soft_limits", BOOLEAN, "the four values of soft limits count"),
+    Parameter("soft_lower_limit", NUMBER, "where slowing down ends, below", "m or rad"),
+    Parameter("soft_upper_limit", NUMBER, "where slowing down ends, above", "m or rad"),
+    Parameter("k_position", NUMBER, "velocity allowed per distance to the soft limit", "1/s"),
+    Parameter("k_velocity", NUMBER, "effort allowed per velocity left", "N·s/m or N·m·s/rad"),
+)
+"""What `joint_limits/<joint>` may hold, as joint_limits_interface reads it."""
+
+_BOUNDS = {
+    "has_velocity_limits": "max_velocity",
+    "has_acceleration_limits": "max_acceleration",
+    "has_jerk_limits": "max_jerk",
+    "has_effort_limits": "max_effort",
+}
+
+
+def limits_from_joint(joint: Joint, base: JointLimits = NO_LIMITS) -> JointLimits | None:
+    """`base` with what `<limit>` says; None without `<limit>`. Jerk stays that of `base`."""
+    limit = joint.limit
+    if limit is None:
+        return None
+    limits = replace(
+        base,
+        has_position_limits=joint.type in ("revolute", "prismatic"),
+        has_velocity_limits=True,
+        max_velocity=limit.velocity,
+        has_acceleration_limits=False,
+        has_effort_limits=True,
+        max_effort=limit.effort,
+    )
+    if limits.has_position_limits:
+        return replace(limits, min_position=limit.lower, max_position=limit.upper)
+    return replace(limits, angle_wraparound=True) if joint.type == "continuous" else limits
+
+
+def soft_limits_from_joint(joint: Joint) -> SoftJointLimits | None:
+    """What `<safety_controller>` says; None without it."""
+    safety = joint.safety
+    if safety is None:
+        return None
+    return SoftJointLimits(safety.soft_lower_limit, safety.soft_upper_limit, safety.k_position, safety.k_velocity)
+
+
+def limits_from_parameters(node: NodeHandle, joint: str, base: JointLimits = NO_LIMITS) -> JointLimits | None:
+    """`base` with what `joint_limits/<joint>/*` says; None when nothing is set there.
+
+    A group counts only with its flag; a true flag without its values changes nothing.
+    """
+    where = f"joint_limits/{joint}"
+    if not node.has_param(where):
+        return None
+    limits = _with_position(node, where, base)
+    for flag, bound in _BOUNDS.items():
+        limits = _with_bound(node, where, limits, flag, bound)
+    return limits
+
+
+def soft_limits_from_parameters(node: NodeHandle, joint: str) -> SoftJointLimits | None:
+    """The soft limits at `joint_limits/<joint>`; None unless `has_soft_limits` is true and all four values are set."""
+    where = f"joint_limits/{joint}"
+    if params.boolean(node, f"{where}/has_soft_limits") is not True:
+        return None
+    lower = params.number(node, f"{where}/soft_lower_limit")
+    upper = params.number(node, f"{where}/soft_upper_limit")
+    k_position = params.number(node, f"{where}/k_position")
+    k_velocity = params.number(node, f"{where}/k_velocity")
+    if lower is None or upper is None or k_position is None or k_velocity is None:
+        return None
+    return SoftJointLimits(lower, upper, k_position, k_velocity)
+
+
+def _with_position(node: NodeHandle, where: str, limits: JointLimits) -> JointLimits:
+    has = params.boolean(node, f"{where}/has_position_limits")
+    if has is None:
+        return limits
+    if has:
+        lower = params.number(node, f"{where}/min_position")
+        upper = params.number(node, f"{where}/max_position")
+        if lower is None or upper is None:
+            return limits
+        return replace(limits, has_position_limits=True, min_position=lower, max_position=upper)
+    wraparound = params.boolean(node, f"{where}/angle_wraparound")
+    return replace(
+        limits,
+        has_position_limits=False,
+        angle_wraparound=limits.angle_wraparound if wraparound is None else wraparound,
+    )
+
+
+def _with_bound(node: NodeHandle, where: str, limits: JointLimits, flag: str, bound: str) -> JointLimits:
+    has = params.boolean(node, f"{where}/{flag}")
+    if has is None:
+        return limits
+    if not has:
+        return replace(limits, **{flag: False})
+    value = params.number(node, f"{where}/{bound}")
+    changes: dict[str, Any] = {flag: True, bound: value}
+    return limits if value is None else replace(limits, **changes)
+
+
+# What the limits do to a command: laws on a limit handle and its joint, or on their rows. The formulas are those of
+# joint_limits_interface (ros_control 0.20). The order of the comparisons decides what becomes of nan and of bounds the
+# wrong way round, so it stays as it is there. They stand inline: a call is what costs most in the interpreter.
+
+
+@law
+def bounded(value: float, lower: float, upper: float) -> float:
+    """min(max(value, lower), upper): with bounds the wrong way round it is `upper`; nan stays nan."""
+    if value < lower:
+        value = lower
+    if upper < value:
+        value = upper
+    return value
+
+
+@law
+def bounded_twice(value: float, lower: float, upper: float, lowest: float, highest: float) -> float:
+    """The value within `lower` and `upper`, after these were brought within `lowest` and `highest`."""
+    if lower < lowest:
+        lower = lowest
+    if highest < upper:
+        upper = highest
+    if value < lower:
+        value = lower
+    if upper < value:
+        value = upper
+    return value
+
+
+@law
+def soft_velocities(limit: LimitHandle, position: float) -> tuple[float, float]:
+    """The lowest and the highest velocity that a position allows; soft limits count only beside hard ones."""
+    fastest = limit.max_velocity
+    if not limit.has_position_limits:
+        return -fastest, fastest
+    low = bounded(-limit.k_position * (position - limit.soft_lower), -fastest, fastest)
+    high = bounded(-limit.k_position * (position - limit.soft_upper), -fastest, fastest)
+    return low, high
+
+
+@law
+def saturate_effort(limit: LimitHandle, joint: JointHandle, period_s: float) -> None:  # noqa: ARG001 - it has no memory
+    """At most the largest effort, and none that pushes further beyond a position or velocity limit."""
+    lower = -limit.max_effort
+    upper = limit.max_effort
+    if joint.position < limit.min_position:
+        lower = 0.0
+    elif joint.position > limit.max_position:
+        upper = 0.0
+    if joint.velocity < -limit.max_velocity:
+        lower = 0.0
+    elif joint.velocity > limit.max_velocity:
+        upper = 0.0
+    joint.command = bounded(joint.command, lower, upper)
+
+
+@law
+def soften_effort(limit: LimitHandle, joint: JointHandle, period_s: float) -> None:  # noqa: ARG001 - it has no memory
+    """Effort that lets the velocity settle between the two that the position allows."""
+    slowest, fastest = soft_velocities(limit, joint.position)
+    most = limit.max_effort
+    lower = bounded(-limit.k_velocity * (joint.velocity - slowest), -most, most)
+    upper = bounded(-limit.k_velocity * (joint.velocity - fastest), -most, most)
+    joint.command = bounded(joint.command, lower, upper)
+
+
+@law
+def saturate_position(limit: LimitHandle, joint: JointHandle, period_s: float) -> None:
+    """Within the position limits, and with a velocity limit within one step of the previous command."""
+    if limit.has_velocity_limits:
+        previous = joint.position if limit.previous != limit.previous else limit.previous
+        step = limit.max_velocity * period_s
+        limit.previous = bounded_twice(
+            joint.command, previous - step, previous + step, limit.min_position, limit.max_position
+        )
+    else:
+        limit.previous = bounded(joint.command, limit.min_position, limit.max_position)
+    joint.command = limit.previous
+
+
+@law
+def soften_position(limit: LimitHandle, joint: JointHandle, period_s: float) -> None:
+    """Between the places that the allowed velocities reach within the period, and within the hard position limits."""
+    previous = joint.position if limit.previous != limit.previous else limit.previous
+    slowest, fastest = soft_velocities(limit, previous)
+    lower, upper = previous + slowest * period_s, previous + fastest * period_s
+    limit.previous = bounded_twice(joint.command, lower, upper, limit.min_position, limit.max_position)
+    joint.command = limit.previous
+
+
+@law
+def saturate_velocity(limit: LimitHandle, joint: JointHandle, period_s: float) -> None:
+    """Within the velocity limit, and with an acceleration limit within one step of the previous command."""
+    fastest = limit.max_velocity
+    if limit.has_acceleration_limits:
+        step = limit.max_acceleration * period_s
+        limit.previous = bounded_twice(joint.command, limit.previous - step, limit.previous + step, -fastest, fastest)
+    else:
+        limit.previous = bounded(joint.command, -fastest, fastest)
+    joint.command = limit.previous
+
+
+@law
+def soften_velocity(limit: LimitHandle, joint: JointHandle, period_s: float) -> None:
+    """Within the allowed velocities, and with an acceleration limit within one step of the measured velocity."""
+    slowest, fastest = soft_velocities(limit, joint.position)
+    if limit.has_acceleration_limits:
+        step = limit.max_acceleration * period_s
+        joint.command = bounded_twice(joint.command, joint.velocity - step, joint.velocity + step, slowest, fastest)
+    else:
+        joint.command = bounded(joint.command, slowest, fastest)
+
+
+LIMIT_LAWS = (
+    saturate_effort,
+    soften_effort,
+    saturate_position,
+    soften_position,
+    saturate_velocity,
+    soften_velocity,
+)
+"""The law of each kind, in the order in which gazebo_ros_control enforces them; within a kind the joints are
+alphabetical."""
+(
     EFFORT_SATURATION,
     EFFORT_SOFT,
     POSITION_SATURATION,
     POSITION_SOFT,
     VELOCITY_SATURATION,
     VELOCITY_SOFT,
-    saturate_effort,
-    saturate_position,
-    saturate_velocity,
-    slow_effort,
-    slow_position,
-    slow_velocity,
-)
-from slidectl.errors import Refused
+) = range(len(LIMIT_LAWS))
+
+
+@law
+def enforce(limit: LimitHandle, joint: JointHandle, period_s: float) -> None:
+    """Rewrite the command of the joint as this kind of limit does. For rows; a handle has its law bound."""
+    if limit.kind == EFFORT_SATURATION:
+        saturate_effort(limit, joint, period_s)
+    elif limit.kind == EFFORT_SOFT:
+        soften_effort(limit, joint, period_s)
+    elif limit.kind == POSITION_SATURATION:
+        saturate_position(limit, joint, period_s)
+    elif limit.kind == POSITION_SOFT:
+        soften_position(limit, joint, period_s)
+    elif limit.kind == VELOCITY_SATURATION:
+        saturate_velocity(limit, joint, period_s)
+    else:
+        soften_velocity(limit, joint, period_s)
 
 
 class BadLimits(Refused):
@@ -39,9 +331,10 @@ class BadLimits(Refused):
 
 
 class LimitHandle:
-    """Base of the limit handles. `enforce` rewrites `handle.command`; `reset` forgets earlier commands."""
+    """Base of the limit handles: each watches one joint and rewrites its command in place, once a step."""
 
     __slots__ = (
+        "enforce",
         "handle",
         "has_acceleration_limits",
         "has_position_limits",
@@ -62,8 +355,8 @@ class LimitHandle:
     """The limits without which it cannot work, of `velocity` and `effort`."""
     farthest: ClassVar[float] = inf
     """The position limit where there is none."""
-    fresh: ClassVar[float] = 0.0
-    """The command before the first."""
+    initial: ClassVar[float] = 0.0
+    """The command before the first; nan is the measured position."""
     columns = Columns(
         changing="previous",
         fixed="kind min_position max_position soft_lower soft_upper has_position_limits has_velocity_limits "
@@ -74,15 +367,12 @@ class LimitHandle:
 
     def __init__(self, handle: JointHandle, limits: JointLimits, soft: SoftJointLimits | None = None) -> None:
         """Raises BadLimits: one of those that it needs is missing."""
-        self.handle = handle
         for missing in self.needs:
             if not getattr(limits, f"has_{missing}_limits"):
                 raise BadLimits(type(self).__name__, handle.name, missing)
-        self._take_hard(limits)
-        self._take_soft(soft or SoftJointLimits())
-        self.reset()
-
-    def _take_hard(self, limits: JointLimits) -> None:
+        self.handle = handle
+        self.enforce: Callable[[float], None] = partial(LIMIT_LAWS[self.kind], self, handle)
+        """Puts the command within the limits, given the seconds since the last call. One call, as it is hot."""
         self.has_position_limits = limits.has_position_limits
         self.has_velocity_limits = limits.has_velocity_limits
         self.has_acceleration_limits = limits.has_acceleration_limits
@@ -91,22 +381,21 @@ class LimitHandle:
         self.max_velocity = limits.max_velocity if limits.has_velocity_limits else LARGEST
         self.max_acceleration = limits.max_acceleration
         self.max_effort = limits.max_effort
-
-    def _take_soft(self, soft: SoftJointLimits) -> None:
+        soft = soft or SoftJointLimits()
         self.soft_lower, self.soft_upper = soft.min_position, soft.max_position
         self.k_position, self.k_velocity = soft.k_position, soft.k_velocity
-
-    def enforce(self, period_s: float) -> None:
-        """Put the command within the limits, given the seconds since the last call."""
-        raise NotImplementedError
+        self.reset()
 
     def command_bounds(self) -> tuple[float, float]:
         """The lowest and the highest command that may ever be let through, whatever the joint does."""
-        raise NotImplementedError
+        if self.kind in (POSITION_SATURATION, POSITION_SOFT):
+            return self.min_position, self.max_position
+        most = self.max_effort if self.kind in (EFFORT_SATURATION, EFFORT_SOFT) else self.max_velocity
+        return -most, most
 
     def reset(self) -> None:
-        """Be as on the first day."""
-        self.previous = self.fresh
+        """Forget earlier commands."""
+        self.previous = self.initial
 
 
 class EffortJointSaturation(LimitHandle):
@@ -116,12 +405,6 @@ class EffortJointSaturation(LimitHandle):
     kind = EFFORT_SATURATION
     needs = ("velocity", "effort")
 
-    def enforce(self, period_s: float) -> None:  # noqa: ARG002 - this law has no memory
-        saturate_effort(self, self.handle)
-
-    def command_bounds(self) -> tuple[float, float]:
-        return -self.max_effort, self.max_effort
-
 
 class EffortJointSoftLimits(LimitHandle):
     """Effort that keeps the measured velocity within what the distance to the soft limits allows."""
@@ -130,12 +413,6 @@ class EffortJointSoftLimits(LimitHandle):
     kind = EFFORT_SOFT
     needs = ("velocity", "effort")
 
-    def enforce(self, period_s: float) -> None:  # noqa: ARG002 - this law has no memory
-        slow_effort(self, self.handle)
-
-    def command_bounds(self) -> tuple[float, float]:
-        return -self.max_effort, self.max_effort
-
 
 class PositionJointSaturation(LimitHandle):
     """Clips position, and with a velocity limit its change per step. The first step is from the measured position."""
@@ -143,13 +420,7 @@ class PositionJointSaturation(LimitHandle):
     __slots__ = ()
     kind = POSITION_SATURATION
     farthest = LARGEST
-    fresh = nan
-
-    def enforce(self, period_s: float) -> None:
-        saturate_position(self, self.handle, period_s)
-
-    def command_bounds(self) -> tuple[float, float]:
-        return self.min_position, self.max_position
+    initial = nan
 
 
 class PositionJointSoftLimits(LimitHandle):
@@ -158,13 +429,7 @@ class PositionJointSoftLimits(LimitHandle):
     __slots__ = ()
     kind = POSITION_SOFT
     needs = ("velocity",)
-    fresh = nan
-
-    def enforce(self, period_s: float) -> None:
-        slow_position(self, self.handle, period_s)
-
-    def command_bounds(self) -> tuple[float, float]:
-        return self.min_position, self.max_position
+    initial = nan
 
 
 class VelocityJointSaturation(LimitHandle):
@@ -174,12 +439,6 @@ class VelocityJointSaturation(LimitHandle):
     kind = VELOCITY_SATURATION
     needs = ("velocity",)
 
-    def enforce(self, period_s: float) -> None:
-        saturate_velocity(self, self.handle, period_s)
-
-    def command_bounds(self) -> tuple[float, float]:
-        return -self.max_velocity, self.max_velocity
-
 
 class VelocityJointSoftLimits(LimitHandle):
     """Velocity that the distance to the soft limits allows, from the measured position and velocity."""
@@ -187,36 +446,28 @@ class VelocityJointSoftLimits(LimitHandle):
     __slots__ = ()
     kind = VELOCITY_SOFT
 
-    def enforce(self, period_s: float) -> None:
-        slow_velocity(self, self.handle, period_s)
 
-    def command_bounds(self) -> tuple[float, float]:
-        return -self.max_velocity, self.max_velocity
-
-
-SATURATION: dict[str, type[EffortJointSaturation | PositionJointSaturation | VelocityJointSaturation]] = {
-    "hardware_interface::EffortJointInterface": EffortJointSaturation,
-    "hardware_interface::PositionJointInterface": PositionJointSaturation,
-    "hardware_interface::VelocityJointInterface": VelocityJointSaturation,
+LIMIT_HANDLES: dict[type[JointCommandInterface], tuple[type[LimitHandle], type[LimitHandle]]] = {
+    EffortJointInterface: (EffortJointSaturation, EffortJointSoftLimits),
+    PositionJointInterface: (PositionJointSaturation, PositionJointSoftLimits),
+    VelocityJointInterface: (VelocityJointSaturation, VelocityJointSoftLimits),
 }
-SOFT_LIMITS: dict[str, type[EffortJointSoftLimits | PositionJointSoftLimits | VelocityJointSoftLimits]] = {
-    "hardware_interface::EffortJointInterface": EffortJointSoftLimits,
-    "hardware_interface::PositionJointInterface": PositionJointSoftLimits,
-    "hardware_interface::VelocityJointInterface": VelocityJointSoftLimits,
-}
+"""The handles of saturation and of soft limits for the joints of each interface."""
 
 
 def limit_handle(
-    interface: str, handle: JointHandle, limits: JointLimits, soft: SoftJointLimits | None = None
+    interface: type[JointCommandInterface],
+    handle: JointHandle,
+    limits: JointLimits,
+    soft: SoftJointLimits | None = None,
 ) -> LimitHandle:
-    """The handle for a joint of that interface (`hardware_interface::X`): soft limits alone when there are some.
+    """The handle for a joint of that interface: soft limits alone when there are some.
 
     Raises:
         BadLimits: the limits lack one that the handle needs.
     """
-    if soft is not None:
-        return SOFT_LIMITS[interface](handle, limits, soft)
-    return SATURATION[interface](handle, limits)
+    saturation, soft_limits = LIMIT_HANDLES[interface]
+    return saturation(handle, limits) if soft is None else soft_limits(handle, limits, soft)
 
 
 def in_order(handles: Iterable[LimitHandle]) -> list[LimitHandle]:

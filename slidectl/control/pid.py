@@ -177,13 +177,6 @@ class Pid:
             self.tell(error, period_s)
         return command
 
-    def compute_command_from(self, error: float, error_dot: float, period_s: float) -> float:
-        """`next_command_from`, told to the observer."""
-        command = next_command_from(self, error, error_dot, period_s)
-        if self.observer is not None:
-            self.tell(error, period_s)
-        return command
-
     def tell(self, error: float, period_s: float) -> None:
         """Tell the observer of the command for this error, if one was computed."""
         if self.observer is not None and period_s != 0.0 and isfinite(error) and isfinite(self.d_error):

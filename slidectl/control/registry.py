@@ -11,8 +11,7 @@ from importlib import import_module
 from pkgutil import iter_modules
 from typing import Protocol, TypeVar
 
-from slidectl.control.controller import ControllerBase
-from slidectl.control.laws import Compiled
+from slidectl.control.controller_interface import Compiled, ControllerBase
 from slidectl.errors import UnknownName
 
 C = TypeVar("C", bound=type[ControllerBase])

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-from slidectl.control.node import NodeHandle
+from slidectl.control.node_handle import NodeHandle
 from slidectl.description import xml_tree
 from slidectl.description.mesh_files import UnreadMeshes
 from slidectl.description.parser import parse_tree

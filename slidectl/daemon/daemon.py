@@ -16,7 +16,7 @@ from contextlib import suppress
 from typing import Any
 
 import slidectl
-from slidectl.control.node import Message
+from slidectl.control.node_handle import Message
 from slidectl.daemon.logfile import LogFile
 from slidectl.daemon.loop import READ, EventLoop
 from slidectl.daemon.mesh_reader import MeshReader
@@ -31,6 +31,8 @@ from slidectl.simulation.simulation import Simulation
 
 NODE = "/slidectl"
 _TIDY_EVERY_S = 1.0
+_LOOK_EVERY_S = 5.0
+"""Between two looks whether the files by which this daemon is found are still there."""
 _FIRST_COMMANDS_S = 1.0
 """Compiled code takes 50 ms to load: not while those who have started the daemon send their first commands."""
 _YOUNG_OBJECTS = 2000
@@ -48,6 +50,8 @@ class Daemon:
         self._start = start
         self._place = place
         self._place_trouble = ""
+        self._seems_taken_over = False
+        self._next_look_s = time.monotonic() + _LOOK_EVERY_S
         self._log = log
         self._began_s = began_s
         self._stopping = ""
@@ -114,7 +118,9 @@ class Daemon:
         self.simulation.engine.is_welcome = now - self._began_s > _FIRST_COMMANDS_S
         self._collect_garbage()
         self._server.tidy()
-        self._look_after_place()
+        if now >= self._next_look_s:
+            self._next_look_s = now + _LOOK_EVERY_S
+            self._look_after_place()
         given_up = self._pacer.given_up_s
         if given_up > max(self._given_up_s + 1.0, 2.0 * self._given_up_s):  # ever rarer, or it would fill the log
             self._given_up_s = given_up
@@ -125,13 +131,18 @@ class Daemon:
         try:
             gone, listener = self._place.mend()
         except TakenOver as error:
-            self._stopping = f"stopped: {error.message}"
+            if self._seems_taken_over:
+                self._stopping = f"stopped: {error.message}"
+            # One that has just come may find this one's socket answered, and go again.
+            self._seems_taken_over = True
+            self._next_look_s = time.monotonic() + _TIDY_EVERY_S
             return
-        except SlidectlError as error:
+        except (SlidectlError, OSError) as error:  # it may be deleted while it is made again
             if str(error) != self._place_trouble:
                 self._log.write("error", f"nobody can find this daemon any more: {error}")
             self._place_trouble = str(error)
             return
+        self._seems_taken_over = False
         self._place_trouble = ""
         if listener is not None:
             self._server.listen_on(listener)

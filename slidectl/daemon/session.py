@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import slidectl
 from slidectl import msgs, names
 from slidectl.client.lines import LONGEST_LINE, BadLine, decode, encode
-from slidectl.control.node import Reasons
+from slidectl.control.node_handle import Reasons
 from slidectl.daemon import wire
 from slidectl.daemon.connection import Connection
 from slidectl.daemon.feed import Feed, Publications

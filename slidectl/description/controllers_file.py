@@ -23,7 +23,7 @@ def read(path: str | Path, notices: list[Notice] | None = None) -> Tree:
     """
     from slidectl.description import yaml_tree
 
-    return yaml_tree.read(read_file(Path(path)), str(path), notices)
+    return yaml_tree.read(read_file(Path(path), pipes=True), str(path), notices)
 
 
 def retarget(tree: Tree, namespace: str) -> tuple[Tree, str | None]:

@@ -111,6 +111,9 @@ def _find_meshes(root: Element, meshes: MeshFiles, missing: Missing | None) -> N
                     error = NotThere(f"mesh {uri!r}: {reason}", element.file, element.line, hint or None, thing)
                     missing.note(error, "the <collision> is left out")
                     above.content[:] = [node for node in above.content if node is not shape]
+                elif uri.strip() and (expected := meshes.expected(uri, element.file)) is not None:
+                    # Whoever reads the text has no package path, and would say that the package is missing.
+                    element.set_mesh(expected.absolute().as_uri())
 
 
 def declared_arguments(source: str | Path, packages: Packages | None = None) -> dict[str, str]:

@@ -7,6 +7,7 @@ mimic masters exist is structure.py.
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Mapping
 from typing import cast, get_args
 
 from slidectl.description import values
@@ -18,6 +19,28 @@ _TYPES: tuple[str, ...] = get_args(JointType)
 _WITH_AXIS = ("revolute", "continuous", "prismatic", "planar")
 _WITH_RANGE = ("revolute", "prismatic")
 _CHILDREN = {"parent", "child", "origin", "axis", "limit", "dynamics", "safety_controller", "mimic", "calibration"}
+
+
+STARTS_OUTSIDE = "the joint starts at 0, outside of its limits"
+"""How the notice of such a joint begins: whoever puts it elsewhere at once need not hear of it."""
+
+
+def tell_starts(
+    joints: Mapping[str, Joint], elements: Mapping[str, Element], moved: Collection[str], report: Report
+) -> None:
+    """Report the joints that start outside of their limits; not those `moved` by position commands, into the limits."""
+    for joint in joints.values():
+        limit = joint.limit
+        if limit is None or joint.type not in _WITH_RANGE or joint.name in moved or limit.lower == limit.upper:
+            continue
+        if not limit.lower <= 0 <= limit.upper:
+            place = elements[joint.name].find("limit") or elements[joint.name]
+            report.wrong(place, f"{STARTS_OUTSIDE} {limit.lower:g} to {limit.upper:g}", place_of_limit(joint.name))
+
+
+def place_of_limit(joint: str) -> str:
+    """The subject of notices on a joint's range."""
+    return f"joint {joint!r}/<limit>"
 
 
 class JointReader:
@@ -115,9 +138,6 @@ class JointReader:
             return upper, lower
         if lower == upper:
             self.report.wrong(limit, f"lower and upper are both {lower:g}: the joint cannot move", place)
-        elif not lower <= 0 <= upper:
-            text = f"the joint starts at 0, outside of its limits {lower:g} to {upper:g}"
-            self.report.wrong(limit, text, place)
         return lower, upper
 
     def _dynamics(self, element: Element, kind: JointType, owner: str) -> tuple[float, float]:

@@ -37,6 +37,13 @@ class MeshFiles:
         places = ", ".join(str(path) for path in dict.fromkeys(candidates))
         return None, f"no such file; looked for {places}" if candidates else f"cannot be found: {_USABLE}"
 
+    def expected(self, uri: str, written_in: str) -> Path | None:
+        """Where a file that is not there was looked for first; None where its package is not there either."""
+        try:
+            return next(iter(self._candidates(uri.strip(), written_in)), None)
+        except UnknownPackage:
+            return None
+
     def _candidates(self, uri: str, written_in: str) -> list[Path]:
         scheme, separator, rest = uri.partition("://")
         if not separator:

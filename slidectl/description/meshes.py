@@ -34,6 +34,8 @@ _LONGEST_NUMBER = 64
 _VERTEX = re.compile(rb"\bvertex\s+(\S{1,64})\s+(\S{1,64})\s+(\S{1,64})(?!\S)", re.IGNORECASE)
 _THINNEST = 1e-12
 _FARTHEST = 1e12
+_SMALLEST_BOX = 100 * LEAST
+"""m³. MuJoCo refuses hulls of less volume than LEAST."""
 FLAT = "it lies in one plane or is too small, and what is flat cannot collide; a thin <box> can"
 """What is wrong with a mesh that collides and `is_flat`."""
 
@@ -90,7 +92,7 @@ def load(path: str | Path, scale: Vector = (1.0, 1.0, 1.0)) -> Triangles:
 
 
 def is_flat(vertices: NDArray[np.float64]) -> bool:
-    """Whether points lie in a plane, but for the rounding of their numbers, or in a box of less volume than LEAST.
+    """Whether points lie in a plane, but for the rounding of their numbers, or in a box of next to no volume.
 
     The scale of an axis makes nothing flat: each axis is judged by its own length.
     """
@@ -98,7 +100,7 @@ def is_flat(vertices: NDArray[np.float64]) -> bool:
 
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     with np.errstate(over="ignore"):
-        if len(vertices) < 4 or float(np.prod(high - low)) < LEAST:
+        if len(vertices) < 4 or float(np.prod(high - low)) < _SMALLEST_BOX:
             return True
     # Halves, as the difference of two finite numbers need not be finite.
     spread = (vertices / 2 - low / 2) / (high / 2 - low / 2)

@@ -6,6 +6,7 @@ A file, a shipped model's name, standard input, or the text itself. Nothing is e
 from __future__ import annotations
 
 import os
+import stat
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,23 +39,58 @@ def read(source: str | Path) -> Source:
     if isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<"):
         return Source(source, "<text>", None)
     path = find(source)
-    return Source(read_file(path), str(path), path)
+    return Source(read_file(path, pipes=True), str(path), path)
 
 
-def read_file(path: Path) -> bytes:
-    """The bytes of a user's file, or the first of too many.
+def read_file(path: Path, *, pipes: bool = False) -> bytes:
+    """The bytes of a user's file, or the first of too many. `pipes` as for read_regular.
 
     Raises:
-        NotThere: missing. BadFile: a folder, or not readable.
+        NotThere: missing. BadFile: a folder, no regular file, or not readable.
     """
     try:
-        with path.open("rb") as stream:
-            return stream.read(MOST_BYTES + 1)
+        return read_regular(path, MOST_BYTES, pipes=pipes)
     except (OSError, ValueError) as error:
         is_shipped = path.suffix in SUFFIXES and path.stem in shipped()
         hint = f"a shipped model goes by its name alone: {path.stem}" if is_shipped else None
         kind = NotThere if isinstance(error, FileNotFoundError) else BadFile
         raise kind(_why(error), str(path), hint=hint) from None
+
+
+def read_regular(path: Path, most_bytes: int, *, pipes: bool = False) -> bytes:
+    """The bytes of a file, or one more than `most_bytes` of them.
+
+    Only regular files are read: a FIFO, a socket or a device may never end, or never begin. With `pipes` a FIFO is
+    read too, which is for files that the user names himself: a shell makes one of `<(xacro robot.xacro)`.
+
+    Raises:
+        BadFile: it is none. OSError, ValueError: it cannot be read.
+    """
+    mode = os.stat(path).st_mode
+    is_pipe = pipes and stat.S_ISFIFO(mode)
+    # Without O_NONBLOCK the open itself would wait for a writer, if a FIFO has come into the file's place by now.
+    descriptor = -1 if _irregular(mode) else os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+    if is_pipe:
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    if descriptor < 0:
+        raise _no_file(path, mode)
+    with open(descriptor, "rb") as stream:
+        mode = os.fstat(descriptor).st_mode
+        if _irregular(mode) and not is_pipe:
+            raise _no_file(path, mode)
+        return stream.read(most_bytes + 1)
+
+
+def _irregular(mode: int) -> str | None:
+    """What kind of file it is that cannot be read as one; None for regular files, and folders, which say so."""
+    for is_kind, kind in ((stat.S_ISFIFO, "a pipe"), (stat.S_ISSOCK, "a socket"), (stat.S_ISREG, None)):
+        if is_kind(mode):
+            return kind
+    return None if stat.S_ISDIR(mode) else "a device"
+
+
+def _no_file(path: Path, mode: int) -> BadFile:
+    return BadFile(f"is {_irregular(mode)}, and only regular files are read", str(path))
 
 
 def _why(error: OSError | ValueError) -> str:

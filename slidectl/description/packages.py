@@ -28,7 +28,7 @@ class UnknownPackage(UnknownName):
 
     def __init__(self, name: str, known: list[str], looked: list[str]) -> None:
         super().__init__("package", name, known)
-        places = "; ".join(looked) or "nowhere: no package path is set"
+        places = "; ".join(looked) or "nowhere, as there is no package path here"
         self.hint = f"looked in: {places}\ngive --package {name}=PATH, or set SLIDECTL_PACKAGE_PATH"
 
 

@@ -12,7 +12,7 @@ from typing import Protocol, TypeVar
 
 from slidectl.description import values, xml_tree
 from slidectl.description.gazebo_tags import GazeboReader
-from slidectl.description.joints import JointReader
+from slidectl.description.joints import JointReader, tell_starts
 from slidectl.description.links import LinkReader
 from slidectl.description.materials import Materials
 from slidectl.description.mesh_files import MeshFiles
@@ -21,7 +21,7 @@ from slidectl.description.report import Report
 from slidectl.description.rigid_bodies import WORLD, Weigher
 from slidectl.description.robot import Robot, Surface, TransmissionInfo
 from slidectl.description.structure import Elements, Structure
-from slidectl.description.transmissions import TransmissionReader
+from slidectl.description.transmissions import TransmissionReader, driving, takes_positions
 from slidectl.description.xml_tree import Element
 
 _CHILDREN = {"link", "joint", "material", "transmission", "gazebo"}
@@ -85,6 +85,9 @@ class _RobotReader:
         self._check_world(base, link_at)
         links = Weigher(links, joints, link_at, report, self.strict).weigh(base)
         transmissions = self._transmissions(TransmissionReader(report, joints))
+        # A position joint goes to its command, which is bounded by the limits, in the first steps.
+        driven = (info.joints[0] for info in driving(transmissions))
+        tell_starts(joints, joint_at, {joint.name for joint in driven if takes_positions(joint)}, report)
         gazebo = GazeboReader(report, links, joints)
         for element in root.find_all("gazebo"):
             gazebo.read(element)

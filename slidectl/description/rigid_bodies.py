@@ -7,7 +7,6 @@ What a body can weigh is inertia.py's; joints between bodies are structure.py's.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -20,6 +19,9 @@ from slidectl.errors import listing
 from slidectl.rotations import Matrix, from_rpy, matrix
 
 WORLD = "world"
+
+LARGEST = 1e300
+"""kg, kg·m² and m. Sums and products of what a whole body weighs stay finite up to here."""
 
 _MOMENTS = "ixx ixy ixz iyy iyz izz"
 _NOTHING: Tensor = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -42,6 +44,23 @@ class RigidBody:
     def moves(self) -> bool:
         """False for what is fixed to the world."""
         return self.mover is not None or self.head != WORLD
+
+
+def lumped(parts: Sequence[tuple[Inertial, Matrix, Vector]]) -> Inertial:
+    """Mass, centre of mass and inertia about it of links that move as one, in the frame of their body.
+
+    Each part is what a link weighs, and the attitude and place of the link in that frame. The masses add up, and so do
+    the tensors, turned into the frame and shifted by Steiner's theorem; negative ones too, as in Gazebo.
+    """
+    made = [_Part(*part) for part in parts]
+    mass = sum(part.mass for part in made)
+    if mass < LEAST:
+        centre, about = (0.0, 0.0, 0.0), [part.tensor for part in made]
+    else:
+        centre = _vector(sum(part.mass * part.centre[i] for part in made) / mass for i in range(3))
+        about = [part.about(centre) for part in made]
+    ixx, ixy, ixz, iyy, iyz, izz = (sum(values) for values in zip(*about, strict=True))
+    return Inertial(Pose(centre), mass, (ixx, ixy, ixz, iyy, iyz, izz), parts[0][0].line)
 
 
 def rigid_bodies(root: str, joints: Mapping[str, Joint]) -> list[RigidBody]:
@@ -127,7 +146,14 @@ class Weigher:
                     self._mend(body, written, unfit)
                 else:
                     self._give_least(body)
+            elif len(body.links) > 1 and (whole := self._lumped(body)) is not None:
+                self._refuse_too_large(body, whole)
         return self.links
+
+    def _refuse_too_large(self, body: RigidBody, whole: Inertial) -> None:
+        """Raises BadFile when links that are each possible come to a body that no arithmetic can turn and shift."""
+        if not all(abs(part) <= LARGEST for part in (whole.mass, *whole.inertia, *whole.origin.xyz)):
+            raise self.link_at[body.head].error(f"link {body.head!r}: its masses or inertias are too large")
 
     def _leave_out(self, unfit: Sequence[_Unfit]) -> None:
         for found in unfit:
@@ -136,9 +162,8 @@ class Weigher:
 
     def _mend(self, body: RigidBody, written: Inertial, unfit: Sequence[_Unfit]) -> None:
         mass, moments = inertia.nearest_possible(written.mass, written.inertia)
-        if not all(map(math.isfinite, (mass, *moments, *written.origin.xyz))):
-            raise self.link_at[body.head].error(f"link {body.head!r}: its masses or inertias are too large")
         mended = replace(written, mass=mass, inertia=moments)
+        self._refuse_too_large(body, mended)
         weighing = [link for link in body.links if self.links[link].inertial is not None]
         change = _change(written, mended)
         whole = "it is" if len(weighing) == 1 else f"fixed to one another, {listing(weighing)} are"
@@ -185,8 +210,7 @@ class Weigher:
     def _lumped(self, body: RigidBody) -> Inertial | None:
         """Mass, centre of mass and inertia about it of all links of a body, in the head's frame; None: nobody has any.
 
-        A single one is as it is written, in its own frame. Of several the masses add up, and the tensors, turned into
-        the head's frame and shifted by Steiner's theorem; negative ones too, as in Gazebo.
+        A single one is as it is written, in its own frame.
         """
         weighing = [(link, inertial) for link in body.links if (inertial := self.links[link].inertial) is not None]
         if not weighing:
@@ -194,15 +218,8 @@ class Weigher:
         first = weighing[0][1]
         if len(weighing) == 1:
             return replace(first, mended=True)
-        parts = [_Part(inertial, *self._seen_from(body.head, link)) for link, inertial in weighing]
-        mass = sum(part.mass for part in parts)
-        if mass < LEAST:
-            centre, about = (0.0, 0.0, 0.0), [part.tensor for part in parts]
-        else:
-            centre = _vector(sum(part.mass * part.centre[i] for part in parts) / mass for i in range(3))
-            about = [part.about(centre) for part in parts]
-        ixx, ixy, ixz, iyy, iyz, izz = (sum(values) for values in zip(*about, strict=True))
-        return Inertial(Pose(centre), mass, (ixx, ixy, ixz, iyy, iyz, izz), first.line, mended=True)
+        parts = [(inertial, *self._seen_from(body.head, link)) for link, inertial in weighing]
+        return replace(lumped(parts), mended=True)
 
     def _seen_from(self, head: str, link: str) -> tuple[Matrix, Vector]:
         """Attitude and place of a link in the frame of the head, to which fixed joints lead."""

@@ -6,22 +6,63 @@ control/, and reported: simulated hardware works on the joint's side of the tran
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from slidectl.description import values
 from slidectl.description.report import Report
 from slidectl.description.robot import Joint, TransmissionActuator, TransmissionInfo, TransmissionJoint
 from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile
 
-_SIMULATED = ("EffortJointInterface", "PositionJointInterface", "VelocityJointInterface")
 _PREFIX = "hardware_interface/"
-_TO_ADD = f"add <hardwareInterface>{_PREFIX}{_SIMULATED[0]}</hardwareInterface>"
+SIMULATED_INTERFACES = tuple(
+    _PREFIX + name for name in ("EffortJointInterface", "PositionJointInterface", "VelocityJointInterface")
+)
+"""What a transmission may ask for, as it is best written. `control.hardware_interface` says what each is."""
+_TO_ADD = f"add <hardwareInterface>{SIMULATED_INTERFACES[0]}</hardwareInterface>"
 _JOINT_CHILDREN = {"role", "hardwareInterface", "offset", "mechanicalReduction"}
 _ACTUATOR_CHILDREN = {"role", "hardwareInterface", "mechanicalReduction"}
 
 
 def is_simulated(interface: str) -> bool:
     """Whether simulated hardware has an interface, with or without its prefix."""
-    return interface.removeprefix(_PREFIX) in _SIMULATED
+    return _prefixed(interface) in SIMULATED_INTERFACES
+
+
+def interface_name(interface: str) -> str:
+    """The name of an interface without any prefix."""
+    return interface.rpartition("/")[2]
+
+
+def _prefixed(interface: str) -> str:
+    return _PREFIX + interface.removeprefix(_PREFIX)
+
+
+def is_same_interface(first: str, second: str) -> bool:
+    """Whether two interfaces are the same, with or without their prefix."""
+    return first.removeprefix(_PREFIX) == second.removeprefix(_PREFIX)
+
+
+def takes_positions(joint: TransmissionJoint) -> bool:
+    """Whether a joint of a transmission takes commands by its position."""
+    return is_same_interface(joint.hardware_interfaces[0], "PositionJointInterface")
+
+
+def driving(transmissions: Iterable[TransmissionInfo]) -> list[TransmissionInfo]:
+    """The transmissions that simulated hardware makes use of: those of one joint, by the joint's first interface.
+
+    Of several interfaces of one joint the first counts, in one transmission as in several. Several transmissions by the
+    same interface all drive the joint.
+    """
+    counts: dict[str, str] = {}
+    found = []
+    for transmission in transmissions:
+        if len(transmission.joints) == 1:
+            joint = transmission.joints[0]
+            first = counts.setdefault(joint.name, joint.hardware_interfaces[0])
+            if is_same_interface(first, joint.hardware_interfaces[0]):
+                found.append(transmission)
+    return found
 
 
 class _DroppedError(Exception):
@@ -34,7 +75,7 @@ class TransmissionReader:
     def __init__(self, report: Report, joints: dict[str, Joint]) -> None:
         self.report = report
         self.joints = joints
-        self.driven: dict[str, Element] = {}
+        self.driven: dict[str, tuple[Element, str]] = {}
 
     def read(self, element: Element) -> TransmissionInfo | None:
         """One transmission, or None when the parser of ros_control would drop it.
@@ -139,13 +180,15 @@ class TransmissionReader:
             self.report.ignored(element, "simulated hardware takes transmissions with one joint only; this has more")
             return
         joint = info.joints[0]
-        if joint.name in self.driven:
-            before = self.driven[joint.name]
-            self.report.wrong(element, f"joint {joint.name!r} is driven by {before.title} already (line {before.line})")
-        self.driven.setdefault(joint.name, element)
+        before, counts = self.driven.setdefault(joint.name, (element, joint.hardware_interfaces[0]))
+        if before is not element:
+            text = f"joint {joint.name!r} is driven by {before.title} already (line {before.line})"
+            if not is_same_interface(counts, joint.hardware_interfaces[0]):
+                text = f"{text}, by {counts}: this one is dropped, and no controller finds its interface"
+            self.report.wrong(element, text)
         self._check_type(element, info.type)
         self._check_interface(element, joint)
-        self._check_limit(element, joint.name)
+        self._check_limit(element, joint)
 
     def _check_type(self, element: Element, name: str) -> None:
         if name.rpartition("/")[2] != "SimpleTransmission":
@@ -153,12 +196,14 @@ class TransmissionReader:
             text = f"{name} has no effect: simulated hardware takes every transmission of one joint as a simple one"
             self.report.ignored(kind or element, text, f"{element.title}/<type>")
 
-    def _check_limit(self, element: Element, name: str) -> None:
-        limit = self.joints[name].limit
+    def _check_limit(self, element: Element, joint: TransmissionJoint) -> None:
+        """A position joint is moved without an effort, unless it has gains: these are in other files."""
+        limit = self.joints[joint.name].limit
+        is_position = takes_positions(joint)
         for value, what in ((limit.effort, "effort"), (limit.velocity, "velocity")) if limit is not None else ():
-            if value == 0:
+            if value == 0 and not (is_position and what == "effort"):
                 self.report.wrong(
-                    element, f"the {what} limit of joint {name!r} is 0, which is a limit: it cannot be driven"
+                    element, f"the {what} limit of joint {joint.name!r} is 0, which is a limit: it cannot be driven"
                 )
 
     def _check_interface(self, element: Element, joint: TransmissionJoint) -> None:
@@ -167,12 +212,11 @@ class TransmissionReader:
         first = joint.hardware_interfaces[0]
         for other in others:
             self.report.ignored(other, f"of several hardware interfaces only the first counts, {first}", place)
-        if first in _SIMULATED:
-            self.report.converted(written, f"{first} is read as {_PREFIX}{first}", place)
-        elif not is_simulated(first):
-            known = [_PREFIX + name for name in _SIMULATED]
-            text = f"{first} is no interface of simulated joints; known: {', '.join(known)}"
+        if not is_simulated(first):
+            text = f"{first} is no interface of simulated joints; known: {', '.join(SIMULATED_INTERFACES)}"
             self.report.wrong(written, text, place)
+        elif first != _prefixed(first):
+            self.report.converted(written, f"{first} is read as {_prefixed(first)}", place)
 
 
 def _interfaces(element: Element) -> tuple[str, ...]:

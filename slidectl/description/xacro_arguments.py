@@ -9,6 +9,7 @@ import re
 from pathlib import Path
 
 from slidectl.description import xml_tree
+from slidectl.description.models import read_file
 from slidectl.description.packages import Packages, shown
 from slidectl.description.xml_tree import Element
 from slidectl.errors import SlidectlError
@@ -36,7 +37,7 @@ def trees(root: Element, base: Path, packages: Packages) -> list[Element] | None
             if path not in seen:
                 seen.add(path)
                 try:
-                    found.append(xml_tree.read(path.read_bytes(), shown(path)))
+                    found.append(xml_tree.read(read_file(path), shown(path)))
                 except (OSError, SlidectlError):
                     return None
                 places.append(path.parent)
@@ -56,7 +57,7 @@ def _collect(root: Element, base: Path, packages: Packages, found: dict[str, Ele
 
 def _follow(path: Path, packages: Packages, found: dict[str, Element], seen: set[Path]) -> None:
     try:
-        root = xml_tree.read(path.read_bytes(), shown(path))
+        root = xml_tree.read(read_file(path), shown(path))
     except (OSError, SlidectlError):
         return  # running xacro will name the fault at the include
     _collect(root, path.parent, packages, found, seen)

@@ -19,7 +19,7 @@ from xml.dom import minidom
 import xacro
 from xacro import substitution_args
 
-from slidectl.description import bounds, xacro_prefix, xacro_symbols, xml_tree
+from slidectl.description import bounds, models, xacro_prefix, xacro_symbols, xml_tree
 from slidectl.description.missing import Missing
 from slidectl.description.packages import Packages, UnknownPackage, shown
 from slidectl.description.robot import Notice
@@ -87,6 +87,7 @@ class _Run:
         self.top: Any = self.document.documentElement
         self.here: Any = self.top
         self.calls: list[LocatedElement] = []
+        self.steps = bounds.Steps()
 
     def expand(self) -> tuple[Element, list[Notice]]:
         try:
@@ -137,6 +138,7 @@ class _Run:
     def eval_all(self, node: Any, macros: Any, symbols: Any) -> None:
         before = self.here
         self.here = node
+        self.steps.take()
         self.original["eval_all"](node, macros, symbols)
         self.here = before
 
@@ -200,8 +202,7 @@ class _Run:
         """Reads an included file; a missing one is xacro's own exception, which optional includes catch."""
         assert text is None
         try:
-            with open(filename, "rb") as file:
-                content = file.read(xml_tree.MOST_BYTES + 1)
+            content = models.read_regular(Path(filename), xml_tree.MOST_BYTES)
         except OSError as error:
             xacro.filestack.pop()
             raise xacro.XacroException(f"{error.strerror}: {filename}", exc=error) from None
@@ -253,7 +254,9 @@ class _Run:
 
     def placed(self, error: SlidectlError) -> BadFile:
         """An error of ours, at the place where xacro met it unless it has one of its own."""
-        return error if isinstance(error, BadFile) else self.error(error.message, error.hint)
+        if isinstance(error, BadFile) and error.line is not None:
+            return error
+        return self.error(error.message, error.hint)
 
 
 def _evaluated(expression: str, symbols: Mapping[str, Any], _locals: object = None) -> Any:

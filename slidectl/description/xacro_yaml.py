@@ -12,6 +12,7 @@ from typing import Any
 import xacro
 import yaml
 
+from slidectl.description.models import read_regular
 from slidectl.description.packages import shown
 from slidectl.description.yaml_tree import MOST_BYTES
 from slidectl.errors import BadFile
@@ -27,10 +28,9 @@ def load(path: Path, number: Number) -> Any:
     """The values of a file. `number` computes the text of one that has a unit.
 
     Raises:
-        OSError: it cannot be read. BadFile: not YAML, or too large. What `number` raises.
+        OSError: it cannot be read. BadFile: no regular file, not YAML, or too large. What `number` raises.
     """
-    with path.open("rb") as file:
-        content = file.read(MOST_BYTES + 1)
+    content = read_regular(path, MOST_BYTES)
     if len(content) > MOST_BYTES:
         raise BadFile(f"is larger than {MOST_BYTES >> 20} MiB", shown(path))
     try:

@@ -101,7 +101,7 @@ def _given(word: str, packages: Packages) -> Source:
 
 def _source(path: Path) -> Source:
     absolute = Path(os.path.abspath(path))
-    return Source(absolute, read_file(absolute), shown(absolute))
+    return Source(absolute, read_file(absolute, pipes=True), shown(absolute))
 
 
 def _in_package(package: str, file: str, packages: Packages) -> Path | None:

@@ -38,9 +38,13 @@ def parameters(plan: Plan) -> str:
     """All of them as YAML, sorted by name, letter for letter as `roslaunch --dump-params`. Raises BadFile."""
     import yaml
 
-    shown = ((name, value) for name, (value, _) in plan.parameters().items())
-    values = {name: source_note.split(value)[0] if isinstance(value, str) else value for name, value in shown}
-    return str(yaml.safe_dump(values, default_flow_style=False))
+    return str(yaml.safe_dump(parameter_values(plan), default_flow_style=False))
+
+
+def parameter_values(plan: Plan) -> dict[str, Any]:
+    """All of them by name, descriptions of robots as any reader takes them. Raises BadFile."""
+    shown = ((name, value) for name, (value, _) in sorted(plan.parameters().items()))
+    return {name: source_note.split(value)[0] if isinstance(value, str) else value for name, value in shown}
 
 
 def arguments(plan: Plan) -> str:

@@ -149,6 +149,7 @@ def _substituted(tag: Tag, text: str, substitution: Substitution) -> str:
         found = substitution.resolve(text)
     except SubstitutionError as error:
         raise tag.error(error.message, error.hint) from None
+    tag.scope.launch.count_text(tag, found)
     for package in absent_packages(found):
         raise tag.absence_of(package)
     return plain(found)

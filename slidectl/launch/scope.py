@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import re
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -32,6 +33,10 @@ _ABSENT = re.compile(f"{ABSENT}([^{ABSENT}]*){ABSENT}")
 
 MOST_TAGS = 20_000
 MOST_FILES = 1000
+MOST_TEXT = 64 * 2**20
+"""Letters that all substitutions of a launch may come to."""
+MOST_SECONDS = 60.0
+"""Of the processor's time, for reading the files without what commands take."""
 DEEPEST_INCLUDE = 60
 
 
@@ -56,12 +61,24 @@ class Launch:
     knows_angles: bool = False
     """Whether `deg(90)` is a number in `<param type="yaml">`: in roslaunch it is, after the first `<rosparam>`."""
     _tags: int = 0
+    _text: int = 0
+    _began_s: float = field(default_factory=time.process_time)
 
     def count(self, tag: Tag) -> None:
         """One more tag is read. Raises BadFile when there are more than any launch has."""
         self._tags += 1
         if self._tags > MOST_TAGS:
             raise tag.error(f"unfolds to more than {MOST_TAGS} tags", "does a file include itself?")
+
+        if time.process_time() - self._began_s > MOST_SECONDS:
+            raise tag.error(f"the launch takes more than {MOST_SECONDS:g} s to read", "does a file include itself?")
+
+    def count_text(self, tag: Tag, text: str) -> None:
+        """So much more text was put in. Raises BadFile when it is more than any launch has."""
+        self._text += len(text)
+        if self._text > MOST_TEXT:
+            hint = "do arguments repeat each other many times over?"
+            raise tag.error(f"the launch comes to more than {MOST_TEXT >> 10} KiB of text", hint)
 
     def count_file(self, tag: Tag) -> None:
         """One more file is included. Raises BadFile when there are more than any launch has."""

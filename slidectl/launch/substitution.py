@@ -20,6 +20,10 @@ from slidectl.launch.typed import automatic
 COMMANDS = ("find", "env", "optenv", "dirname", "anon", "arg")
 OPEN = "$("
 _EVAL = "$(eval "
+MOST_TEXT = 4 * 2**20
+"""Letters that the substitutions of one text may come to."""
+MOST_SUBSTITUTIONS = 10_000
+"""In one text."""
 _IDENTIFIER = re.compile(r"[A-Za-z_]\w*\Z")
 
 
@@ -62,7 +66,8 @@ class Substitution:
 
     def _pass(self, text: str, finds: bool) -> str:
         """The text with `find` put in, or with everything but `find`."""
-        pieces = []
+        pieces: list[str] = []
+        size = count = 0
         rest = text
         while (start := rest.find(OPEN)) >= 0:
             inside, after = _inside(rest, start)
@@ -77,6 +82,11 @@ class Substitution:
                 found = self._command(command, words)
             pieces += [rest[:start], found]
             rest = after
+            count += 1
+            size += start + len(found)
+            if count > MOST_SUBSTITUTIONS or size + len(rest) > MOST_TEXT:
+                what = f"{MOST_TEXT >> 10} KiB of text" if count <= MOST_SUBSTITUTIONS else f"{count - 1} substitutions"
+                raise SubstitutionError(f"comes to more than {what}", "do arguments repeat each other many times over?")
         return "".join([*pieces, rest])
 
     def _command(self, command: str, words: list[str]) -> str:

@@ -66,6 +66,7 @@ class Tag:
             found = self.scope.substitution.resolve(text)
         except SubstitutionError as error:
             raise self.error(f"{attribute}: {error.message}", error.hint) from None
+        self.scope.launch.count_text(self, found)
         for package in () if hands_on else absent_packages(found):
             raise self.absence_of(package)
         return found

@@ -4,11 +4,10 @@ Knows no topics, no clients and no wall time.
 """
 
 from slidectl.physics.body import Body
-from slidectl.physics.core import GRAVITY
 from slidectl.physics.divergence import Diverged
 from slidectl.physics.engine import EngineError, take_warnings
 from slidectl.physics.robot_hw import MujocoRobotHW
-from slidectl.physics.world import Overlap, Snapshot, World
+from slidectl.physics.world import GRAVITY, Overlap, Snapshot, World
 
 __all__ = [
     "GRAVITY",

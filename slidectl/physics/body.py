@@ -12,13 +12,26 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from slidectl.description.robot import Joint, Robot
+from slidectl.description.robot import Joint, Link, Robot
 from slidectl.errors import UnknownName
 from slidectl.physics.builder import SCALAR_TYPES
+from slidectl.physics.frames import compose, subtract
 from slidectl.physics.hulls import Hulls
+from slidectl.physics.lumping import lumps
 from slidectl.physics.rotation import Pose, wxyz
+from slidectl.rotations import IDENTITY, Vector
 
 Array = np.ndarray[Any, np.dtype[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class LinkPlace:
+    """Where a link is: MuJoCo's id of the body that it is part of, and the link's constant pose in it."""
+
+    body: int
+    frame: Pose
+    arm: Vector | None
+    """From the body's centre of mass to the link's, in the body's axes, m; None when they are one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,12 +77,13 @@ class Body:
         self.spawn_pose = pose
         self.hulls: Hulls = hulls if hulls is not None else {}
         """Of its meshes, kept because the world may be built anew when the files are others, or gone."""
-        self.links: dict[str, int] = {}
-        """Link name to MuJoCo's body id."""
+        self.links: dict[str, LinkPlace] = {}
+        """All links by name, those on fixed joints too."""
         self.joints: dict[str, JointPlace] = {}
         """Revolute, continuous and prismatic joints by name, in the order of the file; another dict when they moved."""
         self.weights: Weights | None = None
         """Set once, when the robot is attached."""
+        self._lumps = lumps(robot)
         self._model: Any = None
         self._data: Any = None
         self._rebound: list[Callable[[], None]] = []
@@ -78,7 +92,7 @@ class Body:
     @property
     def root_id(self) -> int:
         """MuJoCo's body id of the root link."""
-        return self.links[self.robot.root]
+        return self.links[self.robot.root].body
 
     @property
     def root_qpos(self) -> int:
@@ -104,8 +118,8 @@ class Body:
         """The robot's part of arrays over all `qpos`, `dof`, `body` or `tie` (equality constraints)."""
         return self._slices[kind]
 
-    def link_id(self, link: str) -> int:
-        """MuJoCo's body id. Raises UnknownName."""
+    def link(self, link: str) -> LinkPlace:
+        """Where the link is. Raises UnknownName."""
         try:
             return self.links[link]
         except KeyError:
@@ -126,16 +140,26 @@ class Body:
         """Find the robot's places in a freshly compiled model."""
         self._model, self._data = model, data
         body, joint = mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_JOINT
-        self.links = {link: mujoco.mj_name2id(model, body, f"{self.name}/{link}") for link in self.robot.links}
+        ids = [mujoco.mj_name2id(model, body, f"{self.name}/{lump.head}") for lump in self._lumps]
+        frames = {
+            link: (at, frame) for at, lump in zip(ids, self._lumps, strict=True) for link, frame in lump.frames.items()
+        }
+        self.links = {name: self._link_place(link, *frames[name]) for name, link in self.robot.links.items()}
         self.joints = {}
         for made in self.robot.joints.values():
             if made.type in SCALAR_TYPES:
                 index = mujoco.mj_name2id(model, joint, f"{self.name}/{made.name}")
                 self.joints[made.name] = JointPlace(made, int(model.jnt_qposadr[index]), int(model.jnt_dofadr[index]))
-        self._slices = _slices(model, self.root_id, len(self.links))
+        self._slices = _slices(model, self.root_id, len(ids))
         if self.weights is None:
             self.weights = Weights(model.body_invweight0[self._slices["body"]].copy(), self._dof_weights().copy())
         self._put_weights(self.weights)
+
+    def _link_place(self, link: Link, body: int, frame: Pose) -> LinkPlace:
+        centre = link.inertial.origin.xyz if link.inertial is not None else (0.0, 0.0, 0.0)
+        x, y, z = self._model.body_ipos[body].tolist()
+        arm = subtract(compose(frame, (centre, IDENTITY))[0], (x, y, z))
+        return LinkPlace(body, frame, arm if any(arm) else None)
 
     def follow(self, model: Any, data: Any) -> None:
         """Go on in a model in which others came or went behind this robot only: its places are the same."""
@@ -214,15 +238,15 @@ def _mimicked(joint: Joint, places: dict[str, JointPlace]) -> float:
     return position
 
 
-def _slices(model: Any, root: int, links: int) -> dict[str, slice]:
+def _slices(model: Any, root: int, bodies: int) -> dict[str, slice]:
     """A robot's bodies are consecutive (MuJoCo numbers depth first), and so are their joints, dofs and positions."""
-    ends = [root, root + links]
+    ends = [root, root + bodies]
     joints = np.searchsorted(model.jnt_bodyid, ends)
     starts = np.append(model.jnt_qposadr, model.nq)
     dofs = np.searchsorted(model.dof_bodyid, ends)
     ties = np.flatnonzero((model.eq_obj1id >= joints[0]) & (model.eq_obj1id < joints[1]))
     return {
-        "body": slice(root, root + links),
+        "body": slice(root, root + bodies),
         "dof": slice(int(dofs[0]), int(dofs[1])),
         "qpos": slice(int(starts[joints[0]]), int(starts[joints[1]])),
         "tie": slice(int(ties[0]), int(ties[-1]) + 1) if len(ties) else slice(0, 0),

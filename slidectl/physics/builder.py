@@ -1,6 +1,7 @@
 """A robot on paper becomes bodies, joints and geoms of a MuJoCo specification, named `ROBOT/LINK` and `ROBOT/JOINT`.
 
-Builds only; it compiles nothing and knows no state. Units and frames are URDF's: the child's frame is the joint's.
+Links on fixed joints are part of their parent's body (see lumping.py), which has the name of its first link. Builds
+only; it compiles nothing and knows no state. Units and frames are URDF's: the child's frame is the joint's.
 """
 
 from __future__ import annotations
@@ -12,10 +13,12 @@ import mujoco
 
 from slidectl.description.inertia import LEAST, can_move
 from slidectl.description.rigid_bodies import rigid_bodies
-from slidectl.description.robot import Joint, Link, Robot
+from slidectl.description.robot import Joint, Robot
 from slidectl.description.structure import TOO_DEEP, too_deep
+from slidectl.physics.frames import compose
 from slidectl.physics.hulls import Hulls
 from slidectl.physics.inertia import BadInertia, put_inertia
+from slidectl.physics.lumping import Lump, lumps
 from slidectl.physics.parts import BadPart
 from slidectl.physics.rotation import Pose, perpendicular, unit, wxyz
 from slidectl.physics.solids import put_shapes
@@ -60,12 +63,11 @@ class RobotBuilder:
             BadInertia, BadJoint, BadShape: naming the robot and the link or joint.
         """
         check_depth(self.robot, self.name)
-        bodies = {self.robot.root: self._root(pose)}
-        waiting = [self.robot.root]
-        for link in waiting:
-            for joint in self.robot.children_of(link):
-                bodies[joint.child] = self._child(bodies[joint.parent], joint)
-                waiting.append(joint.child)
+        places: dict[str, tuple[Any, Pose]] = {}
+        for lump in lumps(self.robot):
+            body = self._root(pose) if lump.joint is None else self._child(*places[lump.joint.parent], lump.joint)
+            self._fill(body, lump)
+            places.update({link: (body, frame) for link, frame in lump.frames.items()})
         check_moving_masses(self.robot, self.name)
         for joint in self.robot.joints.values():
             self._mimic(joint)
@@ -80,25 +82,27 @@ class RobotBuilder:
             free = root.add_freejoint(name=self._named(""))
             free.align = False
             set_damping(free, UNDAMPED)
-        self._fill(root, self.robot.links[self.robot.root])
         return root
 
-    def _child(self, parent: Any, joint: Joint) -> Any:
-        body = parent.add_body(name=self._named(joint.child), pos=joint.origin.xyz)
-        body.quat = wxyz(from_rpy(joint.origin.rpy))
+    def _child(self, parent: Any, frame: Pose, joint: Joint) -> Any:
+        """The body that a joint moves; `frame` is the parent link's in the parent's body."""
+        position, attitude = compose(frame, (joint.origin.xyz, from_rpy(joint.origin.rpy)))
+        body = parent.add_body(name=self._named(joint.child), pos=position, quat=wxyz(attitude))
         if joint.type in SCALAR_TYPES:
             self._scalar(body, joint)
         elif joint.type == "planar":
             self._planar(body, joint)
         elif joint.type == "floating":
             self._floating(body, joint)
-        self._fill(body, self.robot.links[joint.child])
         return body
 
-    def _fill(self, body: Any, link: Link) -> None:
-        put_inertia(body, self.name, link)
-        body.gravcomp = 1.0 if link.surface.turn_gravity_off else 0.0
-        put_shapes(self.spec, body, self.name, link, self._self_colliding.get(link.name, ORDINARY), self.hulls)
+    def _fill(self, body: Any, lump: Lump) -> None:
+        links = {link: self.robot.links[link] for link in lump.frames}
+        put_inertia(body, self.name, [(link, lump.frames[link.name]) for link in links.values()])
+        body.gravcomp = 1.0 if lump.moves and lump.has_gravity is False else 0.0
+        for name, link in links.items():
+            bits = self._self_colliding.get(name, ORDINARY)
+            put_shapes(self.spec, body, self.name, link, lump.frames[name], bits, self.hulls)
 
     def _scalar(self, body: Any, joint: Joint) -> None:
         made = body.add_joint(name=self._named(joint.name), type=SCALAR_TYPES[joint.type], axis=self._axis(joint))

@@ -1,6 +1,6 @@
 """What of a world outlives a rebuild of its model: the arrays that hold state, less the part of a robot that leaves.
 
-Robots keep their order and newcomers are the last, so what is carried over is the beginning of the new arrays.
+Robots keep their order and new ones are the last, so what is carried over is the beginning of the new arrays.
 """
 
 from __future__ import annotations

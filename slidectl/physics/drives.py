@@ -5,15 +5,14 @@ A drive reads its handle and puts a force, a position or a motor into the world.
 
 from __future__ import annotations
 
-from slidectl.control.angles import distance_with_limits, shortest_angular_distance
-from slidectl.control.handles import JointHandle
-from slidectl.control.interfaces import EffortJointInterface, PositionJointInterface
+from slidectl.control.angular_distance import distance_with_limits, shortest_angular_distance
+from slidectl.control.hardware_interface import EffortJointInterface, JointHandle, PositionJointInterface
 from slidectl.control.laws import Columns, law
-from slidectl.control.limit_laws import bounded
-from slidectl.control.live_pid import LivePid
-from slidectl.control.node import NodeHandle
+from slidectl.control.limits import bounded
+from slidectl.control.node_handle import NodeHandle
 from slidectl.control.params import BadParameter
 from slidectl.control.pid import Pid, next_command
+from slidectl.control.reconfigurable_pid import ReconfigurablePid
 from slidectl.physics.body import Body
 from slidectl.physics.effort import EffortTruncation
 from slidectl.physics.hw_joint import HardwareJoint
@@ -156,7 +155,7 @@ def _pid_of(joint: HardwareJoint, node: NodeHandle) -> Pid | None:
         node.log("info", f"joint {joint.name!r} is driven without PID: no gains at {gains.namespace}")
         return None
     try:
-        return LivePid(gains).pid
+        return ReconfigurablePid(gains).pid
     except BadParameter as error:
         node.log("error", f"joint {joint.name!r} is driven without PID: {error}")
         return None

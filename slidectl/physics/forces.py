@@ -9,7 +9,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import mujoco
+import numpy as np
+
 from slidectl.physics.effort import EffortTruncation
+from slidectl.physics.frames import add
+from slidectl.physics.rotation import cross
 from slidectl.rotations import Vector
 
 if TYPE_CHECKING:
@@ -70,7 +75,7 @@ class ExternalForces:
 
     def add_wrench(self, body: Body, link: str, force: Vector, torque: Vector, start_ns: int, duration_ns: int) -> None:
         """Raises UnknownName when the robot has no such link."""
-        body.link_id(link)
+        body.link(link)
         self.wrenches.append(Wrench(body, link, force, torque, _Span(start_ns, duration_ns)))
 
     def drop(self, keep: Callable[[JointForce | Wrench], bool]) -> None:
@@ -78,7 +83,7 @@ class ExternalForces:
         self.joint_forces = [force for force in self.joint_forces if keep(force)]
         self.wrenches = [wrench for wrench in self.wrenches if keep(wrench)]
 
-    def apply(self, data: Any, now_ns: int, efforts: dict[int, float]) -> None:
+    def apply(self, model: Any, data: Any, now_ns: int, efforts: dict[int, float]) -> None:
         """Add what holds at `now_ns` to qfrc_applied, xfrc_applied and, by dof, `efforts`; forget what is over."""
         self.drop(lambda force: not force.span.is_over(now_ns))
         for force in self.joint_forces:
@@ -87,6 +92,14 @@ class ExternalForces:
                 effort = EffortTruncation.of(place.joint).cut(force.effort, float(data.qvel[place.dof]))
                 data.qfrc_applied[place.dof] += effort
                 efforts[place.dof] = efforts.get(place.dof, 0.0) + effort
-        for wrench in self.wrenches:
-            if wrench.span.holds(now_ns):
-                data.xfrc_applied[wrench.body.links[wrench.link]] += (*wrench.force, *wrench.torque)
+        acting = [(wrench, wrench.body.links[wrench.link]) for wrench in self.wrenches if wrench.span.holds(now_ns)]
+        if any(link.arm is not None for _, link in acting):
+            mujoco.mj_kinematics(model, data)  # the attitudes of now; the step computes them again
+        for wrench, link in acting:
+            torque = wrench.torque
+            if link.arm is not None:
+                arm = np.zeros(3)
+                mujoco.mju_rotVecQuat(arm, np.array(link.arm), data.xquat[link.body])
+                x, y, z = arm.tolist()
+                torque = add(torque, cross((x, y, z), wrench.force))
+            data.xfrc_applied[link.body] += (*wrench.force, *torque)

@@ -7,34 +7,28 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from slidectl.control.handles import JointHandle
-from slidectl.control.interfaces import (
+from slidectl.control.hardware_interface import (
     EffortJointInterface,
     JointCommandInterface,
-    PositionJointInterface,
-    VelocityJointInterface,
+    JointHandle,
+    command_interface,
 )
-from slidectl.control.joint_limits import (
+from slidectl.control.limits import (
+    LARGEST,
     NO_LIMITS,
+    LimitHandle,
+    limit_handle,
     limits_from_joint,
     limits_from_parameters,
     soft_limits_from_joint,
 )
-from slidectl.control.limit_laws import LARGEST
-from slidectl.control.limits import LimitHandle, limit_handle
-from slidectl.control.node import NodeHandle
+from slidectl.control.node_handle import NodeHandle
 from slidectl.description.robot import Joint, TransmissionInfo, TransmissionJoint
+from slidectl.description.transmissions import SIMULATED_INTERFACES, driving
 from slidectl.errors import Refused, SlidectlError, listing
 from slidectl.physics.body import Body
 from slidectl.physics.effort import EffortTruncation
 from slidectl.physics.parts import BadPart
-
-INTERFACES: dict[str, type[JointCommandInterface]] = {
-    "EffortJointInterface": EffortJointInterface,
-    "PositionJointInterface": PositionJointInterface,
-    "VelocityJointInterface": VelocityJointInterface,
-}
-PREFIX = "hardware_interface/"
 
 INITIAL_POSITION = 1.0
 INITIAL_EFFORT = 1.0
@@ -53,7 +47,7 @@ class UnsupportedInterface(BadTransmission):
     def __init__(self, robot: str, transmission: TransmissionInfo, joint: TransmissionJoint) -> None:
         asked = joint.hardware_interfaces[0]
         trouble = f"joint {joint.name!r} asks for {asked!r}, which simulated hardware has not"
-        super().__init__(robot, transmission, trouble, f"it has: {', '.join(PREFIX + name for name in INTERFACES)}")
+        super().__init__(robot, transmission, trouble, f"it has: {', '.join(SIMULATED_INTERFACES)}")
 
 
 class MissingJoint(BadTransmission):
@@ -112,7 +106,7 @@ class HardwareJoint:
         if limits.has_effort_limits:
             self.bounds.effort = limits.max_effort
         soft = soft_limits_from_joint(self.joint)
-        self.limit = limit_handle(self.interface.type_name, self.handle, limits, soft)
+        self.limit = limit_handle(self.interface, self.handle, limits, soft)
         self.handle.lowest, self.handle.highest = self.limit.command_bounds()
         if self.interface is EffortJointInterface:  # Gazebo cuts by the URDF, whatever the parameters say
             most = EffortTruncation.of(self.joint).effort
@@ -122,20 +116,17 @@ class HardwareJoint:
 def hardware_joints(body: Body) -> list[HardwareJoint]:
     """The joints that the transmissions drive, in the order of the file; those with several joints are passed over.
 
-    Of several interfaces the first counts, with or without its prefix.
+    Of several interfaces of a joint the first counts, with or without its prefix.
 
     Raises:
         UnsupportedInterface, MissingJoint.
     """
-    made = []
-    for transmission in body.robot.transmissions:
-        if len(transmission.joints) == 1:
-            made.append(_hardware_joint(body, transmission, transmission.joints[0]))
-    return made
+    found = driving(body.robot.transmissions)
+    return [_hardware_joint(body, transmission, transmission.joints[0]) for transmission in found]
 
 
 def _hardware_joint(body: Body, transmission: TransmissionInfo, driven: TransmissionJoint) -> HardwareJoint:
-    interface = INTERFACES.get(driven.hardware_interfaces[0].removeprefix(PREFIX))
+    interface = command_interface(driven.hardware_interfaces[0])
     if interface is None:
         raise UnsupportedInterface(body.name, transmission, driven)
     try:

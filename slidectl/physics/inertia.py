@@ -1,4 +1,4 @@
-"""Inertias that MuJoCo can take: URDF's tensor turned, checked, and put on a body.
+"""Inertias that MuJoCo can take: those of a body's links checked, lumped, turned, and put on the body.
 
 Errors name the robot and the link. No joints and no shapes here.
 """
@@ -6,16 +6,19 @@ Errors name the robot and the link. No joints and no shapes here.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from slidectl.description.inertia import LEAST, why_impossible
+from slidectl.description.inertia import LEAST, is_mass, why_impossible
+from slidectl.description.rigid_bodies import lumped
 from slidectl.description.robot import Inertial, Link
+from slidectl.physics.frames import compose
 from slidectl.physics.parts import BadPart
-from slidectl.physics.rotation import wxyz
-from slidectl.rotations import from_rpy, matrix
+from slidectl.physics.rotation import ORIGIN, Pose, wxyz
+from slidectl.rotations import Quaternion, from_rpy, matrix
 
 Array = np.ndarray[Any, np.dtype[Any]]
 
@@ -26,33 +29,46 @@ class BadInertia(BadPart):
     kind = "link"
 
 
-def put_inertia(body: Any, robot: str, link: Link) -> None:
-    """Give the MjsBody the link's mass, centre of mass and inertia; a link without `<inertial>` weighs nothing.
+def put_inertia(body: Any, robot: str, links: Sequence[tuple[Link, Pose]]) -> None:
+    """Give the MjsBody the mass, centre of mass and inertia of its links, each with its frame in the body.
+
+    A link without `<inertial>` weighs nothing.
 
     Raises:
         BadInertia: mass not positive, or moments that no body can have.
     """
     body.explicitinertial = True
     body.mass = 0.0
-    if link.inertial is None:
+    weighing = [(inertial, frame) for link, frame in links if (inertial := _checked(robot, link)) is not None]
+    if not weighing:
         return
-    inertial = link.inertial
-    if not inertial.mass > 0.0 or inertial.mass == float("inf"):
-        hint = 'give it <mass value="..."/> above 0'
-        raise BadInertia(robot, link, f"mass {inertial.mass:g} kg is not positive", hint)
-    check_moments(robot, link, inertial)
+    if len(weighing) == 1:
+        inertial, frame = weighing[0]
+    else:
+        inertial, frame = lumped([(inertial, matrix(frame[1]), frame[0]) for inertial, frame in weighing]), ORIGIN
     body.mass = inertial.mass
-    body.ipos = inertial.origin.xyz
+    body.ipos, attitude = compose(frame, (inertial.origin.xyz, from_rpy(inertial.origin.rpy)))
     ixx, ixy, ixz, iyy, iyz, izz = inertial.inertia
     if ixy == ixz == iyz == 0.0:
         body.inertia = _within_triangle(ixx, iyy, izz)
-        body.iquat = wxyz(from_rpy(inertial.origin.rpy))
+        body.iquat = wxyz(attitude)
         return
-    tensor = _turned(inertial)
+    tensor = _turned(inertial, attitude)
     if _is_on_the_edge(tensor) and not _is_taken(tensor):
         body.inertia, body.iquat = _principal(tensor)
     else:
         body.fullinertia = _row(tensor)
+
+
+def _checked(robot: str, link: Link) -> Inertial | None:
+    """What the link weighs. Raises BadInertia."""
+    if link.inertial is None:
+        return None
+    mass = link.inertial.mass
+    if not is_mass(mass):
+        raise BadInertia(robot, link, f"mass {mass:g} kg is not positive", 'give it <mass value="..."/> above 0')
+    check_moments(robot, link, link.inertial)
+    return link.inertial
 
 
 def check_moments(robot: str, link: Link, inertial: Inertial) -> None:
@@ -70,9 +86,9 @@ def _tensor(inertial: Inertial) -> Array:
     return np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
 
 
-def _turned(inertial: Inertial) -> Array:
-    """The tensor about the link's axes: R I Rᵀ with R of the inertial origin."""
-    turn = np.array(matrix(from_rpy(inertial.origin.rpy)))
+def _turned(inertial: Inertial, attitude: Quaternion) -> Array:
+    """The tensor about the body's axes: R I Rᵀ with R of its attitude in the body."""
+    turn = np.array(matrix(attitude))
     return np.asarray(turn @ _within_triangle_tensor(_tensor(inertial)) @ turn.T)
 
 

@@ -36,7 +36,7 @@ class Loads:
         joint_forces, link_forces = data.qfrc_applied.copy(), data.xfrc_applied.copy()
         self.efforts.clear()
         try:
-            self.forces.apply(data, now_ns, self.efforts)
+            self.forces.apply(model, data, now_ns, self.efforts)
             if not self.motors.is_empty:
                 self.motors.apply(model, data, self.efforts)
             advance()

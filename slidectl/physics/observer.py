@@ -11,7 +11,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from slidectl.physics.rotation import Pose, xyzw
+from slidectl.physics.body import LinkPlace
+from slidectl.physics.frames import add, compose, rotate
+from slidectl.physics.rotation import Pose, cross, xyzw
 from slidectl.rotations import Vector
 
 Twist = tuple[Vector, Vector]
@@ -32,19 +34,23 @@ class Observer:
         """Say that the state was changed by other means than a step."""
         self._poses_at = self._twists_at = float("nan")
 
-    def pose(self, body_id: int) -> Pose:
+    def pose(self, link: LinkPlace) -> Pose:
         """Place of the link's frame in the world: position (m), attitude x y z w."""
         self._refresh_poses()
-        x, y, z = self._copy.xpos[body_id].tolist()
-        return (x, y, z), xyzw(tuple(self._copy.xquat[body_id].tolist()))
+        return compose(self._body_pose(link.body), link.frame)
 
-    def twist(self, body_id: int) -> Twist:
+    def twist(self, link: LinkPlace) -> Twist:
         """Velocity of the origin of the link's frame, and of its turning, in the world's axes."""
         self._refresh_twists()
         kind = mujoco.mjtObj.mjOBJ_XBODY
-        mujoco.mj_objectVelocity(self._model, self._copy, kind, body_id, self._twist, 0)
+        mujoco.mj_objectVelocity(self._model, self._copy, kind, link.body, self._twist, 0)
         wx, wy, wz, vx, vy, vz = self._twist.tolist()
-        return (vx, vy, vz), (wx, wy, wz)
+        arm = rotate(self._body_pose(link.body)[1], link.frame[0])
+        return add((vx, vy, vz), cross((wx, wy, wz), arm)), (wx, wy, wz)
+
+    def _body_pose(self, body: int) -> Pose:
+        x, y, z = self._copy.xpos[body].tolist()
+        return (x, y, z), xyzw(tuple(self._copy.xquat[body].tolist()))
 
     def _refresh_poses(self) -> None:
         if self._poses_at == self._data.time:

@@ -8,18 +8,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
-from slidectl.control.angles import unwrapped
-from slidectl.control.handles import JointHandle
-from slidectl.control.interfaces import (
+from slidectl.control.angular_distance import unwrapped
+from slidectl.control.hardware_interface import (
+    COMMAND_INTERFACES,
     EffortJointInterface,
-    JointCommandInterface,
+    JointHandle,
     JointStateInterface,
     PositionJointInterface,
-    VelocityJointInterface,
+    RobotHW,
 )
 from slidectl.control.limits import LimitHandle, in_order
-from slidectl.control.node import NodeHandle
-from slidectl.control.robot_hw import RobotHW
+from slidectl.control.node_handle import NodeHandle
 from slidectl.description.robot import Robot
 from slidectl.errors import Refused
 from slidectl.physics.body import Body, JointPlace
@@ -27,12 +26,6 @@ from slidectl.physics.drives import Drive, drive_for
 from slidectl.physics.effort import EffortTruncation, truncated
 from slidectl.physics.hw_joint import HardwareJoint, hardware_joints
 from slidectl.physics.world import World
-
-_COMMANDS: tuple[type[JointCommandInterface], ...] = (
-    EffortJointInterface,
-    PositionJointInterface,
-    VelocityJointInterface,
-)
 
 _Measured = tuple[JointHandle, int, int]
 """Handle, index into qpos, index into qvel and forces."""
@@ -182,12 +175,7 @@ class MujocoRobotHW(RobotHW):
 
     def _register(self, node: NodeHandle) -> None:
         states = JointStateInterface()
-        kinds: list[type[JointCommandInterface]] = [
-            EffortJointInterface,
-            PositionJointInterface,
-            VelocityJointInterface,
-        ]
-        commands = {kind: kind() for kind in kinds}
+        commands = {kind: kind() for kind in COMMAND_INTERFACES}
         for joint in self._joints:
             states.register_handle(joint.handle)
             commands[joint.interface].register_handle(joint.handle)

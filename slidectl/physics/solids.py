@@ -12,9 +12,10 @@ from typing import Any
 import mujoco
 
 from slidectl.description.robot import Box, Cylinder, Link, Mesh, Robot, Shape, Sphere, Surface
+from slidectl.physics.frames import compose
 from slidectl.physics.hulls import Hull, Hulls, source_of
 from slidectl.physics.parts import BadPart, place
-from slidectl.physics.rotation import wxyz
+from slidectl.physics.rotation import Pose, wxyz
 from slidectl.rotations import from_rpy
 
 GAZEBO_FRICTION = 1.0
@@ -33,17 +34,17 @@ class BadShape(BadPart):
         super().__init__(robot, link, f"collision shape{place(shape.file, shape.line)}: {trouble}")
 
 
-def put_shapes(spec: Any, body: Any, robot: str, link: Link, bits: tuple[int, int], hulls: Hulls) -> None:
+def put_shapes(spec: Any, body: Any, robot: str, link: Link, frame: Pose, bits: tuple[int, int], hulls: Hulls) -> None:
     """Add one geom per collision of the link, with these bits (contype, conaffinity) of what it may touch.
 
-    `hulls` has what its meshes collide as.
+    `frame` is the link's in the body, `hulls` has what its meshes collide as.
 
     Raises:
         BadShape: a size that is not positive, or a mesh that could not be read.
     """
     for number, shape in enumerate(link.collisions):
-        geom = body.add_geom(name=_geom_name(robot, link, number), pos=shape.origin.xyz)
-        geom.quat = wxyz(from_rpy(shape.origin.rpy))
+        position, attitude = compose(frame, (shape.origin.xyz, from_rpy(shape.origin.rpy)))
+        geom = body.add_geom(name=_geom_name(robot, link, number), pos=position, quat=wxyz(attitude))
         geom.contype, geom.conaffinity = bits
         put_friction(geom, sliding_friction(link.surface))
         if isinstance(shape.geometry, Mesh):

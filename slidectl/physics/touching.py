@@ -18,6 +18,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from slidectl.description.rigid_bodies import rigid_bodies
 from slidectl.description.robot import Robot
 
 BITS = 29
@@ -43,7 +44,7 @@ def self_colliding(robot: Robot) -> dict[str, Bits]:
     links = [link.name for link in robot.links.values() if link.surface.self_collide]
     if not links:
         return {}
-    group = weld_groups(robot)
+    group = {link: body.head for body in rigid_bodies(robot.root, robot.joints) for link in body.links}
     base = robot.root if robot.is_fixed_to_world else None
     on_base = {joint.child for joint in robot.joints.values() if group[joint.parent] == base}
     bits: dict[str, Bits] = {}
@@ -60,18 +61,24 @@ def self_colliding(robot: Robot) -> dict[str, Bits]:
 def put_robots(model: Any) -> None:
     """Give the geoms of each robot of a compiled model, and of the world, the bits by which robots touch.
 
-    A robot's set follows from its place among the robots alone, so worlds with the same robots are the same.
+    A robot's set follows from its place among the robots alone, so worlds with the same robots are the same. A geom
+    that can touch nothing else in the world keeps none of these bits, so that no step asks for it.
     """
     roots = np.flatnonzero(model.body_rootid == np.arange(model.nbody))
     sets = np.array([_EVERY, *itertools.islice(_sets(), len(roots) - 1)], dtype=np.int32)
-    of_body: np.ndarray[Any, Any] = sets[np.searchsorted(roots, model.body_rootid)]
-    others: np.ndarray[Any, Any] = np.where(model.body_rootid == 0, _EVERY, _EVERY & ~of_body)
-    solid = model.body_geomnum > 0
+    robot = np.searchsorted(roots, model.body_rootid[model.geom_bodyid])
+    moves = model.body_weldid[model.geom_bodyid] != 0
+    solid, agile = np.bincount(robot, minlength=len(roots)) > 0, np.bincount(robot[moves], minlength=len(roots)) > 0
+    # What moves touches all others, and what is fixed to the world only those that move.
+    partners = np.where(moves, solid.sum() - solid[robot], agile.sum() - agile[robot])
+    chosen = np.where(partners > 0, sets[robot], 0)
+    others = np.where(partners > 0, np.where(robot == 0, _EVERY, _EVERY & ~sets[robot]), 0)
     own = _SELF | _BASE
-    model.body_contype[solid] = (model.body_contype & own | of_body)[solid]
-    model.body_conaffinity[solid] = (model.body_conaffinity & own | others)[solid]
-    model.geom_contype[:] = model.geom_contype & own | of_body[model.geom_bodyid]
-    model.geom_conaffinity[:] = model.geom_conaffinity & own | others[model.geom_bodyid]
+    model.geom_contype[:] = model.geom_contype & own | chosen
+    model.geom_conaffinity[:] = model.geom_conaffinity & own | others
+    model.body_contype[:] = model.body_conaffinity[:] = 0
+    np.bitwise_or.at(model.body_contype, model.geom_bodyid, model.geom_contype)
+    np.bitwise_or.at(model.body_conaffinity, model.geom_bodyid, model.geom_conaffinity)
 
 
 def _sets() -> Iterator[int]:
@@ -84,8 +91,14 @@ def _sets() -> Iterator[int]:
         bits = carried | ((bits ^ carried) >> 2) // lowest
 
 
+def link_of(model: Any, geom: int, robot: str) -> str:
+    """The link of a robot that a geom is a collision shape of."""
+    name: str = model.geom(geom).name
+    return name[len(robot) + 1 :].rpartition("/")[0]
+
+
 def depths(model: Any, data: Any, root: int) -> dict[tuple[int, int], float]:
-    """How deep bodies of the robot with this root body are in others now, m, by the pair (own body, other body).
+    """How deep geoms of the robot with this root body are in others now, m, by the pair (own geom, other geom).
 
     It looks at a copy, so that the world goes on as if nobody had looked.
     """
@@ -93,22 +106,11 @@ def depths(model: Any, data: Any, root: int) -> dict[tuple[int, int], float]:
     copy.qpos[:] = data.qpos
     mujoco.mj_kinematics(model, copy)
     mujoco.mj_collision(model, copy)
-    bodies = model.geom_bodyid[copy.contact.geom]
-    own = model.body_rootid[bodies] == root
+    geoms = copy.contact.geom
+    own = model.body_rootid[model.geom_bodyid[geoms]] == root
     found: dict[tuple[int, int], float] = {}
-    for (first, second), (is_first, is_second), gap in zip(bodies.tolist(), own, copy.contact.dist, strict=True):
+    for (first, second), (is_first, is_second), gap in zip(geoms.tolist(), own, copy.contact.dist, strict=True):
         if is_first != is_second:
             pair = (first, second) if is_first else (second, first)
             found[pair] = max(found.get(pair, 0.0), -float(gap))
     return found
-
-
-def weld_groups(robot: Robot) -> dict[str, str]:
-    """Link to the topmost link that it is welded to by fixed joints."""
-    head: dict[str, str] = {robot.root: robot.root}
-    waiting = [robot.root]
-    for link in waiting:
-        for joint in robot.children_of(link):
-            head[joint.child] = head[link] if joint.type == "fixed" else joint.child
-            waiting.append(joint.child)
-    return head

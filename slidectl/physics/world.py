@@ -1,24 +1,60 @@
 """The simulated world: robots come and go while it runs; one looks at their state, changes it, and pushes them.
 
-It counts no time (the simulation does) and knows neither controllers nor topics. SI units; quaternions x y z w.
+It counts no time (the simulation does) and knows neither controllers nor topics. The state of the robots that stay is
+carried over every rebuild of the model, to the last bit. SI units; quaternions x y z w.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
-from slidectl.errors import Refused, listing
+from slidectl.description.robot import Robot
+from slidectl.errors import Refused, UnknownName, listing
+from slidectl.physics import engine, hulls
 from slidectl.physics.body import Body, RobotState
-from slidectl.physics.core import WorldCore, finite, finite4, number
+from slidectl.physics.carrying import carry_over
+from slidectl.physics.compiler import Settings, WorldSpec
+from slidectl.physics.divergence import check_divergence
 from slidectl.physics.forces import JointForce, Wrench
+from slidectl.physics.hulls import Hulls
+from slidectl.physics.loads import Loads
 from slidectl.physics.motors import Asked
-from slidectl.physics.observer import Twist
-from slidectl.physics.rotation import Pose
-from slidectl.physics.touching import depths
+from slidectl.physics.observer import Observer, Twist
+from slidectl.physics.rotation import ORIGIN, Pose
+from slidectl.physics.touching import depths, link_of
+from slidectl.physics.views import Views
 from slidectl.rotations import Vector, normalized
+
+GRAVITY: Vector = (0.0, 0.0, -9.8)
+"""m/s², the default of SDF and so of Gazebo."""
+
+
+class Memory(NamedTuple):
+    """Addresses of MjModel and MjData, and of three arrays of its state; and the lengths of these."""
+
+    model: int
+    data: int
+    qpos: int
+    qvel: int
+    forces: int
+    positions: int
+    dofs: int
+
+
+class _State(NamedTuple):
+    """What a world is, for the way back when a robot cannot come or go after all."""
+
+    bodies: dict[str, Body]
+    model: Any
+    data: Any
 
 
 @dataclass(frozen=True)
@@ -45,14 +81,220 @@ class Snapshot:
     motors: Asked
 
 
-class World(WorldCore):
+class World:
     """A ground, a light, gravity, and robots."""
+
+    step: Callable[[], None]
+    """Advance by one time step. Replaced when the model is rebuilt or forces come and go: see `on_rebuild`."""
+
+    def __init__(self, timestep: float = 0.001, gravity: Vector = GRAVITY, ground: bool = True) -> None:
+        engine.prepare()
+        self._settings = Settings(positive(timestep), finite(gravity), ground)
+        self._bodies: dict[str, Body] = {}
+        self._listeners: list[Callable[[], None]] = []
+        self.loads = Loads()
+        self.clock: Callable[[], int] = self._own_clock
+        """Time in ns of the cycle that is stepped, for forces with a start and an end; the simulation puts its own."""
+        self._spec: WorldSpec | None = WorldSpec(self._settings)
+        self._install(self._spec.compile(), 0.0)
+
+    # -- robots ----------------------------------------------------------------------------------------------------
+
+    def attach(self, robot: Robot, name: str, pose: Pose = ORIGIN, hulls_read: Hulls | None = None) -> Body:
+        """Put a robot into the world under `name`, all or nothing; the others go on as if nothing had happened.
+
+        `hulls_read` has what its meshes collide as; without it their files are read now.
+
+        Raises:
+            Refused: the name is taken, or the pose is not finite. BadInertia, BadJoint, BadShape, BadModel: MuJoCo
+            cannot simulate it.
+        """
+        if name in self._bodies:
+            raise Refused(f"a robot named {name!r} is in the world already", "give another name, or delete it first")
+        known = hulls.read_all(robot) if hulls_read is None else hulls_read
+        body = Body(name, robot, (finite(pose[0]), normalized(finite4(pose[1]))), known)
+        spec = WorldSpec(self._settings, (body,))
+        model = spec.compile(name)
+        body.bind(model, None)
+        if self._bodies:
+            spec, self._spec = self._spec or WorldSpec(self._settings, self._bodies.values()), None
+            spec.add(body)  # only the new robot is built, the others are in the specification
+            model = spec.compile(name)
+        self._rebuild({**self._bodies, name: body}, model, spec)
+        return body
+
+    @contextmanager
+    def attached(self, robot: Robot, name: str, pose: Pose = ORIGIN, hulls_read: Hulls | None = None) -> Iterator[Body]:
+        """The same; the robot stays if the block ends well. Else the world is what it was before, the old model again:
+        nothing is compiled, so the way back cannot fail. No step may be made inside.
+        """
+        before = self._state()
+        body = self.attach(robot, name, pose, hulls_read)
+        try:
+            yield body
+        except BaseException:
+            self.loads.forget(body)
+            self._go_back(before)
+            raise
+
+    def detach(self, name: str) -> None:
+        """Take a robot out, with the forces on it, all or nothing. Raises UnknownName."""
+        gone = self.body(name)
+        bodies = {key: body for key, body in self._bodies.items() if body is not gone}
+        spec, self._spec = self._spec, None
+        if spec is not None:
+            spec.remove(gone)
+        else:
+            spec = WorldSpec(self._settings, bodies.values())
+        self._rebuild(bodies, spec.compile(), spec, gone)
+        self.loads.forget(gone)
+        self._loads_changed()
+
+    def names(self) -> list[str]:
+        """The robots in the order of their coming."""
+        return list(self._bodies)
+
+    def body(self, name: str) -> Body:
+        """The robot attached under `name`. Raises UnknownName."""
+        try:
+            return self._bodies[name]
+        except KeyError:
+            raise UnknownName("model", name, list(self._bodies)) from None
+
+    def on_rebuild(self, callback: Callable[[], None]) -> None:
+        """Call back whenever `model`, `data` or `step` were replaced."""
+        self._listeners.append(callback)
+
+    def _rebuild(self, bodies: dict[str, Body], model: Any, spec: WorldSpec | None, gone: Body | None = None) -> None:
+        """Go on with these robots, whose model it is: those that were there, without `gone`, then a new one.
+
+        If anything fails on the way, a listener too, the world is what it was before.
+        """
+        before = self._state()
+        try:
+            self._bodies = bodies
+            self._install(model, self.data.time)
+            carry_over(before.model, before.data, model, self.data, gone)
+            unmoved = list(before.bodies).index(gone.name) if gone is not None else len(before.bodies)
+            for place, (name, body) in enumerate(bodies.items()):
+                if place < unmoved:
+                    body.follow(model, self.data)
+                else:
+                    body.bind(model, self.data)
+                if name not in before.bodies:
+                    body.put_at_spawn()
+            self._announce_all()
+        except BaseException:
+            self._go_back(before)
+            raise
+        self._spec = spec
+
+    def _state(self) -> _State:
+        return _State(self._bodies, self.model, self.data)
+
+    def _go_back(self, before: _State) -> None:
+        """Be again what the world was before a robot came or went; no step has been made since.
+
+        The specification holds what came of the change half-way: it is made anew when it is needed.
+        """
+        self._spec = None
+        self._bodies = before.bodies
+        self._use(before.model, before.data)
+        for body in before.bodies.values():
+            body.bind(before.model, before.data)
+        self._announce_all()
+
+    def _announce_all(self) -> None:
+        for body in self._bodies.values():
+            body.announce()
+        self._announce()
+
+    def _replace_broken_data(self) -> None:
+        """An EngineError leaves MjData unusable; go on with a new one then."""
+        if self.data.pstack:
+            self._rebuild(self._bodies, self.model, self._spec)
+
+    def _install(self, model: Any, time: float) -> None:
+        data = mujoco.MjData(model)
+        data.time = time
+        self._use(model, data)
+
+    def _use(self, model: Any, data: Any) -> None:
+        self.model, self.data = model, data
+        self.views = Views.of(data)
+        self._observer = Observer(model, data)
+        self._advance = partial(mujoco.mj_step, model, data)
+        self.step = self._advance if self.loads.is_empty else self._step_with_loads
+
+    def _announce(self) -> None:
+        for callback in self._listeners:
+            callback()
+
+    # -- running ---------------------------------------------------------------------------------------------------
+
+    @property
+    def steps_alone(self) -> bool:
+        """True while `step` is MuJoCo's own and nothing else."""
+        return self.step is self._advance
+
+    def step_n(self, cycles: int) -> None:
+        """Advance by many steps without a pause, at the speed of C where no outside force acts."""
+        if self.loads.is_empty:
+            mujoco.mj_step(self.model, self.data, nstep=cycles)
+            return
+        for _ in range(cycles):
+            self.step()
+
+    def memory(self) -> Memory:
+        """Where the model and its state lie, until the next rebuild."""
+        model, data = self.model, self.data
+        qpos, qvel, forces = (array.ctypes.data for array in (data.qpos, data.qvel, data.qfrc_applied))
+        return Memory(model._address, data._address, qpos, qvel, forces, model.nq, model.nv)
+
+    def check(self) -> None:
+        """Raises Diverged when a robot's state is not finite or huge. A few microseconds: meant for once per slice."""
+        check_divergence(self.data, self._bodies.values())
+
+    def _step_with_loads(self) -> None:
+        self.loads.step(self.model, self.data, self.clock(), self._advance)
+        if self.loads.is_empty:
+            self._loads_changed()
+
+    def _loads_changed(self) -> None:
+        if self.loads.is_empty:
+            self.loads.efforts.clear()
+        step = self._advance if self.loads.is_empty else self._step_with_loads
+        if step != self.step:
+            self.step = step
+            self._announce()
+
+    def _own_clock(self) -> int:
+        return round(float(self.data.time + self._settings.timestep) * 1e9)
+
+    @property
+    def timestep(self) -> float:
+        """Length of a step, s."""
+        return self._settings.timestep
+
+    def set_timestep(self, timestep: float) -> None:
+        """Raises Refused unless it is above 0."""
+        self._settings.timestep = self.model.opt.timestep = positive(timestep)
+
+    @property
+    def gravity(self) -> Vector:
+        """m/s²."""
+        return self._settings.gravity
+
+    def set_gravity(self, gravity: Vector) -> None:
+        """Raises Refused unless it is finite."""
+        self._settings.gravity = finite(gravity)
+        self.model.opt.gravity[:] = self._settings.gravity
 
     # -- state -----------------------------------------------------------------------------------------------------
 
     def reset(self) -> None:
         """All robots back to how they were attached, without forces from outside."""
-        self._mend()
+        self._replace_broken_data()
         self.loads.motors.drop()
         self.clear_forces()
         for body in self._bodies.values():
@@ -69,7 +311,7 @@ class World(WorldCore):
         """Back to the moment of the snapshot, exactly. Raises Refused when other robots are in the world now."""
         if list(snapshot.robots) != list(self._bodies.values()):
             raise Refused(f"the snapshot is of other robots: {listing(body.name for body in snapshot.robots)}")
-        self._mend()
+        self._replace_broken_data()
         for body, state in snapshot.robots.items():
             body.put(state)
         self.data.time = snapshot.time
@@ -82,11 +324,11 @@ class World(WorldCore):
 
     def link_pose(self, name: str, link: str) -> Pose:
         """Place of the link's frame in the world. Raises UnknownName."""
-        return self._observer.pose(self.body(name).link_id(link))
+        return self._observer.pose(self.body(name).link(link))
 
     def link_twist(self, name: str, link: str) -> Twist:
         """Velocity of the link's frame (linear at its origin, angular), in the world's axes. Raises UnknownName."""
-        return self._observer.twist(self.body(name).link_id(link))
+        return self._observer.twist(self.body(name).link(link))
 
     def joint_state(self, name: str, joint: str) -> tuple[float, float, float]:
         """Position, velocity and applied effort of any moving joint, actuated or not. Raises UnknownName."""
@@ -125,12 +367,14 @@ class World(WorldCore):
     def overlaps(self, name: str, least: float) -> list[Overlap]:
         """Where links of the robot are in others by more than `least` (m), the deepest first. Raises UnknownName."""
         body = self.body(name)
-        links = {index: (owner.name, link) for owner in self._bodies.values() for link, index in owner.links.items()}
-        found = []
+        robots = {owner.root_id: owner.name for owner in self._bodies.values()}
+        deepest: dict[tuple[str, str | None, str | None], float] = {}
         for (own, other), depth in depths(self.model, self.data, body.root_id).items():
-            if depth > least:
-                robot, link = links.get(other, (None, None))
-                found.append(Overlap(links[own][1], robot, link, depth))
+            robot = robots.get(int(self.model.body_rootid[self.model.geom_bodyid[other]]))
+            theirs = None if robot is None else link_of(self.model, other, robot)
+            pair = (link_of(self.model, own, name), robot, theirs)
+            deepest[pair] = max(depth, deepest.get(pair, 0.0))
+        found = [Overlap(*pair, depth) for pair, depth in deepest.items() if depth > least]
         return sorted(found, key=lambda overlap: -overlap.depth)
 
     # -- forces from outside ---------------------------------------------------------------------------------------
@@ -167,7 +411,7 @@ class World(WorldCore):
     def clear_wrenches(self, name: str, link: str) -> None:
         """End all wrenches on a link. Raises UnknownName."""
         body = self.body(name)
-        body.link_id(link)
+        body.link(link)
         self.loads.forces.drop(
             lambda force: isinstance(force, JointForce) or force.body is not body or force.link != link
         )
@@ -184,3 +428,25 @@ class World(WorldCore):
         self.loads.motors.ask(body, joint, velocity, max_effort)
         if was_empty:
             self._loads_changed()
+
+
+def number(value: float) -> float:
+    if not math.isfinite(value):
+        raise Refused(f"{value} is not a finite number")
+    return float(value)
+
+
+def finite(vector: Vector) -> Vector:
+    x, y, z = (number(part) for part in vector)
+    return (x, y, z)
+
+
+def finite4(values: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+    a, b, c, d = (number(part) for part in values)
+    return (a, b, c, d)
+
+
+def positive(timestep: float) -> float:
+    if not (math.isfinite(timestep) and timestep > 0.0):
+        raise Refused(f"a time step of {timestep} s is not possible", "give a number above 0, such as 0.001")
+    return float(timestep)

@@ -10,9 +10,9 @@ from collections.abc import Callable
 from contextlib import ExitStack
 
 from slidectl import names
+from slidectl.control.controller_manager import ControllerManager
 from slidectl.control.duration import from_seconds
-from slidectl.control.manager import ControllerManager
-from slidectl.control.node import Message
+from slidectl.control.node_handle import Message
 from slidectl.description.gazebo_tags import SIM_TYPES
 from slidectl.description.robot import ControlPlugin, Robot
 from slidectl.errors import BadFile

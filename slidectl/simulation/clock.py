@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 from slidectl.control.duration import NANOSECONDS, to_stamp
-from slidectl.control.node import Publisher
+from slidectl.control.node_handle import Publisher
 
 SECOND = NANOSECONDS
 stamp = to_stamp

@@ -11,8 +11,8 @@ from slidectl.control.duration import to_seconds
 from slidectl.control.laws import law
 
 if TYPE_CHECKING:
-    from slidectl.control.manager import ControllerManager
-    from slidectl.control.robot_hw import RobotHW
+    from slidectl.control.controller_manager import ControllerManager
+    from slidectl.control.hardware_interface import RobotHW
 
 
 @law

@@ -10,12 +10,12 @@ from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from slidectl.control.node import Message, Reasons
+from slidectl.control.node_handle import Message, Reasons
 from slidectl.errors import SlidectlError
 from slidectl.simulation.pending import Pending
 
 if TYPE_CHECKING:
-    from slidectl.control.manager import ControllerManager
+    from slidectl.control.controller_manager import ControllerManager
     from slidectl.simulation.loop import Loop
     from slidectl.simulation.node import GraphNode
 

@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager, ExitStack
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from slidectl import names
-from slidectl.control.node import MISSING, MessageCallback, ParameterJudge, Publisher, Reasons
+from slidectl.control.node_handle import MISSING, MessageCallback, ParameterJudge, Publisher, Reasons
 from slidectl.simulation.services import Handler
 from slidectl.simulation.topics import NodePublisher
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import slidectl
 from slidectl.control.duration import from_seconds
-from slidectl.control.node import Message
+from slidectl.control.node_handle import Message
 from slidectl.errors import Refused, SlidectlError, UsageError
 from slidectl.simulation import resolve
 from slidectl.simulation.pending import Pending

@@ -14,7 +14,7 @@ from copy import deepcopy
 from typing import Any, Generic, TypeVar
 
 from slidectl import names
-from slidectl.control.node import MISSING, ParameterChange, ParameterJudge
+from slidectl.control.node_handle import MISSING, ParameterChange, ParameterJudge
 from slidectl.errors import UnknownName, UsageError, quoted
 
 Path = tuple[str, ...]

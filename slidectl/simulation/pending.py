@@ -50,8 +50,9 @@ class Pending:
             return
         self.done = self.cancelled = True
         self._callbacks.clear()
-        if self.on_cancel is not None:
-            self.on_cancel()
+        on_cancel, self.on_cancel = self.on_cancel, None
+        if on_cancel is not None:
+            on_cancel()
 
     def then(self, callback: Callable[[Pending], None]) -> Pending:
         """Call back with this object as soon as it is settled, at once when it is already. Returns itself."""
@@ -75,6 +76,9 @@ class Pending:
 
     def _settle(self) -> None:
         self.done = True
+        self.on_cancel = (
+            None  # it refers to this object, whose answer may be large: that must not wait for a collection
+        )
         callbacks, self._callbacks = self._callbacks, []
         for callback in callbacks:
             callback(self)

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from slidectl.control.node import Message
+from slidectl.control.node_handle import Message
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.timers import Timer
 from slidectl.simulation.topics import NodePublisher

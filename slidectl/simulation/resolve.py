@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from slidectl import msgs, names
-from slidectl.control.node import Message
+from slidectl.control.node_handle import Message
 from slidectl.errors import UnknownName, Unused, UsageError, closest, listing
 from slidectl.simulation.rosapi_types import typedefs
 from slidectl.simulation.topics import Topics

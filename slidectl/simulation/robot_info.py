@@ -8,8 +8,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from slidectl.control.node import Message
+from slidectl.control.node_handle import Message
 from slidectl.description.robot import Joint, Notice
+from slidectl.description.transmissions import driving
 from slidectl.physics import World
 from slidectl.simulation.assembly import SpawnedRobot
 
@@ -36,12 +37,8 @@ def robot_info(robot: SpawnedRobot, world: World) -> Message:
 
 def _interfaces(robot: SpawnedRobot) -> dict[str, str]:
     """The interface through which each actuated joint is commanded: the first, as the hardware reads it."""
-    return {
-        joint.name: joint.hardware_interfaces[0]
-        for transmission in robot.paper.transmissions
-        for joint in transmission.joints
-        if joint.hardware_interfaces
-    }
+    found = (transmission.joints[0] for transmission in driving(robot.paper.transmissions))
+    return {joint.name: joint.hardware_interfaces[0] for joint in found}
 
 
 def _joint_info(robot: SpawnedRobot, world: World, joint: Joint, interfaces: dict[str, str]) -> Message:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from slidectl import msgs
-from slidectl.control.node import Message
+from slidectl.control.node_handle import Message
 from slidectl.simulation.clock import stamp
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.rosapi_parameters import parameter_services

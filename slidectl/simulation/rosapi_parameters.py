@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from slidectl import names
-from slidectl.control.node import MISSING, Message
+from slidectl.control.node_handle import MISSING, Message
 from slidectl.errors import BadMessage, Refused, quoted
 from slidectl.simulation.parameters import Parameters
 

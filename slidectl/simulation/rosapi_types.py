@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from slidectl import msgs
-from slidectl.control.node import Message
+from slidectl.control.node_handle import Message
 
 _TIMES = ("time", "duration")
 

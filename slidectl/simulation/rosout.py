@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from slidectl.control.node import Reasons
+from slidectl.control.node_handle import Reasons
 from slidectl.errors import cut
 from slidectl.simulation.clock import stamp
 from slidectl.simulation.topics import NodePublisher, Topics

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 from slidectl import msgs, names
-from slidectl.control.node import Message
+from slidectl.control.node_handle import Message
 from slidectl.errors import Refused, SlidectlError, UnknownName
 from slidectl.simulation.pending import Pending
 

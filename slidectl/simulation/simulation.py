@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from slidectl.control.duration import from_seconds
-from slidectl.control.node import Message, MessageCallback
+from slidectl.control.node_handle import Message, MessageCallback
 from slidectl.errors import Refused
 from slidectl.physics import World, hulls
 from slidectl.physics.hulls import Source

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from slidectl import names
-from slidectl.control.node import Message
+from slidectl.control.node_handle import Message
 from slidectl.description.robot import Joint
 from slidectl.physics.frames import compose, relative
 from slidectl.physics.rotation import Pose

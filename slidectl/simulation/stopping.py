@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from slidectl.control.node import Message
+from slidectl.control.hardware_interface import EffortJointInterface, PositionJointInterface, VelocityJointInterface
+from slidectl.control.node_handle import Message
 from slidectl.errors import Refused, SlidectlError, UnknownName
 from slidectl.simulation.assembly import SpawnedRobot
 
@@ -65,9 +66,9 @@ def _rest(robots: Robots, request: Message) -> Message:
 
 
 _QUANTITIES = {
-    "hardware_interface::EffortJointInterface": "an effort of",
-    "hardware_interface::VelocityJointInterface": "a velocity of",
-    "hardware_interface::PositionJointInterface": "the position",
+    EffortJointInterface.type_name: "an effort of",
+    VelocityJointInterface.type_name: "a velocity of",
+    PositionJointInterface.type_name: "the position",
 }
 
 

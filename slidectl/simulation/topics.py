@@ -11,7 +11,7 @@ from contextlib import suppress
 from typing import Any, ClassVar
 
 from slidectl import msgs, names
-from slidectl.control.node import Message, MessageCallback
+from slidectl.control.node_handle import Message, MessageCallback
 from slidectl.errors import Refused, SlidectlError, UnknownName
 
 

@@ -10,7 +10,7 @@ import math
 from typing import Any
 
 from slidectl.control.duration import from_seconds
-from slidectl.control.node import Message
+from slidectl.control.node_handle import Message
 from slidectl.errors import Refused
 from slidectl.simulation.conditions import Condition, show
 from slidectl.simulation.graph import Graph

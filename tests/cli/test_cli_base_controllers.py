@@ -303,3 +303,26 @@ def test_a_message_for_a_controller_that_is_not_loaded_says_how_to_load_it(slide
 
 def test_without_a_robot_a_command_says_what_comes_first(world: CommandLine) -> None:
     assert "slidectl spawn slider" in world("pub", "command", "1.0").stderr
+
+
+def test_names_that_a_controller_does_not_know_are_told_wherever_it_is_configured(
+    world: CommandLine, tmp_path: Path
+) -> None:
+    path = tmp_path / "gains.yaml"
+    path.write_text(
+        f"slider:\n  {POSITION}:\n    type: effort_controllers/JointPositionController\n    joint: joint1\n"
+        "    pid: {p: 100.0, kd: 10.0}\n"
+    )
+    remark = f"/slider/{POSITION}/pid/kd: is unknown to the controller and has no effect; did you mean 'pid/d'?"
+    assert f"{path}:5: ignored" not in world("check", str(path)).stderr
+    assert remark in world("check", str(path)).stdout
+    assert f"warning: {path}:5: {remark}" in world("spawn", "slider", "--controllers", str(path)).stderr
+    assert f"warning: {path}:5: {remark}" in world("controller", "config", str(path)).stderr
+    assert f"warning: {remark}" in world("controller", "load", POSITION).stderr
+    world.ok("controller", "unload", POSITION)
+    done = world("controller", "spawn", POSITION)
+    assert (done.returncode, f"warning: {remark}" in done.stderr) == (0, True)
+
+
+def test_sound_parameters_are_not_remarked_upon(slider: CommandLine) -> None:
+    assert "unknown" not in slider("controller", "load", STATES, POSITION).stderr

@@ -52,7 +52,7 @@ def test_output_that_cannot_be_written_is_an_error(slidectl: CommandLine, words:
 
 def test_an_error_that_quotes_something_endless_is_shortened(slidectl: CommandLine, tmp_path: Path) -> None:
     model = tmp_path / "endless.urdf"
-    model.write_text(f'<robot name="x"><link name="{"x" * 100_000}"/></robot>')
+    model.write_text(f'<robot name="x">{2 * f"""<link name="{"x" * 100_000}"/>"""}</robot>')
     done = slidectl("spawn", str(model))
     assert done.returncode == 2
     assert len(done.stderr) < 6000

@@ -213,7 +213,7 @@ def test_a_robot_that_flies_apart_at_once_is_told_all_the_same(world: CommandLin
 
 def test_an_error_in_a_model_names_file_and_line(world: CommandLine, tmp_path: Path) -> None:
     file = box(tmp_path, mass=-1)
-    done = world("spawn", file)
+    done = world("spawn", file, "--strict")
     assert done.returncode == 2
     assert f"{file}:4" in done.stderr
     assert "'base'" in done.stderr
@@ -340,3 +340,19 @@ def test_an_empty_robot_namespace_is_the_root_everywhere(world: CommandLine, tmp
     assert {"/joint_states", "/j1_pos/command", "/slider/joint_states"} <= set(topics)
     words = {"_SLIDECTL_COMPLETE": "bash_complete", "COMP_WORDS": "slidectl controller list --cm ", "COMP_CWORD": "4"}
     assert "plain,/" in world("", **words).stdout.splitlines()
+
+
+def test_an_impossible_mass_is_mended_with_old_and_new_values_and_refused_when_strict(
+    world: CommandLine, tmp_path: Path
+) -> None:
+    path = box(tmp_path, mass=0.0)
+    refused = world("spawn", path, "--strict")
+    assert (refused.returncode, "link 'base' has a mass of 0 kg; it must be above 0" in refused.stderr) == (2, True)
+    assert world("check", path, "--strict").returncode == 2
+    done = world("spawn", path)
+    assert done.returncode == 0, done.stderr
+    change = "it is simulated with a mass of 0.001 instead of 0 kg"
+    assert f"{path}:4: converted: link 'base'/<inertial>/<mass>: has a mass of 0 kg" in done.stderr
+    assert change in done.stderr
+    checked = world("check", path, "--only", "converted")
+    assert (checked.returncode, change in checked.stdout) == (0, True)

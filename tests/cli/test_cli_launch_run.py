@@ -461,3 +461,32 @@ def test_two_launches_at_once_share_one_daemon(slidectl: CommandLine) -> None:
     # Whoever began the daemon ends it; the other one has then lost it.
     assert {slider_ended, world_ended} <= {130, 3}
     nothing_is_left(slidectl.runtime)
+
+
+def test_what_never_ends_is_refused_with_its_place_by_every_command(slidectl: CommandLine, tmp_path: Path) -> None:
+    macros = "".join(
+        f"\n<xacro:macro name='m{n}'><xacro:m{n - 1}/><xacro:m{n - 1}/></xacro:macro>" for n in range(1, 30)
+    )
+    model = tmp_path / "bomb.xacro"
+    model.write_text(
+        f"<robot name='a' xmlns:xacro='x'><xacro:macro name='m0'><z/></xacro:macro>{macros}<xacro:m29/></robot>"
+    )
+    levels = "".join(f'\n<arg name="a{n}" value="{f"$(arg a{n - 1})" * 10}"/>' for n in range(1, 12))
+    text = write(tmp_path, "text.launch", f'<arg name="a0" value="xxxxxxxxxx"/>{levels}')
+    os.mkfifo(tmp_path / "pipe.launch")
+    pipe = write(tmp_path, "pipe_inside.launch", f'\n<include file="{tmp_path}/pipe.launch"/>')
+    slidectl.ok("daemon", "start")
+    for words, reason in (
+        (("check", str(model)), "bomb.xacro:"),
+        (("spawn", str(model)), "bomb.xacro:"),
+        (("check", text), "text.launch:7: <arg>: value: comes to more than 4096 KiB of text"),
+        (("launch", text), "text.launch:7: <arg>: value: comes to more than 4096 KiB of text"),
+        (("check", pipe), "pipe.launch: is a pipe, and only regular files are read"),
+        (("launch", pipe), "pipe.launch: is a pipe, and only regular files are read"),
+        (("param", "load", "/dev/zero"), "/dev/zero: holds more than"),
+    ):
+        done = slidectl(*words)
+        assert done.returncode == 2, (words, done.stderr)
+        assert reason in done.stderr, (words, done.stderr)
+        assert "a fault of slidectl" not in done.stderr
+    slidectl.ok("daemon", "stop")

@@ -1,6 +1,6 @@
 """A small graph in memory, for controllers under test: parameters, topics, services, a log, a clock set by hand.
 
-Implements control/node.py's protocol. Names are joined, not checked; messages are taken as they are.
+Implements control/node_handle.py's protocol. Names are joined, not checked; messages are taken as they are.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from copy import deepcopy
 from typing import Any
 
 from slidectl import names
-from slidectl.control.node import (
+from slidectl.control.node_handle import (
     MISSING,
     Message,
     MessageCallback,

@@ -8,18 +8,20 @@ from typing import Any
 
 from fake_node import FakeGraph
 
-from slidectl.control.controller import Controller
-from slidectl.control.handles import JointHandle
-from slidectl.control.interfaces import (
+from slidectl.control.controller_interface import Controller
+from slidectl.control.controller_manager import ControllerManager
+from slidectl.control.hardware_interface import (
+    ControllerInfo,
     EffortJointInterface,
+    JointHandle,
     JointStateInterface,
     PositionJointInterface,
+    RobotHW,
+    SwitchState,
     VelocityJointInterface,
 )
-from slidectl.control.manager import ControllerManager
-from slidectl.control.node import NodeHandle
+from slidectl.control.node_handle import NodeHandle
 from slidectl.control.registry import BASE_CLASS, ControllerLoader
-from slidectl.control.robot_hw import ControllerInfo, RobotHW, SwitchState
 
 STEP_NS = 1_000_000
 STEP_S = 0.001

@@ -2,16 +2,20 @@
 
 import pytest
 
-from slidectl.control.handles import JointHandle, JointStateHandle
-from slidectl.control.interfaces import (
+from slidectl.control.hardware_interface import (
     ClaimedResources,
+    Conflict,
+    ControllerInfo,
     EffortJointInterface,
+    JointHandle,
+    JointStateHandle,
     JointStateInterface,
     PositionJointInterface,
+    RobotHW,
+    SwitchState,
     UnknownResource,
     VelocityJointInterface,
 )
-from slidectl.control.robot_hw import Conflict, ControllerInfo, RobotHW, SwitchState
 
 COMMANDING = [EffortJointInterface, VelocityJointInterface, PositionJointInterface]
 
@@ -69,8 +73,6 @@ def test_a_robot_finds_its_interfaces_by_type():
         "hardware_interface::EffortJointInterface",
         "hardware_interface::JointStateInterface",
     ]
-    assert robot.interface_resources("hardware_interface::EffortJointInterface") == ["a"]
-    assert robot.interface_resources("hardware_interface::VelocityJointInterface") == []
 
 
 def test_the_last_interface_of_a_type_replaces_the_others():
@@ -79,36 +81,6 @@ def test_the_last_interface_of_a_type_replaces_the_others():
     assert robot.register_interface(old) is None
     assert robot.register_interface(new) is old
     assert robot.get(EffortJointInterface) is new
-
-
-def part(*joints, kind=EffortJointInterface):
-    robot = RobotHW()
-    robot.register_interface(kind([JointHandle(name) for name in joints]))
-    return robot
-
-
-def test_parts_with_different_interfaces_make_one_robot():
-    robot = part("a")
-    robot.register_part(part("b", kind=VelocityJointInterface))
-    assert robot.get(EffortJointInterface).names() == ["a"]
-    assert robot.get(VelocityJointInterface).names() == ["b"]
-
-
-def test_parts_with_the_same_interface_are_combined_into_one():
-    robot = part("a")
-    robot.register_part(part("b"))
-    whole = robot.get(EffortJointInterface)
-    assert whole.names() == ["a", "b"]
-    assert robot.get(EffortJointInterface) is whole
-    assert robot.interface_resources("hardware_interface::EffortJointInterface") == ["a", "b"]
-
-
-def test_another_part_joins_a_combination_that_was_already_asked_for():
-    robot = part("a")
-    robot.register_part(part("b"))
-    robot.get(EffortJointInterface)
-    robot.register_part(part("c"))
-    assert robot.get(EffortJointInterface).names() == ["a", "b", "c"]
 
 
 def info(name, **claims):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from slidectl.control.joint_limits import (
+from slidectl.control.limits import (
     NO_LIMITS,
     JointLimits,
     SoftJointLimits,

@@ -6,7 +6,7 @@ import pytest
 from fake_robot import STEP_S, Bench, FakeRobot
 
 from slidectl import msgs
-from slidectl.control.angles import distance_with_large_limits
+from slidectl.control.angular_distance import distance_with_large_limits
 from slidectl.control.pid import Gains
 from slidectl.errors import MessageRefused
 

@@ -6,9 +6,14 @@ import pytest
 from fake_node import FakeGraph
 from fake_robot import FakeRobot, Recorder
 
-from slidectl.control.controller import Controller, ControllerBase, MissingInterface, MultiInterfaceController
-from slidectl.control.interfaces import EffortJointInterface, PositionJointInterface, VelocityJointInterface
-from slidectl.control.states import State
+from slidectl.control.controller_interface import (
+    Controller,
+    ControllerBase,
+    MissingInterface,
+    MultiInterfaceController,
+    State,
+)
+from slidectl.control.hardware_interface import EffortJointInterface, PositionJointInterface, VelocityJointInterface
 from slidectl.errors import Refused
 
 REQUESTS = {

@@ -4,17 +4,23 @@ from math import inf, nan
 
 import pytest
 
-from slidectl.control.handles import JointHandle
-from slidectl.control.joint_limits import JointLimits, SoftJointLimits
-from slidectl.control.limit_laws import bounded
+from slidectl.control.hardware_interface import (
+    EffortJointInterface,
+    JointHandle,
+    PositionJointInterface,
+    VelocityJointInterface,
+)
 from slidectl.control.limits import (
     BadLimits,
     EffortJointSaturation,
     EffortJointSoftLimits,
+    JointLimits,
     PositionJointSaturation,
     PositionJointSoftLimits,
+    SoftJointLimits,
     VelocityJointSaturation,
     VelocityJointSoftLimits,
+    bounded,
     in_order,
     limit_handle,
 )
@@ -224,15 +230,14 @@ class TestVelocitySoftLimits:
 @pytest.mark.parametrize(
     ("interface", "saturation", "soft"),
     [
-        ("EffortJointInterface", EffortJointSaturation, EffortJointSoftLimits),
-        ("PositionJointInterface", PositionJointSaturation, PositionJointSoftLimits),
-        ("VelocityJointInterface", VelocityJointSaturation, VelocityJointSoftLimits),
+        (EffortJointInterface, EffortJointSaturation, EffortJointSoftLimits),
+        (PositionJointInterface, PositionJointSaturation, PositionJointSoftLimits),
+        (VelocityJointInterface, VelocityJointSaturation, VelocityJointSoftLimits),
     ],
 )
 def test_soft_limits_take_the_place_of_saturation(joint, interface, saturation, soft):
-    name = f"hardware_interface::{interface}"
-    assert type(limit_handle(name, joint, LIMITS)) is saturation
-    assert type(limit_handle(name, joint, LIMITS, SOFT)) is soft
+    assert type(limit_handle(interface, joint, LIMITS)) is saturation
+    assert type(limit_handle(interface, joint, LIMITS, SOFT)) is soft
 
 
 def test_limits_are_enforced_efforts_first_and_joints_in_alphabetical_order():

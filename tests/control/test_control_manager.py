@@ -6,9 +6,9 @@ import pytest
 from fake_node import FakeGraph
 from fake_robot import Bench, FakeRobot, Recorder
 
-from slidectl.control.controller import MultiInterfaceController
-from slidectl.control.interfaces import EffortJointInterface, PositionJointInterface, VelocityJointInterface
-from slidectl.control.manager import ControllerManager
+from slidectl.control.controller_interface import MultiInterfaceController
+from slidectl.control.controller_manager import ControllerManager
+from slidectl.control.hardware_interface import EffortJointInterface, PositionJointInterface, VelocityJointInterface
 from slidectl.errors import Refused
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import pytest
 from fake_robot import COMMAND_INTERFACES, Bench, FakeRobot
 
-from slidectl.control.controller import Controller, MultiInterfaceController
+from slidectl.control.controller_interface import Controller, MultiInterfaceController
 
 MODES = {"joint_pv": "pv", "joint_pe": "pe", "joint_ve": "ve"}
 """The interfaces (position, velocity, effort) that each joint can really switch to."""

@@ -8,9 +8,9 @@ import pytest
 from fake_node import FakeGraph
 from fake_robot import FakeRobot
 
-from slidectl.control import parameters, registry
-from slidectl.control.joint_limits import LIMITS, limits_from_parameters, soft_limits_from_parameters
-from slidectl.control.parameters import Parameter
+from slidectl.control import params, registry
+from slidectl.control.limits import LIMITS, limits_from_parameters, soft_limits_from_parameters
+from slidectl.control.params import Parameter
 
 URDF = """<robot name="bot">
   <link name="world"/>
@@ -21,14 +21,14 @@ URDF = """<robot name="bot">
 </robot>"""
 
 VALUES = {
-    parameters.NUMBER: 1.0,
-    parameters.INTEGER: 1,
-    parameters.BOOLEAN: False,
-    parameters.TEXT: "joint1",
-    parameters.TEXTS: ["joint1"],
-    parameters.NUMBERS: [1.0],
-    parameters.LIST: [],
-    parameters.FLOAT: 1.0,
+    params.NUMBER: 1.0,
+    params.INTEGER: 1,
+    params.BOOLEAN: False,
+    params.TEXT: "joint1",
+    params.TEXTS: ["joint1"],
+    params.NUMBERS: [1.0],
+    params.LIST: [],
+    params.FLOAT: 1.0,
 }
 
 TYPES = [name for name in registry.types() if not name.startswith("tests/")]  # whatever other tests define

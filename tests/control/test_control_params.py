@@ -80,8 +80,7 @@ def test_a_needed_parameter_that_is_missing_is_named_with_what_to_type(graph):
 
 def test_needed_parameters_of_the_right_type_are_returned(graph):
     node = graph.node("/bot")
-    for name, value in (("n", 2), ("t", "x"), ("l", ["a"])):
+    for name, value in (("n", 2), ("t", "x")):
         node.set_param(name, value)
     assert params.needed_number(node, "n") == 2.0
     assert params.needed_text(node, "t") == "x"
-    assert params.needed_texts(node, "l") == ["a"]

@@ -5,7 +5,7 @@ from math import inf, isfinite, nan
 
 import pytest
 
-from slidectl.control.pid import Gains, Pid
+from slidectl.control.pid import Gains, Pid, next_command_from
 
 
 def outputs(pid, *errors, dt=1.0):
@@ -130,8 +130,8 @@ def test_a_negative_period_keeps_the_old_derivative_and_integrates_backwards():
 
 def test_a_given_derivative_is_remembered_even_when_it_is_no_number():
     pid = Pid(1.0, 0.0, 1.0)
-    assert pid.compute_command_from(1.0, 2.0, 1.0) == 3.0
-    assert pid.compute_command_from(1.0, inf, 1.0) == 0.0
+    assert next_command_from(pid, 1.0, 2.0, 1.0) == 3.0
+    assert next_command_from(pid, 1.0, inf, 1.0) == 0.0
     assert pid.d_error == inf
 
 

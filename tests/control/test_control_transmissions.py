@@ -2,8 +2,8 @@
 
 import pytest
 
-from slidectl.control.transmissions import (
-    BadTransmission,
+from slidectl.control.transmission_interface import (
+    BadReductions,
     DifferentialTransmission,
     FourBarLinkageTransmission,
     SimpleTransmission,
@@ -14,7 +14,7 @@ TWO_DOF = [DifferentialTransmission, FourBarLinkageTransmission]
 
 @pytest.mark.parametrize("reduction", [0.0, -0.0, 0])
 def test_a_simple_transmission_needs_a_reduction(reduction):
-    with pytest.raises(BadTransmission, match="must not be 0"):
+    with pytest.raises(BadReductions, match="must not be 0"):
         SimpleTransmission(reduction)
 
 
@@ -32,7 +32,7 @@ def test_a_simple_transmission_needs_a_reduction(reduction):
     ],
 )
 def test_two_degrees_of_freedom_need_two_reductions_each_and_none_of_zero(kind, arguments):
-    with pytest.raises(BadTransmission):
+    with pytest.raises(BadReductions):
         kind(*arguments)
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from launch_files import Workspace, notices
 
+from slidectl.description import source_note
 from slidectl.errors import BadFile
 
 
@@ -297,7 +298,7 @@ def test_xacro_is_a_program_that_can_be_called_by_its_path(workspace: Workspace,
         workspace.values(f'<param name="x" command="{command} {model}"/>')["/x"]
         for command in (f"env PATH=/usr/bin:/bin $(find xacro)/{name}", "xacro")
     )
-    assert called == ours
+    assert called == source_note.split(ours)[0]
     assert "/left" in called
 
 
@@ -355,8 +356,10 @@ def test_delete_in_a_group_means_the_groups_namespace(workspace: Workspace) -> N
 
 @pytest.mark.parametrize("source", ["textfile", "binfile"])
 def test_a_file_that_is_too_large_for_a_parameter_is_refused(workspace: Workspace, source: str) -> None:
-    with pytest.raises(BadFile, match="/dev/zero: is larger than 16 MiB"):
-        workspace.plan(f'<param name="x" {source}="/dev/zero"/>').parameters()
+    path = workspace.write("large", "")
+    os.truncate(path, 40 * 2**30)  # a sparse file
+    with pytest.raises(BadFile, match="large: is larger than 16 MiB"):
+        workspace.plan(f'<param name="x" {source}="{path}"/>').parameters()
 
 
 def test_a_command_that_prints_without_end_is_ended(workspace: Workspace) -> None:

@@ -129,8 +129,10 @@ def test_a_world_file_is_looked_for_in_gazebos_resource_path(
     found = gazebo(workspace, "worlds/mine.world").world
     assert found is not None
     assert found.file == "demo/worlds/mine.world"
-    with pytest.raises(BadFile, match=r"/gazebo: there is no world file worlds/none.world\nlooked in: "):
-        gazebo(workspace, "worlds/none.world")
+    plan = workspace.plan('<node pkg="gazebo_ros" type="gzserver" name="g" args="worlds/none.world"/>')
+    Gazebo(plan.nodes[0], plan)
+    with pytest.raises(BadFile, match=r"/g: there is no world file worlds/none.world"):
+        plan.missing.refuse()
 
 
 def test_options_without_effect_are_pointed_out_and_unknown_ones_refused(workspace: Workspace) -> None:

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from slidectl.control.handles import JointHandle
-from slidectl.control.interfaces import EffortJointInterface, PositionJointInterface, VelocityJointInterface
+from slidectl.control.hardware_interface import (
+    EffortJointInterface,
+    JointHandle,
+    PositionJointInterface,
+    VelocityJointInterface,
+)
 from slidectl.description.robot import Robot
 from slidectl.physics import MujocoRobotHW, World
 from slidectl.simulation.graph import Graph

@@ -14,8 +14,7 @@ from physics_robots import at, block, box_inertial, tree
 from slidectl.description import parse
 from slidectl.description.robot import Cylinder, Geometry, Link, Robot, Shape, Sphere, Surface
 from slidectl.physics import World, motor_forces
-from slidectl.physics.rotation import matrix
-from slidectl.rotations import normalized
+from slidectl.rotations import matrix, normalized
 
 Quaternion = tuple[float, float, float, float]
 UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)

@@ -9,7 +9,7 @@ import pytest
 from physics_hardware import Bench
 from physics_robots import EFFORT, POSITION, VELOCITY, arm, driven, one_joint, transmission
 
-from slidectl.control.interfaces import (
+from slidectl.control.hardware_interface import (
     EffortJointInterface,
     JointStateInterface,
     PositionJointInterface,

@@ -125,9 +125,8 @@ def allowed(robot: Robot) -> set[frozenset[str]]:
 def touching(world: World) -> set[frozenset[str]]:
     """The pairs of links that are in contact."""
     mujoco.mj_forward(world.model, world.data)
-    bodies = world.model.geom_bodyid
-    names = [world.model.body(index).name for index in range(world.model.nbody)]
-    return {frozenset(names[bodies[geom]] for geom in contact.geom) for contact in world.data.contact}
+    names = [world.model.geom(index).name.rpartition("/")[0] for index in range(world.model.ngeom)]
+    return {frozenset(names[geom] for geom in contact.geom) for contact in world.data.contact}
 
 
 @given(heaps())

@@ -9,9 +9,9 @@ from typing import Any
 
 from sim_robots import STATES, cart
 
-from slidectl.control.controller import Controller
-from slidectl.control.interfaces import EffortJointInterface, PositionJointInterface
-from slidectl.control.node import NodeHandle
+from slidectl.control.controller_interface import Controller
+from slidectl.control.hardware_interface import EffortJointInterface, PositionJointInterface
+from slidectl.control.node_handle import NodeHandle
 from slidectl.control.registry import controller
 from slidectl.errors import SlidectlError
 from slidectl.simulation import Simulation

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from slidectl.control.controller import Controller
-from slidectl.control.interfaces import EffortJointInterface
-from slidectl.control.node import NodeHandle
+from slidectl.control.controller_interface import Controller
+from slidectl.control.hardware_interface import EffortJointInterface
+from slidectl.control.node_handle import NodeHandle
 from slidectl.control.registry import controller
 from slidectl.simulation import Simulation, SpawnedRobot
 

@@ -18,13 +18,11 @@ import pytest
 
 numba = pytest.importorskip("numba")
 
-from slidectl.control import angles, limit_laws, limit_steps  # noqa: E402
-from slidectl.control import limits as limit_handles  # noqa: E402
+from slidectl.control import angular_distance, limits  # noqa: E402
 from slidectl.control.duration import from_seconds, to_seconds  # noqa: E402
-from slidectl.control.handles import JointHandle  # noqa: E402
-from slidectl.control.joint_limits import JointLimits, SoftJointLimits  # noqa: E402
+from slidectl.control.hardware_interface import JointHandle  # noqa: E402
 from slidectl.control.laws import Columns  # noqa: E402
-from slidectl.control.limits import LimitHandle  # noqa: E402
+from slidectl.control.limits import JointLimits, LimitHandle, SoftJointLimits  # noqa: E402
 from slidectl.control.pid import Pid, next_command, next_command_from, pid_law  # noqa: E402
 from slidectl.physics import drives  # noqa: E402
 from slidectl.physics.drives import Drive  # noqa: E402
@@ -37,13 +35,14 @@ SCALAR_LAWS = [
     pid_law,
     truncated,
     to_seconds,
-    *(getattr(limit_laws, name) for name in vars(limit_laws) if callable(getattr(limit_laws, name)) and name != "law"),
-    angles.normalize_angle,
-    angles.shortest_angular_distance,
-    angles.unwrapped,
-    angles.two_pi_complement,
-    angles.distance_with_large_limits,
-    angles.distance_with_limits,
+    limits.bounded,
+    limits.bounded_twice,
+    angular_distance.normalize_angle,
+    angular_distance.shortest_angular_distance,
+    angular_distance.unwrapped,
+    angular_distance.two_pi_complement,
+    angular_distance.distance_with_large_limits,
+    angular_distance.distance_with_limits,
 ]
 VALUES = (
     0.0,
@@ -129,13 +128,13 @@ def _set_gains(pid: Pid, gains: tuple[float, ...]) -> None:
 
 
 def test_every_recorded_limit_comes_out_of_the_compiled_law() -> None:
-    machine = numba.njit(lambda limit, joint, period_s: limit_steps.enforce(limit[0], joint[0], period_s))
+    machine = numba.njit(lambda limit, joint, period_s: limits.enforce(limit[0], joint[0], period_s))
     seen: Counter[str] = Counter()
     for case in recorded("joint_limits_vectors.json"):
         joint = JointHandle("joint")
-        limits = JointLimits(**{k: v if isinstance(v, bool) else float(v) for k, v in case["limits"].items()})
+        hard = JointLimits(**{k: v if isinstance(v, bool) else float(v) for k, v in case["limits"].items()})
         soft = SoftJointLimits(**{key: float(value) for key, value in case.get("soft_limits", {}).items()})
-        handle: Any = getattr(limit_handles, case["handle"].removesuffix("Handle"))(joint, limits, soft)
+        handle: Any = getattr(limits, case["handle"].removesuffix("Handle"))(joint, hard, soft)
         limit_row, joint_row = Rows(LimitHandle.columns, handle), Rows(tables.JOINT, joint)
         for k, (step, output) in enumerate(zip(case["steps"], case["outputs"], strict=True)):
             if k in case["resets"]:
@@ -147,7 +146,29 @@ def test_every_recorded_limit_comes_out_of_the_compiled_law() -> None:
             joint_row.give()
             assert bits(joint.command) == bits(float(output)), case["handle"]
         seen[case["handle"]] += 1
-    assert len(seen) == len(limit_steps.KINDS)
+    assert len(seen) == len(limits.LIMIT_LAWS)
+
+
+@pytest.mark.parametrize("kind", range(len(limits.LIMIT_LAWS)))
+def test_what_a_limit_makes_of_a_command_is_the_same_to_the_bit(kind: int) -> None:
+    machine = numba.njit(lambda limit, joint, dt: limits.enforce(limit[0], joint[0], dt))
+    dice = random.Random(kind)
+
+    def number() -> float:
+        return dice.choice(VALUES) if dice.random() < 0.3 else dice.uniform(-8, 8)
+
+    for _ in range(2000):
+        limit: Any = SimpleNamespace(**{name: number() for name in LimitHandle.columns.attributes})
+        vars(limit).update(kind=kind, **{name: dice.random() < 0.5 for name in vars(limit) if name.startswith("has_")})
+        joint = JointHandle("joint", number(), number(), number(), number())
+        period_s = number()
+        limit_row, joint_row = Rows(LimitHandle.columns, limit), Rows(tables.JOINT, joint)
+        machine(limit_row.array, joint_row.array, period_s)
+        limits.enforce(limit, joint, period_s)
+        expected = bits((joint.command, limit.previous))
+        joint_row.give()
+        limit_row.give()
+        assert bits((joint.command, limit.previous)) == expected
 
 
 @pytest.mark.parametrize("kind", [drives.EFFORT, drives.VELOCITY, drives.LENGTH, drives.REVOLVING, drives.TURNING])

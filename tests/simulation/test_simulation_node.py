@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from slidectl.control.node import NodeHandle
+from slidectl.control.node_handle import NodeHandle
 from slidectl.errors import BadName
 from slidectl.simulation.graph import Graph
 

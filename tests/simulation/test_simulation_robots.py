@@ -97,7 +97,7 @@ def test_two_of_one_kind_stand_side_by_side(simulation: Simulation) -> None:
     ("broken", "text"),
     [
         (lambda xml: xml.replace("</robot>", ""), "robot_description"),
-        (lambda xml: xml.replace('value="1"', 'value="-1"'), "box1"),
+        (lambda xml: xml.replace('value="1"', 'value="one"'), "box1"),
         (lambda xml: xml.replace("EffortJointInterface", "MagicInterface"), "Magic"),
         (
             lambda xml: xml.replace(

@@ -8,18 +8,19 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from slidectl.control import params
-from slidectl.control.handles import JointHandle
-from slidectl.control.interfaces import (
+from slidectl.control.controller_interface import Compiled, Parts
+from slidectl.control.hardware_interface import (
     EffortJointInterface,
     JointCommandInterface,
+    JointHandle,
     PositionJointInterface,
     VelocityJointInterface,
 )
-from slidectl.control.laws import Columns, Compiled, Parts, law
-from slidectl.control.node import NodeHandle
-from slidectl.control.parameters import JOINT, Parameter
+from slidectl.control.joint_controller import ScalarController
+from slidectl.control.laws import Columns, law
+from slidectl.control.node_handle import NodeHandle
+from slidectl.control.params import JOINT, Parameter
 from slidectl.control.registry import controller
-from slidectl.control.scalar import ScalarController
 
 
 @law
@@ -67,21 +68,21 @@ class ForwardController(ScalarController):
 
 
 @controller("effort_controllers/JointEffortController")
-class JointEffortController(ForwardController):
+class ForwardEffortController(ForwardController):
     """Commands are efforts, N or N·m."""
 
     interface_type = EffortJointInterface
 
 
 @controller("velocity_controllers/JointVelocityController")
-class JointVelocityController(ForwardController):
+class ForwardVelocityController(ForwardController):
     """Commands are velocities, m/s or rad/s."""
 
     interface_type = VelocityJointInterface
 
 
 @controller("position_controllers/JointPositionController")
-class JointPositionController(ForwardController):
+class ForwardPositionController(ForwardController):
     """Commands are positions, m or rad. It starts by holding the measured one."""
 
     interface_type = PositionJointInterface

@@ -10,12 +10,12 @@ from typing import Any, ClassVar, NamedTuple
 
 from slidectl import names
 from slidectl.control import params
-from slidectl.control.controller import Controller
+from slidectl.control.controller_interface import Compiled, Controller, Parts
 from slidectl.control.duration import from_seconds, to_stamp
-from slidectl.control.interfaces import JointStateInterface
-from slidectl.control.laws import Columns, Compiled, Parts, law
-from slidectl.control.node import Message, NodeHandle
-from slidectl.control.parameters import FLOAT, LIST, NUMBER, TEXT, TEXTS, Parameter
+from slidectl.control.hardware_interface import JointStateInterface
+from slidectl.control.laws import Columns, law
+from slidectl.control.node_handle import Message, NodeHandle
+from slidectl.control.params import FLOAT, LIST, NUMBER, TEXT, TEXTS, Parameter
 from slidectl.control.registry import controller
 from slidectl.errors import Refused
 

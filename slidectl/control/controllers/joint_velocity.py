@@ -9,13 +9,13 @@ from math import inf
 from typing import Any
 
 from slidectl.control import params
-from slidectl.control.handles import JointHandle
-from slidectl.control.interfaces import EffortJointInterface, JointCommandInterface
-from slidectl.control.laws import Columns, Compiled, law
-from slidectl.control.node import NodeHandle
-from slidectl.control.parameters import JOINT
+from slidectl.control.controller_interface import Compiled
+from slidectl.control.hardware_interface import EffortJointInterface, JointCommandInterface, JointHandle
+from slidectl.control.joint_controller import PidController, state_is_due
+from slidectl.control.laws import Columns, law
+from slidectl.control.node_handle import NodeHandle
+from slidectl.control.params import JOINT
 from slidectl.control.pid import Pid, next_command
-from slidectl.control.pid_controller import PidController, state_is_due
 from slidectl.control.registry import controller
 
 

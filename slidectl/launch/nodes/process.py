@@ -27,7 +27,7 @@ _RESPAWN_PAUSE_S = 0.1
 _SHORT_LIFE_S = 5.0
 _FIRST_BACK_OFF_S = 1.0
 _LONGEST_BACK_OFF_S = 30.0
-"""A program that keeps ending soon after its start waits for its next one 1 s, then twice as long each time, to this."""
+"""A program that keeps ending soon after its start waits 1 s for the next, then twice as long each time, to this."""
 _LONGEST_FIRST_LINE = 256
 _POLITE_S = 0.5
 """How long the next one waits for this one to end before it is asked to end itself."""

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from slidectl.control.angles import unwrapped
+from slidectl.control.angular_distance import unwrapped
 from slidectl.control.laws import law
-from slidectl.control.limit_steps import enforce
+from slidectl.control.limits import enforce
 from slidectl.physics.divergence import HUGE
 from slidectl.physics.drives import drive_effort
 from slidectl.physics.effort import truncated

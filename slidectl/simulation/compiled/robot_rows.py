@@ -11,9 +11,9 @@ from collections.abc import Callable
 from struct import Struct
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from slidectl.control.controller import ControllerBase
-from slidectl.control.handles import JointStateHandle
-from slidectl.control.laws import Columns, Compiled, Parts
+from slidectl.control.controller_interface import Compiled, ControllerBase, Parts
+from slidectl.control.hardware_interface import JointStateHandle
+from slidectl.control.laws import Columns
 from slidectl.control.pid import Pid
 from slidectl.physics import MujocoRobotHW
 from slidectl.physics.drives import MOTOR, Drive

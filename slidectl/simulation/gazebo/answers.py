@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import wraps
 from typing import TYPE_CHECKING
 
-from slidectl.control.node import Message
+from slidectl.control.node_handle import Message
 from slidectl.errors import SlidectlError
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.services import Handler

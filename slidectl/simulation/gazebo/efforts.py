@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from slidectl.control.node import Message
+from slidectl.control.node_handle import Message
 from slidectl.physics.frames import add, compose, rotate, subtract
 from slidectl.physics.rotation import cross
 from slidectl.rotations import IDENTITY, Vector

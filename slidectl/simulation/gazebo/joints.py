@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from slidectl.control.node import Message
+from slidectl.control.node_handle import Message
 from slidectl.simulation.gazebo.answers import Answer, provide
 from slidectl.simulation.gazebo.entities import find
 from slidectl.simulation.graph import WORLD_NODE

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from slidectl.control.node import Message
+from slidectl.control.node_handle import Message
 from slidectl.errors import Refused, UnknownName
 from slidectl.simulation.clock import stamp
 from slidectl.simulation.gazebo.answers import Answer, provide

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from slidectl.control.node import Message
+from slidectl.control.node_handle import Message
 from slidectl.errors import Refused
 from slidectl.simulation.gazebo.answers import Answer, provide
 from slidectl.simulation.gazebo.shapes import vector, vector_message

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from slidectl.control.node import Message
+from slidectl.control.node_handle import Message
 from slidectl.physics.frames import add, compose, relative, rotate, subtract
 from slidectl.physics.observer import Twist
 from slidectl.physics.rotation import Pose, cross

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from slidectl.control.node import Message
+from slidectl.control.node_handle import Message
 from slidectl.errors import Refused, SlidectlError, quoted
 from slidectl.physics import hulls
 from slidectl.physics.frames import compose

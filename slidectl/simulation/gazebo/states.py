@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from slidectl.control.node import Message
+from slidectl.control.node_handle import Message
 from slidectl.simulation.gazebo.entities import Frame, link_frame, model_frame
 from slidectl.simulation.gazebo.shapes import pose_message, twist_message
 from slidectl.simulation.graph import WORLD_NODE

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slidectl.control.angles import (
+from slidectl.control.angular_distance import (
     distance_with_large_limits,
     distance_with_limits,
     min_max_turn,

@@ -3,9 +3,9 @@
 import pytest
 
 from slidectl import msgs
-from slidectl.control.live_pid import LivePid
 from slidectl.control.params import BadParameter
 from slidectl.control.pid import Gains
+from slidectl.control.reconfigurable_pid import ReconfigurablePid
 from slidectl.errors import Refused, UnknownName
 
 NS = "/bot/controller/pid"
@@ -17,7 +17,7 @@ def live(graph):
 
     def make(**parameters):
         graph.set(NS, parameters)
-        return LivePid(graph.node(NS))
+        return ReconfigurablePid(graph.node(NS))
 
     return make
 
@@ -110,10 +110,10 @@ class TestOffers:
     def test_a_reload_finds_what_was_written_back(self, graph):
         graph.set(NS, {"p": 1.0, "i": 1.0, "i_clamp": 5.0})
         node = graph.node(NS)
-        LivePid(node)
+        ReconfigurablePid(node)
         node.shutdown()
         graph.set(f"{NS}/i_clamp", 9.0)
-        assert LivePid(graph.node(NS)).pid.gains.i_max == 5.0
+        assert ReconfigurablePid(graph.node(NS)).pid.gains.i_max == 5.0
         assert graph.get(f"{NS}/i_clamp") == 5.0
 
     def test_the_gains_and_their_ranges_are_published_for_whoever_comes_later(self, graph, live):
@@ -264,7 +264,7 @@ class TestParameters:
     def test_after_its_node_is_shut_down_a_pid_does_not_listen(self, graph):
         graph.set(NS, {"p": 1.0})
         node = graph.node(NS)
-        pid = LivePid(node).pid
+        pid = ReconfigurablePid(node).pid
         node.shutdown()
         graph.set(f"{NS}/p", 2.0)
         assert pid.gains.p == 1.0

@@ -6,15 +6,64 @@ Only the requests here change a controller's state; hooks never do. It knows no 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
 from typing import Any, ClassVar, Generic
 
-from slidectl.control.interfaces import ClaimedResources
-from slidectl.control.laws import Compiled, Parts
-from slidectl.control.node import NodeHandle
-from slidectl.control.parameters import Parameter
-from slidectl.control.robot_hw import AnyInterface, I, RobotHW
-from slidectl.control.states import State
+from slidectl.control.hardware_interface import (
+    AnyInterface,
+    ClaimedResources,
+    I,
+    JointHandle,
+    JointStateHandle,
+    RobotHW,
+)
+from slidectl.control.laws import Columns
+from slidectl.control.node_handle import NodeHandle, Publisher
+from slidectl.control.params import Parameter
+from slidectl.control.pid import Pid
 from slidectl.errors import Refused, listing
+
+
+class State(StrEnum):
+    """A controller is in exactly one of these."""
+
+    CONSTRUCTED = "constructed"
+    """Never seen by anybody else: the manager lists a controller only after its init."""
+    INITIALIZED = "initialized"
+    RUNNING = "running"
+    STOPPED = "stopped"
+    WAITING = "waiting"
+    ABORTED = "aborted"
+
+
+@dataclass(frozen=True, slots=True)
+class Compiled:
+    """How a controller runs compiled: the law of its `update`, and the columns of its row.
+
+    `update(row, joints, pids, time_ns, period_s)` is a law: it does to the rows what the method does to the objects,
+    and returns True when `publish` is due. `Columns.places` are `pid` where there is a PID, `joint` where there is one
+    joint, and `wanted` where there is a publisher, in this order: indices into `pids` and `joints`, and a flag.
+    """
+
+    update: Callable[[Any, Any, Any, int, float], bool]
+    columns: Columns
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """What a controller consists of besides itself, while it runs compiled."""
+
+    publisher: Publisher | None = None
+    """Where its `publish` goes; it is called only while that is wanted."""
+    joint: JointHandle | None = None
+    pid: Pid | None = None
+    shown: tuple[JointStateHandle, ...] = ()
+    """Joints of which `publish` tells."""
+
+    def handles(self) -> list[JointStateHandle]:
+        """All that are named here."""
+        return [*self.shown, *([] if self.joint is None else [self.joint])]
 
 
 class MissingInterface(Refused):

@@ -1,4 +1,4 @@
-"""A PID whose gains live in the graph: read from parameters, changed by service or parameter while it runs.
+"""A PID whose gains are parameters: read when it is made, changed by service or parameter while it runs.
 
 After control_toolbox's init and its dynamic_reconfigure server. Gains change between two cycles; the state of
 the PID is never touched here. The parameters always say what the PID has: a change that it cannot follow is refused,
@@ -8,14 +8,14 @@ and what it takes in another form (a clamp's sign) is written back.
 from __future__ import annotations
 
 from math import isfinite, isnan
-from typing import Any
+from typing import Any, NamedTuple
 
-from slidectl.control import gain_config, params
+from slidectl.control import params
 from slidectl.control.duration import from_seconds, to_stamp
-from slidectl.control.node import Message, NodeHandle, ParameterChange, Publisher
-from slidectl.control.parameters import BOOLEAN, NUMBER, Parameter, check_values
+from slidectl.control.node_handle import Message, NodeHandle, ParameterChange, Publisher
+from slidectl.control.params import BOOLEAN, NUMBER, Parameter, check_values
 from slidectl.control.pid import Gains, Pid
-from slidectl.errors import Refused
+from slidectl.errors import Refused, UnknownName
 
 GAINS = (
     Parameter("p", NUMBER, "proportional gain", required=True, live=True),
@@ -30,7 +30,7 @@ GAINS = (
 """What a namespace of gains may hold, as control_toolbox reads it."""
 
 
-class LivePid:
+class ReconfigurablePid:
     """`pid` with the gains of the namespace of `node`, which it keeps in step with the parameters there."""
 
     def __init__(self, node: NodeHandle) -> None:
@@ -67,22 +67,22 @@ class LivePid:
             self._node.log("warn", f"{self._node.namespace}: i = {gains.i} has no effect without i_clamp")
         self._is_idle = is_idle
         self._write_back(gains)
-        self._updates.publish(gain_config.to_config(gains))
+        self._updates.publish(to_config(gains))
 
     def _offer(self) -> Publisher:
         node = self._node
         node.advertise_service("set_parameters", "dynamic_reconfigure/Reconfigure", self._reconfigure)
         descriptions = node.advertise("parameter_descriptions", "dynamic_reconfigure/ConfigDescription", latch=True)
-        descriptions.publish(gain_config.description())
+        descriptions.publish(description())
         return node.advertise("parameter_updates", "dynamic_reconfigure/Config", latch=True)
 
     def _reconfigure(self, request: Message) -> Message:
-        self.set_gains(gain_config.merged(self.pid.gains, request["config"]))
-        return {"config": gain_config.to_config(self.pid.gains)}
+        self.set_gains(merged(self.pid.gains, request["config"]))
+        return {"config": to_config(self.pid.gains)}
 
     def _write_back(self, gains: Gains) -> None:
         """The six, and i_clamp where it is set, which is the upper bound as in the controller's state."""
-        values = gain_config.to_parameters(gains)
+        values = to_parameters(gains)
         if self._node.has_param("i_clamp"):
             values["i_clamp"] = self._i_clamp = gains.i_max
         self._writing = True
@@ -103,7 +103,7 @@ class LivePid:
 
     def _refuse_deletion(self, change: ParameterChange) -> None:
         after = change.after if isinstance(change.after, dict) else {}
-        gone = [name for name in gain_config.to_parameters(self.pid.gains) if name not in after]
+        gone = [name for name in to_parameters(self.pid.gains) if name not in after]
         if gone:
             raise Refused(
                 f"{self._node.namespace}/{gone[0]} is a gain of a loaded controller and cannot be deleted",
@@ -209,3 +209,104 @@ class _StatePublisher:
             "i_min": pid.i_min,
             "output": pid.command,
         }
+
+
+# The gains as dynamic_reconfigure messages, and back. The ranges hold for what comes in so, not for what a file says.
+
+
+class Ranged(NamedTuple):
+    """A gain that is a number. `field` is its name in Gains."""
+
+    name: str
+    field: str
+    description: str
+    default: float
+    minimum: float
+    maximum: float
+
+
+RANGES = (
+    Ranged("p", "p", "Proportional gain", 10.0, -100000.0, 100000.0),
+    Ranged("i", "i", "Integral gain", 0.1, -100000.0, 100000.0),
+    Ranged("d", "d", "Derivative gain", 1.0, -1000.0, 1000.0),
+    Ranged("i_clamp_min", "i_min", "Least integral term", -10.0, -100000.0, 0.0),
+    Ranged("i_clamp_max", "i_max", "Largest integral term", 10.0, 0.0, 100000.0),
+)
+ANTIWINDUP = "antiwindup"
+_GROUP = {"name": "Default", "id": 0, "parent": 0}
+
+
+def to_parameters(gains: Gains) -> dict[str, float | bool]:
+    """The six parameters that hold these gains."""
+    values: dict[str, float | bool] = {entry.name: getattr(gains, entry.field) for entry in RANGES}
+    return values | {ANTIWINDUP: gains.antiwindup}
+
+
+def to_config(gains: Gains) -> Message:
+    """As dynamic_reconfigure/Config."""
+    return _config({entry.name: getattr(gains, entry.field) for entry in RANGES}, gains.antiwindup)
+
+
+def description() -> Message:
+    """The six gains with their ranges, as dynamic_reconfigure/ConfigDescription."""
+    parameters = [_parameter(entry.name, "double", entry.description) for entry in RANGES]
+    parameters.append(_parameter(ANTIWINDUP, "bool", "Bound the integral itself, not only its contribution"))
+    return {
+        "groups": [{**_GROUP, "type": "", "parameters": parameters}],
+        "max": _config({entry.name: entry.maximum for entry in RANGES}, True),
+        "min": _config({entry.name: entry.minimum for entry in RANGES}, False),
+        "dflt": _config({entry.name: entry.default for entry in RANGES}, False),
+    }
+
+
+def merged(gains: Gains, config: Message) -> Gains:
+    """`gains` with what a Config message changes, all of it brought into the ranges.
+
+    Raises:
+        UnknownName: an entry that is none of the six. Refused: a value that is no number.
+    """
+    changes: dict[str, Any] = {}
+    for entry in config["doubles"]:
+        changes[_known(entry["name"]).field] = _number(entry)
+    for entry in config["bools"]:
+        if entry["name"] != ANTIWINDUP:
+            raise UnknownName("boolean gain", entry["name"], [ANTIWINDUP])
+        changes[ANTIWINDUP] = entry["value"]
+    if config["ints"] or config["strs"]:
+        raise Refused("gains are doubles, and antiwindup is a bool; there are no ints and strs")
+    return _in_range(gains._replace(**changes))
+
+
+def _in_range(gains: Gains) -> Gains:
+    inside: dict[str, Any] = {
+        entry.field: min(max(getattr(gains, entry.field), entry.minimum), entry.maximum) for entry in RANGES
+    }
+    return gains._replace(**inside)
+
+
+def _known(name: str) -> Ranged:
+    for entry in RANGES:
+        if entry.name == name:
+            return entry
+    raise UnknownName("gain", name, [entry.name for entry in RANGES])
+
+
+def _number(entry: Message) -> float:
+    value: float = entry["value"]
+    if isnan(value):
+        raise Refused(f"gain {entry['name']} must be a number, not nan")
+    return value
+
+
+def _parameter(name: str, type_name: str, text: str) -> Message:
+    return {"name": name, "type": type_name, "level": 1, "description": text, "edit_method": ""}
+
+
+def _config(numbers: dict[str, float], antiwindup: bool) -> Message:
+    return {
+        "bools": [{"name": ANTIWINDUP, "value": antiwindup}],
+        "ints": [],
+        "strs": [],
+        "doubles": [{"name": name, "value": value} for name, value in numbers.items()],
+        "groups": [{**_GROUP, "state": True}],
+    }

@@ -15,7 +15,7 @@ from slidectl.errors import Refused
 Values = Sequence[float]
 
 
-class BadTransmission(Refused):
+class BadReductions(Refused):
     """Reductions or offsets that no transmission can have."""
 
 
@@ -64,7 +64,7 @@ class SimpleTransmission(Transmission):
     size = 1
 
     def __init__(self, reduction: float, joint_offset: float = 0.0) -> None:
-        """Raises BadTransmission for a reduction of 0."""
+        """Raises BadReductions for a reduction of 0."""
         _check_reductions("mechanical reduction", (reduction,))
         self._reduction = reduction
         self._offset = joint_offset
@@ -99,14 +99,14 @@ class _TwoDofTransmission(Transmission):
         joint_reduction: Values = (1.0, 1.0),
         joint_offset: Values = (0.0, 0.0),
     ) -> None:
-        """Raises BadTransmission unless each has two entries and no reduction is 0."""
+        """Raises BadReductions unless each has two entries and no reduction is 0."""
         for what, values in (
             ("actuator reduction", actuator_reduction),
             ("joint reduction", joint_reduction),
             ("joint offset", joint_offset),
         ):
             if len(values) != self.size:
-                raise BadTransmission(f"{type(self).__name__} needs 2 of {what}, not {len(values)}")
+                raise BadReductions(f"{type(self).__name__} needs 2 of {what}, not {len(values)}")
         _check_reductions("actuator reduction", actuator_reduction)
         _check_reductions("joint reduction", joint_reduction)
         self._actuator = tuple(actuator_reduction)
@@ -212,4 +212,4 @@ class FourBarLinkageTransmission(_TwoDofTransmission):
 
 def _check_reductions(what: str, reductions: Values) -> None:
     if 0.0 in reductions:
-        raise BadTransmission(f"{what} must not be 0, but is {list(reductions)}")
+        raise BadReductions(f"{what} must not be 0, but is {list(reductions)}")

@@ -1,0 +1,238 @@
+"""The robot as controllers see it: joint handles, the interfaces that hold them, claims on these, and the hardware.
+
+After ros_control's hardware_interface. The hardware is the base of every robot, simulated or fake. It knows no
+controllers, only what they claim, and nothing here moves a joint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from math import inf
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
+
+from slidectl.description.transmissions import interface_name, is_simulated
+from slidectl.errors import UnknownName
+
+
+class JointStateHandle:
+    """State of one joint: position (m or rad), velocity (m/s or rad/s), effort (N or N·m)."""
+
+    __slots__ = ("effort", "name", "position", "velocity")
+
+    def __init__(self, name: str, position: float = 0.0, velocity: float = 0.0, effort: float = 0.0) -> None:
+        self.name = name
+        self.position = position
+        self.velocity = velocity
+        self.effort = effort
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.name!r})"
+
+
+class JointHandle(JointStateHandle):
+    """State and command of one joint. The unit of `command` is that of the interface it is registered with."""
+
+    __slots__ = ("command", "highest", "lowest")
+
+    def __init__(
+        self, name: str, position: float = 0.0, velocity: float = 0.0, effort: float = 0.0, command: float = 0.0
+    ) -> None:
+        super().__init__(name, position, velocity, effort)
+        self.command = command
+        self.lowest = -inf
+        """The hardware lets no command below this through, nor one above `highest`."""
+        self.highest = inf
+
+
+class Handle(Protocol):
+    """Anything with a name can be a resource."""
+
+    name: str
+
+
+H = TypeVar("H", bound=Handle)
+
+
+class UnknownResource(UnknownName):
+    """An interface has no handle of that name."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClaimedResources:
+    """What one controller claims through one interface: names, sorted."""
+
+    hardware_interface: str
+    resources: tuple[str, ...] = ()
+
+
+class ResourceManager(Generic[H]):
+    """Handles of one interface by name. Subclasses give the type name and whether getting a handle claims it."""
+
+    type_name: ClassVar[str] = ""
+    kind: ClassVar[str] = "joint"
+    """What a resource is called in messages."""
+    claims: ClassVar[bool] = False
+
+    def __init__(self, handles: Iterable[H] = ()) -> None:
+        self._handles: dict[str, H] = {}
+        self._claimed: set[str] = set()
+        for handle in handles:
+            self.register_handle(handle)
+
+    def register_handle(self, handle: H) -> H | None:
+        """Put the handle under its name. Returns the one that it replaces, else None."""
+        replaced = self._handles.get(handle.name)
+        self._handles[handle.name] = handle
+        return replaced
+
+    def names(self) -> list[str]:
+        """The names of all handles, alphabetical."""
+        return sorted(self._handles)
+
+    def get_handle(self, name: str) -> H:
+        """The handle of that name; a claiming interface notes the claim.
+
+        Raises:
+            UnknownResource: there is none; then nothing is claimed.
+        """
+        handle = self._handles.get(name)
+        if handle is None:
+            raise UnknownResource(self.kind, name, self.names(), f"in {self.type_name}")
+        if self.claims:
+            self._claimed.add(name)
+        return handle
+
+    def take_claims(self) -> tuple[str, ...]:
+        """The names claimed since the last call, alphabetical; the record is then empty."""
+        claimed = tuple(sorted(self._claimed))
+        self._claimed.clear()
+        return claimed
+
+
+class JointStateInterface(ResourceManager[JointStateHandle]):
+    """Position, velocity and effort of joints, to read only."""
+
+    type_name = "hardware_interface::JointStateInterface"
+
+
+class JointCommandInterface(ResourceManager[JointHandle]):
+    """Joints that take one command. Not registered itself: its children say what the command is.
+
+    What limits make of the command is in `limits.LIMIT_HANDLES`, what drives a joint by it in `physics/drives.py`.
+    """
+
+    claims = True
+
+
+class EffortJointInterface(JointCommandInterface):
+    """Commands in N or N·m."""
+
+    type_name = "hardware_interface::EffortJointInterface"
+
+
+class VelocityJointInterface(JointCommandInterface):
+    """Commands in m/s or rad/s."""
+
+    type_name = "hardware_interface::VelocityJointInterface"
+
+
+class PositionJointInterface(JointCommandInterface):
+    """Commands in m or rad."""
+
+    type_name = "hardware_interface::PositionJointInterface"
+
+
+COMMAND_INTERFACES: tuple[type[JointCommandInterface], ...] = (
+    EffortJointInterface,
+    PositionJointInterface,
+    VelocityJointInterface,
+)
+"""All interfaces by which a joint of simulated hardware takes commands."""
+
+
+def command_interface(written: str) -> type[JointCommandInterface] | None:
+    """The interface that a transmission asks for, with or without its prefix; None: simulated hardware has it not."""
+    name = interface_name(written) if is_simulated(written) else None
+    return next((interface for interface in COMMAND_INTERFACES if interface.__name__ == name), None)
+
+
+I = TypeVar("I", bound=ResourceManager[Any])  # noqa: E741 - the field's letter for an interface
+AnyInterface = ResourceManager[Any]
+
+
+class SwitchState(Enum):
+    """How far the hardware is with a change of interfaces."""
+
+    DONE = "done"
+    ONGOING = "ongoing"
+    ERROR = "error"
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerInfo:
+    """A loaded controller as the hardware sees it."""
+
+    name: str
+    type: str
+    claimed_resources: tuple[ClaimedResources, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Conflict:
+    """A resource that is claimed more than once, by these controllers (one may be named twice)."""
+
+    resource: str
+    controllers: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return f"{self.resource} is claimed by {' and '.join(self.controllers)}"
+
+
+class RobotHW:
+    """Interfaces of a robot by type; `read` and `write` once a cycle."""
+
+    def __init__(self) -> None:
+        self._interfaces: dict[str, AnyInterface] = {}
+
+    def register_interface(self, interface: AnyInterface) -> AnyInterface | None:
+        """Put the interface under its type's name. Returns the one that it replaces, else None."""
+        replaced = self._interfaces.get(interface.type_name)
+        self._interfaces[interface.type_name] = interface
+        return replaced
+
+    def get(self, interface_type: type[I]) -> I | None:
+        """The interface of that type; None when the robot has none."""
+        interface = self._interfaces.get(interface_type.type_name)
+        return interface if isinstance(interface, interface_type) else None
+
+    def interface_names(self) -> list[str]:
+        """The type names of all interfaces, alphabetical."""
+        return sorted(self._interfaces)
+
+    def check_for_conflict(self, infos: Sequence[ControllerInfo]) -> list[Conflict]:
+        """Resources claimed more than once if these controllers ran together, over all interfaces."""
+        claimants: dict[str, list[str]] = {}
+        for info in infos:
+            for claimed in info.claimed_resources:
+                for resource in claimed.resources:
+                    claimants.setdefault(resource, []).append(info.name)
+        return [Conflict(name, tuple(who)) for name, who in sorted(claimants.items()) if len(who) > 1]
+
+    def prepare_switch(self, start: Sequence[ControllerInfo], stop: Sequence[ControllerInfo]) -> bool:  # noqa: ARG002
+        """May these controllers start and stop together? False vetoes the switch."""
+        return True
+
+    def do_switch(self, start: Sequence[ControllerInfo], stop: Sequence[ControllerInfo]) -> None:
+        """Begin the change of interfaces, in the cycle of the switch."""
+
+    def switch_result(self, info: ControllerInfo | None = None) -> SwitchState:  # noqa: ARG002
+        """How far the change is, of one controller or as a whole."""
+        return SwitchState.DONE
+
+    def read(self, time_ns: int, period_s: float) -> None:
+        """Take the state of all joints into their handles."""
+
+    def write(self, time_ns: int, period_s: float) -> None:
+        """Give the commands of all handles to the joints."""

@@ -1,0 +1,153 @@
+"""What never ends, or comes to more than any robot has, is refused with its file and line; small files stay so."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from launch_files import Workspace
+
+from slidectl import description
+from slidectl.description import bounds, controllers_file
+from slidectl.errors import BadFile
+from slidectl.launch import scope, substitution
+
+XACRO = '<robot name="a" xmlns:xacro="http://www.ros.org/wiki/xacro">{}</robot>'
+
+
+def macros(levels: int) -> str:
+    """Macros that each call the one before twice."""
+    text = "<xacro:macro name='m0'><z/></xacro:macro>"
+    text += "".join(
+        f"\n<xacro:macro name='m{n}'><xacro:m{n - 1}/><xacro:m{n - 1}/></xacro:macro>" for n in range(1, levels)
+    )
+    return XACRO.format(f"{text}<xacro:m{levels - 1}/>")
+
+
+def arguments(levels: int) -> str:
+    """Arguments that each hold the one before ten times."""
+    text = '<arg name="a0" value="xxxxxxxxxx"/>'
+    return text + "".join(f'\n<arg name="a{n}" value="{f"$(arg a{n - 1})" * 10}"/>' for n in range(1, levels))
+
+
+def test_macros_that_unfold_without_end_are_refused(workspace: Workspace) -> None:
+    path = workspace.write("urdf/bomb.xacro", macros(40))
+    with pytest.raises(BadFile, match=r"bomb.xacro:\d+: unfolds to more than 50000 elements \(in macro 'm"):
+        description.load(path, {}, workspace.packages)
+
+
+def test_the_bounds_of_xacro_are_those_of_steps_and_of_time(
+    workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = workspace.write("urdf/bomb.xacro", macros(5))
+    description.load(path, {}, workspace.packages)
+    monkeypatch.setattr(bounds, "MOST_STEPS", 30)
+    with pytest.raises(BadFile, match=r"bomb.xacro:\d+: unfolds to more than 30 elements"):
+        description.load(path, {}, workspace.packages)
+    monkeypatch.undo()
+    monkeypatch.setattr(bounds, "MOST_SECONDS", -1.0)
+    with pytest.raises(BadFile, match=r"bomb.xacro:\d+: takes more than -1 s to expand"):
+        description.load(path, {}, workspace.packages)
+
+
+def test_texts_of_a_xacro_that_double_without_end_are_refused(workspace: Workspace) -> None:
+    doubled = "".join(f'<xacro:property name="p{n}" value="${{p{n - 1}}}${{p{n - 1}}}"/>\n' for n in range(1, 60))
+    text = f'<xacro:property name="p0" value="xxxxxxxx"/>\n{doubled}<link name="${{p59}}"/>'
+    path = workspace.write("urdf/double.xacro", XACRO.format(text))
+    with pytest.raises(BadFile, match=r"double.xacro:\d+: "):
+        description.load(path, {}, workspace.packages)
+
+
+def test_arguments_that_unfold_without_end_are_refused(workspace: Workspace) -> None:
+    with pytest.raises(BadFile, match=r"test.launch:\d: <arg>: value: comes to more than 4096 KiB of text"):
+        workspace.plan(arguments(12))
+    assert len(workspace.plan(arguments(5)).files) == 1
+
+
+def test_the_bounds_of_a_launch_are_those_of_text_of_substitutions_and_of_time(
+    workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    workspace.plan(arguments(3))
+    monkeypatch.setattr(substitution, "MOST_TEXT", 900)
+    with pytest.raises(BadFile, match=r"test.launch:3: <arg>: value: comes to more than 0 KiB"):
+        workspace.plan(arguments(3))
+    monkeypatch.undo()
+    monkeypatch.setattr(substitution, "MOST_SUBSTITUTIONS", 9)
+    with pytest.raises(BadFile, match=r"test.launch:2: <arg>: value: comes to more than 9 substitutions"):
+        workspace.plan(arguments(3))
+    monkeypatch.undo()
+    monkeypatch.setattr(scope, "MOST_TEXT", 1000)
+    with pytest.raises(BadFile, match=r"test.launch:3: <arg>: the launch comes to more than 0 KiB of text"):
+        workspace.plan(arguments(3))
+    with pytest.raises(BadFile, match=r"test.launch:1: <rosparam>: the launch comes to more than 0 KiB of text"):
+        workspace.values('<arg name="a" value="{}"/><rosparam subst_value="true">x: {}</rosparam>'.format(
+            "x" * 50, "$(arg a)" * 30
+        ))  # fmt: skip
+    monkeypatch.undo()
+    monkeypatch.setattr(scope, "MOST_SECONDS", -1.0)
+    with pytest.raises(BadFile, match=r"test.launch:1: <launch>: the launch takes more than -1 s to read"):
+        workspace.plan(arguments(3))
+
+
+def fifo(path: Path) -> None:
+    os.mkfifo(path)
+
+
+def bound_socket(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as server:
+        here = Path.cwd()
+        os.chdir(path.parent)  # the paths of sockets are short
+        server.bind(path.name)
+        os.chdir(here)
+
+
+def device(path: Path) -> None:
+    path.symlink_to("/dev/zero")
+
+
+KINDS = [(fifo, "a pipe"), (bound_socket, "a socket"), (device, "a device")]
+PLACES = [
+    '<include file="{}"/>',
+    '<param name="x" textfile="{}"/>',
+    '<param name="x" binfile="{}"/>',
+    '<rosparam file="{}"/>',
+]
+
+
+@pytest.mark.parametrize(("make", "kind"), KINDS)
+@pytest.mark.parametrize("place", PLACES)
+def test_a_launch_reads_regular_files_only(
+    workspace: Workspace, make: Callable[[Path], None], kind: str, place: str
+) -> None:
+    path = workspace.package / "thing"
+    make(path)
+    with pytest.raises(BadFile, match=rf"test.launch:2: .*is {kind}, and only regular files are read"):
+        workspace.values("\n" + place.format(path))
+
+
+@pytest.mark.parametrize(("make", "kind"), KINDS)
+@pytest.mark.parametrize("place", ['<xacro:include filename="{}"/>', "<link name=\"${{xacro.load_yaml('{}')}}\"/>"])
+def test_a_xacro_reads_regular_files_only(
+    workspace: Workspace, make: Callable[[Path], None], kind: str, place: str
+) -> None:
+    path = workspace.package / "thing.yaml"
+    make(path)
+    robot = workspace.write("robot.xacro", XACRO.format("\n" + place.format(path)))
+    with pytest.raises(BadFile, match=rf"robot.xacro:\d: .*thing.yaml: is {kind}, and only regular files are read"):
+        description.load(robot, {}, workspace.packages)
+    description.declared_arguments(robot, workspace.packages)
+
+
+@pytest.mark.parametrize(("make", "kind"), KINDS[1:])
+def test_what_a_user_names_is_no_socket_and_no_device(
+    workspace: Workspace, make: Callable[[Path], None], kind: str
+) -> None:
+    path = workspace.package / "thing.yaml"
+    make(path)
+    with pytest.raises(BadFile, match=rf"thing.yaml: is {kind}"):
+        description.load(path)
+    with pytest.raises(BadFile, match=rf"thing.yaml: is {kind}"):
+        controllers_file.read(path)
