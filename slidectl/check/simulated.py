@@ -86,15 +86,25 @@ def _say_period(period: float, root: Element, report: Report) -> None:
 def _say_actuators(transmission: TransmissionInfo, root: Element, report: Report) -> None:
     """The interface that counts is the joint's; an actuator may say the same, or nothing."""
     counts = transmission.joints[0].hardware_interfaces[0]
-    whole = (
-        tag for tag in _inside(root, "transmission") if (tag.file, tag.line) == (transmission.file, transmission.line)
-    )
+    whole = (tag for tag in _inside(root, "transmission") if _is_of(tag, transmission))
     for actuator in (actuator for tag in whole for actuator in _inside(tag, "actuator")):
         for place in _inside(actuator, "hardwareInterface"):
             written = plain(place).first_text
             if written and written.rpartition("/")[2] != counts.rpartition("/")[2]:
                 text = f"{written} has no effect: the joint's interface counts, {counts}"
                 report.ignored(place, text, f"transmission {transmission.name!r}/{actuator.title}")
+
+
+def _is_of(tag: Element, transmission: TransmissionInfo) -> bool:
+    """Whether a transmission was read from this tag: all those that a macro makes are in the same line."""
+    if (tag.file, tag.line) != (transmission.file, transmission.line):
+        return False
+    if (plain(tag).get("name") or "").strip() != transmission.name:
+        return False
+    joint = transmission.joints[0]
+    own = (child for child in _inside(tag, "joint") if (plain(child).get("name") or "").strip() == joint.name)
+    interfaces = [plain(place).first_text for child in own for place in _inside(child, "hardwareInterface")]
+    return joint.hardware_interfaces[0] in interfaces
 
 
 def _say_friction(link: Link, root: Element, report: Report) -> None:

@@ -133,7 +133,9 @@ class Command(_Shared):
                 options += [token[:2], token[3:]]
             else:
                 taken = _values_of(param, token, named)
-                options += [token, *args[index : index + taken]]
+                # click looks a short name up as a long one first, and imports what compares names when it fails.
+                long = [name for name in param.opts if name.startswith("--")] if param and len(token) == 2 else []
+                options += [*(long[:1] or [token]), *args[index : index + taken]]
                 index += taken
         return [*options, "--", *values] if values else options
 

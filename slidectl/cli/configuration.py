@@ -84,17 +84,17 @@ def store(ctx: Context, parameters: Tree, known_only: bool = False) -> list[str]
         known_only: a name below a loaded controller that it does not read is an error.
 
     Returns:
-        The names that were not set before.
+        The names that were not set before, without those below a loaded controller: the controller has judged these.
 
     Raises:
         Refused: a loaded controller cannot take a value. UsageError: JSON cannot carry a value.
     """
     texts = [_as_json(name, value) for name, value in parameters.items()]
     request = {"names": list(parameters), "values": texts, "known_only": known_only}
-    created = ctx.call("/slidectl/set_params", request)["created"]
+    answer = ctx.call("/slidectl/set_params", request)
     for reason in ctx.client.reasons:
         ctx.warn(reason)
-    return list(created)
+    return [name for name in answer["created"] if name not in answer["guarded"]]
 
 
 def _as_json(name: str, value: Any) -> str:

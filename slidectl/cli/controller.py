@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -31,14 +32,17 @@ def _strictness(function: Any) -> Any:
 
 
 def _rests(function: Any) -> Any:
-    """`--zero` and `--hold`, as the one argument `rest`: empty when neither was given."""
-    zero = click.option(
-        "--zero", "rest", flag_value="zero", help="Then let their joints go: efforts and velocities of 0."
-    )
-    hold = click.option(
-        "--hold", "rest", flag_value="hold", help="Then keep their joints in place: positions and velocities only."
-    )
-    return zero(hold(function))
+    """`--zero` and `--hold`, as the one argument `rest`: None when neither was given."""
+
+    @functools.wraps(function)
+    def with_rest(*given: Any, zero: bool, hold: bool, **named: Any) -> Any:
+        if zero and hold:
+            raise UsageError("--zero and --hold contradict each other", "give one of them")
+        return function(*given, rest="zero" if zero else "hold" if hold else None, **named)
+
+    zero = click.option("--zero", is_flag=True, help="Then let their joints go: efforts and velocities of 0.")
+    hold = click.option("--hold", is_flag=True, help="Then keep their joints in place: positions and velocities only.")
+    return zero(hold(with_rest))
 
 
 class Rest:

@@ -47,7 +47,7 @@ class Look(NamedTuple):
     ]
 )
 @click.argument("target", metavar="TOPIC[/FIELD[I]]", shell_complete=live.topics)
-@click.option("-n", "count", type=click.IntRange(min=0), metavar="COUNT", help="End after so many messages.")
+@click.option("-n", "--count", type=click.IntRange(min=0), metavar="COUNT", help="End after so many messages.")
 @click.option("-p", "plot", is_flag=True, help="CSV for plotting: %time in nanoseconds, then the fields.")
 @click.option("--noarr", is_flag=True, help="Leave out the contents of arrays.")
 @click.option("--nostr", is_flag=True, help="Leave out the contents of strings.")

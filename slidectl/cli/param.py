@@ -127,25 +127,28 @@ def _name_to_set(ctx: Context, name: str, new: bool) -> str:
     try:
         return _resolved(ctx, name)
     except UnknownName as unknown:
-        if not new and not name.startswith("/") and _means_elsewhere(ctx, name, full):
-            unknown.hint = f"{unknown.hint}\n--new makes {full}"
+        elsewhere = [] if new or name.startswith("/") else _elsewhere(ctx, name, full)
+        if elsewhere:
+            below = f"below what is there, write the full name: {listing(elsewhere)}"
+            unknown.hint = f"{unknown.hint}\n{below}\n--new makes {full}"
             raise
         return full
 
 
-def _means_elsewhere(ctx: Context, name: str, full: str) -> bool:
-    """True for `pid/P` when there is a `.../pid`, and /pid is not there."""
+def _elsewhere(ctx: Context, name: str, full: str) -> list[str]:
+    """`.../pid/P` for `pid/P`, for each `.../pid` that there is, when /pid is not there."""
     if "/" not in name.rstrip("/"):
-        return False
+        return []
     above, _, last = name.rstrip("/").rpartition("/")
     try:
-        found = _resolved(ctx, above)
-    except AmbiguousName:
-        return True
+        found = [_resolved(ctx, above)]
+    except AmbiguousName as ambiguous:
+        found = ambiguous.matches
     except UnknownName:
-        return _means_elsewhere(ctx, above, names.parent(full))
-    is_namespace = any(known.startswith(f"{found}/") for known in ctx.names("parameter"))
-    return is_namespace and names.join(found, last) != full
+        found = _elsewhere(ctx, above, names.parent(full))
+        return [names.join(each, last) for each in found]
+    inner = [each for each in found if any(known.startswith(f"{each}/") for known in ctx.names("parameter"))]
+    return [names.join(each, last) for each in inner if names.join(each, last) != full]
 
 
 def _say_new(ctx: Context, created: Sequence[str]) -> None:

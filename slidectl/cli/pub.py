@@ -52,7 +52,7 @@ def _complete(click_context: click.Context, param: click.Parameter, incomplete: 
 @click.option(
     "-r", "--rate", type=float, callback=positive_seconds, metavar="HZ", help="Again and again, at this rate."
 )
-@click.option("-n", "count", type=click.IntRange(min=1), metavar="COUNT", help="So many messages.")
+@click.option("-n", "--count", type=click.IntRange(min=1), metavar="COUNT", help="So many messages.")
 @click.option("--latch", is_flag=True, help="Keep the last message for those who come later; stays until Ctrl-C.")
 @click.option("-f", "--file", shell_complete=live.files, metavar="FILE", help="Values from a YAML or JSON lines file.")
 @click.option("--stdin", is_flag=True, help="Values from stdin: YAML documents or JSON lines.")

@@ -13,7 +13,7 @@ import click
 from slidectl.cli import live, output
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
-from slidectl.errors import Refused, UnknownName
+from slidectl.errors import Refused, UnknownName, closest
 from slidectl.names import is_under, join
 
 Robot = dict[str, Any]
@@ -161,7 +161,13 @@ def estop(ctx: Context, words: tuple[str, ...], namespaces: tuple[str, ...]) -> 
     stop = words[:1] != ("release",)
     present = all_robots(ctx)
     asked = [*(words if stop else words[1:]), *(join("/", namespace) for namespace in namespaces)]
-    meant = [find(present, name) for name in asked] or _below(present, ctx.namespace)
+    try:
+        meant = [find(present, name) for name in asked] or _below(present, ctx.namespace)
+    except UnknownName as unknown:
+        if stop and closest(unknown.name, ["release", *unknown.known]) == "release":
+            others = [word for word in words if word != unknown.name]
+            unknown.hint = f"to end an emergency stop: {' '.join(['slidectl estop release', *others])}"
+        raise
     if not meant:
         raise Refused("no robots in the world", "spawn one: slidectl spawn slider")
     answer = ctx.call("/slidectl/estop", {"names": [robot["name"] for robot in meant], "stop": stop})

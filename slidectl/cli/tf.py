@@ -142,7 +142,7 @@ def _branch(frames: Frames, name: str, indent: str) -> Iterator[str]:
 @tf.command("echo", examples=["slidectl tf echo base_link link2", "slidectl tf echo world link2 -f --rate 5 --json"])
 @click.argument("reference", metavar="A")
 @click.argument("target", metavar="B")
-@click.option("-n", "count", type=click.IntRange(min=1), metavar="COUNT", help="So many transforms.")
+@click.option("-n", "--count", type=click.IntRange(min=1), metavar="COUNT", help="So many transforms.")
 @click.option("-f", "--follow", is_flag=True, help="Go on until Ctrl-C.")
 @click.option(
     "--rate", type=float, default=1.0, callback=positive_seconds, metavar="HZ", help="How often, on the wall clock (1)."

@@ -87,7 +87,7 @@ def _options(function: Callable[..., None]) -> Callable[..., None]:
     for option in (
         click.option("-w", "--window", type=click.IntRange(2, _LARGEST_WINDOW), default=1000, metavar="N",
                      help="Messages to count in (1000)."),
-        click.option("-n", "reports", type=click.IntRange(min=1), metavar="COUNT", help="End after so many reports."),
+        click.option("-n", "--reports", type=click.IntRange(min=1), metavar="COUNT", help="End after so many reports."),
         click.option("--for", "sim_seconds", type=float, callback=simulated_seconds, metavar="S",
                      help="Measure for S simulated seconds and report once."),
     ):  # fmt: skip

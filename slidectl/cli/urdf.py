@@ -8,7 +8,7 @@ from slidectl.cli import live, output
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
 from slidectl.cli.spawn import in_package, package_lookup, standard_input, tell_own_packages
-from slidectl.errors import Refused
+from slidectl.errors import BadFile
 
 
 @command(
@@ -49,5 +49,5 @@ def urdf(ctx: Context, model: str, arguments: tuple[str, ...], target: str | Non
     try:
         write_whole(target, document.urdf)
     except OSError as error:
-        raise Refused(f"cannot write {target}: {error.strerror}") from None
+        raise BadFile(f"cannot be written: {error.strerror or error}", target) from None
     ctx.done({"file": target}, f"{target}: written")

@@ -5,6 +5,7 @@ Called from the event loop between two cycles. Knows no operations: each connect
 
 from __future__ import annotations
 
+import os
 import resource
 import socket
 import time
@@ -185,9 +186,10 @@ class Server:
         self._serial += 1
         node = f"/slidectl_{pid}_{self._serial}"
         begun: list[Session] = []
+        process_session = _session_of(pid)
 
         def session_of(connection: Connection) -> Session:
-            begun.append(Session(connection, self, node))
+            begun.append(Session(connection, self, node, process_session))
             return begun[0]
 
         connection = Connection(raw, self._loop, self.busy, self.publications.tally, session_of, self._ended)
@@ -205,6 +207,14 @@ def _in_turn(waiting: dict[Connection, None], action: Callable[[Connection], Non
             action(connection)
             if time.monotonic() >= end_s:
                 break
+
+
+def _session_of(pid: int) -> int:
+    """The session id of a process, 0 when it has gone or is not to be seen from here."""
+    try:
+        return os.getsid(pid) if pid else 0  # 0 is a process of another pid namespace, and for getsid ourselves
+    except OSError:
+        return 0
 
 
 def _room() -> int:

@@ -44,10 +44,14 @@ class Surroundings(Protocol):
 
 
 class Session:
-    """The graph as one client uses it, under the node name `node`. Everything it took is given back by `closed`."""
+    """The graph as one client uses it, under the node name `node`. Everything it took is given back by `closed`.
 
-    def __init__(self, connection: Connection, around: Surroundings, node: str) -> None:
+    `process_session` is the session id of the client's process, 0 when it is not known.
+    """
+
+    def __init__(self, connection: Connection, around: Surroundings, node: str, process_session: int) -> None:
         self.node = node
+        self._process_session = process_session
         self._connection = connection
         self._around = around
         self._graph = around.graph
@@ -83,6 +87,7 @@ class Session:
         message: Message = {}
         log = self._graph.log
         log.reasons = []
+        self._graph.caller = self._process_session
         try:
             try:
                 wire.check_size(line)
@@ -102,6 +107,7 @@ class Session:
             self._complain(Refused(f"internal error: {error!r}; the daemon's log has more"), message)
         finally:
             log.reasons = None
+            self._graph.caller = 0
 
     def _operation(self, message: Message) -> Callable[[Message], None]:
         op = message.get("op")

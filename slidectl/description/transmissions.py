@@ -81,7 +81,7 @@ class TransmissionReader:
         """One transmission, or None when the parser of ros_control would drop it.
 
         Raises:
-            BadFile: it drives a joint that is not there, or that cannot move.
+            BadFile: it drives a joint that is not there, or that cannot move. Those of several joints drive none.
         """
         try:
             info = self._info(element)
@@ -126,7 +126,6 @@ class TransmissionReader:
         if not interfaces:
             self.report.wrong(child, f"is skipped: it has no <hardwareInterface> with a text; {_TO_ADD}", place)
             return None
-        self._check_exists(child, name, element)
         reduction = self._number(child, "mechanicalReduction", place)
         offset = self._number(child, "offset", place)
         reduction = 1.0 if reduction is None else reduction
@@ -166,8 +165,9 @@ class TransmissionReader:
             self.report.ignored(found, text, f"{place}/<{tag}>")
         return value
 
-    def _check_exists(self, child: Element, name: str, element: Element) -> None:
+    def _check_exists(self, element: Element, name: str) -> None:
         place = f"transmission {element.attributes['name']!r}"
+        child = next(child for child in element.find_all("joint") if child.attributes["name"].strip() == name)
         joint = self.joints.get(name)
         if joint is None:
             raise values.unknown(child, place, "joint", name, self.joints)
@@ -180,6 +180,7 @@ class TransmissionReader:
             self.report.ignored(element, "simulated hardware takes transmissions with one joint only; this has more")
             return
         joint = info.joints[0]
+        self._check_exists(element, joint.name)
         before, counts = self.driven.setdefault(joint.name, (element, joint.hardware_interfaces[0]))
         if before is not element:
             text = f"joint {joint.name!r} is driven by {before.title} already (line {before.line})"

@@ -18,11 +18,12 @@ from slidectl.errors import NoDaemon, Refused, SlidectlError
 from slidectl.launch.interrupts import Interrupted
 from slidectl.launch.nodes.gazebo import Gazebo
 from slidectl.launch.nodes.process import Process, reason
+from slidectl.launch.nodes.spawn_model import SpawnModel
 from slidectl.launch.nodes.spawner import Spawner
 from slidectl.launch.plan import Node
 from slidectl.launch.setup import look_ahead, prepare
 from slidectl.launch.strays import Strays
-from slidectl.launch.task import Run, StepFailed, Task
+from slidectl.launch.task import HOOK_LIMIT_S, Run, StepFailed, Task
 from slidectl.launch.world import WorldSettings
 
 # Nobody tells when a robot comes or a parameter is set, so look now and then.
@@ -70,10 +71,10 @@ class Session:
         self._lost_daemon = False
         self._waiting: list[_Waiting] = []
         self._ended: dict[Process, int] = {}
-        self._left_out: list[Task] = []
-        """Those that could not be done in a launch that keeps going."""
         self._strays: Strays | None = None
         self._over = False
+        self._found: set[tuple[str, int]] = set()
+        """Robots that were there before, with the sessions of those who asked for them."""
         run.watch.add(run.interrupts.fileno(), run.interrupts.clear)
 
     # --- up -------------------------------------------------------------------------------------------------------
@@ -92,6 +93,8 @@ class Session:
         client, run.owns_daemon = self.door.connect()
         run.connect(client)
         run.watch.add(client.fileno(), lambda: None)
+        if not run.owns_daemon:
+            self._found = set(self._robots())
         prepare(run, run.parameters)
         self._start_nodes()
         self._look_at_processes()
@@ -162,7 +165,7 @@ class Session:
         if not self.run.plan.missing.keeps_going:
             raise error if isinstance(error, StepFailed) else StepFailed(task, error) from None
         task.leave_out(self.run, "the node", error)
-        self._left_out.append(task)
+        self.run.left_out.append(task)
 
     def _look_again(self) -> None:
         """Start what can be started now; what has come to wait for something else says so."""
@@ -188,12 +191,12 @@ class Session:
                     entry.task.settled(self.run, f"waits for {entry.reason}")
                 if self._waits_in_vain(entry):
                     self._waiting.remove(entry)
-                    self._fail(entry.task, Refused(f"there is no {entry.reason}"))
+                    self._fail(entry.task, Refused(f"there is no {_bare(entry.reason)}"))
                 elif time.monotonic() >= entry.until:
                     if not entry.task.goes_on_waiting(self.run):
                         limit = f"within {entry.task.patience_s:g} s"
                         self._waiting.remove(entry)
-                        self._fail(entry.task, Refused(f"there was no {entry.reason} {limit}"))
+                        self._fail(entry.task, Refused(f"there was no {_bare(entry.reason)} {limit}"))
                     entry.until = math.inf
             self._turn(_LOOK_AGAIN_S)
             if self._over:
@@ -202,7 +205,10 @@ class Session:
 
     def _waits_in_vain(self, entry: _Waiting) -> bool:
         """Whether it waits for the robot of a node that was left out, and nobody else here could spawn one."""
-        nodes = [task.node for task in self.tasks if task not in self._left_out]
+        if isinstance(entry.task, SpawnModel):
+            awaited = entry.task.words.one("-wait")
+            return any(isinstance(task, SpawnModel) and task.model == awaited for task in self.run.left_out)
+        nodes = [task.node for task in self.tasks if task not in self.run.left_out]
         could_come = any(isinstance(task, Process) for task in self.begun) or any(map(_spawns, nodes))
         return isinstance(entry.task, Spawner) and not could_come and any(map(_spawns, self.run.plan.nodes))
 
@@ -217,7 +223,7 @@ class Session:
         elif any(map(_spawns, self.run.plan.nodes)):
             is_left = bool(self.run.spawned)
         else:
-            is_left = any(task not in self._left_out for task in self.begun)
+            is_left = any(task not in self.run.left_out for task in self.begun)
         if not is_left:
             raise Refused("nothing is left to drive", "\n".join(["left out:", *missing.lines()]))
 
@@ -259,7 +265,7 @@ class Session:
 
     def _running(self) -> list[Task]:
         waiting = [entry.task for entry in self._waiting]
-        gone = (*self._ended, *self._left_out, *waiting)
+        gone = (*self._ended, *self.run.left_out, *waiting)
         return [task for task in self.begun if task.keeps_running and task not in gone]
 
     def _is_required(self, task: Task) -> bool:
@@ -318,12 +324,37 @@ class Session:
         for task in reversed(self.begun):
             self._stop(task)
         self._escalate(processes)
+        if run.failed and run.is_connected and not run.owns_daemon and not self._lost_daemon:
+            self._delete_robots_of(processes)
         if run.is_connected:
             run.client.close()
         if self._began_daemon or run.owns_daemon:
             self._stop_daemon()
         if self._strays is not None:
             self._strays.end(run.options.sigterm_timeout_s, lambda: len(run.interrupts.received) > 1, self._tell_stray)
+
+    def _robots(self) -> list[tuple[str, int]]:
+        """Those in the world, each with the session id of the process that asked for it."""
+        robots = self.run.call("/slidectl/list_robots", {"name": ""}, HOOK_LIMIT_S)["robots"]
+        return [(robot["name"], robot["process_session"]) for robot in robots]
+
+    def _delete_robots_of(self, processes: Sequence[Process]) -> None:
+        """Delete what programs of this launch have spawned. A program in a session that it made itself is not known.
+
+        The id of a session may have belonged to another one before: hence robots that were found here stay.
+        """
+        owners = {number: process for process in processes for number in process.sessions}
+        if not owners:
+            return
+        try:
+            for name, number in self._robots():
+                if number in owners and (name, number) not in self._found:
+                    self.run.call("/gazebo/delete_model", {"model_name": name}, HOOK_LIMIT_S)
+                    owners[number].settled(self.run, f"{name}: deleted")
+        except NoDaemon:
+            self._lost_daemon = True
+        except SlidectlError as error:
+            self.run.console.warn(f"robots of programs of this launch may have stayed: {error.message}")
 
     def _tell_stray(self, pid: int, name: str) -> None:
         self.run.console.warn(f"process {pid} ({name}) was left behind by a node; it is ended")
@@ -361,3 +392,8 @@ class Session:
 def _spawns(node: Node) -> bool:
     """Whether a node puts a robot into the world."""
     return node.package == "gazebo_ros" and node.type.removesuffix(".py") == "spawn_model"
+
+
+def _bare(reason: str) -> str:
+    """What a task waits for, to stand behind "no"."""
+    return reason.removeprefix("the ").removeprefix("a ")

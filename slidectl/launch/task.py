@@ -83,6 +83,8 @@ class Run:
     """Those that the launch files set."""
     tasks: Sequence[Task] = ()
     """All of the launch, started or not."""
+    left_out: list[Task] = field(default_factory=list)
+    """Those that could not be done, in a launch that keeps going."""
     spawned: list[str] = field(default_factory=list)
     """Robots that this run has put into the world and that are to leave it with the run."""
     _client: Client | None = None

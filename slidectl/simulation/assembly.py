@@ -60,6 +60,8 @@ class SpawnedRobot:
         self.body: Body
         self.parts = ControlParts()
         self.services: ManagerServices
+        self.caller = 0
+        """The session id of the process that asked for it, 0 when nobody knows."""
         self.warnings: list[str] = []
         """What was wrong with the place at which it was spawned."""
 

@@ -26,6 +26,8 @@ class Graph:
         self.topics = Topics()
         self.services = Services()
         self.parameters = Parameters()
+        self.caller = 0
+        """The session id of the process whose request is being carried out, 0 when nobody knows or none is."""
         self.log = Rosout(self.topics, self.clock.now_ns, WORLD_NODE)
         clock = self.topics.advertise("/clock", "rosgraph_msgs/Clock", WORLD_NODE, kind=NodePublisher)
         self.clock_topic = ClockTopic(clock)

@@ -129,8 +129,9 @@ def _set_params(simulation: Simulation, request: Message) -> Message:
     parameters = simulation.parameters
     values = {absolute(name): from_json(text) for name, text in zip(given, texts, strict=True)}
     created = [name for name in values if not parameters.has(name)]
+    guarded = [name for name in created if parameters.is_guarded(name)]
     parameters.set_all(values, request["known_only"])
-    return {"created": created}
+    return {"created": created, "guarded": guarded}
 
 
 def _sleep(simulation: Simulation, request: Message) -> Pending:

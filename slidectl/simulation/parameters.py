@@ -179,6 +179,10 @@ class Parameters:
         """Ask `judge` before the parameter, one below or a namespace above it is set or deleted; once for each call."""
         return self._guards.add(_path(name), judge)
 
+    def is_guarded(self, name: str) -> bool:
+        """True when a guard is asked before the parameter is set."""
+        return any(True for _ in self._guards.concerned([_path(name)]))
+
     def _judge(self, leaves: list[tuple[Path, Any]], *, deletes: bool = False, known_only: bool = False) -> None:
         """Raises what the first guard raises that refuses."""
         for guard in self._guards.concerned([leaf for leaf, _ in leaves]):

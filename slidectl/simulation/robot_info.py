@@ -32,6 +32,7 @@ def robot_info(robot: SpawnedRobot, world: World) -> Message:
         "pose": [*map(float, position), *map(float, attitude)],
         "report": [_notice(notice) for notice in paper.report],
         "estop": robot.emergency_stop,
+        "process_session": robot.caller,
     }
 
 

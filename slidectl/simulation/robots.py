@@ -40,6 +40,8 @@ class Newcomer(NamedTuple):
     xml: str
     note: str
     """Where its lines were written, and its meshes found."""
+    caller: int
+    """The session id of the process that asks for it, 0 when nobody knows."""
 
 
 class Sources:
@@ -118,7 +120,7 @@ class Robots:
         note = note or self.sources.get(source_note.digest(urdf))
         paper = description.parse(source_note.join(urdf, note))
         check_hardware_type(paper)
-        return Newcomer(name, self._namespace(name, namespace, paper), paper, urdf, note)
+        return Newcomer(name, self._namespace(name, namespace, paper), paper, urdf, note, self._loop.graph.caller)
 
     def spawn_read(self, newcomer: Newcomer, pose: Pose, hulls: Hulls) -> SpawnedRobot:
         """Spawn what was read some cycles ago. Raises as `spawn`: others may have come meanwhile."""
@@ -130,6 +132,7 @@ class Robots:
         self._loop.between_cycles("spawn a robot")
         name, place, paper = newcomer.name, newcomer.namespace, newcomer.paper
         robot = SpawnedRobot(name, place, paper, newcomer.xml, self._loop.graph.node(place))
+        robot.caller = newcomer.caller
         with self._world.attached(paper, name, pose, hulls) as robot.body, ExitStack() as undoing:
             assemble(robot, self._world, self._loop, self.companions, undoing)
             undoing.callback(self._forget, robot)

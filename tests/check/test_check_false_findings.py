@@ -27,6 +27,17 @@ def test_an_effort_limit_of_0_stops_what_is_driven_by_efforts_only(
     assert bool(lines.about("wrong", "cannot be driven")) is is_wrong
 
 
+def test_an_actuator_is_told_of_with_its_own_transmission_when_a_macro_made_several(model: Check) -> None:
+    """All of them are in the same line of the file."""
+    tags = [transmission(interface=EFFORT), transmission(interface=VELOCITY), transmission("turn", EFFORT)]
+    tags = [tag.replace("<mechanical", f"<hardwareInterface>{EFFORT}</hardwareInterface><mechanical") for tag in tags]
+    more = '<link name="b"/><joint name="turn" type="continuous"><parent link="cart"/><child link="b"/></joint>'
+    lines = model(cart("".join(tags), PLUGIN, more.replace('"b"/>', f'"b">{INERTIAL}</link>', 1)))
+    (line,) = lines.about("has no effect: the joint's interface counts")
+    assert "t_slide" in line
+    assert VELOCITY in line
+
+
 def test_a_position_joint_with_an_effort_limit_of_0_is_driven() -> None:
     simulation = Simulation(ground=False, engine="plain")
     limit = '<limit lower="-1" upper="1" effort="0" velocity="2"/>'

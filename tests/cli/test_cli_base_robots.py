@@ -315,7 +315,7 @@ ARM = """<robot name="arm"><link name="world"/>
 <gazebo><plugin name="c" filename="libgazebo_ros_control.so">
 <robotNamespace>{namespace}</robotNamespace></plugin></gazebo>
 </robot>"""
-CONTROLLER = """joint_state_controller: {type: joint_state_controller/JointStateController, publish_rate: 100}
+ROOT_CONTROLLERS = """joint_state_controller: {type: joint_state_controller/JointStateController, publish_rate: 100}
 j1_pos: {type: position_controllers/JointPositionController, joint: j1}
 """
 
@@ -324,7 +324,7 @@ j1_pos: {type: position_controllers/JointPositionController, joint: j1}
 def test_an_empty_robot_namespace_is_the_root_everywhere(world: CommandLine, tmp_path: Path, written: str) -> None:
     model, yaml = tmp_path / "arm.urdf", tmp_path / "arm.yaml"
     model.write_text(ARM.format(namespace=written))
-    yaml.write_text(CONTROLLER)
+    yaml.write_text(ROOT_CONTROLLERS)
     checked = world.ok("check", str(model), "--controllers", str(yaml))
     assert "controllers live in the namespace /\n" in checked
     assert "0 ignored, 0 wrong" in checked

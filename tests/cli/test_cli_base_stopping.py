@@ -67,6 +67,31 @@ def test_a_switch_that_stops_nothing_has_no_joint_to_let_go(world: CommandLine) 
     assert "--zero is for joints of controllers that are stopped" in done.stderr
 
 
+def test_zero_and_hold_exclude_each_other(world: CommandLine) -> None:
+    for words in (("stop", GOAL), ("switch", "--stop", GOAL), ("unspawn", GOAL)):
+        for rests in (("--zero", "--hold"), ("--hold", "--zero")):
+            done = world("controller", *words, *rests)
+            assert (done.returncode, done.stderr.splitlines()[0]) == (
+                2,
+                "error: --zero and --hold contradict each other",
+            )
+    assert efforts(world) != {0.0}
+
+
+@pytest.mark.parametrize(
+    ("words", "instead"), [(("relase",), ""), (("slider", "release"), " slider"), (("slider", "relese"), " slider")]
+)
+def test_a_release_that_is_not_understood_says_how_it_is_typed(
+    world: CommandLine, words: tuple[str, ...], instead: str
+) -> None:
+    done = world("estop", *words)
+    assert done.returncode == 1
+    assert done.stderr == (
+        f"error: no robot '{words[-1]}'.\nto end an emergency stop: slidectl estop release{instead}\n"
+    )
+    assert world("estop", "slidr").stderr == "error: no robot 'slidr'. Did you mean 'slider'?\nrobots: slider\n"
+
+
 def test_estop_stops_all_robots_and_everything_says_so(world: CommandLine) -> None:
     assert world.ok("estop") == "slider: emergency stop\n"
     assert efforts(world) == {0.0}

@@ -388,6 +388,20 @@ def test_new_sets_what_the_controller_does_not_read(world: World) -> None:
     world.slidectl.ok("param", "delete", "/pid")
 
 
+def test_a_parameter_that_the_controller_reads_is_not_called_new(world: World) -> None:
+    done = world.slidectl("param", "set", f"{PID}/i_clamp", "2")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert reported(world)["i_clamp_max"] == 2.0
+    world.slidectl.ok("param", "set", PID, "{i_clamp: 0}")
+    world.slidectl.ok("param", "delete", f"{PID}/i_clamp")
+
+
+def test_a_short_name_of_what_is_not_set_yet_leads_to_the_full_one(world: World) -> None:
+    done = world.slidectl("param", "set", "pid/i_clamp", "2")
+    assert done.returncode == 1
+    assert f"below what is there, write the full name: {PID}/i_clamp\n--new makes /pid/i_clamp\n" in done.stderr
+
+
 def test_elsewhere_a_new_parameter_says_that_it_is_new(world: World) -> None:
     wrong = "/slider/joint1_position_controler/pid/p"
     done = world.slidectl("param", "set", wrong, "5")

@@ -114,6 +114,37 @@ def test_a_launch_of_which_nothing_is_left_fails_and_leaves_nothing(ends: Comman
     eventually(lambda: not processes(ends.runtime), "the daemon is still there")
 
 
+def test_no_robot_state_publisher_waits_for_a_robot_that_was_left_out(ends: CommandLine, tmp_path: Path) -> None:
+    path = tmp_path / "one.launch"
+    state_publisher = '<node name="{0}" pkg="robot_state_publisher" type="robot_state_publisher"/>'
+    path.write_text(
+        '<launch><param name="here" textfile="$(dirname)/m.urdf"/>'
+        '<node name="a" pkg="gazebo_ros" type="spawn_model" args="-urdf -param gone -model a"/>'
+        '<node name="b" pkg="gazebo_ros" type="spawn_model" args="-urdf -param here -model b"/>'
+        f"{state_publisher.format('frames')}</launch>"
+    )
+    (tmp_path / "m.urdf").write_text("<robot name='m'><link name='world'/></robot>")
+    done = ends("launch", str(path), "--keep-going", "--detach")
+    assert done.returncode == 0, done.stderr
+    assert "the parameter /gone is not set to a robot's description; the node is left out" in done.stdout
+    assert "/frames: the simulation publishes the frames of b" in done.stdout
+    assert "waits for" not in done.stdout
+
+
+def test_a_spawn_that_waits_for_a_robot_that_was_left_out_is_left_out(ends: CommandLine, tmp_path: Path) -> None:
+    path = tmp_path / "wait.launch"
+    path.write_text(
+        '<launch><param name="here" textfile="$(dirname)/m.urdf"/>'
+        '<node name="a" pkg="gazebo_ros" type="spawn_model" args="-urdf -param gone -model a"/>'
+        '<node name="b" pkg="gazebo_ros" type="spawn_model" args="-urdf -param here -model b"/>'
+        '<node name="c" pkg="gazebo_ros" type="spawn_model" args="-urdf -param here -model c -wait a"/></launch>'
+    )
+    (tmp_path / "m.urdf").write_text("<robot name='m'><link name='world'/></robot>")
+    done = ends("launch", str(path), "--keep-going", "--detach")
+    assert done.returncode == 0, done.stderr
+    assert "/c: there is no model a; the node is left out" in done.stdout
+
+
 def test_a_spawn_that_keeps_going_leaves_out_meshes_macros_hardware_and_controllers(
     ends: CommandLine, launch: str
 ) -> None:

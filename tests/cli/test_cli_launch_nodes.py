@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
+from xml.sax.saxutils import quoteattr
 
 import pytest
 from command_line import CommandLine
@@ -156,6 +158,41 @@ def test_a_robot_of_a_launch_that_fails_does_not_stay_and_others_do(world: Comma
         assert done.returncode == 1, (name, done.stdout, done.stderr)
         assert [json.loads(line)["name"] for line in world.ok("robots", "--json").splitlines()] == ["mine"], name
     assert "there is a robot 'mine' already" in done.stderr
+
+
+def test_a_robot_that_a_program_of_a_failed_launch_spawned_does_not_stay_and_others_do(
+    world: CommandLine, write: Write
+) -> None:
+    """By a script of the user's own, its child process, or a rosservice node; one of another terminal stays."""
+    folder = Path(write("")).parent / "pkg"
+    (folder / "scripts").mkdir(parents=True)
+    (folder / "package.xml").write_text("<package><name>pkg</name></package>")
+    script = folder / "scripts" / "spawns"
+    command = f"{sys.executable} -P -m slidectl"
+    script.write_text(f"#!/bin/sh\n{command} spawn rrbot -n own\n({command} spawn rrbot -n childs)\nread line < go\n")
+    script.chmod(0o755)
+    os.mkfifo(folder / "scripts" / "go")
+    xml = "<robot name=''m''><link name=''world''/></robot>"  # quotes of YAML are doubled
+    request = quoteattr(f"{{model_name: called, model_xml: '{xml}'}}")[1:-1].replace('"', "&quot;")
+    dies = folder / "scripts" / "dies"
+    dies.write_text("#!/bin/sh\nread line < die\nexit 3\n")
+    dies.chmod(0o755)
+    os.mkfifo(folder / "scripts" / "die")
+    path = write(
+        node("pkg/spawns", attributes='cwd="node"', name="spawns")
+        + node("rosservice/rosservice", f"call --wait /gazebo/spawn_urdf_model &quot;{request}&quot;", name="calls")
+        + node("pkg/dies", attributes='cwd="node" required="true"', name="dies")
+    )
+    world.ok("spawn", "rrbot", "-n", "before")
+    launched = Launched(world, "--package", f"pkg={folder}", path)
+    launched.up()
+    for what in ("own: spawned", "childs: spawned", "spawned 'called'"):
+        launched.until(what)
+    world.ok("spawn", "rrbot", "-n", "after")
+    (folder / "scripts" / "die").write_text("go\n")
+    assert launched.end() == 1, launched.text
+    assert "/spawns: own: deleted" in launched.text
+    assert sorted(json.loads(line)["name"] for line in world.ok("robots", "--json").splitlines()) == ["after", "before"]
 
 
 def test_a_robot_of_a_launch_that_is_interrupted_before_it_is_up_does_not_stay(

@@ -189,7 +189,7 @@ def test_arguments_reach_the_world(slidectl: CommandLine) -> None:
     launched = Launched(slidectl, "slider", "paused:=true", "gui:=true")
     text = launched.up()
     assert "/gazebo: the world: step 0.001 s, paused" in text
-    assert "/gazebo_gui: no window here" in text
+    assert "/gazebo_gui: there is no window here" in text
     status = json.loads(slidectl.ok("sim", "status", "--json"))
     assert status["paused"] is True
     assert status["controllers_running"] == 2

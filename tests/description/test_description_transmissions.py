@@ -169,6 +169,14 @@ def test_a_transmission_with_two_joints_is_for_no_simulated_hardware() -> None:
     assert "one joint only" in str(bot.report[0])
 
 
+@pytest.mark.parametrize("other", ["weld", "nobody"])
+def test_a_transmission_with_two_joints_may_name_any_joint(other: str) -> None:
+    """gazebo_ros_control passes over it before it looks for its joints: Franka's names a fixed one."""
+    inside = TYPE + JOINT + JOINT.replace("slide", other) + ACTUATOR
+    bot = parse(cart(link("b"), joint("weld", "fixed", "cart", "b", ""), transmission(inside)))
+    assert "one joint only" in str(bot.report[0])
+
+
 def test_a_driven_joint_with_a_limit_of_zero_is_pointed_out() -> None:
     bot = parse(cart(TRANSMISSION, joint_inside='<limit lower="-1" upper="1" effort="0" velocity="1"/>'))
     (notice,) = bot.report

@@ -49,6 +49,8 @@ class Process(Task):
         self.ending = False
         """True when its end is wanted, so that it is neither reported nor undone."""
         self._label = node.full_name.lstrip("/")
+        self.sessions: set[int] = set()
+        """The session ids that it has had: one for each start."""
         self.started_at = 0.0
         """On the monotonic clock."""
         self._short_lives = 0
@@ -95,6 +97,7 @@ class Process(Task):
             if log is not None:
                 os.close(log)
         self.started_at = time.monotonic()
+        self.sessions.add(self.child.pid)  # a child leads a session of its own
         self.settled(run, f"started, process {self.child.pid}", pid=self.child.pid)
 
     def _output(self, run: Run) -> str:

@@ -44,7 +44,8 @@ class RobotStatePublisher(Task):
     def start(self, run: Run) -> str | None:
         robots: list[dict[str, Any]] = run.call("/slidectl/list_robots", {"name": ""})["robots"]
         robot = self._by_namespace(robots)
-        awaited = [task.model for task in _spawns(run) if task.model not in run.spawned]
+        coming = [task for task in _spawns(run) if task not in run.left_out]
+        awaited = [task.model for task in coming if task.model not in run.spawned]
         if robot is None and awaited:  # any of them may be the one that is meant
             return f"the robot {awaited[0]}"
         if not robots:
