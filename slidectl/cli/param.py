@@ -12,7 +12,7 @@ from slidectl import names
 from slidectl.cli import live, output, parameters
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
-from slidectl.errors import AmbiguousName, BadFile, Refused, UnknownName, UsageError, closest
+from slidectl.errors import AmbiguousName, BadFile, Refused, UnknownName, UsageError, closest, listing
 from slidectl.writing import write_whole
 
 _INDEXED = re.compile(r"(?P<name>[^\[\]]+)(?P<indices>(\[-?\d+\])+)\Z")
