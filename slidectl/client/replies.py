@@ -61,7 +61,8 @@ class Replies:
 
     def resolved(self, sent_id: str) -> Message:
         """`answer` for a name that was to be resolved. Raises UnknownName, AmbiguousName, Unused; else Refused."""
-        cause = _WRONG_NAMES.get(str(self._answers[sent_id].get("cause")))
+        answer = self._answers[sent_id]
+        cause = _WRONG_NAMES.get(str(answer.get("cause")))
         try:
             return self.answer(sent_id)
         except Refused as refusal:
@@ -70,6 +71,8 @@ class Replies:
             error = cause.__new__(cause)  # without the constructor, which makes the text that is here already
             message, _, hint = refusal.message.partition("\n")
             SlidectlError.__init__(error, message, hint or None)
+            if isinstance(error, AmbiguousName):
+                error.matches = list(map(str, answer.get("matches", ())))
             raise error from None
 
     def raise_refusal(self, sent_id: str | None = None) -> None:

@@ -16,7 +16,7 @@ from slidectl.control.node_handle import Reasons
 from slidectl.daemon import wire
 from slidectl.daemon.connection import Connection
 from slidectl.daemon.feed import Feed, Publications
-from slidectl.errors import NoDescriptors, Refused, SlidectlError, UsageError, listing
+from slidectl.errors import AmbiguousName, NoDescriptors, Refused, SlidectlError, UsageError, listing
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.services import Service
@@ -322,4 +322,7 @@ def _returned(call: Message) -> Message:
 
 
 def _failure(error: SlidectlError) -> Message:
-    return {"values": str(error), "result": False, "exit_code": error.exit_code, "cause": type(error).__name__}
+    failure = {"values": str(error), "result": False, "exit_code": error.exit_code, "cause": type(error).__name__}
+    if isinstance(error, AmbiguousName):
+        failure["matches"] = error.matches  # the text may leave some out
+    return failure
