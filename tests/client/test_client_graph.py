@@ -218,8 +218,9 @@ def test_names_are_resolved_among_those_that_are_published_or_subscribed(daemon:
             assert client.resolve("topic", "data", role="subscribers")["name"] == "/two/data"
             assert client.resolve("topic", "data", role="publishers", namespace="/one")["name"] == "/one/data"
             assert client.resolve("topic", "/two/data")["name"] == "/two/data"
-            with pytest.raises(AmbiguousName, match="/one/data, /two/data"):
+            with pytest.raises(AmbiguousName, match="/one/data, /two/data") as ambiguous:
                 client.resolve("topic", "data", role="publishers")
+            assert ambiguous.value.matches == ["/one/data", "/two/data"]
             with pytest.raises(UnknownName, match="two/data"):
                 client.resolve("topic", "dat", role="subscribers")
             with pytest.raises(Unused, match=r"nobody subscribes to /one/data\. Did you mean '/two/data'"):
