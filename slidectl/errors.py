@@ -176,6 +176,16 @@ class AmbiguousName(UsageError):
         self.matches = list(matches)
 
 
+class Unused(Refused):
+    """A topic that exists, but nobody is in that `role` for it (`publishers` or `subscribers`)."""
+
+    def __init__(self, role: str, topic: str, used: Sequence[str]) -> None:
+        near = closest(topic, used)
+        suggestion = f" Did you mean {near!r}?" if near else ""
+        verb = "publishes" if role == "publishers" else "subscribes to"
+        super().__init__(f"nobody {verb} {topic}.{suggestion}", f"topics with {role}: {listing(used)}")
+
+
 _ANY_NAME = "name: letters, digits, '_' and '/', and the first is a letter, '/' or '~'"
 
 

@@ -7,7 +7,7 @@ Standard library only.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 from slidectl.errors import AmbiguousName, BadName, UnknownName
 
@@ -85,6 +85,15 @@ def is_under(name: str, namespace: str) -> bool:
     """True when `name` is `namespace` or lies below it, on whole components."""
     base = namespace.rstrip("/")
     return not base or name == base or name.startswith(base + "/")
+
+
+def cut_from_field(text: str) -> Iterator[tuple[str, str]]:
+    """All ways to cut `TOPIC/field[i]` into topic and field, the longest topic first; an index belongs to the field."""
+    plain = text.partition("[")[0]
+    end = len(text) if plain == text else plain.rfind("/")
+    while end > 0:
+        yield text[:end], text[end + 1 :]
+        end = text.rfind("/", 0, end)
 
 
 def resolve(name: str, known: Iterable[str], *, kind: str, namespace: str = "/") -> str:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -19,7 +21,13 @@ FLOORS = {
 }  # fmt: skip
 
 # Beside each other, and all the same one of them is below the other.
-SAME_FLOOR = {("control", "description"), ("msgs", "names"), *((room, "errors") for room in FLOORS if not FLOORS[room])}
+# The client reads a robot's files for `Client.spawn`, inside of functions: a script that spawns none starts without it.
+SAME_FLOOR = {
+    ("client", "description"),
+    ("control", "description"),
+    ("msgs", "names"),
+    *((room, "errors") for room in FLOORS if not FLOORS[room]),
+}
 
 FORBIDDEN = {
     "errors": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
@@ -101,6 +109,11 @@ def test_a_room_imports_only_from_lower_floors(path: Path) -> None:
 def test_a_room_keeps_out_the_libraries_that_it_must_not_know(path: Path) -> None:
     used = {name.split(".")[0] for name in imported(path)}
     assert not used & FORBIDDEN[room_of(path)]
+
+
+def test_the_client_imports_the_description_of_robots_only_when_a_robot_is_spawned() -> None:
+    code = "import sys, slidectl.client.spawning; assert not any('description' in name for name in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_every_room_has_a_floor() -> None:

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slidectl.cli import configuration, live, output
+from slidectl.cli import live, output
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
 from slidectl.cli.spawn import package_lookup, pairs, parameter_text, tell_own_packages
+from slidectl.client import spawning
 from slidectl.errors import EXIT_REFUSED, Refused
 
 if TYPE_CHECKING:
@@ -78,7 +79,7 @@ def check(
     from slidectl.description.missing import Missing
 
     places = package_lookup(packages, "check")
-    files = [configuration.find(file) for file in controllers]
+    files = [spawning.find(file) for file in controllers]
     text = _streamed(source)
     words = ["<stdin>" if source == "-" else _shipped_or_own(source)]
     words += [word for word in arguments if ":=" not in word]
@@ -121,7 +122,7 @@ def _is_utf8(text: bytes) -> bool:
 
 def _shipped_or_own(source: str) -> str:
     """A file of controllers by that name may be a shipped one."""
-    return str(configuration.find(source)) if source.endswith((".yaml", ".yml")) else source
+    return str(spawning.find(source)) if source.endswith((".yaml", ".yml")) else source
 
 
 def _print(ctx: Context, findings: Findings, only: Sequence[str]) -> None:

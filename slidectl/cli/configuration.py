@@ -6,18 +6,17 @@ What a file may hold is for description.controllers_file, what a parameter means
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slidectl import names
 from slidectl.cli.context import Context
+from slidectl.client.spawning import Tree, find, leaves, placements
 from slidectl.errors import UsageError
 
 if TYPE_CHECKING:
     from slidectl.description.robot import Notice
-
-Tree = dict[str, Any]
 
 
 def read(ctx: Context, file: str, namespaces: Sequence[str]) -> Tree:
@@ -68,17 +67,6 @@ def warn_unknown(ctx: Context, namespace: str, controllers: Sequence[str]) -> No
             ctx.warn(f"{notice.subject}: {notice.text}")
 
 
-def find(file: str) -> Path:
-    """The file, else the shipped one of that name, so that the tutorials' lines work in any folder."""
-    from slidectl.paths import share
-
-    path = Path(file).expanduser()
-    shipped = share("config") / path.name
-    if not path.exists() and path.parent.name in ("", "config") and shipped.exists():
-        return shipped
-    return path
-
-
 def _placed(ctx: Context, tree: Tree, namespaces: Sequence[str], file: str) -> Tree:
     """The tree from the root on. Where no robot can be told it stays as it is, as `rosparam load` has it."""
     placed, remark, moved = placements(tree, namespaces)
@@ -87,32 +75,6 @@ def _placed(ctx: Context, tree: Tree, namespaces: Sequence[str], file: str) -> T
     if remark:
         (ctx.detail if moved else ctx.warn)(f"{file}: {remark}")
     return placed
-
-
-def placements(tree: Tree, namespaces: Sequence[str]) -> tuple[Tree, str | None, bool]:
-    """The tree for the one of the namespaces that it fits best, a remark, and whether it had to be moved there."""
-    from slidectl.description.controllers_file import retarget
-
-    best: tuple[Tree, str | None, bool] = (tree, None, False)
-    for namespace in reversed(namespaces):
-        placed, remark = retarget(tree, namespace)
-        if placed is tree and remark is None:
-            return tree, None, False
-        best = (placed, remark, placed is not tree)
-    return best
-
-
-def leaves(tree: Tree, namespace: str = "/") -> Iterator[tuple[str, Any]]:
-    """Full name and value of every parameter in a tree. Lists and empty mappings are values.
-
-    A key that begins with a slash leaves the namespace, as with rosparam.
-    """
-    for key, value in tree.items():
-        name = names.check_parameter(names.join(namespace, key.rstrip("/")))
-        if isinstance(value, dict) and value:
-            yield from leaves(value, name)
-        else:
-            yield name, value
 
 
 def store(ctx: Context, parameters: Tree, known_only: bool = False) -> list[str]:

@@ -109,11 +109,9 @@ class Context:
         service, key = _LISTS[kind]
         return sorted(self.call(service)[key])
 
-    def resolve(self, kind: str, name: str) -> str:
-        """The full name that the user meant (see names.resolve). Raises UnknownName (1) or AmbiguousName (2)."""
-        from slidectl.names import resolve
-
-        return resolve(name, self.names(kind), kind=kind, namespace=self.namespace)
+    def resolve(self, kind: str, name: str, role: str = "", with_field: bool = False) -> dict[str, Any]:
+        """What the user meant: the response of /slidectl/resolve. Raises as Client.resolve does."""
+        return self.client.resolve(kind, name, namespace=self.namespace, role=role, with_field=with_field)
 
     # --- printing -----------------------------------------------------------------------------------------------
 

@@ -9,11 +9,10 @@ from typing import Any
 import click
 
 from slidectl.cli import live, robots
-from slidectl.cli.bringup import Report, bring_up, check_started, each, wait_for_owner
 from slidectl.cli.commands import Variadic, group
 from slidectl.cli.context import Context
-from slidectl.cli.managers import UNLOADED, Manager, chosen, owner, owner_of_some
-from slidectl.client.manager import BEST_EFFORT, STRICT
+from slidectl.cli.managers import Report, chosen, owner, owner_of_some, wait_for_owner
+from slidectl.client.manager import BEST_EFFORT, STRICT, UNLOADED, Manager, each
 from slidectl.errors import NoDaemon, Refused, UsageError
 
 Decorator = Callable[[Any], Any]
@@ -170,7 +169,7 @@ def load(ctx: Context, manager: str | None, names: tuple[str, ...]) -> None:
     target, local = owner(ctx, manager, names)
     configuration.warn_unknown(ctx, target.namespace, local)
     with Report(ctx, target, local):
-        each(target.load, local)
+        target.load_all(local)
 
 
 @controller.command("unload", examples=["slidectl controller unload joint1_position_controller"])
@@ -269,7 +268,7 @@ def _switch(
     with Report(ctx, target, known):
         target.switch(starting, stopping, STRICT if strict else BEST_EFFORT, asap)
         if strict:
-            check_started(target, starting)
+            target.check_started(starting)
         after.apply()
 
 
@@ -297,7 +296,7 @@ def spawn(ctx: Context, manager: str | None, stopped: bool, wait: bool, names: t
     target, local = owner(ctx, manager, names)
     configuration.warn_unknown(ctx, target.namespace, local)
     with Report(ctx, target, local):
-        bring_up(target, local, start=not stopped)
+        target.bring_up(local, start=not stopped)
 
 
 @controller.command("unspawn", examples=["slidectl controller unspawn joint1_position_controller"])

@@ -1,53 +1,31 @@
-"""Controller managers as the command line sees them: which exist, which one a name means, and their services.
-
-Only service calls. The reasons of a refusal come with its answer.
-"""
+"""Controller managers as the command line sees them: which exist, which one a name means, what became of a change."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from contextlib import suppress
 
 from slidectl import names
 from slidectl.cli.context import Context
-from slidectl.client.manager import ManagerServices
-from slidectl.errors import AmbiguousName, Refused, UnknownName, UsageError, listing
+from slidectl.client.manager import UNLOADED, Manager
+from slidectl.errors import (
+    AmbiguousName,
+    Refused,
+    SlidectlError,
+    TimedOut,
+    UnknownName,
+    UsageError,
+    listing,
+)
 
-UNLOADED = "unloaded"
+WAIT_S = 30.0
+_LOOK_AGAIN_S = 0.2
 _LIST = "controller_manager/list_controllers"
 
 
-class Manager(ManagerServices):
-    """The controller manager of one namespace."""
-
-    def __init__(self, context: Context, namespace: str) -> None:
-        super().__init__(namespace)
-        self.context = context
-        self.timeout_s = context.timeout or 0.0
-
-    def ask(self, verb: str, **request: Any) -> dict[str, Any]:
-        return self.context.call(names.join(self.namespace, f"controller_manager/{verb}"), request)
-
-    def act(self, verb: str, **request: Any) -> tuple[bool, list[str]]:
-        return self.ask(verb, **request)["ok"], self.context.client.reasons
-
-    def warn(self, text: str) -> None:
-        self.context.warn(text)
-
-    def type_parameter(self, name: str) -> str:
-        """The type that the parameters give a controller; empty when they give none."""
-        import json
-
-        parameter = names.join(self.namespace, f"{name}/type")
-        value = json.loads(self.context.call("/rosapi/get_param", {"name": parameter, "default": '""'})["value"])
-        return str(value)
-
-    def parameters(self) -> Sequence[str]:
-        return self.context.names("parameter")
-
-    def known(self) -> list[str]:
-        """Controllers that are loaded or could be."""
-        return sorted({*self.states(), *self.configured()})
+def manager_in(context: Context, namespace: str) -> Manager:
+    """The controller manager of a namespace; what it warns of goes to stderr."""
+    return Manager(context.client, namespace, context.warn, timeout_s=context.timeout or 0.0)
 
 
 def managers(context: Context) -> list[Manager]:
@@ -55,7 +33,7 @@ def managers(context: Context) -> list[Manager]:
     request = {"type": "controller_manager_msgs/ListControllers"}
     services = context.call("/rosapi/services_for_type", request)["services"]
     found = sorted(name.removesuffix(_LIST).rstrip("/") or "/" for name in services if name.endswith("/" + _LIST))
-    return [Manager(context, namespace) for namespace in found]
+    return [manager_in(context, namespace) for namespace in found]
 
 
 def chosen(context: Context, wanted: str | None) -> list[Manager]:
@@ -79,7 +57,7 @@ def owner(context: Context, wanted: str | None, controllers: Sequence[str]) -> t
     candidates = chosen(context, wanted)
     if not candidates:
         raise Refused("no robot with controllers in the world", "spawn one: slidectl spawn slider")
-    places = {name: _places(candidates, name) for name in controllers}
+    places = _places(candidates, controllers)
     fitting = [m for m in candidates if all(m.namespace in found for found in places.values())]
     if not fitting:
         raise _nowhere(candidates, places)
@@ -92,7 +70,7 @@ def owner(context: Context, wanted: str | None, controllers: Sequence[str]) -> t
 def owner_of_some(context: Context, wanted: str | None, controllers: Sequence[str]) -> tuple[Manager, list[str]]:
     """As `owner`, but it is enough when the manager knows some of them, or is the only one: for best effort."""
     candidates = chosen(context, wanted)
-    known = [name for name in controllers if _places(candidates, name)]
+    known = [name for name, found in _places(candidates, controllers).items() if found]
     manager, _ = owner(context, wanted, known)
     return manager, [name.removeprefix(manager.namespace.rstrip("/") + "/") for name in controllers]
 
@@ -122,14 +100,16 @@ def next_step(context: Context, topic: str) -> str | None:
     return None
 
 
-def _places(candidates: Sequence[Manager], name: str) -> dict[str, str]:
-    """Namespace of each manager that knows the controller -> its name there."""
-    found = {}
-    for manager in candidates:
-        local = name.removeprefix(manager.namespace.rstrip("/") + "/")
-        if not local.startswith("/") and local in manager.known():
-            found[manager.namespace] = local
-    return found
+def _places(candidates: Sequence[Manager], controllers: Sequence[str]) -> dict[str, dict[str, str]]:
+    """Controller -> namespace of each manager that knows it -> its name there."""
+    known = {manager.namespace: manager.known() for manager in candidates} if controllers else {}
+    places: dict[str, dict[str, str]] = {name: {} for name in controllers}
+    for name, found in places.items():
+        for namespace, inside in known.items():
+            local = name.removeprefix(namespace.rstrip("/") + "/")
+            if not local.startswith("/") and local in inside:
+                found[namespace] = local
+    return places
 
 
 def _nowhere(candidates: Sequence[Manager], places: dict[str, dict[str, str]]) -> Exception:
@@ -150,3 +130,60 @@ def _several(fitting: Sequence[Manager], controllers: Sequence[str]) -> Exceptio
         return AmbiguousName("controller manager", "", spaces)
     matches = [names.join(space, name) for name in controllers for space in spaces]
     return AmbiguousName("controller", " ".join(controllers), matches)
+
+
+# --- for the commands that change controllers -----------------------------------------------------------------------
+
+
+def wait_for_owner(context: Context, manager: str | None, controllers: Sequence[str]) -> None:
+    """Return when a controller manager knows all the controllers.
+
+    Looks again whenever something is logged (every spawn is), and now and then: parameters are not logged.
+    Raises TimedOut with what is missing.
+    """
+    from time import monotonic
+
+    limit = context.wait_limit(WAIT_S)
+    deadline = monotonic() + limit
+    with context.client.subscribe("/rosout") as lines:
+        while (missing := _missing(context, manager, controllers)) is not None:
+            if monotonic() >= deadline:
+                raise TimedOut(f"still so after {limit:g} s: {missing.message}", missing.hint)
+            with suppress(TimedOut):
+                lines.get(min(_LOOK_AGAIN_S, max(0.0, deadline - monotonic())))
+
+
+def _missing(context: Context, manager: str | None, controllers: Sequence[str]) -> SlidectlError | None:
+    """Why the controllers have no owner yet; a wrong command line is raised at once."""
+    try:
+        owner(context, manager, controllers)
+    except (Refused, UnknownName) as error:
+        return error
+    return None
+
+
+class Report:
+    """Says for each controller what it was and what it is, also when the action between failed half way."""
+
+    def __init__(self, context: Context, manager: Manager, controllers: Sequence[str]) -> None:
+        self.context = context
+        self.manager = manager
+        self.names = list(dict.fromkeys(controllers))
+        self.before: dict[str, str] = {}
+
+    def __enter__(self) -> Report:
+        self.before = self.manager.states()
+        return self
+
+    def __exit__(self, _type: object, error: BaseException | None, _trace: object) -> None:
+        if error is not None and not isinstance(error, Refused):
+            return
+        after = self.manager.states()
+        for name in self.names:
+            was, state = self.before.get(name, UNLOADED), after.get(name, UNLOADED)
+            if error is None or was != state:
+                self._tell(name, was, state)
+
+    def _tell(self, name: str, was: str, state: str) -> None:
+        record = {"manager": self.manager.namespace, "name": name, "state": state, "before": was}
+        self.context.done(record, f"{name}: {state}" + (" already" if was == state else f" (was {was})"))

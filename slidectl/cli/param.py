@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import click
@@ -25,21 +25,7 @@ def param() -> None:
 
 def _resolved(ctx: Context, name: str) -> str:
     """The full name of a parameter or of a namespace of parameters. Raises UnknownName, AmbiguousName."""
-    if name == "/":
-        return name
-    known = ctx.names("parameter")
-    spaces = {space for each in known for space in _above(each)}
-    try:
-        return names.resolve(name.rstrip("/"), {*known, *spaces}, kind="parameter", namespace=ctx.namespace)
-    except UnknownName as error:
-        error.hint = f"parameters: {listing(known)}"
-        raise
-
-
-def _above(name: str) -> Iterator[str]:
-    """The namespaces that hold a name, without the root."""
-    while (name := names.parent(name)) != "/":
-        yield name
+    return str(ctx.resolve("parameter", name)["name"])
 
 
 # --- list, get ------------------------------------------------------------------------------------------------------
@@ -200,8 +186,9 @@ def load(ctx: Context, file: str, namespace: str | None) -> None:
     All documents of the file count; a key '_ns' puts a document into a namespace. Parameters that the file does not
     name stay. JSON keys: parameter, value; one line for each.
     """
-    from slidectl.cli.configuration import leaves, store
+    from slidectl.cli.configuration import store
     from slidectl.cli.documents import text_of
+    from slidectl.client.spawning import leaves
 
     shown = "stdin" if file == "-" else file
     inside = names.check_parameter(names.join(ctx.namespace, (namespace or "").rstrip("/") or ctx.namespace))

@@ -93,7 +93,7 @@ def settings(content: Any, full: str) -> dict[str, Any]:
 
     Raises UsageError for null, which no parameter can be.
     """
-    from slidectl.cli.configuration import leaves
+    from slidectl.client.spawning import leaves
 
     if content is None:
         raise UsageError("null is no value of a parameter", f"slidectl param delete {full}")

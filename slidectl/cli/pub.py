@@ -1,6 +1,6 @@
 """`slidectl pub`: one message, one at a rate, or those of a file or a pipe; done when they have been taken in.
 
-The everyday case (`slidectl pub command 1.0`) takes three round trips, in a shell mostly one, and loads neither YAML
+The everyday case (`slidectl pub command 1.0`) takes two round trips and loads neither YAML
 nor the evaluator.
 """
 
@@ -19,8 +19,8 @@ from slidectl.cli.commands import Command, command
 from slidectl.cli.context import Context
 from slidectl.cli.options import positive_seconds
 from slidectl.cli.publication import Publication, Values
-from slidectl.cli.topics import SUBSCRIBERS, Target, Unused, details, look_up
-from slidectl.errors import BadFile, SlidectlError, UnknownName, UsageError
+from slidectl.cli.topics import SUBSCRIBERS, Target, details, look_up
+from slidectl.errors import BadFile, SlidectlError, UnknownName, Unused, UsageError
 
 _ONCE = "-1"
 _TYPE = r"[A-Za-z]\w*/[A-Za-z]\w*\Z"
@@ -118,14 +118,15 @@ def _target(
 ) -> tuple[Target, list[str]]:
     """The topic, and what is left of the words when TYPE is taken away. Raises as `look_up` does."""
     try:
-        target = look_up(ctx, name, SUBSCRIBERS, with_field=False, last_words="--allow-unheard publishes all the same")
+        target = look_up(ctx, name, SUBSCRIBERS, with_field=False)
     except Unused as error:
         if not allow_unheard:
-            raise _with_next_step(ctx, name, error) from None
+            raise _with_next_step(ctx, name, error, "--allow-unheard publishes all the same") from None
         target = look_up(ctx, name, None, with_field=False)
     except UnknownName as error:
         if not allow_unheard:
-            raise _with_next_step(ctx, name, _with_last_words(error)) from None
+            step = "--allow-unheard publishes on a new topic: give its TYPE"
+            raise _with_next_step(ctx, name, error, step) from None
         return _new_topic(ctx, name, given)
     has_type = bool(given) and _is_type(given, target, from_elsewhere)
     if has_type and given[0] != target.type:
@@ -136,18 +137,11 @@ def _target(
     return target, values
 
 
-def _with_last_words(error: UnknownName) -> UnknownName:
-    error.hint = f"{error.hint}\n--allow-unheard publishes on a new topic: give its TYPE"
-    return error
-
-
-def _with_next_step(ctx: Context, name: str, error: SlidectlError) -> SlidectlError:
-    """Where controllers are not loaded yet, the error says which command comes first."""
+def _with_next_step(ctx: Context, name: str, error: SlidectlError, step: str) -> SlidectlError:
+    """The error with a last line: `step`, or where controllers are not loaded yet which command comes first."""
     from slidectl.cli.managers import next_step
 
-    step = next_step(ctx, name)
-    if step is not None:
-        error.hint = f"{str(error.hint).splitlines()[0]}\n{step}"
+    error.hint = f"{error.hint}\n{next_step(ctx, name) or step}"
     return error
 
 

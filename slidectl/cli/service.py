@@ -11,8 +11,7 @@ from slidectl import names
 from slidectl.cli import live, output, servicecall
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
-from slidectl.cli.servicecall import argument_names, ask_each, request_typedefs
-from slidectl.cli.topics import fitting
+from slidectl.cli.servicecall import argument_names, ask_each
 from slidectl.errors import Refused, UsageError
 
 
@@ -50,9 +49,9 @@ def info(ctx: Context, name: str) -> None:
 
     JSON keys: service, node, uri, type, args.
     """
-    full, kind = _typed(ctx, name)
-    node = ctx.call("/rosapi/service_node", {"service": full})["node"]
-    arguments = argument_names(request_typedefs(ctx, kind))
+    found = ctx.resolve("service", name)
+    full, kind, (node,) = found["name"], found["type"], found["nodes"]
+    arguments = argument_names(found["typedefs"])
     record = {"service": full, "node": node, "uri": ctx.uri, "type": kind, "args": arguments}
     ctx.emit(record, f"Node: {node}\nURI: {ctx.uri}\nType: {kind}\nArgs: {' '.join(arguments)}")
 
@@ -65,8 +64,8 @@ def type_(ctx: Context, name: str) -> None:
 
     JSON keys: service, type.
     """
-    full, kind = _typed(ctx, name)
-    ctx.emit({"service": full, "type": kind}, kind)
+    found = ctx.resolve("service", name)
+    ctx.emit({"service": found["name"], "type": found["type"]}, found["type"])
 
 
 @service.command("args", examples=["slidectl service args switch_controller"])
@@ -77,9 +76,9 @@ def args(ctx: Context, name: str) -> None:
 
     JSON keys: service, type, args.
     """
-    full, kind = _typed(ctx, name)
-    arguments = argument_names(request_typedefs(ctx, kind))
-    ctx.emit({"service": full, "type": kind, "args": arguments}, " ".join(arguments) + "\n")
+    found = ctx.resolve("service", name)
+    arguments = argument_names(found["typedefs"])
+    ctx.emit({"service": found["name"], "type": found["type"], "args": arguments}, " ".join(arguments) + "\n")
 
 
 @service.command("uri", examples=["slidectl service uri list_controllers"])
@@ -90,7 +89,7 @@ def uri(ctx: Context, name: str) -> None:
 
     JSON keys: service, uri.
     """
-    full = ctx.resolve("service", name)
+    full = ctx.resolve("service", name)["name"]
     ctx.emit({"service": full, "uri": ctx.uri}, ctx.uri)
 
 
@@ -104,14 +103,6 @@ def find(ctx: Context, type_name: str) -> None:
     """
     found = sorted(ctx.call("/rosapi/services_for_type", {"type": type_name})["services"])
     ctx.emit_names(found, "service", f"no service has the type {type_name}")
-
-
-def _typed(ctx: Context, name: str) -> tuple[str, str]:
-    """The full name of a service, and its type: two round trips. Raises UnknownName, AmbiguousName."""
-    known = ctx.names("service")
-    types = ask_each(ctx, "/rosapi/service_type", fitting(name, known, ctx.namespace), "type")
-    full = names.resolve(name, known, kind="service", namespace=ctx.namespace)
-    return full, types[full]
 
 
 # --- call -----------------------------------------------------------------------------------------------------------
@@ -136,8 +127,9 @@ def call(ctx: Context, name: str, given: tuple[str, ...], stdin: bool) -> None:
     fails, or when the response has a field 'ok' or 'success' that is false; the reasons go to stderr. It
     waits for a minute at most, or for --timeout. With --json it prints the response as one object.
     """
-    full, kind = _typed(ctx, name)
-    forms = servicecall.forms(ctx, kind)
+    found = ctx.resolve("service", name)
+    full, kind = found["name"], found["type"]
+    forms = servicecall.forms(found)
     if len(given) > 1:
         from slidectl.cli.values import check_quotes
 

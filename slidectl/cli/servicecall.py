@@ -58,12 +58,12 @@ class Forms(NamedTuple):
     printer: Callable[[dict[str, Any]], str]
 
 
-def forms(ctx: Context, kind: str) -> Forms:
-    """Those of a service type; two questions in one go."""
+def forms(resolved: dict[str, Any]) -> Forms:
+    """Those of a service, of what `/slidectl/resolve` says of it."""
     from slidectl.msgs.fill import fields_from
 
-    request, response = typedefs(ctx, kind)
-    return Forms(request, fields_from(request), _printer(response))
+    request = resolved["typedefs"]
+    return Forms(request, fields_from(request), _printer(resolved["response_typedefs"]))
 
 
 def argument_names(request: Typedefs) -> list[str]:

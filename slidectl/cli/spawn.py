@@ -9,23 +9,22 @@ import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from slidectl import names, rotations
+from slidectl import names
 from slidectl.cli import configuration, live, robots
-from slidectl.cli.bringup import bring_up
 from slidectl.cli.commands import Variadic, command, looks_like_number
 from slidectl.cli.context import Context
-from slidectl.cli.managers import Manager
+from slidectl.cli.managers import manager_in
+from slidectl.client import spawning
+from slidectl.client.manager import Manager
 from slidectl.errors import BadFile, NotThere, Refused, UnknownName, UsageError
 
 if TYPE_CHECKING:
     from slidectl.description import Document, Packages
     from slidectl.description.missing import Missing
-
-SPAWN_LIMIT_S = 30.0
 
 
 @command(
@@ -81,14 +80,15 @@ def spawn(
     tell_own_packages(ctx, places)
     missing.refuse()
     xml = _rooted(document, fixed)
-    pose = _pose(at)
-    wanted, namespace = _identity(xml, document, name, strict)
-    _check_free(ctx, wanted, namespace)
+    pose = spawning.pose(at, "--at")
+    wanted, namespace = spawning.identity(xml, document, name, strict)
+    spawning.check_free(robots.all_robots(ctx), wanted, namespace)
     if controllers is not None:
         _configure(ctx, controllers, namespace, missing)
-    manager = Manager(ctx, namespace)
+    manager = manager_in(ctx, namespace)
     there = _configured(manager, start, missing)
-    warnings = _request(ctx, wanted, xml, pose)
+    warnings = spawning.request(ctx.client, wanted, xml, pose, ctx.wait_limit(spawning.LIMIT_S))
+    loads = {} if keep_going else manager.ask_to_load(there)  # the robot is new: it has none yet
     _tell_report(ctx, wanted, document)
     for warning in warnings:
         ctx.warn(warning)
@@ -96,7 +96,9 @@ def spawn(
         if keep_going:
             there = _bring_up_each(manager, there, missing)
         else:
-            bring_up(manager, there)
+            manager.loaded(loads)
+            if there:
+                manager.start(there)
     except Refused:
         _tell(ctx, wanted)
         raise
@@ -153,12 +155,9 @@ def in_package(
 def _document(
     ctx: Context, model: str, arguments: dict[str, str], name: str | None, places: Packages, missing: Missing
 ) -> Document:
-    from slidectl import description
-
-    source = _noted(ctx, standard_input()) if model == "-" else model
-    if name and "namespace" not in arguments and "namespace" in description.declared_arguments(source, places):
-        arguments = {**arguments, "namespace": f"/{name}"}
-    return description.load(source, arguments, places, title="<stdin>" if model == "-" else None, missing=missing)
+    if model != "-":
+        return spawning.document(model, arguments, name, places, missing)
+    return spawning.document(_noted(ctx, standard_input()), arguments, name, places, missing, "<stdin>")
 
 
 def _noted(ctx: Context, xml: str) -> str:
@@ -204,39 +203,6 @@ def _rooted(document: Document, fixed: bool | None) -> str:
     return change(document.xml, document.file)
 
 
-def _pose(at: Sequence[float]) -> dict[str, Any]:
-    """geometry_msgs/Pose of `--at`. Raises UsageError."""
-    given = " ".join(f"{value:g}" for value in at)
-    if len(at) not in (0, 3, 6):
-        raise UsageError(f"--at takes X Y Z or X Y Z R P Y, not {given}")
-    if not all(map(math.isfinite, at)):
-        raise UsageError(f"--at takes finite numbers, not {given}")
-    x, y, z, roll, pitch, yaw = (*at, *[0.0] * (6 - len(at)))
-    turn = rotations.from_rpy((roll, pitch, yaw))
-    return {"position": {"x": x, "y": y, "z": z}, "orientation": rotations.message(turn)}
-
-
-def _identity(xml: str, document: Document, name: str | None, strict: bool) -> tuple[str, str]:
-    """The robot's name and namespace. Raises BadFile when the model is broken, BadName."""
-    from slidectl import description
-
-    robot = description.parse(xml, document.file, strict=strict)
-    chosen = names.check_robot(robot.name if name is None else name)
-    return chosen, description.namespace_of(robot, chosen)
-
-
-def _check_free(ctx: Context, name: str, namespace: str) -> None:
-    """Raise Refused when the name or the namespace is taken, before any parameter is touched."""
-    for robot in robots.all_robots(ctx):
-        if robot["name"] == name:
-            raise Refused(
-                f"a robot {name!r} is there already", f"give another name with -n, or: slidectl delete {name}"
-            )
-        if robot["namespace"] == namespace:
-            hint = "a model with an xacro argument `namespace` gets its own with -n NAME"
-            raise Refused(f"the namespace {namespace} is that of the robot {robot['name']!r}", hint)
-
-
 def _configure(ctx: Context, file: str, namespace: str, missing: Missing) -> None:
     """Load the parameters of controllers."""
     try:
@@ -263,21 +229,12 @@ def _bring_up_each(manager: Manager, names: Sequence[str], missing: Missing) -> 
     there = []
     for name in names:
         try:
-            bring_up(manager, [name])
+            manager.bring_up([name])
         except Refused as error:
             missing.note(NotThere(error.message, hint=error.hint), f"the controller {name} is left out")
         else:
             there.append(name)
     return there
-
-
-def _request(ctx: Context, name: str, xml: str, pose: dict[str, Any]) -> list[str]:
-    """Spawn it. What the world says of the place, a line for each robot that it was put into."""
-    request = {"model_name": name, "model_xml": xml, "initial_pose": pose}
-    answer = ctx.call("/gazebo/spawn_urdf_model", request, ctx.wait_limit(SPAWN_LIMIT_S))
-    if not answer["success"]:
-        raise Refused(f"cannot spawn {name}: {answer['status_message']}")
-    return list(answer["status_message"].split("\n")[1:])
 
 
 def _tell_report(ctx: Context, name: str, document: Document) -> None:

@@ -81,11 +81,10 @@ def info(ctx: Context, name: str) -> None:
 
     JSON keys: topic, type, publishers, subscribers (node names).
     """
-    types = ctx.client.topics()
-    full = names.resolve(name, types, kind="topic", namespace=ctx.namespace)
-    publishers, subscribers = (users_of(ctx, [full], role)[full] for role in (PUBLISHERS, SUBSCRIBERS))
-    record = {"topic": full, "type": types[full], PUBLISHERS: publishers, SUBSCRIBERS: subscribers}
-    ctx.emit(record, details(types[full], publishers, subscribers, ctx.uri))
+    found = look_up(ctx, name, None, with_field=False)
+    publishers, subscribers = (users_of(ctx, [found.topic], role)[found.topic] for role in (PUBLISHERS, SUBSCRIBERS))
+    record = {"topic": found.topic, "type": found.type, PUBLISHERS: publishers, SUBSCRIBERS: subscribers}
+    ctx.emit(record, details(found.type, publishers, subscribers, ctx.uri))
 
 
 @topic.command("type", examples=["slidectl topic type joint_states", "slidectl topic type 'joint_states/position[0]'"])

@@ -6,19 +6,22 @@ nothing silently: a daemon that dies is NoDaemon, and there is no reconnection.
 
 from __future__ import annotations
 
+import json
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from slidectl import __version__, names, paths
-from slidectl.client import naming
 from slidectl.client.lines import LONGEST_LINE, BadLine, encode
 from slidectl.client.link import Link, command
 from slidectl.client.replies import Replies
 from slidectl.client.subscription import Subscription
-from slidectl.errors import MessageRefused, NoDaemon, TimedOut
+from slidectl.errors import MessageRefused, NoDaemon, Refused, TimedOut, UnknownName, Unused, UsageError
+
+if TYPE_CHECKING:
+    from slidectl.client.manager import Manager
 
 Message = dict[str, Any]
 
@@ -29,6 +32,9 @@ _SYNCHRONIZE = "/rosapi/get_time"
 
 class Client:
     """A connection to a daemon. Use it as a context manager: leaving it waits until what was published is taken in.
+
+    It raises MessageRefused then for what was refused, and for a topic of which no message has reached anybody.
+    A name without a leading slash is the unique end of a full name, as on the command line.
 
     Args:
         instance: the daemon's name; by default `SLIDECTL_SOCKET`, `SLIDECTL_INSTANCE` or `default` decide.
@@ -50,6 +56,10 @@ class Client:
         self._subscriptions: dict[str, list[Subscription]] = {}
         self._advertised: dict[tuple[str, str | None, bool], str] = {}
         self._published = False
+        self._full_names: dict[tuple[str, str], str] = {}
+        self._sent: dict[str, int] = {}
+        """Topic -> messages that were published and not latched; those that nobody got are taken off."""
+        self._unheard: dict[str, int] = {}
         self._first_call: str | None = None
         self.on_other_version: Callable[[str], None] = _ignore
         """Called once, with the version of a daemon that is not this client's; empty for one that does not say."""
@@ -67,7 +77,8 @@ class Client:
 
     def call_async(self, service: str, request: Message | None = None) -> str:
         """Send a call and return its id at once; `answer` waits for the response."""
-        call_id, full = self._next_id("call"), names.join("/", service)
+        full = self._full("service", service)
+        call_id = self._next_id("call")
         self._replies.expect(call_id)
         message = {"op": "call_service", "id": call_id, "service": full, "args": request or {}}
         if self._first_call is None:  # it asks for the daemon's version too, which costs no round trip
@@ -78,6 +89,10 @@ class Client:
 
     def answer(self, call_id: str, *, timeout: float | None = None) -> Message:
         """The response to an earlier `call_async`. Raises as `call` does."""
+        self._await(call_id, timeout)
+        return self._replies.answer(call_id)
+
+    def _await(self, call_id: str, timeout: float | None) -> None:
         replies = self._replies
         if not replies.has(call_id):
             try:
@@ -85,7 +100,6 @@ class Client:
             except BaseException:
                 replies.forget(call_id)
                 raise
-        return replies.answer(call_id)
 
     @property
     def reasons(self) -> list[str]:
@@ -111,19 +125,25 @@ class Client:
             return
         advertise_id = self._advertised[topic, type, latch] = self._next_id("advertise")
         kind = {} if type is None else {"type": type}
-        self._send(op="advertise", id=advertise_id, topic=names.join("/", topic), latch=latch, **kind)
+        full = self._full("topic", topic, "subscribers", type)
+        self._send(op="advertise", id=advertise_id, topic=full, latch=latch, **kind)
         self._published = True
 
     def publish(self, topic: str, message: Message, type: str | None = None, latch: bool = False) -> None:
         """Send one message. A topic that exists needs no type; `flush` says whether the message was taken."""
-        self._publish(topic, message, type, latch)
+        topic = self._full("topic", topic, "subscribers", type)
+        if latch:  # it is kept for those who come later
+            self._publish(topic, message, type, latch)
+        else:
+            self._publish(topic, message, type, latch, unheard=True)
+            self._sent[topic] = self._sent.get(topic, 0) + 1
         self._published = True
 
     def _publish(self, topic: str, message: Message, type: str | None, latch: bool, **more: Any) -> str:
         """Returns the id."""
         if type is not None or latch:
             self.advertise(topic, type, latch)
-        full, publish_id = names.join("/", topic), self._next_id("publish")
+        full, publish_id = self._full("topic", topic, "subscribers", type), self._next_id("publish")
         self._write(encode({"op": "publish", "id": publish_id, "topic": full, "msg": message, **more}))
         return publish_id
 
@@ -159,7 +179,8 @@ class Client:
         Raises:
             Refused: no such topic, or it has another type.
         """
-        subscription = Subscription(self, names.join("/", topic), self._next_id("subscribe"), queue_length)
+        topic = self._full("topic", topic, "publishers", type)
+        subscription = Subscription(self, topic, self._next_id("subscribe"), queue_length)
         options: Message = {"queue_length": queue_length, "throttle_rate": throttle_rate}
         kind = {} if type is None else {"type": type}
         self._subscriptions.setdefault(subscription.topic, []).append(subscription)
@@ -191,17 +212,151 @@ class Client:
         answer = self.call("/rosapi/topics")
         return dict(zip(answer["topics"], answer["types"], strict=True))
 
-    def resolve_topic(self, name: str, role: str | None = None, namespace: str = "/") -> str:
-        """The full name of the topic that `name` means among those with `publishers` or `subscribers` (the role).
+    def services(self) -> list[str]:
+        """Every service, sorted."""
+        return list(self.call("/rosapi/services")["services"])
+
+    def _full(self, kind: str, name: str, role: str = "", type: str | None = None) -> str:
+        """The full name of a relative one, remembered for this connection. A new topic with a type is in the root."""
+        if name.startswith("/"):
+            return name
+        full = self._full_names.get((kind, name))
+        if full is None:
+            try:
+                full = self.resolve(kind, name, role=role)["name"]
+            except Unused:
+                full = self.resolve(kind, name)["name"]
+            except UnknownName:
+                if type is None:
+                    raise
+                full = names.join("/", name)
+            self._full_names[kind, name] = full
+        return full
+
+    def resolve(
+        self, kind: str, name: str, *, namespace: str = "/", role: str = "", with_field: bool = False
+    ) -> Message:
+        """What a short name means, as the command line has it: itself, or the one name that ends with it.
+
+        Args:
+            kind: `topic`, `service`, `parameter` (or a namespace of parameters), `node` or `robot`.
+            namespace: where relative names begin, and which of several is meant.
+            role: of a topic: only those with `publishers`, or with `subscribers`; empty for all.
+            with_field: of a topic: a field may follow the name.
+
+        Returns:
+            slidectl/Resolve's response: `name` is the full name; then `field`, `type`, `typedefs`,
+            `response_typedefs` and `nodes`, as far as the kind has them.
 
         Raises:
-            UnknownName, AmbiguousName: see `slidectl.names.resolve`.
+            UnknownName: nothing fits. AmbiguousName: several do. Unused: the topic has nobody in the role.
         """
-        return naming.topic(self, name, role, namespace)
+        request = {"kind": kind, "name": name, "namespace": namespace, "role": role, "with_field": with_field}
+        call_id = self.call_async("/slidectl/resolve", request)
+        self._await(call_id, None)
+        return self._replies.resolved(call_id)
 
-    def resolve_service(self, name: str, namespace: str = "/") -> str:
-        """The full name of the service that `name` means. Raises as `resolve_topic` does."""
-        return naming.service(self, name, namespace)
+    # --- the world ----------------------------------------------------------------------------------------------
+
+    def spawn(
+        self,
+        model: str,
+        name: str | None = None,
+        at: Sequence[float] = (),
+        controllers: str | None = None,
+        start: Sequence[str] = (),
+        **xacro_arguments: str,
+    ) -> Message:
+        """Put a robot into the world, as `slidectl spawn` does. Returns slidectl/RobotInfo.
+
+        Args:
+            model: a shipped model's name, or the path of a .xacro or .urdf file.
+            at: x, y, z in m, or these and roll, pitch, yaw in rad.
+            controllers: the YAML file of its controllers' parameters.
+            start: controllers to load and start.
+
+        Raises:
+            BadFile, UnknownName, UsageError: before anything is changed. Refused: with the daemon's reason.
+        """
+        from slidectl.client import spawning
+
+        return spawning.spawn(self, model, name, at, controllers, start, xacro_arguments)
+
+    def delete(self, name: str) -> None:
+        """Take a robot out of the world. Raises UnknownName, Refused."""
+        full = self.resolve("robot", name)["name"]
+        answer = self.call("/gazebo/delete_model", {"model_name": full})
+        if not answer["success"]:
+            raise Refused(f"cannot delete {full}: {answer['status_message']}")
+
+    def robots(self) -> list[Message]:
+        """The robots (slidectl/RobotInfo), by name: `name`, `namespace`, `pose`, `links`, `joints`, `controllers`."""
+        return sorted(self.call("/slidectl/list_robots")["robots"], key=lambda robot: str(robot["name"]))
+
+    def controllers(self, namespace: str) -> Manager:
+        """The controller manager of a robot's namespace: load, start, switch, list."""
+        from slidectl.client.manager import Manager
+
+        return Manager(self, names.join("/", namespace).rstrip("/") or "/")
+
+    @property
+    def params(self) -> Params:
+        """The parameters, as a mapping of names to values."""
+        return Params(self)
+
+    def step(self, cycles: int | None = None, *, seconds: float = 0.0) -> float:
+        """Pause the world and run so many cycles (1), or simulated seconds. Returns the simulated time in s.
+
+        Raises:
+            Refused: seconds that are no whole number of cycles, or the steps were given up.
+        """
+        if cycles is not None and seconds:
+            raise UsageError("step takes cycles or seconds, not both")
+        request = {"cycles": 1 if cycles is None and not seconds else cycles or 0, "seconds": seconds}
+        answer = self.call("/slidectl/step", request, timeout=math.inf)
+        if not answer["success"]:
+            raise Refused(answer["message"])
+        return float(answer["time"])
+
+    def wait(
+        self,
+        target: str,
+        *,
+        near: float | None = None,
+        above: float | None = None,
+        below: float | None = None,
+        equals: Any = None,
+        tol: float = 0.01,
+        within: float = 0.0,
+        for_: float = 0.0,
+        timeout: float | None = None,
+    ) -> Any:
+        """Wait until a field of a topic (`joint_states/position[0]`) meets one condition. Returns its value.
+
+        Args:
+            tol: how far `near` may be off.
+            within: simulated seconds after which it fails; 0 for no limit.
+            for_: simulated seconds that the condition must hold.
+            timeout: wall seconds; a minute plus ten times the simulated ones when not given.
+
+        Raises:
+            Refused: not met `within`. TimedOut. UnknownName, Unused: no such topic or field.
+        """
+        conditions = {"near": near, "above": above, "below": below, "equals": equals}
+        given = {kind: value for kind, value in conditions.items() if value is not None}
+        if len(given) != 1:
+            raise UsageError("give exactly one of near, above, below and equals")
+        ((condition, value),) = given.items()
+        found = self.resolve("topic", target, role="publishers", with_field=True)
+        request = {
+            "topic": found["name"], "field": found["field"], "condition": condition, "value": json.dumps(value),
+            "tolerance": tol, "hold": for_, "within": within,
+        }  # fmt: skip
+        limit = 60.0 + 10.0 * (within + for_) if timeout is None else timeout
+        answer = self.call("/slidectl/wait", request, timeout=limit)
+        if not answer["success"]:
+            raise Refused(f"{target} was not {condition} {value}: {answer['message']}")
+        return json.loads(answer["last"])
 
     # --- what arrives -------------------------------------------------------------------------------------------
 
@@ -239,6 +394,9 @@ class Client:
             subscription.dropped += int(status.get("dropped", 0))
         if status.get("level") == "error":
             self._advertised = {key: sent for key, sent in self._advertised.items() if sent != status.get("id")}
+        if status.get("unheard"):
+            topic = status["topic"]
+            self._unheard[topic] = self._unheard.get(topic, 0) + 1
         if "id" not in status and "dropped" not in status:
             self._link.farewell = str(status.get("msg", ""))
 
@@ -284,6 +442,12 @@ class Client:
         """Let go of the connection at once; what it advertised and subscribed ends with it."""
         self._link.close()
 
+    def _check_heard(self) -> None:
+        """Raise MessageRefused for a topic of which not one message has reached anybody."""
+        for topic, unheard in self._unheard.items():
+            if unheard == self._sent.get(topic):
+                raise MessageRefused(f"nobody subscribes to {topic}: {unheard} published, none of them received")
+
     def __enter__(self) -> Client:
         return self
 
@@ -291,9 +455,55 @@ class Client:
         try:
             if kind is None and self._published:
                 self.flush()
+                self._check_heard()
         finally:
             self.close()
 
 
 def _ignore(_version: str) -> None:
     """For a script that does not mind the daemon's version."""
+
+
+class Params:
+    """The parameters of a daemon. A value is a number, text, truth value, list, or a dict for all below a namespace.
+
+    Names may be short, as on the command line; a new parameter's name begins at the root.
+    """
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+
+    def __getitem__(self, name: str) -> Any:
+        full = self._client.resolve("parameter", name)["name"]
+        return json.loads(self._client.call("/rosapi/get_param", {"name": full})["value"])
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """The value, or `default` when there is no such parameter."""
+        try:
+            return self[name]
+        except UnknownName:
+            return default
+
+    def __setitem__(self, name: str, value: Any) -> None:
+        try:
+            full = self._client.resolve("parameter", name)["name"]
+        except UnknownName:
+            full = names.join("/", name)
+        self.set_all({full: value})
+
+    set = __setitem__
+
+    def set_all(self, values: Mapping[str, Any]) -> None:
+        """Set several by their full names, all or none. Raises Refused: a loaded controller cannot take a value."""
+        texts = [json.dumps(value, allow_nan=False) for value in values.values()]
+        self._client.call("/slidectl/set_params", {"names": list(values), "values": texts})
+
+    def __delitem__(self, name: str) -> None:
+        full = self._client.resolve("parameter", name)["name"]
+        self._client.call("/rosapi/delete_param", {"name": full})
+
+    delete = __delitem__
+
+    def names(self) -> list[str]:
+        """The full names, sorted."""
+        return sorted(self._client.call("/rosapi/get_param_names")["names"])

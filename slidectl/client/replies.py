@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from slidectl.errors import MessageRefused, Refused, SlidectlError
+from slidectl.errors import AmbiguousName, MessageRefused, Refused, SlidectlError, UnknownName, Unused
 
 Message = dict[str, Any]
 
 _OPS = ("service_response", "status")
 _MOST_REFUSALS = 1000
+_WRONG_NAMES: dict[str, type[SlidectlError]] = {cause.__name__: cause for cause in (AmbiguousName, UnknownName, Unused)}
 
 
 class Replies:
@@ -57,6 +58,22 @@ class Replies:
         if not answer.get("result", True):
             raise _refusal(Refused, str(values), answer)
         return values if isinstance(values, dict) else {}
+
+    def resolved(self, sent_id: str) -> Message:
+        """`answer` for a name that was to be resolved. Raises UnknownName, AmbiguousName, Unused; else Refused."""
+        answer = self._answers[sent_id]
+        cause = _WRONG_NAMES.get(str(answer.get("cause")))
+        try:
+            return self.answer(sent_id)
+        except Refused as refusal:
+            if cause is None:
+                raise
+            error = cause.__new__(cause)  # without the constructor, which makes the text that is here already
+            message, _, hint = refusal.message.partition("\n")
+            SlidectlError.__init__(error, message, hint or None)
+            if isinstance(error, AmbiguousName):
+                error.matches = list(map(str, answer.get("matches", ())))
+            raise error from None
 
     def raise_refusal(self, sent_id: str | None = None) -> None:
         """Raise the refusal of what was sent with that id; without one the first of all, and forget the others."""

@@ -16,7 +16,7 @@ from slidectl.control.node_handle import Reasons
 from slidectl.daemon import wire
 from slidectl.daemon.connection import Connection
 from slidectl.daemon.feed import Feed, Publications
-from slidectl.errors import NoDescriptors, Refused, SlidectlError, UsageError, listing
+from slidectl.errors import AmbiguousName, NoDescriptors, Refused, SlidectlError, UsageError, listing
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.services import Service
@@ -192,6 +192,9 @@ class Session:
             self._graph.topics.publish(topic, wire.text(message, "type", "") or None, content, self.node)
         else:
             publisher.publish(msgs.check(self._graph.topics.type_of(topic), content))
+        if message.get("unheard") and not self._graph.topics.subscribers(topic):
+            status = {"op": "status", "level": "info", **wire.given_id(message), "topic": topic, "unheard": True}
+            self._connection.send(encode({**status, "msg": f"nobody subscribes to {topic}"}))
         if message.get("ack"):
             status = {"op": "status", "level": "info", **wire.given_id(message), "msg": "delivered"}
             self._connection.send(encode(status | self._reasons()))
@@ -319,4 +322,7 @@ def _returned(call: Message) -> Message:
 
 
 def _failure(error: SlidectlError) -> Message:
-    return {"values": str(error), "result": False, "exit_code": error.exit_code}
+    failure = {"values": str(error), "result": False, "exit_code": error.exit_code, "cause": type(error).__name__}
+    if isinstance(error, AmbiguousName):
+        failure["matches"] = error.matches  # the text may leave some out
+    return failure

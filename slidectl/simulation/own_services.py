@@ -1,6 +1,6 @@
 """`/slidectl/status`, `step`, `set_speed`, `set_params`, `sleep`, `list_robots` and `sources`: not in ROS.
 
-`wait` and what stops joints have modules of their own, and `shutdown` is the daemon's.
+`resolve`, `wait` and what stops joints have modules of their own, and `shutdown` is the daemon's.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import slidectl
 from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message
 from slidectl.errors import Refused, SlidectlError, UsageError
+from slidectl.simulation import resolve
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.robot_info import robot_info
 from slidectl.simulation.rosapi_parameters import absolute, from_json
@@ -34,6 +35,7 @@ def advertise(simulation: Simulation) -> None:
     node.advertise_service("sleep", "slidectl/Sleep", lambda request: _sleep(simulation, request))
     node.advertise_service("list_robots", "slidectl/ListRobots", lambda request: _list_robots(simulation, request))
     node.advertise_service("sources", "slidectl/Sources", lambda request: _sources(simulation, request))
+    node.advertise_service("resolve", "slidectl/Resolve", lambda request: resolve.answer(simulation, request))
 
 
 def _status(simulation: Simulation) -> Message:

@@ -23,8 +23,13 @@ def type_services() -> dict[str, tuple[str, Callable[[Message], Message]]]:
     }
 
 
+def typedefs(type_name: str) -> list[Message]:
+    """The type (rosapi/TypeDef), then those that it is made of. Raises UnknownName."""
+    return list(_typedefs(type_name, set()))
+
+
 def _details(type_name: str) -> Message:
-    return {"typedefs": list(_typedefs(type_name, set()))}
+    return {"typedefs": typedefs(type_name)}
 
 
 def _typedefs(type_name: str, seen: set[str]) -> Iterator[Message]:

@@ -86,8 +86,13 @@ def slider(fake: FakeDaemon) -> FakeDaemon:
         "/rosapi/services_for_type": {"services": ["/slider/controller_manager/list_controllers"]},
         "/slider/controller_manager/list_controllers": {"controller": [CONTROLLER]},
         "/rosapi/topics": {"topics": ["/clock"], "types": ["rosgraph_msgs/Clock"]},
-        "/rosapi/publishers": {"publishers": ["/gazebo"]},
-        "/rosapi/message_details": {"typedefs": []},
+        "/slidectl/resolve": {
+            "name": "/clock",
+            "field": "clock",
+            "type": "rosgraph_msgs/Clock",
+            "typedefs": [],
+            "nodes": ["/gazebo"],
+        },
         "/slidectl/wait": {"success": True, "message": "", "last": "1.0", "closest": "1.0", "time": 1.0},
     }
     return fake

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from command_line import CommandLine
 
-from slidectl.cli import configuration
+from slidectl.client import spawning
 
 CONTROLLERS = "config/slider_control.yaml"
 BOX = """<?xml version="1.0"?>
@@ -274,7 +274,7 @@ CONTROLLER = {"type": "effort_controllers/JointEffortController", "joint": "join
 def test_a_configuration_goes_to_the_robot_that_it_is_meant_for(
     tree: dict[str, object], namespaces: list[str], expected: dict[str, object]
 ) -> None:
-    assert configuration.placements(tree, namespaces)[0] == expected
+    assert spawning.placements(tree, namespaces)[0] == expected
 
 
 def test_a_configuration_for_one_of_several_robots_must_say_which(world: CommandLine, tmp_path: Path) -> None:
@@ -299,7 +299,7 @@ def test_a_configuration_for_somebody_else_is_loaded_with_a_warning(world: Comma
 
 def test_parameters_are_set_leaf_by_leaf() -> None:
     tree = {"slider": {"pid": {"p": 1.0, "i": []}, "empty": {}}}
-    assert dict(configuration.leaves(tree)) == {"/slider/pid/p": 1.0, "/slider/pid/i": [], "/slider/empty": {}}
+    assert dict(spawning.leaves(tree)) == {"/slider/pid/p": 1.0, "/slider/pid/i": [], "/slider/empty": {}}
 
 
 ARM = """<robot name="arm"><link name="world"/>

@@ -12,8 +12,8 @@ from command_line import CommandLine
 from daemon_fixture import Runtime, running_daemon
 
 from slidectl.cli.sim import parse_amount, parse_speed
-from slidectl.cli.target import splits
 from slidectl.errors import UsageError
+from slidectl.names import cut_from_field
 
 STATES = "joint_state_controller"
 POSITION = "joint1_position_controller"
@@ -210,9 +210,9 @@ def test_what_cannot_be_waited_for_is_an_error_at_once(
 
 
 def test_a_topic_is_cut_from_its_field_at_the_longest_place() -> None:
-    assert list(splits("/a/b/c[0]")) == [("/a/b", "c[0]"), ("/a", "b/c[0]")]
-    assert list(splits("a/b")) == [("a/b", ""), ("a", "b")]
-    assert list(splits("a")) == [("a", "")]
+    assert list(cut_from_field("/a/b/c[0]")) == [("/a/b", "c[0]"), ("/a", "b/c[0]")]
+    assert list(cut_from_field("a/b")) == [("a/b", ""), ("a", "b")]
+    assert list(cut_from_field("a")) == [("a", "")]
 
 
 def test_wait_shows_on_a_terminal_how_it_stands_and_nothing_when_quiet(slider: CommandLine) -> None:

@@ -162,20 +162,29 @@ def test_a_name_that_two_robots_have_is_exit_code_2() -> None:
         world.slidectl.ok("service", "call", "other/controller_manager/list_controllers")
 
 
+def take_call(world: World) -> None:
+    """Return when the daemon has passed on a call of `/mine/slow`, which nobody answers."""
+    assert any(event["op"] == "call_service" for event in world.client.events(30))
+
+
 def test_ctrl_c_ends_a_waiting_call_with_exit_code_130(world: World) -> None:
-    before = world.client.call("/slidectl/status")["connections"]
-    with world.running("service", "call", "/slidectl/sleep", "1000") as process:
-        world.until(lambda: bool(world.client.call("/slidectl/status")["connections"] > before))
+    world.client._send(op="advertise_service", service="/mine/slow", type="std_srvs/Empty")
+    world.client.flush()
+    with world.running("service", "call", "/mine/slow") as process:
+        take_call(world)
         process.send_signal(signal.SIGINT)
         process.communicate(timeout=20)
     assert process.returncode == 130
+    world.client._send(op="unadvertise_service", service="/mine/slow")
+    world.client.flush()
 
 
 def test_a_daemon_that_dies_during_a_call_is_exit_code_3() -> None:
     with slider_world() as world:
-        before = world.client.call("/slidectl/status")["connections"]
-        with world.running("service", "call", "/slidectl/sleep", "1000") as process:
-            world.until(lambda: bool(world.client.call("/slidectl/status")["connections"] > before))
+        world.client._send(op="advertise_service", service="/mine/slow", type="std_srvs/Empty")
+        world.client.flush()
+        with world.running("service", "call", "/mine/slow") as process:
+            take_call(world)
             assert world.daemon.pid is not None
             os.kill(world.daemon.pid, signal.SIGKILL)
             _, errors = process.communicate(timeout=20)

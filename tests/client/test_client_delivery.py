@@ -24,3 +24,25 @@ def test_what_fits_no_line_is_refused_before_it_leaves(client: Client) -> None:
     with pytest.raises(UsageError, match="more than the 16777216 that fit a line"):
         client.call("/rosapi/set_param", {"name": "/long", "value": "x" * 2**24})
     assert client.call("/rosapi/has_param", {"name": "/long"}) == {"exists": False}
+
+
+def test_what_reached_nobody_is_an_error_when_the_client_is_left(daemon: Runtime) -> None:
+    with pytest.raises(MessageRefused, match="nobody subscribes to /deaf: 2 published"), daemon.client() as client:
+        [client.publish("/deaf", {"data": number}, type="std_msgs/Int32") for number in range(2)]
+    with daemon.client() as client:
+        client.publish("/kept", {"data": 1}, type="std_msgs/Int32", latch=True)
+        client.publish("/heard", {"data": 1}, type="std_msgs/Int32")
+        with client.subscribe("/heard"):
+            client.publish("/heard", {"data": 2})
+
+
+def test_a_short_name_is_resolved_once_for_a_connection(daemon: Runtime, client: Client) -> None:
+    with daemon.client() as reader, reader.subscribe("/short/numbers", "std_msgs/Int32") as numbers:
+        asked: list[str] = []
+        original = client.resolve
+        client.resolve = lambda kind, name, **more: (asked.append(name), original(kind, name, **more))[1]  # type: ignore
+        for number in range(3):
+            client.publish("numbers", {"data": number})
+        client.flush()
+        reader.flush()
+        assert ([numbers.get()["data"] for _ in range(3)], asked) == ([0, 1, 2], ["numbers"])

@@ -11,7 +11,7 @@ from daemon_fixture import Runtime
 
 import slidectl
 from slidectl.client import Client
-from slidectl.errors import AmbiguousName, MessageRefused, Refused, TimedOut, UnknownName
+from slidectl.errors import AmbiguousName, MessageRefused, Refused, TimedOut, UnknownName, Unused
 
 
 def test_the_package_offers_the_client_at_its_front_door() -> None:
@@ -177,7 +177,7 @@ def test_a_subscription_that_was_not_answered_is_taken_back(daemon: Runtime) -> 
 
 
 def test_services_are_found_by_their_end(client: Client) -> None:
-    assert client.resolve_service("set_speed") == "/slidectl/set_speed"
+    assert client.resolve("service", "set_speed")["name"] == "/slidectl/set_speed"
 
 
 def test_events_are_what_is_on_the_wire(client: Client) -> None:
@@ -215,12 +215,31 @@ def test_names_are_resolved_among_those_that_are_published_or_subscribed(daemon:
         other.advertise("/one/data", "std_msgs/Int32")
         other.advertise("/two/data", "std_msgs/Int32")
         with other.subscribe("/two/data"):
-            assert client.resolve_topic("data", "subscribers") == "/two/data"
-            assert client.resolve_topic("data", "publishers", namespace="/one") == "/one/data"
-            assert client.resolve_topic("/two/data") == "/two/data"
-            with pytest.raises(AmbiguousName, match="/one/data, /two/data"):
-                client.resolve_topic("data", "publishers")
+            assert client.resolve("topic", "data", role="subscribers")["name"] == "/two/data"
+            assert client.resolve("topic", "data", role="publishers", namespace="/one")["name"] == "/one/data"
+            assert client.resolve("topic", "/two/data")["name"] == "/two/data"
+            with pytest.raises(AmbiguousName, match="/one/data, /two/data") as ambiguous:
+                client.resolve("topic", "data", role="publishers")
+            assert ambiguous.value.matches == ["/one/data", "/two/data"]
             with pytest.raises(UnknownName, match="two/data"):
-                client.resolve_topic("dat", "subscribers")
-            with pytest.raises(UnknownName):
-                client.resolve_topic("/one/data", "subscribers")
+                client.resolve("topic", "dat", role="subscribers")
+            with pytest.raises(Unused, match=r"nobody subscribes to /one/data\. Did you mean '/two/data'"):
+                client.resolve("topic", "/one/data", role="subscribers")
+
+
+def test_names_of_every_kind_are_resolved_and_described_by_the_daemon(client: Client) -> None:
+    found = client.resolve("service", "set_speed")
+    assert (found["type"], found["nodes"]) == ("slidectl/SetSpeed", ["/slidectl"])
+    assert [found[key][0]["fieldnames"] for key in ("typedefs", "response_typedefs")] == [
+        ["speed"],
+        ["success", "message"],
+    ]
+    clock = client.resolve("topic", "clock/clock/secs", with_field=True)
+    assert (clock["name"], clock["field"], clock["type"]) == ("/clock", "clock/secs", "rosgraph_msgs/Clock")
+    client.call("/rosapi/set_param", {"name": "/left/pid/p", "value": "1"})
+    assert client.resolve("parameter", "pid")["name"] == "/left/pid"
+    assert client.resolve("node", "slidectl")["name"] == "/slidectl"
+    with pytest.raises(UnknownName, match="no robot 'slider'"):
+        client.resolve("robot", "slider")
+    with pytest.raises(Refused, match="kinds: topic, service, parameter, node, robot"):
+        client.resolve("tpic", "clock")

@@ -20,7 +20,6 @@ from slidectl.cli.fieldpath import select
 from slidectl.cli.ros.failure import Failure
 from slidectl.cli.schema import TIMES, Field, Schema
 from slidectl.cli.stream import Event
-from slidectl.cli.target import splits
 from slidectl.errors import SlidectlError
 
 if TYPE_CHECKING:
@@ -175,7 +174,7 @@ def echo(ctx: Context, path: str, target: str | None, look: Look, condition: str
 
 
 def _chosen(bag: Bag, target: str, path: str) -> dict[str, str]:
-    for topic, field in splits(target):
+    for topic, field in names.cut_from_field(target):
         if topic in bag.schemas:
             return {topic: field}
     raise Failure(f"ERROR: no topic [{target}] in {path}; topics: {', '.join(bag.topics)}")

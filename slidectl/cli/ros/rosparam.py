@@ -251,7 +251,7 @@ def _text(file: str) -> str:
 
 def _show(tree: Any, inside: str) -> None:
     """A line for each parameter; a value that is none of several alone."""
-    from slidectl.cli.configuration import leaves
+    from slidectl.client.spawning import leaves
 
     lines = [f"{name}={value}" for name, value in leaves(tree, inside)] if isinstance(tree, dict) else [str(tree)]
     for line in lines:

@@ -17,9 +17,9 @@ from slidectl.cli.ros import genpy, yamltext
 from slidectl.cli.ros.arguments import Arguments, Option, Parser, begins_as_number
 from slidectl.cli.ros.failure import Failure
 from slidectl.cli.ros.naming import resolve_remapped, without_remappings
-from slidectl.cli.topics import SUBSCRIBERS, Target, Unused, details, look_up, users_of
+from slidectl.cli.topics import SUBSCRIBERS, Target, details, look_up, users_of
 from slidectl.cli.values import check_quotes
-from slidectl.errors import BadMessage, Refused, SlidectlError, UnknownName, UsageError
+from slidectl.errors import BadMessage, Refused, SlidectlError, UnknownName, Unused, UsageError
 
 _ONCE = "-1"
 _PAYLOAD = 2

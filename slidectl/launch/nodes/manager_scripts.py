@@ -11,7 +11,7 @@ from typing import NamedTuple
 from slidectl import names
 from slidectl.client.manager import BEST_EFFORT
 from slidectl.errors import Refused, UnknownName
-from slidectl.launch.manager import Manager
+from slidectl.launch.manager import NodeManager
 from slidectl.launch.options import parse
 from slidectl.launch.plan import Node, Plan
 from slidectl.launch.task import Run, Task
@@ -66,7 +66,7 @@ class ManagerScript(Task):
         return f"controller_manager {self.command} {' '.join(self.controllers)}".rstrip()
 
     def start(self, run: Run) -> str | None:
-        manager = Manager(run, self.node.namespace)
+        manager = NodeManager(run, self.node.namespace)
         if not manager.is_there():
             return manager.missing()
         for line in self._lines(manager):
@@ -86,7 +86,7 @@ class ManagerScript(Task):
             raise Refused("\n".join(failures))
         return None
 
-    def _lines(self, manager: Manager) -> list[str]:
+    def _lines(self, manager: NodeManager) -> list[str]:
         """What the script prints before it does anything."""
         if self.command == "list":
             return _states(manager)
@@ -94,12 +94,12 @@ class ManagerScript(Task):
             return list(manager.types()["types"])
         return [f"Restore: {self.restore}"] if self.command == "reload-libraries" else []
 
-    def _operations(self, manager: Manager) -> list[Operation]:
+    def _operations(self, manager: NodeManager) -> list[Operation]:
         if self.command == "reload-libraries":
             return self._reload(manager)
         return [_operation(manager, verb, name) for verb in COMMANDS[self.command] for name in self.controllers]
 
-    def _reload(self, manager: Manager) -> list[Operation]:
+    def _reload(self, manager: NodeManager) -> list[Operation]:
         before = manager.states() if self.restore else {}
         running = [name for name, state in before.items() if state == "running"]
         operations = [Operation(manager.reload_libraries, "Successfully reloaded libraries", _NOT_RELOADED)]
@@ -114,7 +114,7 @@ class ManagerScript(Task):
         return operations
 
 
-def _operation(manager: Manager, verb: str, name: str) -> Operation:
+def _operation(manager: NodeManager, verb: str, name: str) -> Operation:
     if verb == "load":
         return Operation(lambda: manager.load(name), f"Loaded {name!r}", f"Error when loading {name!r}")
     if verb == "unload":
@@ -127,7 +127,7 @@ def _operation(manager: Manager, verb: str, name: str) -> Operation:
     return Operation(lambda: manager.switch(start, stop), done, failed)
 
 
-def _states(manager: Manager) -> list[str]:
+def _states(manager: NodeManager) -> list[str]:
     lines = []
     for controller in manager.controllers():
         interfaces = dict.fromkeys(claimed["hardware_interface"] for claimed in controller["claimed_resources"])
@@ -157,7 +157,7 @@ class GroupScript(Task):
         return f"controller_group {self.command} {self.group}".rstrip()
 
     def start(self, run: Run) -> str | None:
-        manager = Manager(run, self.node.namespace)
+        manager = NodeManager(run, self.node.namespace)
         if not manager.is_there():
             return manager.missing()
         groups = self._groups(run)
@@ -192,7 +192,7 @@ class GroupScript(Task):
             for name in sorted(groups[group]):
                 self.settled(run, f"      {name}")
 
-    def _bring_up(self, manager: Manager, wanted: Sequence[str], unwanted: set[str]) -> None:
+    def _bring_up(self, manager: NodeManager, wanted: Sequence[str], unwanted: set[str]) -> None:
         """Load what is missing; then one strict switch."""
         states = manager.states()
         for name in wanted:

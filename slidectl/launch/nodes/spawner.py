@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from slidectl import names
-from slidectl.client.manager import BEST_EFFORT
+from slidectl.client.manager import BEST_EFFORT, STARTED
 from slidectl.description.packages import Packages, is_file
 from slidectl.errors import NoDaemon, Refused, SlidectlError, UnknownName
-from slidectl.launch.manager import Manager
+from slidectl.launch.manager import NodeManager
 from slidectl.launch.options import parse
 from slidectl.launch.plan import Leaf, Node, Place, Plan, leaves
 from slidectl.launch.task import HOOK_LIMIT_S, Run, Task
@@ -23,7 +23,6 @@ _OPTIONS = {
     "--stopped": 0, "--wait-for": 1, "--namespace": 1, "--timeout": 1, "--no-timeout": 0, "--shutdown-timeout": 1,
 }  # fmt: skip
 _AGAIN_S = 3.0
-_STARTED = ("running", "waiting")
 
 
 class Spawner(Task):
@@ -69,7 +68,7 @@ class Spawner(Task):
         return f"{verb} {', '.join(self.words.rest)} in {self.namespace}"
 
     def start(self, run: Run) -> str | None:
-        manager = Manager(run, self.namespace)
+        manager = NodeManager(run, self.namespace)
         if not manager.is_there():
             return manager.missing()
         if self.words.has("--wait-for") and not self._is_open(run):
@@ -96,7 +95,7 @@ class Spawner(Task):
             self._report(run, manager)
         return None
 
-    def _switch(self, run: Run, manager: Manager, goes_on: bool) -> None:
+    def _switch(self, run: Run, manager: NodeManager, goes_on: bool) -> None:
         """Start all of them; with `goes_on` those that can be started."""
         if not goes_on:
             manager.switch(self.loaded, ())
@@ -107,7 +106,7 @@ class Spawner(Task):
         except Refused as error:
             reason = error
         states = manager.states()
-        for name in [name for name in self.loaded if states.get(name) not in _STARTED]:
+        for name in [name for name in self.loaded if states.get(name) not in STARTED]:
             self.leave_out(run, f"the controller {name}", reason)
             self.loaded.remove(name)
             _try(run, lambda name=name: manager.unload(name))
@@ -149,9 +148,9 @@ class Spawner(Task):
             if name not in known:
                 raise UnknownName("controller", name, known, f"in the parameters of {self.namespace}")
 
-    def _report(self, run: Run, manager: Manager) -> None:
+    def _report(self, run: Run, manager: NodeManager) -> None:
         states = manager.states()
-        wanted = ("initialized",) if self.words.has("--stopped") else _STARTED
+        wanted = ("initialized",) if self.words.has("--stopped") else STARTED
         failed = [f"{name} is {states.get(name, 'gone')}" for name in self.loaded if states.get(name) not in wanted]
         if failed:
             raise Refused(f"did not start: {', '.join(failed)}", "slidectl daemon logs says why")
@@ -160,7 +159,7 @@ class Spawner(Task):
 
     def stop(self, run: Run) -> None:
         """Stop what was started at once, as strictly as the real one; then unload what can be, the last first."""
-        manager = Manager(run, self.namespace, HOOK_LIMIT_S)
+        manager = NodeManager(run, self.namespace, HOOK_LIMIT_S)
         if not self.loaded or not manager.is_there():
             return
         run.heard()
@@ -194,7 +193,7 @@ class Unspawner(Task):
         return f"keep {', '.join(self.controllers)} stopped in {self.node.namespace}"
 
     def start(self, run: Run) -> str | None:
-        manager = Manager(run, self.node.namespace)
+        manager = NodeManager(run, self.node.namespace)
         if not manager.is_there():
             return manager.missing()
         stopped = self._look(run)
@@ -203,7 +202,7 @@ class Unspawner(Task):
         return None
 
     def _look(self, run: Run) -> list[str]:
-        manager = Manager(run, self.node.namespace, HOOK_LIMIT_S)
+        manager = NodeManager(run, self.node.namespace, HOOK_LIMIT_S)
         states = manager.states()
         running = [name for name in self.controllers if states.get(name) == "running"]
         if running:
@@ -214,7 +213,7 @@ class Unspawner(Task):
     def _look_again(self, run: Run) -> None:
         run.watch.later(_AGAIN_S, lambda: self._look_again(run))
         try:
-            stopped = self._look(run) if Manager(run, self.node.namespace, HOOK_LIMIT_S).is_there() else []
+            stopped = self._look(run) if NodeManager(run, self.node.namespace, HOOK_LIMIT_S).is_there() else []
         except NoDaemon:
             raise
         except SlidectlError as error:
@@ -224,7 +223,7 @@ class Unspawner(Task):
             self.settled(run, f"stopped {', '.join(stopped)} again", controllers=stopped)
 
     def stop(self, run: Run) -> None:
-        manager = Manager(run, self.node.namespace, HOOK_LIMIT_S)
+        manager = NodeManager(run, self.node.namespace, HOOK_LIMIT_S)
         if self.inhibited and manager.is_there():
             run.heard()
             _try(run, lambda: manager.switch(self.inhibited, (), BEST_EFFORT))

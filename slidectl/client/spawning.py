@@ -1,0 +1,154 @@
+"""Putting a robot into the world from its files: the model read here, the parameters placed, the request.
+
+Standard library only. What needs the description of robots imports it when a robot is spawned: a script that spawns
+none, and every other command, starts without it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from slidectl import names, rotations
+from slidectl.errors import Refused, UnknownName, UsageError
+
+if TYPE_CHECKING:
+    from slidectl.client.client import Client
+    from slidectl.description import Document, Packages
+    from slidectl.description.missing import Missing
+
+LIMIT_S = 30.0
+Tree = dict[str, Any]
+
+
+def document(
+    source: str,
+    arguments: Mapping[str, str],
+    name: str | None,
+    places: Packages,
+    missing: Missing | None = None,
+    title: str | None = None,
+) -> Document:
+    """The model, expanded; one with an argument `namespace` gets `/name`. Raises BadFile, UnknownName."""
+    from slidectl import description
+
+    if name and "namespace" not in arguments and "namespace" in description.declared_arguments(source, places):
+        arguments = {**arguments, "namespace": f"/{name}"}
+    return description.load(source, dict(arguments), places, title=title, missing=missing)
+
+
+def identity(xml: str, model: Document, name: str | None, strict: bool = False) -> tuple[str, str]:
+    """The robot's name and namespace. Raises BadFile when the model is broken, BadName."""
+    from slidectl import description
+
+    robot = description.parse(xml, model.file, strict=strict)
+    chosen = names.check_robot(robot.name if name is None else name)
+    return chosen, description.namespace_of(robot, chosen)
+
+
+def check_free(robots: Sequence[Mapping[str, Any]], name: str, namespace: str) -> None:
+    """Raise Refused when the name or the namespace is taken, before any parameter is touched."""
+    for robot in robots:
+        if robot["name"] == name:
+            raise Refused(
+                f"a robot {name!r} is there already", f"give another name with -n, or: slidectl delete {name}"
+            )
+        if robot["namespace"] == namespace:
+            hint = "a model with an xacro argument `namespace` gets its own with -n NAME"
+            raise Refused(f"the namespace {namespace} is that of the robot {robot['name']!r}", hint)
+
+
+def pose(at: Sequence[float], what: str = "at") -> dict[str, Any]:
+    """geometry_msgs/Pose of X Y Z (m), or X Y Z R P Y (rad). Raises UsageError; `what` is how the caller calls it."""
+    given = " ".join(f"{value:g}" for value in at)
+    if len(at) not in (0, 3, 6):
+        raise UsageError(f"{what} takes X Y Z or X Y Z R P Y, not {given}")
+    if not all(map(math.isfinite, at)):
+        raise UsageError(f"{what} takes finite numbers, not {given}")
+    x, y, z, roll, pitch, yaw = (*at, *[0.0] * (6 - len(at)))
+    turn = rotations.from_rpy((roll, pitch, yaw))
+    return {"position": {"x": x, "y": y, "z": z}, "orientation": rotations.message(turn)}
+
+
+def request(client: Client, name: str, xml: str, place: dict[str, Any], limit_s: float = LIMIT_S) -> list[str]:
+    """Spawn it. What the world says of the place, a line for each robot that it was put into. Raises Refused."""
+    values = {"model_name": name, "model_xml": xml, "initial_pose": place}
+    answer = client.call("/gazebo/spawn_urdf_model", values, timeout=limit_s)
+    if not answer["success"]:
+        raise Refused(f"cannot spawn {name}: {answer['status_message']}")
+    return list(answer["status_message"].split("\n")[1:])
+
+
+def spawn(
+    client: Client,
+    model: str,
+    name: str | None,
+    at: Sequence[float],
+    controllers: str | None,
+    start: Sequence[str],
+    arguments: Mapping[str, str],
+) -> dict[str, Any]:
+    """What `Client.spawn` does."""
+    from slidectl.description import Packages, controllers_file
+
+    if name is not None:
+        names.check_robot(name)
+    place = pose(at)
+    read = document(model, arguments, name, Packages({}, Path.cwd()))
+    chosen, namespace = identity(read.xml, read, name)
+    check_free(client.robots(), chosen, namespace)
+    if controllers is not None:
+        tree, _, _ = placements(controllers_file.read(find(controllers), []), [namespace])
+        client.params.set_all(dict(leaves(tree)))
+    manager = client.controllers(namespace)
+    known = manager.configured() if start else []
+    for wanted in start:
+        if wanted not in known:
+            raise UnknownName("controller", wanted, known, f"in the parameters of {namespace}")
+    request(client, chosen, read.xml, place)
+    if start:
+        manager.load_all(start)
+        manager.start(start)
+    return dict(client.call("/slidectl/list_robots", {"name": chosen})["robots"][0])
+
+
+# --- files of controllers ---------------------------------------------------------------------------------------------
+
+
+def find(file: str) -> Path:
+    """The file, else the shipped one of that name, so that the tutorials' lines work in any folder."""
+    from slidectl.paths import share
+
+    path = Path(file).expanduser()
+    shipped = share("config") / path.name
+    if not path.exists() and path.parent.name in ("", "config") and shipped.exists():
+        return shipped
+    return path
+
+
+def placements(tree: Tree, namespaces: Sequence[str]) -> tuple[Tree, str | None, bool]:
+    """The tree for the one of the namespaces that it fits best, a remark, and whether it had to be moved there."""
+    from slidectl.description.controllers_file import retarget
+
+    best: tuple[Tree, str | None, bool] = (tree, None, False)
+    for namespace in reversed(namespaces):
+        placed, remark = retarget(tree, namespace)
+        if placed is tree and remark is None:
+            return tree, None, False
+        best = (placed, remark, placed is not tree)
+    return best
+
+
+def leaves(tree: Tree, namespace: str = "/") -> Iterator[tuple[str, Any]]:
+    """Full name and value of every parameter in a tree. Lists and empty mappings are values.
+
+    A key that begins with a slash leaves the namespace, as with rosparam.
+    """
+    for key, value in tree.items():
+        name = names.check_parameter(names.join(namespace, key.rstrip("/")))
+        if isinstance(value, dict) and value:
+            yield from leaves(value, name)
+        else:
+            yield name, value
