@@ -71,6 +71,8 @@ class Replies:
             error = cause.__new__(cause)  # without the constructor, which makes the text that is here already
             message, _, hint = refusal.message.partition("\n")
             SlidectlError.__init__(error, message, hint or None)
+            if isinstance(error, UnknownName):
+                error.kind, error.name, error.known = "", "", []
             if isinstance(error, AmbiguousName):
                 error.matches = list(map(str, answer.get("matches", ())))
             raise error from None
