@@ -119,7 +119,7 @@ def test_spawn_model_by_parameter_tells_the_files_and_leaves_the_parameter_plain
 ) -> None:
     done = world("launch", str(package / "arm.launch"), "--detach", "-v")
     assert done.returncode == 0, done.stderr
-    assert "arm.urdf.xacro:8: <link name" in done.stdout + done.stderr
+    assert "arm.urdf.xacro:8: ignored: <link name" in done.stdout + done.stderr
     for name in ("/robot_description", "/arm/robot_description"):
         check_readable(description(world, name), {"wheel.stl": STL})
 
@@ -134,7 +134,7 @@ def test_spawn_model_of_another_launch_finds_files_by_the_parameter_alone(world:
     )
     done = world("launch", str(second), "--detach", "-v")
     assert done.returncode == 0, done.stderr
-    assert "arm.urdf.xacro:8: <link name" in done.stdout + done.stderr
+    assert "arm.urdf.xacro:8: ignored: <link name" in done.stdout + done.stderr
 
 
 def test_rosrun_xacro_prints_plain_urdf(world: CommandLine, package: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 from sim_robots import cart, command, drive_up, logged, put_probe, state, switch
 
 from slidectl.errors import Refused, SlidectlError
-from slidectl.physics import core, hulls
+from slidectl.physics import hulls, world
 from slidectl.physics.body import Body
 from slidectl.physics.compiler import WorldSpec
 from slidectl.simulation import Simulation, assembly, robots
@@ -123,10 +123,10 @@ OF_DELETIONS = {
     "finding the robots again": (Body, "bind"),
     "a listener of a robot": (Body, "announce"),
     "the memory of the state": (mujoco, "MjData"),
-    "carrying over the state": (core, "carry_over"),
+    "carrying over the state": (world, "carry_over"),
 }
 OF_SPAWNS = {
-    "carrying over the state": (core, "carry_over"),
+    "carrying over the state": (world, "carry_over"),
     "putting it there": (Body, "put_at_spawn"),
     "bringing it up": (robots, "assemble"),
     "its hardware": (assembly, "MujocoRobotHW"),
