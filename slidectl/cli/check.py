@@ -104,20 +104,14 @@ def check(
 def _streamed(source: str) -> bytes | None:
     """What comes from standard input or a pipe (`<(xacro robot.xacro)`) and can be read but once; None of files."""
     if source == "-":
+        from slidectl.description.xml_tree import is_utf8
+
         found = sys.stdin.buffer.read()
-        return parameter_text(found.decode()).encode() if _is_utf8(found) else found
+        return parameter_text(found.decode()).encode() if is_utf8(found) else found
     try:
         return Path(source).read_bytes() if Path(source).is_fifo() else None
     except (OSError, ValueError):
         return None
-
-
-def _is_utf8(text: bytes) -> bool:
-    try:
-        text.decode()
-    except UnicodeDecodeError:
-        return False
-    return True
 
 
 def _shipped_or_own(source: str) -> str:

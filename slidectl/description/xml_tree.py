@@ -146,7 +146,7 @@ class _Reader:
             return f"</{self.open[-1].tag}> is missing: its element begins in line {self.open[-1].line}"
         if code != _INVALID:
             return None
-        if isinstance(source, bytes) and not _is_utf8(source):
+        if isinstance(source, bytes) and not is_utf8(source):
             return 'it is not UTF-8: save it as that, or begin with <?xml version="1.0" encoding="..."?>'
         return _slip(source.encode() if isinstance(source, str) else source, self.parser.ErrorByteIndex)
 
@@ -217,7 +217,8 @@ def _slip(source: bytes, place: int) -> str | None:
     return None
 
 
-def _is_utf8(text: bytes) -> bool:
+def is_utf8(text: bytes) -> bool:
+    """Whether bytes are text in UTF-8."""
     try:
         text.decode()
     except UnicodeDecodeError:
