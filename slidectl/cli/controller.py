@@ -12,7 +12,7 @@ from slidectl.cli import live, robots
 from slidectl.cli.commands import Variadic, group
 from slidectl.cli.context import Context
 from slidectl.cli.managers import Report, chosen, owner, owner_of_some, wait_for_owner
-from slidectl.client.manager import BEST_EFFORT, STRICT, UNLOADED, Manager, each
+from slidectl.client.client import BEST_EFFORT, STRICT, UNLOADED, Manager, each
 from slidectl.errors import NoDaemon, Refused, UsageError
 
 Decorator = Callable[[Any], Any]
@@ -169,7 +169,7 @@ def load(ctx: Context, manager: str | None, names: tuple[str, ...]) -> None:
     target, local = owner(ctx, manager, names)
     configuration.warn_unknown(ctx, target.namespace, local)
     with Report(ctx, target, local):
-        target.load_all(local)
+        target.loaded(target.ask_to_load(local))
 
 
 @controller.command("unload", examples=["slidectl controller unload joint1_position_controller"])

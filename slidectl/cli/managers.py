@@ -7,7 +7,7 @@ from contextlib import suppress
 
 from slidectl import names
 from slidectl.cli.context import Context
-from slidectl.client.manager import UNLOADED, Manager
+from slidectl.client.client import UNLOADED, Manager
 from slidectl.errors import (
     AmbiguousName,
     Refused,

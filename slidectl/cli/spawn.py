@@ -19,7 +19,7 @@ from slidectl.cli.commands import Variadic, command, looks_like_number
 from slidectl.cli.context import Context
 from slidectl.cli.managers import manager_in
 from slidectl.client import spawning
-from slidectl.client.manager import Manager
+from slidectl.client.client import SPAWN_LIMIT_S, Manager
 from slidectl.errors import BadFile, NotThere, Refused, UnknownName, UsageError
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def spawn(
         _configure(ctx, controllers, namespace, missing)
     manager = manager_in(ctx, namespace)
     there = _configured(manager, start, missing)
-    warnings = spawning.request(ctx.client, wanted, xml, pose, ctx.wait_limit(spawning.LIMIT_S))
+    warnings = ctx.client.spawn_urdf(wanted, xml, pose, timeout=ctx.wait_limit(SPAWN_LIMIT_S))
     loads = {} if keep_going else manager.ask_to_load(there)  # the robot is new: it has none yet
     _tell_report(ctx, wanted, document)
     for warning in warnings:

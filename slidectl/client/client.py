@@ -1,7 +1,7 @@
 """The blocking client: connect, call, publish, subscribe. The public Python API for scripts.
 
-It keeps no thread: whatever arrives is sorted into answers, messages and refusals while some call waits. It repairs
-nothing silently: a daemon that dies is NoDaemon, and there is no reconnection.
+It keeps no thread: what arrives is sorted into answers, messages and refusals while some call waits. A daemon that
+ends is NoDaemon; the client does not connect again. Standard library only.
 """
 
 from __future__ import annotations
@@ -9,25 +9,40 @@ from __future__ import annotations
 import json
 import math
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from slidectl import __version__, names, paths
 from slidectl.client.lines import LONGEST_LINE, BadLine, encode
 from slidectl.client.link import Link, command
-from slidectl.client.replies import Replies
-from slidectl.client.subscription import Subscription
-from slidectl.errors import MessageRefused, NoDaemon, Refused, TimedOut, UnknownName, Unused, UsageError
-
-if TYPE_CHECKING:
-    from slidectl.client.manager import Manager
+from slidectl.errors import (
+    AmbiguousName,
+    MessageRefused,
+    NoDaemon,
+    Refused,
+    SlidectlError,
+    TimedOut,
+    UnknownName,
+    Unused,
+    UsageError,
+)
 
 Message = dict[str, Any]
 
+DEFAULT_QUEUE = 1000
+STRICT = 2
+BEST_EFFORT = 1
+UNLOADED = "unloaded"
+STARTED = ("running", "waiting")
+_MANAGER_SERVICES = ("load_controller", "switch_controller", "unload_controller")
+SPAWN_LIMIT_S = 30.0
 _PROBE_S = 0.5
+_MOST_REFUSALS = 1000
 _SYNCHRONIZE = "/rosapi/get_time"
 """A service that changes nothing: its answer says that all that was sent before it has been taken in."""
+_NAME_ERRORS = {cause.__name__: cause for cause in (AmbiguousName, UnknownName, Unused)}
 
 
 class Client:
@@ -50,19 +65,29 @@ class Client:
     def __init__(self, instance: str | None = None, socket: str | None = None, timeout: float = 10.0) -> None:
         self.paths = paths.instance(instance, socket)
         self.timeout = timeout
+        self.reasons: list[str] = []
+        """What the daemon warned of, or gave as an error, while it carried out the request answered last.
+
+        That is the last `call`, `answer`, `deliver` or `flush`, whether it raised or not.
+        """
+        self.on_other_version: Callable[[str], None] = lambda _version: None
+        """Called once, with the version of a daemon that is not this client's; empty for one that does not say."""
         self._link = Link(self.paths, time.monotonic() + timeout)
         self._serial = 0
-        self._replies = Replies()
+        self._awaited: set[str] = set()
+        """Ids of requests whose answers somebody will ask for; other answers are not kept."""
+        self._answers: dict[str, Message] = {}
+        self._refusals: dict[str, SlidectlError] = {}
+        """The first ones, by the id of what was refused."""
         self._subscriptions: dict[str, list[Subscription]] = {}
         self._advertised: dict[tuple[str, str | None, bool], str] = {}
         self._published = False
         self._full_names: dict[tuple[str, str], str] = {}
         self._sent: dict[str, int] = {}
-        """Topic -> messages that were published and not latched; those that nobody got are taken off."""
+        """Topic -> messages that were published and not latched."""
         self._unheard: dict[str, int] = {}
+        """Topic -> those of them that nobody got."""
         self._first_call: str | None = None
-        self.on_other_version: Callable[[str], None] = _ignore
-        """Called once, with the version of a daemon that is not this client's; empty for one that does not say."""
 
     # --- services -----------------------------------------------------------------------------------------------
 
@@ -79,43 +104,41 @@ class Client:
         """Send a call and return its id at once; `answer` waits for the response."""
         full = self._full("service", service)
         call_id = self._next_id("call")
-        self._replies.expect(call_id)
+        self._awaited.add(call_id)
         message = {"op": "call_service", "id": call_id, "service": full, "args": request or {}}
         if self._first_call is None:  # it asks for the daemon's version too, which costs no round trip
             self._first_call = call_id
             message["version"] = __version__
-        self._write(encode(message))
+        self._send(**message)
         return call_id
 
     def answer(self, call_id: str, *, timeout: float | None = None) -> Message:
         """The response to an earlier `call_async`. Raises as `call` does."""
-        self._await(call_id, timeout)
-        return self._replies.answer(call_id)
+        answer = self._answer(call_id, timeout)
+        values = answer.get("values")
+        if not answer.get("result", True):
+            raise _refusal(Refused, str(values), answer)
+        return values if isinstance(values, dict) else {}
 
-    def _await(self, call_id: str, timeout: float | None) -> None:
-        replies = self._replies
-        if not replies.has(call_id):
-            try:
-                self.wait_until(lambda: replies.has(call_id), timeout, "the service did not answer")
-            except BaseException:
-                replies.forget(call_id)
-                raise
-
-    @property
-    def reasons(self) -> list[str]:
-        """What the daemon warned of, or gave as an error, while it carried out the request answered last.
-
-        That is the last `call`, `answer`, `deliver` or `flush`, whether it raised or not.
-        """
-        return self._replies.reasons
+    def _answer(self, call_id: str, timeout: float | None) -> Message:
+        """Wait for the answer, as it is on the wire."""
+        try:
+            if call_id not in self._answers:
+                self.wait_until(lambda: call_id in self._answers, timeout, "the service did not answer")
+        finally:
+            self._awaited.discard(call_id)
+        answer = self._answers.pop(call_id)
+        self.reasons = list(map(str, answer.get("reasons", ())))
+        return answer
 
     def is_answered(self, call_id: str) -> bool:
         """True when the response to an earlier `call_async` is here: `answer` will not wait."""
-        return self._replies.has(call_id)
+        return call_id in self._answers
 
     def forget(self, call_id: str) -> None:
         """Nobody will ask for the response to an earlier `call_async`."""
-        self._replies.forget(call_id)
+        self._awaited.discard(call_id)
+        self._answers.pop(call_id, None)
 
     # --- topics -------------------------------------------------------------------------------------------------
 
@@ -124,9 +147,8 @@ class Client:
         if (topic, type, latch) in self._advertised:
             return
         advertise_id = self._advertised[topic, type, latch] = self._next_id("advertise")
-        kind = {} if type is None else {"type": type}
         full = self._full("topic", topic, "subscribers", type)
-        self._send(op="advertise", id=advertise_id, topic=full, latch=latch, **kind)
+        self._send(op="advertise", id=advertise_id, topic=full, latch=latch, **_typed(type))
         self._published = True
 
     def publish(self, topic: str, message: Message, type: str | None = None, latch: bool = False) -> None:
@@ -144,13 +166,13 @@ class Client:
         if type is not None or latch:
             self.advertise(topic, type, latch)
         full, publish_id = self._full("topic", topic, "subscribers", type), self._next_id("publish")
-        self._write(encode({"op": "publish", "id": publish_id, "topic": full, "msg": message, **more}))
+        self._send(op="publish", id=publish_id, topic=full, msg=message, **more)
         return publish_id
 
     def deliver(self, topic: str, message: Message, type: str | None = None, latch: bool = False) -> None:
         """`publish` and `flush` in one, in the time of one call. Raises as `flush`."""
         publish_id = self._publish(topic, message, type, latch, ack=True)
-        self._replies.expect(publish_id)
+        self._awaited.add(publish_id)
         self._flushed(publish_id, None)
 
     def flush(self, *, timeout: float | None = None) -> None:
@@ -164,7 +186,10 @@ class Client:
     def _flushed(self, call_id: str, timeout: float | None) -> None:
         self._published = False
         self.answer(call_id, timeout=timeout)
-        self._replies.raise_refusal()
+        refusals = list(self._refusals.values())
+        self._refusals.clear()
+        if refusals:
+            raise refusals[0]
 
     def subscribe(
         self, topic: str, type: str | None = None, queue_length: int = 0, throttle_rate: int = 0
@@ -181,19 +206,17 @@ class Client:
         """
         topic = self._full("topic", topic, "publishers", type)
         subscription = Subscription(self, topic, self._next_id("subscribe"), queue_length)
-        options: Message = {"queue_length": queue_length, "throttle_rate": throttle_rate}
-        kind = {} if type is None else {"type": type}
-        self._subscriptions.setdefault(subscription.topic, []).append(subscription)
+        options: Message = {"queue_length": queue_length, "throttle_rate": throttle_rate, **_typed(type)}
+        self._subscriptions.setdefault(topic, []).append(subscription)
         try:
-            self._send(op="subscribe", id=subscription.id, topic=subscription.topic, **options, **kind)
+            self._send(op="subscribe", id=subscription.id, topic=topic, **options)
             self.call(_SYNCHRONIZE)
-            self._replies.raise_refusal(subscription.id)
-        except MessageRefused:
-            self._subscriptions[subscription.topic].remove(subscription)
-            raise
         except BaseException:
             self.unsubscribe(subscription)
             raise
+        if subscription.id in self._refusals:
+            self._subscriptions[topic].remove(subscription)
+            raise self._refusals.pop(subscription.id)
         return subscription
 
     def unsubscribe(self, subscription: Subscription) -> None:
@@ -253,8 +276,18 @@ class Client:
         """
         request = {"kind": kind, "name": name, "namespace": namespace, "role": role, "with_field": with_field}
         call_id = self.call_async("/slidectl/resolve", request)
-        self._await(call_id, None)
-        return self._replies.resolved(call_id)
+        answer = self._answer(call_id, None)
+        if answer.get("result", True):
+            return dict(answer["values"])
+        cause = _NAME_ERRORS.get(str(answer.get("cause")))
+        if cause is None:
+            raise _refusal(Refused, str(answer.get("values")), answer)
+        message, _, hint = str(answer.get("values")).partition("\n")
+        error = cause.__new__(cause)  # without its constructor, which makes the text that is here already
+        SlidectlError.__init__(error, message, hint or None)
+        if isinstance(error, AmbiguousName):
+            error.matches = list(map(str, answer.get("matches", ())))
+        raise error
 
     # --- the world ----------------------------------------------------------------------------------------------
 
@@ -278,9 +311,35 @@ class Client:
         Raises:
             BadFile, UnknownName, UsageError: before anything is changed. Refused: with the daemon's reason.
         """
+        # What reads a robot's files is imported here: a script that spawns none starts without it.
         from slidectl.client import spawning
 
-        return spawning.spawn(self, model, name, at, controllers, start, xacro_arguments)
+        if name is not None:
+            names.check_robot(name)
+        pose = spawning.pose(at)
+        document = spawning.document(model, xacro_arguments, name)
+        chosen, namespace = spawning.identity(document.xml, document, name)
+        spawning.check_free(self.robots(), chosen, namespace)
+        if controllers is not None:
+            self.params.set_all(spawning.controller_parameters(controllers, namespace))
+        manager = self.controllers(namespace)
+        known = manager.configured() if start else []
+        for wanted in start:
+            if wanted not in known:
+                raise UnknownName("controller", wanted, known, f"in the parameters of {namespace}")
+        self.spawn_urdf(chosen, document.xml, pose)
+        if start:
+            manager.loaded(manager.ask_to_load(start))
+            manager.start(start)
+        return dict(self.call("/slidectl/list_robots", {"name": chosen})["robots"][0])
+
+    def spawn_urdf(self, name: str, xml: str, pose: Message, *, timeout: float = SPAWN_LIMIT_S) -> list[str]:
+        """Put a URDF into the world at a geometry_msgs/Pose. Returns the world's remarks. Raises Refused."""
+        request = {"model_name": name, "model_xml": xml, "initial_pose": pose}
+        answer = self.call("/gazebo/spawn_urdf_model", request, timeout=timeout)
+        if not answer["success"]:
+            raise Refused(f"cannot spawn {name}: {answer['status_message']}")
+        return list(answer["status_message"].split("\n")[1:])
 
     def delete(self, name: str) -> None:
         """Take a robot out of the world. Raises UnknownName, Refused."""
@@ -295,8 +354,6 @@ class Client:
 
     def controllers(self, namespace: str) -> Manager:
         """The controller manager of a robot's namespace: load, start, switch, list."""
-        from slidectl.client.manager import Manager
-
         return Manager(self, names.join("/", namespace).rstrip("/") or "/")
 
     @property
@@ -369,48 +426,53 @@ class Client:
     def wait_until(self, condition: Callable[[], bool], timeout: float | None, failure: str) -> None:
         """Take in what arrives until the condition is true. Raises TimedOut with the text of `failure`, NoDaemon."""
         seconds = self.timeout if timeout is None else timeout
+        if not self._becomes(condition, seconds):
+            raise TimedOut(f"{failure} within {seconds:.3g} s", self._why_nothing_happens())
+
+    def _becomes(self, condition: Callable[[], bool], seconds: float) -> bool:
         deadline = time.monotonic() + seconds
         while not condition():
             message = self._link.receive(deadline)
             if message is None:
-                raise TimedOut(f"{failure} within {seconds:.3g} s", self._why_nothing_happens())
+                return False
             self._sort(message)
+        return True
 
     def _sort(self, message: Message) -> None:
         op = message.get("op")
-        self._link.farewell = ""
+        self._link.last_status = ""
         if op == "publish":
             for subscription in self._subscriptions.get(message["topic"], ()):
                 subscription.put(message["msg"])
-        elif op == "status":
+            return
+        if op == "status":
             self._take_status(message)
         elif message.get("id") == self._first_call and message.get("version") != __version__:
             self._first_call = ""
             self.on_other_version(str(message.get("version", "")))
-        self._replies.take_in(message)
+        if op in ("service_response", "status") and message.get("id") in self._awaited:
+            self._answers[message["id"]] = message
 
     def _take_status(self, status: Message) -> None:
         for subscription in self._subscriptions.get(status.get("topic", ""), ()):
             subscription.dropped += int(status.get("dropped", 0))
         if status.get("level") == "error":
             self._advertised = {key: sent for key, sent in self._advertised.items() if sent != status.get("id")}
+            if len(self._refusals) < _MOST_REFUSALS:
+                self._refusals[str(status.get("id"))] = _refusal(MessageRefused, str(status.get("msg", "")), status)
         if status.get("unheard"):
             topic = status["topic"]
             self._unheard[topic] = self._unheard.get(topic, 0) + 1
         if "id" not in status and "dropped" not in status:
-            self._link.farewell = str(status.get("msg", ""))
+            self._link.last_status = str(status.get("msg", ""))
 
     def _why_nothing_happens(self) -> str | None:
         """The hint of a TimedOut: a paused world answers nobody who waits for its time, and a daemon may hang."""
         call_id = self.call_async("/slidectl/status")
-        deadline = time.monotonic() + _PROBE_S
-        while not self._replies.has(call_id):
-            message = self._link.receive(deadline)
-            if message is None:
-                self._replies.forget(call_id)
-                return "the daemon itself does not answer; see: " + command(self.paths, "daemon logs")
-            self._sort(message)
-        if self._replies.answer(call_id).get("paused"):
+        if not self._becomes(lambda: call_id in self._answers, _PROBE_S):
+            self.forget(call_id)
+            return "the daemon itself does not answer; see: " + command(self.paths, "daemon logs")
+        if self.answer(call_id).get("paused"):
             return "the simulation is paused; let it go on with: " + command(self.paths, "sim resume")
         return None
 
@@ -426,10 +488,8 @@ class Client:
         return self._link.fileno()
 
     def _send(self, **message: Any) -> None:
-        self._write(encode(message))
-
-    def _write(self, line: bytes) -> None:
         """Raises BadLine: one that the daemon would not take. TimedOut, NoDaemon."""
+        line = encode(message)
         if len(line) > LONGEST_LINE:
             raise BadLine(f"a message of {len(line)} bytes is more than the {LONGEST_LINE} that fit a line")
         self._link.send(line, time.monotonic() + self.timeout)
@@ -442,12 +502,6 @@ class Client:
         """Let go of the connection at once; what it advertised and subscribed ends with it."""
         self._link.close()
 
-    def _check_heard(self) -> None:
-        """Raise MessageRefused for a topic of which not one message has reached anybody."""
-        for topic, unheard in self._unheard.items():
-            if unheard == self._sent.get(topic):
-                raise MessageRefused(f"nobody subscribes to {topic}: {unheard} published, none of them received")
-
     def __enter__(self) -> Client:
         return self
 
@@ -455,13 +509,75 @@ class Client:
         try:
             if kind is None and self._published:
                 self.flush()
-                self._check_heard()
+                for topic, unheard in self._unheard.items():
+                    if unheard == self._sent.get(topic):
+                        raise MessageRefused(
+                            f"nobody subscribes to {topic}: {unheard} published, none of them received"
+                        )
         finally:
             self.close()
 
 
-def _ignore(_version: str) -> None:
-    """For a script that does not mind the daemon's version."""
+def _typed(type: str | None) -> Message:
+    return {} if type is None else {"type": type}
+
+
+def _refusal(cause: type[Refused], text: str, answer: Message) -> Refused:
+    error = cause(text)
+    error.exit_code = int(answer.get("exit_code", cause.exit_code))
+    return error
+
+
+class Subscription:
+    """Messages of one topic, in order. Iterating waits for each without a limit; `get` waits with one.
+
+    `dropped` counts the messages that came faster than they were read and were given up, the oldest first, by the
+    daemon or here.
+    """
+
+    def __init__(self, client: Client, topic: str, subscription_id: str, queue_length: int) -> None:
+        self.topic = topic
+        self.id = subscription_id
+        self.dropped = 0
+        self._client = client
+        self._queue: deque[Message] = deque(maxlen=queue_length or DEFAULT_QUEUE)
+
+    def put(self, message: Message) -> None:
+        """Called by the client for each message that arrives."""
+        if len(self._queue) == self._queue.maxlen:
+            self.dropped += 1
+        self._queue.append(message)
+
+    def get(self, timeout: float | None = None) -> Message:
+        """The next message; waits at most `timeout` wall seconds (the client's by default, `inf` for ever).
+
+        Raises:
+            TimedOut: none came. NoDaemon: the daemon went away.
+        """
+        queue = self._queue
+        if not queue:
+            self._client.wait_until(lambda: bool(queue), timeout, f"no message on {self.topic}")
+        return queue.popleft()
+
+    def __iter__(self) -> Iterator[Message]:
+        return self
+
+    def __next__(self) -> Message:
+        return self.get(math.inf)
+
+    def __len__(self) -> int:
+        """Messages that are here already."""
+        return len(self._queue)
+
+    def close(self) -> None:
+        """Unsubscribe. Messages that are here already can still be read."""
+        self._client.unsubscribe(self)
+
+    def __enter__(self) -> Subscription:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
 
 class Params:
@@ -507,3 +623,146 @@ class Params:
     def names(self) -> list[str]:
         """The full names, sorted."""
         return sorted(self._client.call("/rosapi/get_param_names")["names"])
+
+
+class Manager:
+    """`/<namespace>/controller_manager/*`. What it refuses is raised with the reasons that its answer brings.
+
+    Args:
+        warn: called with each reason of a request that went well.
+        limit_s: wall seconds that one call may take; None: as the client has it.
+        timeout_s: longest simulated time that a switch may take; 0: no limit.
+    """
+
+    def __init__(
+        self,
+        client: Client,
+        namespace: str,
+        warn: Callable[[str], None] = lambda _text: None,
+        limit_s: float | None = None,
+        timeout_s: float = 0.0,
+    ) -> None:
+        self.client = client
+        self.namespace = namespace
+        self.name = names.join(namespace, "controller_manager")
+        self.warn = warn
+        self._limit_s = limit_s
+        self._timeout_s = timeout_s
+
+    def _call(self, verb: str, **request: Any) -> Message:
+        return self.client.call(f"{self.name}/{verb}", request, timeout=self._limit_s)
+
+    def _act(self, what: str, verb: str, **request: Any) -> None:
+        self._answered(what, self.client.call_async(f"{self.name}/{verb}", request))
+
+    def _answered(self, what: str, call_id: str) -> None:
+        """Wait for the answer of a service that says `ok`. Raises Refused."""
+        ok = self.client.answer(call_id, timeout=self._limit_s)["ok"]
+        if not ok:
+            raise self.refusal(what, self.client.reasons)
+        for reason in self.client.reasons:
+            self.warn(reason)
+
+    def refusal(self, what: str, reasons: Sequence[str]) -> Refused:
+        """The error when the manager said no to do `what`."""
+        return Refused("\n".join(reasons[-2:]) or f"cannot {what}, and no reason was given")
+
+    def is_there(self) -> bool:
+        """Whether its services exist."""
+        known = self.client.services()
+        return all(f"{self.name}/{service}" in known for service in _MANAGER_SERVICES)
+
+    def controllers(self) -> list[Message]:
+        """The loaded controllers, in load order (controller_manager_msgs/ControllerState)."""
+        return list(self._call("list_controllers")["controller"])
+
+    def states(self) -> dict[str, str]:
+        """Name -> state of the loaded controllers."""
+        return {controller["name"]: controller["state"] for controller in self.controllers()}
+
+    def types(self) -> Message:
+        """`types` and `base_classes`, parallel lists."""
+        return self._call("list_controller_types")
+
+    def configured(self) -> list[str]:
+        """Controllers that have a `type` parameter here, loaded or not."""
+        prefix = self.namespace.rstrip("/") + "/"
+        inside = (name.removeprefix(prefix) for name in self.client.params.names() if name.startswith(prefix))
+        return [name.removesuffix("/type") for name in inside if name.endswith("/type") and name.count("/") == 1]
+
+    def known(self) -> list[str]:
+        """Controllers that are loaded or could be."""
+        return sorted({*self.states(), *self.configured()})
+
+    def type_parameter(self, name: str) -> str:
+        """The type that the parameters give a controller; empty when they give none."""
+        request = {"name": names.join(self.namespace, f"{name}/type"), "default": '""'}
+        return str(json.loads(self.client.call("/rosapi/get_param", request)["value"]))
+
+    def load(self, name: str) -> None:
+        """Raises Refused with the reason."""
+        self._act(f"load {name}", "load_controller", name=name)
+
+    def unload(self, name: str) -> None:
+        """Raises Refused with the reason."""
+        self._act(f"unload {name}", "unload_controller", name=name)
+
+    def switch(
+        self, start: Sequence[str], stop: Sequence[str] = (), strictness: int = STRICT, asap: bool = False
+    ) -> None:
+        """Stop and start in one cycle. Raises Refused with the reasons."""
+        wishes = [f"{verb} {', '.join(wanted)}" for verb, wanted in (("stop", stop), ("start", start)) if wanted]
+        self._act(
+            " and ".join(wishes) or "switch",
+            "switch_controller",
+            start_controllers=list(start),
+            stop_controllers=list(stop),
+            strictness=strictness,
+            start_asap=asap,
+            timeout=self._timeout_s,
+        )
+
+    def reload_libraries(self) -> None:
+        """Raises Refused when controllers are in the way."""
+        self._act("reload the libraries", "reload_controller_libraries", force_kill=True)
+
+    def ask_to_load(self, wanted: Sequence[str]) -> dict[str, str]:
+        """Send the requests; `loaded` takes the answers."""
+        service = f"{self.name}/load_controller"
+        return {name: self.client.call_async(service, {"name": name}) for name in dict.fromkeys(wanted)}
+
+    def loaded(self, calls: dict[str, str]) -> None:
+        """The answers to `ask_to_load`. Raises Refused with what went wrong."""
+        each(lambda name: self._answered(f"load {name}", calls[name]), list(calls))
+
+    def bring_up(self, wanted: Sequence[str], start: bool = True) -> None:
+        """Load what is not loaded, then start what does not run in one strict switch. Raises Refused."""
+        states = self.states()
+        self.loaded(self.ask_to_load([name for name in wanted if name not in states]))
+        idle = [name for name in dict.fromkeys(wanted) if states.get(name) != "running"]
+        if start and idle:
+            self.start(idle)
+
+    def start(self, wanted: Sequence[str]) -> None:
+        """Start loaded controllers in one strict switch, and see that they run. Raises Refused."""
+        self.switch(wanted)
+        self.check_started(wanted)
+
+    def check_started(self, wanted: Sequence[str]) -> None:
+        """A switch may be done and a controller still not run: it aborted, or it waits for its joints."""
+        states = self.states()
+        failed = [f"{name} is {states.get(name, UNLOADED)}" for name in wanted if states.get(name) not in STARTED]
+        if failed:
+            raise Refused(f"did not start: {', '.join(failed)}", "slidectl daemon logs says why")
+
+
+def each(action: Callable[[str], None], wanted: Sequence[str]) -> None:
+    """Try all of them; then raise Refused with what went wrong."""
+    failures = []
+    for name in wanted:
+        try:
+            action(name)
+        except Refused as error:
+            failures.append(str(error))
+    if failures:
+        raise Refused("\n".join(failures))

@@ -7,28 +7,15 @@ from __future__ import annotations
 
 import json
 from collections import deque
-from collections.abc import Callable
 from typing import Any
 
 from slidectl.errors import UsageError
 
 LONGEST_LINE = 16 * 1024 * 1024
 """Bytes of a line, in both directions."""
+_QUOTED = 60
 
-
-def _strict_encoder() -> Callable[[Any], str]:
-    """`JSONEncoder.encode` with its C part made once instead of for every message."""
-    plain = json.JSONEncoder(allow_nan=False, check_circular=False, separators=(",", ":"))
-    make = getattr(json.encoder, "c_make_encoder", None)
-    if make is None:
-        return plain.encode
-    text_of = json.encoder.encode_basestring_ascii
-    pieces = make(None, plain.default, text_of, None, ":", ",", False, False, False)
-    return lambda value: "".join(pieces(value, 0))
-
-
-_encode_strictly = _strict_encoder()
-_decode_text = json.JSONDecoder().raw_decode
+_encode = json.JSONEncoder(allow_nan=False, check_circular=False, separators=(",", ":")).encode
 
 
 class BadLine(UsageError):
@@ -36,14 +23,11 @@ class BadLine(UsageError):
 
 
 def encode(message: dict[str, Any]) -> bytes:
-    """The object as one line. NaN and infinities become null, as rosbridge sends them.
-
-    They are rare, so the encoder looks for them first and the object is copied only when there are any.
-    """
+    """The object as one line. NaN and infinities become null, as rosbridge sends them."""
     try:
-        text = _encode_strictly(message)
-    except ValueError:
-        text = _encode_strictly(_without_nan(message))
+        text = _encode(message)
+    except ValueError:  # there are some, which is rare: only then is the object copied
+        text = _encode(_without_nan(message))
     return (text + "\n").encode("ascii")
 
 
@@ -60,11 +44,7 @@ def _without_nan(value: Any) -> Any:
 def decode(line: bytes) -> dict[str, Any]:
     """The object that the line holds. Raises BadLine."""
     try:
-        value = _decode_plain(line)
-        if type(value) is dict:
-            return value
-        if value is None:
-            value = json.loads(line)
+        value = json.loads(line)
     except (ValueError, RecursionError) as error:
         raise BadLine(f"a line that is no JSON ({error}): {_beginning(line)}") from None
     if not isinstance(value, dict):
@@ -72,27 +52,13 @@ def decode(line: bytes) -> dict[str, Any]:
     return value
 
 
-def _decode_plain(line: bytes) -> Any:
-    """The value of a line as `encode` writes it; None for all else, which takes the slower and more patient way.
-
-    Raises ValueError, RecursionError: the slower way would come to the same.
-    """
-    if not line.isascii() or line[:1].isspace():
-        return None
-    text = line.decode("ascii")
-    value, end = _decode_text(text)
-    return value if end == len(text) else None
-
-
-def _beginning(line: bytes, most: int = 60) -> str:
-    text = line[:most].decode("utf-8", "replace")
-    return repr(text) + (f" and {len(line) - most} bytes more" if len(line) > most else "")
+def _beginning(line: bytes) -> str:
+    text = repr(line[:_QUOTED].decode("utf-8", "replace"))
+    return text + (f" and {len(line) - _QUOTED} bytes more" if len(line) > _QUOTED else "")
 
 
 class LineBuffer:
     """Bytes in, whole lines out. Never holds more of an unfinished line than `longest` bytes."""
-
-    __slots__ = ("_longest", "_rest", "lines")
 
     def __init__(self, longest: int = LONGEST_LINE) -> None:
         self._longest = longest
@@ -110,7 +76,7 @@ class LineBuffer:
         if whole and self._rest:
             whole[0] = bytes(self._rest) + whole[0]
             self._rest.clear()
-        self.lines.extend([line for line in whole if line and not line.isspace()])
+        self.lines.extend(line for line in whole if line and not line.isspace())
         self._rest += rest
         if len(self._rest) > self._longest:
             self._rest.clear()

@@ -1,6 +1,6 @@
-"""The client's end of the socket: connect to a daemon that is ours, send lines, receive lines, all within deadlines.
+"""The client's end of the socket: connect to a daemon of the same user, send lines, receive lines, within deadlines.
 
-Knows lines and the clock, not operations. Nothing waits without looking at the socket, so a daemon's death is noticed.
+Knows lines and the clock, not operations. Nothing waits without looking at the socket, so a daemon's end is noticed.
 """
 
 from __future__ import annotations
@@ -9,10 +9,7 @@ import os
 import select
 import struct
 import time
-
-# What `socket` is made of. That module turns hundreds of constants into enumerations when it is imported, which
-# takes longer than all else that a command does with its connection.
-from _socket import AF_UNIX, SO_PEERCRED, SOL_SOCKET, socket
+from socket import AF_UNIX, SO_PEERCRED, SOL_SOCKET, socket
 from typing import Any
 
 from slidectl.client.lines import LineBuffer, decode
@@ -22,7 +19,8 @@ from slidectl.paths import DEFAULT_INSTANCE, InstancePaths, check_private
 _CHUNK = 256 * 1024
 _GRACE_S = 0.25
 """How long after a deadline what has arrived is still taken in. It ends, however fast other things go on arriving."""
-_CREDENTIALS = struct.Struct("3i")
+_LONGEST_WAIT_S = 1e6
+"""`select` and `settimeout` take no wait of any length."""
 
 
 def command(paths: InstancePaths, words: str) -> str:
@@ -34,9 +32,8 @@ def command(paths: InstancePaths, words: str) -> str:
 
 
 def peer(connection: socket) -> tuple[int, int]:
-    """Process id and user id at the other end, as the kernel vouches for them (SO_PEERCRED)."""
-    raw = connection.getsockopt(SOL_SOCKET, SO_PEERCRED, _CREDENTIALS.size)
-    pid, uid, _ = _CREDENTIALS.unpack(raw)
+    """Process id and user id at the other end, as the kernel has them (SO_PEERCRED)."""
+    pid, uid, _ = struct.unpack("3i", connection.getsockopt(SOL_SOCKET, SO_PEERCRED, struct.calcsize("3i")))
     return pid, uid
 
 
@@ -46,11 +43,10 @@ class Link:
     def __init__(self, paths: InstancePaths, deadline: float) -> None:
         self._paths = paths
         self._incoming = LineBuffer()
-        self._chunk = memoryview(bytearray(_CHUNK))  # made once: memory of this size is the kernel's to give and take
         self._closed = False
-        self.farewell = ""
+        self.last_status = ""
+        """The text of the status that came last, which says why the daemon goes away when it does."""
         self._socket = self._connect(deadline)
-        self._itself = (self._socket.fileno(),)
         self.daemon_pid, uid = peer(self._socket)
         if uid != os.geteuid():
             self.close()
@@ -66,12 +62,20 @@ class Link:
                 os.lstat(self._paths.socket_text)  # where nothing is, nobody answers, whatever the folder is like
             check_private(self._paths.folder_text)
             # The kernel makes a connect wait while the daemon's backlog is full, but only that of a blocking socket.
-            connection.settimeout(max(0.001, min(deadline - time.monotonic(), 1e6)))
-            _connect_patiently(connection, self._paths.socket_text, deadline)
+            # One with a timeout is non-blocking underneath: then a full backlog is EAGAIN, and the connect is repeated.
+            connection.settimeout(max(0.001, min(deadline - time.monotonic(), _LONGEST_WAIT_S)))
+            while True:
+                try:
+                    connection.connect(self._paths.socket_text)
+                    break
+                except BlockingIOError:
+                    if time.monotonic() >= deadline:
+                        raise
+                    time.sleep(0.005)
         except OSError as error:
             connection.close()
             raise self._nobody(error) from None
-        except Refused:
+        except BaseException:
             connection.close()
             raise
         connection.setblocking(False)
@@ -89,34 +93,31 @@ class Link:
         return NoDaemon(f"no daemon answers on {self._paths.socket_text}: {error.strerror or error}", hint)
 
     def send(self, line: bytes, deadline: float) -> None:
-        """Hand one line or several to the kernel; lines that arrive meanwhile are kept. Raises TimedOut, NoDaemon."""
+        """Hand a line to the kernel; lines that arrive meanwhile are kept. Raises TimedOut, NoDaemon."""
         rest: bytes | memoryview = line
         while rest:
             try:
                 rest = memoryview(rest)[self._socket.send(rest) :]
             except BlockingIOError:
-                self._until_writable(deadline)
+                # A daemon whose answers we do not take stops reading from us, so take them while we wait.
+                left = deadline - time.monotonic()
+                readable, writable, _ = select.select([self], [self], [], _for_select(left))
+                if not readable and not writable:
+                    raise TimedOut("the daemon does not read what is sent to it") from None
+                if readable:
+                    self._read()
             except OSError:
                 self._read_what_is_left()
-                raise self.gone() from None
-
-    def _until_writable(self, deadline: float) -> None:
-        # A daemon whose answers we do not take stops reading from us, so take them while we wait.
-        left = deadline - time.monotonic()
-        readable, writable, _ = select.select(self._itself, self._itself, (), _for_select(left))
-        if not readable and not writable:
-            raise TimedOut("the daemon does not read what is sent to it")
-        if readable:
-            self._read()
+                raise self._gone() from None
 
     def receive(self, deadline: float) -> dict[str, Any] | None:
         """The next object from the daemon, or None when the deadline passes first. Raises NoDaemon."""
         lines = self._incoming.lines
         while not lines:
             if self._closed:
-                raise self.gone()
+                raise self._gone()
             left = deadline - time.monotonic()
-            if left < -_GRACE_S or not select.select(self._itself, (), (), _for_select(left))[0]:
+            if left < -_GRACE_S or not select.select([self], [], [], _for_select(left))[0]:
                 return None
             self._read()
         return decode(lines.popleft())
@@ -124,7 +125,7 @@ class Link:
     def _read(self) -> bool:
         """Take what has arrived; False when there is nothing, now or ever."""
         try:
-            data = bytes(self._chunk[: self._socket.recv_into(self._chunk)])
+            data = self._socket.recv(_CHUNK)
         except BlockingIOError:
             return False
         except OSError:
@@ -136,14 +137,12 @@ class Link:
     def _read_what_is_left(self) -> None:
         while self._read():
             pass
-        for line in self._incoming.lines:
-            message = decode(line)
+        for message in map(decode, self._incoming.lines):
             if message.get("op") == "status":
-                self.farewell = str(message.get("msg", ""))
+                self.last_status = str(message.get("msg", ""))
 
-    def gone(self) -> NoDaemon:
-        """The error that says the daemon closed the connection, with its last words if it said any."""
-        why = f": {self.farewell}" if self.farewell else ""
+    def _gone(self) -> NoDaemon:
+        why = f": {self.last_status}" if self.last_status else ""
         return NoDaemon(f"the daemon went away{why}", "start it with: " + command(self._paths, "daemon start"))
 
     def close(self) -> None:
@@ -151,16 +150,5 @@ class Link:
         self._socket.close()
 
 
-def _connect_patiently(connection: socket, path: str, deadline: float) -> None:
-    # A socket with a timeout is non-blocking underneath, and then a full backlog is EAGAIN instead of a wait.
-    while True:
-        try:
-            return connection.connect(path)
-        except BlockingIOError:
-            if time.monotonic() >= deadline:
-                raise
-            select.select([], [], [], 0.005)
-
-
 def _for_select(left: float) -> float | None:
-    return None if left > 1e6 else max(0.0, left)
+    return None if left > _LONGEST_WAIT_S else max(0.0, left)

@@ -1,7 +1,7 @@
-"""Putting a robot into the world from its files: the model read here, the parameters placed, the request.
+"""A robot's files, read for a spawn: the model, its name and place, and its controllers' parameters.
 
-Standard library only. What needs the description of robots imports it when a robot is spawned: a script that spawns
-none, and every other command, starts without it.
+Knows no connection. What needs the description of robots imports it when a robot is spawned: a script that spawns none,
+and every other command, starts without it.
 """
 
 from __future__ import annotations
@@ -12,14 +12,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slidectl import names, rotations
-from slidectl.errors import Refused, UnknownName, UsageError
+from slidectl.errors import Refused, UsageError
 
 if TYPE_CHECKING:
-    from slidectl.client.client import Client
     from slidectl.description import Document, Packages
     from slidectl.description.missing import Missing
 
-LIMIT_S = 30.0
 Tree = dict[str, Any]
 
 
@@ -27,13 +25,17 @@ def document(
     source: str,
     arguments: Mapping[str, str],
     name: str | None,
-    places: Packages,
+    places: Packages | None = None,
     missing: Missing | None = None,
     title: str | None = None,
 ) -> Document:
-    """The model, expanded; one with an argument `namespace` gets `/name`. Raises BadFile, UnknownName."""
+    """The model, expanded; one with an argument `namespace` gets `/name`. Raises BadFile, UnknownName.
+
+    `places` is where packages are; without it they are looked for from the working folder upwards.
+    """
     from slidectl import description
 
+    places = places or description.Packages({}, Path.cwd())
     if name and "namespace" not in arguments and "namespace" in description.declared_arguments(source, places):
         arguments = {**arguments, "namespace": f"/{name}"}
     return description.load(source, dict(arguments), places, title=title, missing=missing)
@@ -72,48 +74,6 @@ def pose(at: Sequence[float], what: str = "at") -> dict[str, Any]:
     return {"position": {"x": x, "y": y, "z": z}, "orientation": rotations.message(turn)}
 
 
-def request(client: Client, name: str, xml: str, place: dict[str, Any], limit_s: float = LIMIT_S) -> list[str]:
-    """Spawn it. What the world says of the place, a line for each robot that it was put into. Raises Refused."""
-    values = {"model_name": name, "model_xml": xml, "initial_pose": place}
-    answer = client.call("/gazebo/spawn_urdf_model", values, timeout=limit_s)
-    if not answer["success"]:
-        raise Refused(f"cannot spawn {name}: {answer['status_message']}")
-    return list(answer["status_message"].split("\n")[1:])
-
-
-def spawn(
-    client: Client,
-    model: str,
-    name: str | None,
-    at: Sequence[float],
-    controllers: str | None,
-    start: Sequence[str],
-    arguments: Mapping[str, str],
-) -> dict[str, Any]:
-    """What `Client.spawn` does."""
-    from slidectl.description import Packages, controllers_file
-
-    if name is not None:
-        names.check_robot(name)
-    place = pose(at)
-    read = document(model, arguments, name, Packages({}, Path.cwd()))
-    chosen, namespace = identity(read.xml, read, name)
-    check_free(client.robots(), chosen, namespace)
-    if controllers is not None:
-        tree, _, _ = placements(controllers_file.read(find(controllers), []), [namespace])
-        client.params.set_all(dict(leaves(tree)))
-    manager = client.controllers(namespace)
-    known = manager.configured() if start else []
-    for wanted in start:
-        if wanted not in known:
-            raise UnknownName("controller", wanted, known, f"in the parameters of {namespace}")
-    request(client, chosen, read.xml, place)
-    if start:
-        manager.load_all(start)
-        manager.start(start)
-    return dict(client.call("/slidectl/list_robots", {"name": chosen})["robots"][0])
-
-
 # --- files of controllers ---------------------------------------------------------------------------------------------
 
 
@@ -126,6 +86,14 @@ def find(file: str) -> Path:
     if not path.exists() and path.parent.name in ("", "config") and shipped.exists():
         return shipped
     return path
+
+
+def controller_parameters(file: str, namespace: str) -> Tree:
+    """The parameters of a file by full name, for the robot in `namespace`. Raises BadFile."""
+    from slidectl.description import controllers_file
+
+    tree, _ = controllers_file.retarget(controllers_file.read(find(file), []), namespace)
+    return dict(leaves(tree))
 
 
 def placements(tree: Tree, namespaces: Sequence[str]) -> tuple[Tree, str | None, bool]:

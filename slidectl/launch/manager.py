@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from slidectl.client.manager import Manager
+from slidectl.client.client import Manager
 from slidectl.errors import Refused
 from slidectl.launch.task import Run
 

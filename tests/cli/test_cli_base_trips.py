@@ -13,18 +13,18 @@ COUNT = """
 import os, sys
 import slidectl.cli
 from slidectl.client.link import Link
-from slidectl.client.replies import Replies
+from slidectl.client.client import Client
 target = sys.argv.pop(1)
 trips, waited = 0, True
 def send(link, line, deadline, real=Link.send):
     global trips, waited
     trips, waited = trips + waited, False
     real(link, line, deadline)
-def answer(replies, sent_id, real=Replies.answer):
+def answer(client, call_id, timeout, real=Client._answer):
     global waited
     waited = True
-    return real(replies, sent_id)
-Link.send, Replies.answer = send, answer
+    return real(client, call_id, timeout)
+Link.send, Client._answer = send, answer
 def leave(code):
     with open(target, "w") as file:
         file.write(f"{code} {trips}")

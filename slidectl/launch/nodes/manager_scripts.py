@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from slidectl import names
-from slidectl.client.manager import BEST_EFFORT
+from slidectl.client.client import BEST_EFFORT
 from slidectl.errors import Refused, UnknownName
 from slidectl.launch.manager import NodeManager
 from slidectl.launch.options import parse
