@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from slidectl import paths
-from slidectl.daemon.lock import holder
+from slidectl.daemon.place import holder
 from slidectl.paths import InstancePaths
 from slidectl.simulation.compiled import cache
 
@@ -33,7 +33,7 @@ def leftovers(history: Path, chosen: InstancePaths) -> list[Leftover]:
     """Everything that is there. `history` is the shell's file; `chosen` the instance of the command line.
 
     Raises:
-        LockFailed: nobody can say whether a daemon lives there.
+        Refused: nobody can say whether a daemon lives there.
     """
     found = [*_folder(cache.folder(), "compiled code"), *_folder(history.parent, "history of the shell")]
     for folder in dict.fromkeys((Path(paths.runtime_folder()), Path(paths.temporary_runtime_folder()))):

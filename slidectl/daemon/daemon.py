@@ -178,12 +178,13 @@ class Daemon:
     # --- ends ---------------------------------------------------------------------------------------------------
 
     def _watch_signals(self) -> None:
-        """Signals arrive as bytes in a pipe, so that they too are served between two cycles."""
+        """Signals arrive as bytes in a pipe, so that they too are served between two cycles. Until now they waited."""
         self._signals, write_end = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         signal.set_wakeup_fd(write_end, warn_on_full_buffer=False)
         for number in (signal.SIGTERM, signal.SIGINT, *([signal.SIGHUP] if self._start.foreground else [])):
             signal.signal(number, lambda *_: None)
         self._loop.watch(self._signals, READ, self._take_signal)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGTERM, signal.SIGINT))
 
     def _take_signal(self, _: int) -> None:
         number = os.read(self._signals, 64)[0]

@@ -1,13 +1,12 @@
-"""The daemon's log: a file that is rotated by size, and that can fail without hurting anybody.
-
-In the background the file is also what stands behind stdout and stderr, so that whatever C code prints lands there.
-"""
+"""The daemon's log: a file that is rotated by size, and that can fail without hurting anybody."""
 
 from __future__ import annotations
 
+import logging
 import os
-import time
 from contextlib import suppress
+from io import TextIOWrapper
+from logging.handlers import RotatingFileHandler
 from pathlib import Path
 
 from slidectl.errors import cut
@@ -17,71 +16,44 @@ COPIES = 2
 """Rotated copies beside the file itself: `log.1` is the younger."""
 
 
-class LogFile:
-    """Appends lines with the time of the machine. `foreground`: stderr stays what it is and gets every line too."""
+class LogFile(RotatingFileHandler):
+    """Appends entries with the time of the machine.
+
+    In the background the file is also what is behind stdout and stderr, so that it gets what C code prints. With
+    `foreground` these stay as they are, and stderr gets every entry too.
+    """
 
     def __init__(self, path: Path, foreground: bool = False, most_bytes: int = MOST_BYTES) -> None:
-        self._path = path
         self._foreground = foreground
-        self._most_bytes = most_bytes
-        self._lost = 0
-        self._cut = False
-        self._fd = -1
-        self._size = 0
-        self._open()
+        super().__init__(path, "a", most_bytes, COPIES, "utf-8", errors="backslashreplace")
+        self.setFormatter(logging.Formatter("%(asctime)s.%(msecs)03d %(levelname)-5s %(message)s", "%Y-%m-%d %H:%M:%S"))
 
-    def _open(self) -> None:
-        flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC
+    def _open(self) -> TextIOWrapper:
         try:
-            fd = os.open(self._path, flags, 0o600)
+            stream = super()._open()
         except OSError:
-            fd = os.open(os.devnull, flags)
-        self._size = os.fstat(fd).st_size
+            stream = open(os.devnull, "a", encoding="utf-8")  # noqa: SIM115
         if not self._foreground:
-            os.dup2(fd, 1)
-            os.dup2(fd, 2)
-        self._fd = fd
+            os.dup2(stream.fileno(), 1)
+            os.dup2(stream.fileno(), 2)
+        return stream
 
     def write(self, severity: str, text: str) -> None:
         """One entry; the lines of a longer text are indented. Of one of more than a few kB the middle is left out."""
-        now = time.time()
-        stamp = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(now)) + f".{int(now % 1 * 1000):03d}"
         body = cut(text).rstrip("\n").replace("\n", "\n    ")
-        self._append(f"{stamp} {severity:<5} {body}\n")
-
-    def _append(self, entry: str) -> None:
-        data = entry.encode("utf-8", "backslashreplace")
+        record = logging.makeLogRecord({"levelname": severity, "msg": body})
+        self.emit(record)
         if self._foreground:
             with suppress(OSError):
-                os.write(2, data)
-        if self._size + len(data) > self._most_bytes:
-            self._rotate()
-        if self._lost:
-            note = f"({self._lost} entries before this one are lost: the file could not be written)\n"
-            data = b"\n" * self._cut + note.encode() + data
-        try:
-            written = os.write(self._fd, data)
-        except OSError:
-            self._lost += 1
-            return
-        self._size += written
-        self._lost = int(written < len(data))  # the disk is full: what is there of this entry must not run on
-        self._cut = written < len(data)
+                os.write(2, (self.format(record) + "\n").encode("utf-8", "backslashreplace"))
 
-    def _rotate(self) -> None:
-        names = [self._path, *(self._path.with_name(f"{self._path.name}.{n}") for n in range(1, COPIES + 1))]
-        with suppress(OSError):
-            for older, newer in zip(reversed(names), reversed(names[:-1]), strict=False):
-                with suppress(FileNotFoundError):
-                    os.replace(newer, older)
-        os.close(self._fd)
-        self._open()
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802, ARG002
+        """The file cannot be written: the entry is lost, and the next one opens the file anew."""
+        self.reopen()
 
     def reopen(self) -> None:
         """The file may have been deleted: go on in one that others find."""
-        os.close(self._fd)
-        self._open()
-
-    def close(self) -> None:
-        """Let go of the file. stdout and stderr keep it."""
-        os.close(self._fd)
+        stream, self.stream = self.stream, None  # type: ignore[assignment]
+        with suppress(OSError):
+            if stream is not None:
+                stream.close()

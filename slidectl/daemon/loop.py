@@ -1,4 +1,4 @@
-"""The event loop: sockets and one deadline, nothing else. Redis's `ae` is the model.
+"""The event loop: sockets, one deadline, and work that is done a piece at a time. Redis's `ae` is the model.
 
 Waits in microseconds, which asyncio and epoll's own wait (whole milliseconds) cannot. Knows nothing of what it serves.
 """
@@ -6,6 +6,7 @@ Waits in microseconds, which asyncio and epoll's own wait (whole milliseconds) c
 from __future__ import annotations
 
 import select
+from collections import deque
 from collections.abc import Callable
 
 READ = select.EPOLLIN
@@ -29,6 +30,7 @@ class EventLoop:
         self._epoll = select.epoll()
         self._waiting = [self._epoll.fileno()]
         self._handlers: dict[int, Handler] = {}
+        self._soon: deque[Callable[[], None]] = deque()
 
     def watch(self, fd: int, events: int, handler: Handler) -> None:
         """Call `handler` whenever one of the events is ready; HANG_UP always counts."""
@@ -44,12 +46,19 @@ class EventLoop:
         if self._handlers.pop(fd, None) is not None:
             self._epoll.unregister(fd)
 
+    def soon(self, action: Callable[[], None]) -> None:
+        """Do this in a turn of its own: each `poll` does one."""
+        self._soon.append(action)
+
     def is_ready(self) -> bool:
         """True when `poll` would serve somebody at once. Costs a microsecond."""
-        return bool(select.select(self._waiting, (), (), 0.0)[0])
+        return bool(self._soon or select.select(self._waiting, (), (), 0.0)[0])
 
     def poll(self, timeout_s: float | None) -> None:
         """Serve what is ready, waiting at most `timeout_s` for it (None: until something is)."""
+        if self._soon:
+            self._soon.popleft()()
+            timeout_s = 0.0
         bounded_s = None if timeout_s is None else min(timeout_s, _LONGEST_WAIT_S)
         if bounded_s != 0.0 and not select.select(self._waiting, (), (), bounded_s)[0]:
             return
@@ -61,4 +70,5 @@ class EventLoop:
     def close(self) -> None:
         """Let go of the descriptor; nothing is watched any more."""
         self._handlers.clear()
+        self._soon.clear()
         self._epoll.close()

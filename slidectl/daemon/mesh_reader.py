@@ -54,15 +54,11 @@ class MeshReader:
         self._waiting: deque[_Job] = deque()
         self._running: dict[int, _Job] = {}
         """By the descriptor of the pipe."""
-        self._read: deque[_Job] = deque()
-        """Jobs whose hulls are prepared one by one, each between two looks at the clock."""
-        self._bell: int | None = None
-        """A descriptor that is always ready, while hulls are to be prepared."""
 
     def read(self, sources: Sequence[Source]) -> Pending:
         """Resolved with the hulls (physics.hulls.Hulls). Who cancels it ends the process."""
         job = _Job(sources)
-        job.pending.on_cancel = lambda: self._drop(job)
+        job.pending.on_cancel = job.end  # its pipe ends too then, and it is reaped
         self._waiting.append(job)
         self._begin()
         return job.pending
@@ -70,13 +66,11 @@ class MeshReader:
     def close(self) -> None:
         """End all processes; nobody is answered any more."""
         self._waiting.clear()
-        self._read.clear()
-        self._ring()
         for descriptor, job in list(self._running.items()):
             job.end()
             # One that the kernel holds (a dead network drive) is not waited for; it ends with us.
-            is_over = bool(select.select([descriptor], (), (), 1.0)[0])
-            self._reap(descriptor, 0 if is_over else os.WNOHANG)
+            has_ended = bool(select.select([descriptor], (), (), 1.0)[0])
+            self._reap(descriptor, 0 if has_ended else os.WNOHANG)
 
     def _begin(self) -> None:
         while self._waiting and len(self._running) < AT_ONCE:
@@ -91,9 +85,6 @@ class MeshReader:
             self._running[descriptor] = job
             self._loop.watch(descriptor, READ, partial(self._take, descriptor))
 
-    def _drop(self, job: _Job) -> None:
-        job.end()  # its pipe ends too then, and it is reaped
-
     def _take(self, descriptor: int, _: int) -> None:
         """More of what a process says, or its end."""
         job = self._running[descriptor]
@@ -105,8 +96,7 @@ class MeshReader:
         self._begin()
         if not job.pending.done:
             job.settle(status)
-            self._read.append(job)
-            self._ring()
+            self._loop.soon(lambda: self._prepare(job))
 
     def _reap(self, descriptor: int, options: int = 0) -> int:
         """Its wait status. Memory is given back before descriptors are closed, so there is nothing to wait for."""
@@ -117,26 +107,12 @@ class MeshReader:
             return os.waitpid(job.pid, options)[1]
         return 0
 
-    # --- MuJoCo's part ------------------------------------------------------------------------------------------
-
-    def _ring(self) -> None:
-        """Be called again after the next cycle, as long as there is something to prepare."""
-        if self._read and self._bell is None:
-            self._bell = os.eventfd(1, os.EFD_CLOEXEC | os.EFD_NONBLOCK)
-            self._loop.watch(self._bell, READ, self._prepare)
-        elif not self._read and self._bell is not None:
-            self._loop.forget(self._bell)
-            os.close(self._bell)
-            self._bell = None
-
-    def _prepare(self, _: int) -> None:
-        """MuJoCo prepares one more hull, or the job is done."""
-        job = self._read[0]
+    def _prepare(self, job: _Job) -> None:
+        """MuJoCo prepares one more hull, or the job is done. Each is a turn of its own: cycles run in between."""
         if job.unprepared and not job.pending.done:
             hulls.prepare(job.unprepared.popleft())
+            self._loop.soon(lambda: self._prepare(job))
             return
-        self._read.popleft()
-        self._ring()
         try:
             job.pending.resolve(job.results)
         except Exception:

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import Protocol
 
-from slidectl.daemon.statistics import Ring, SpeedMeter
+import numpy as np
 
 FREE_SLICE_S = 0.0005
 CATCH_UP_SLICE_S = 0.002
@@ -21,6 +22,10 @@ _SHORTEST_WAIT_S = 0.001
 _SHORT_S, _LONG_S, _GROWTH = 0.00004, 0.00014, 1.05
 """Free-running cycles between two looks at the sockets: few after a client knocked, then ever more up to many."""
 _LONGEST_CHUNK = 1024
+_RECENT = 8192
+"""Cycles of which the figures are kept."""
+_MARK_EVERY_S, _MARKS = 0.1, 20
+"""The speed that is reached is that of about the last two seconds."""
 
 
 class Wishes(Protocol):
@@ -76,9 +81,12 @@ class Pacer:
         self._group_s = 0.0
         self._chunk = 1
         self._chunk_s = _SHORT_S
-        self.speed = SpeedMeter()
-        self.lateness = Ring()
-        self.durations = Ring()
+        self._simulated_s = 0.0
+        self._marks: deque[tuple[float, float]] = deque(maxlen=_MARKS)
+        """Wall time and simulated time so far, now and then; empty while the world stands still."""
+        self._next_mark_s = 0.0
+        self.lateness: deque[float] = deque(maxlen=_RECENT)
+        self.durations: deque[float] = deque(maxlen=_RECENT)
         self.overruns = 0
         self.given_up_s = 0.0
         """Wall time that was not caught up, in all."""
@@ -88,7 +96,7 @@ class Pacer:
         simulation, run = self._simulation, self._simulation.run
         if run.paused and not run.allowed(1):
             self._mode = None
-            self.speed.stop()
+            self._marks.clear()
             return None
         mode = (math.inf if run.paused else run.speed, simulation.step_ns)
         if mode != self._mode:
@@ -106,11 +114,16 @@ class Pacer:
         self._group = 1 if self._is_free else max(1, int(_SHORTEST_WAIT_S / period_s))
         self._group_s = self._group * period_s
         self._due_s = self._clock()
-        self.speed.begin(self._due_s)
+        self._marks.clear()
+        self._mark(self._due_s)
         self.lateness.clear()
 
+    def _mark(self, now_s: float) -> None:
+        self._marks.append((now_s, self._simulated_s))
+        self._next_mark_s = now_s + _MARK_EVERY_S
+
     def _run_freely(self) -> float:
-        run, step, clock, speed = self._simulation.run, self._simulation.step, self._clock, self.speed
+        run, step, clock = self._simulation.run, self._simulation.step, self._clock
         now = clock()
         end = now + FREE_SLICE_S
         self._limit(end)
@@ -120,10 +133,10 @@ class Pacer:
             if not done:
                 break
             duration = (now - began) / done
-            self.durations.add(duration)
-            speed.simulated_s += done * self._step_s
-            if now >= speed.next_mark_s:
-                speed.mark(now)
+            self.durations.append(duration)
+            self._simulated_s += done * self._step_s
+            if now >= self._next_mark_s:
+                self._mark(now)
             knocked = self._knocked()
             self._chunk_s = _SHORT_S if knocked else min(_LONG_S, _GROWTH * self._chunk_s)
             self._chunk = max(1, min(_LONGEST_CHUNK, int(self._chunk_s / max(duration, 1e-9))))
@@ -132,7 +145,7 @@ class Pacer:
         return 0.0
 
     def _run_paced(self) -> float:
-        step, clock, speed, group = self._simulation.step, self._clock, self.speed, self._group
+        step, clock, group = self._simulation.step, self._clock, self._group
         now = clock()
         if now < self._due_s:
             return self._due_s - now
@@ -141,15 +154,15 @@ class Pacer:
         end = now + CATCH_UP_SLICE_S
         while self._due_s <= now < end:
             late = now - self._due_s
-            self.lateness.add(late)
+            self.lateness.append(late)
             if late > self._group_s:
                 self.overruns += 1
             done = step(group)
             began, now = now, clock()
-            self.durations.add((now - began) / group)
-            speed.simulated_s += done * self._step_s
-            if now >= speed.next_mark_s:
-                speed.mark(now)
+            self.durations.append((now - began) / group)
+            self._simulated_s += done * self._step_s
+            if now >= self._next_mark_s:
+                self._mark(now)
             self._due_s += self._group_s
             if done < group:
                 return 0.0
@@ -161,10 +174,10 @@ class Pacer:
 
     def report(self) -> dict[str, float]:
         """The figures of /slidectl/status, wall seconds."""
-        mean, _, p99, worst = self.durations.summary()
-        _, late_p50, late_p99, _ = self.lateness.summary()
+        mean, _, p99, worst = _summary(self.durations)
+        _, late_p50, late_p99, _ = _summary(self.lateness)
         return {
-            "speed_reached": self.speed.reached(self._clock()),
+            "speed_reached": self._speed_reached(),
             "cycle_mean": mean,
             "cycle_p99": p99,
             "cycle_worst": worst,
@@ -172,3 +185,19 @@ class Pacer:
             "lateness_p99": late_p99,
             "overruns": self.overruns,
         }
+
+    def _speed_reached(self) -> float:
+        """The real-time factor; 0 while the world stands still."""
+        if not self._marks:
+            return 0.0
+        now_s, (since_s, simulated_s) = self._clock(), self._marks[0]
+        return (self._simulated_s - simulated_s) / (now_s - since_s) if now_s > since_s else 0.0
+
+
+def _summary(recent: deque[float]) -> tuple[float, float, float, float]:
+    """Mean, p50, p99 and largest value; zeros when there is none."""
+    if not recent:
+        return 0.0, 0.0, 0.0, 0.0
+    values = np.array(recent)
+    p50, p99 = np.quantile(values, (0.5, 0.99), method="higher")
+    return float(values.mean()), float(p50), float(p99), float(values.max())

@@ -17,7 +17,6 @@ from slidectl.client.lines import encode
 from slidectl.client.link import peer
 from slidectl.daemon.connection import Connection
 from slidectl.daemon.feed import Publications
-from slidectl.daemon.listener import refusal
 from slidectl.daemon.loop import READ, EventLoop
 from slidectl.daemon.session import Session
 from slidectl.simulation.graph import Graph
@@ -215,6 +214,13 @@ def _session_of(pid: int) -> int:
         return os.getsid(pid) if pid else 0  # 0 is a process of another pid namespace, and for getsid ourselves
     except OSError:
         return 0
+
+
+def refusal(uid: int) -> str | None:
+    """Why a process of this user may not come in; None when it may."""
+    if uid == os.geteuid():
+        return None
+    return f"this daemon belongs to uid {os.geteuid()}; processes of uid {uid} may not use it"
 
 
 def _room() -> int:

@@ -16,6 +16,7 @@ from command_line import CommandLine
 from daemon_fixture import Runtime
 
 from slidectl import __version__
+from slidectl.daemon.options import DaemonOptions, Start
 
 
 @pytest.fixture
@@ -288,9 +289,10 @@ def test_restart_says_which_options_it_keeps_and_lets_each_be_given_anew(slidect
 
 
 def test_a_daemon_of_another_version_is_told_once_with_what_helps(slidectl: CommandLine) -> None:
-    script = "import slidectl\nslidectl.__version__ = '0.0.9'\nimport sys\nfrom slidectl.daemon.process import main\n"
-    script += "sys.exit(main(sys.argv[1:]))"
-    words = [sys.executable, "-c", script, "--instance", "default", "--foreground", "--paused"]
+    script = "import slidectl\nslidectl.__version__ = '0.0.9'\nimport sys\nfrom slidectl.daemon.__main__ import main\n"
+    script += "sys.exit(main(sys.argv[1]))"
+    start = Start(DaemonOptions(paused=True), "default", None, foreground=True)
+    words = [sys.executable, "-c", script, start.text()]
     with subprocess.Popen(words, env=slidectl.environment, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         assert "answers on" in process.stderr.readline()

@@ -21,7 +21,7 @@ from daemon_fixture import Runtime
 from rosbridge_wire import Wire
 
 from slidectl.client.lines import LONGEST_LINE
-from slidectl.daemon.listener import refusal
+from slidectl.daemon.server import refusal
 
 Connect = Callable[[], Wire]
 NESTED = b"[" * 600 + b"NaN" + b"]" * 600

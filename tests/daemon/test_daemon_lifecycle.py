@@ -25,7 +25,7 @@ from daemon_fixture import Runtime
 from slidectl import description, paths
 from slidectl.client import Client
 from slidectl.daemon import lifecycle
-from slidectl.daemon.options import DaemonOptions
+from slidectl.daemon.options import DaemonOptions, Start
 from slidectl.errors import NoDaemon, Refused, TimedOut, UsageError
 
 LIMIT_S = 20.0
@@ -40,12 +40,17 @@ def wait_for_end(pid: int) -> None:
         os.close(process)
 
 
+def start_text(runtime: Runtime, ready_fd: int | None = None) -> str:
+    """How a daemon in the foreground is started, as the argument of its process."""
+    return Start.at(runtime.paths, DaemonOptions(), foreground=True, ready_fd=ready_fd).text()
+
+
 @pytest.fixture
 def foreground(runtime: Runtime) -> Iterator[subprocess.Popen[str]]:
     """A daemon as `daemon run` makes it, ready."""
     read_end, write_end = os.pipe()
     process = subprocess.Popen(
-        [sys.executable, "-m", "slidectl.daemon", "--foreground", f"--ready-fd={write_end}"],
+        [sys.executable, "-m", "slidectl.daemon", start_text(runtime, ready_fd=write_end)],
         env=runtime.env,
         pass_fds=[write_end],
         stderr=subprocess.PIPE,
@@ -302,7 +307,7 @@ def test_sigterm_ends_a_step_of_a_million_cycles(runtime: Runtime, foreground: s
 def test_running_in_the_foreground_where_a_daemon_runs_says_so(runtime: Runtime) -> None:
     pid, _ = runtime.start()
     second = subprocess.run(
-        [sys.executable, "-m", "slidectl.daemon", "--foreground"], env=runtime.env, capture_output=True, text=True
+        [sys.executable, "-m", "slidectl.daemon", start_text(runtime)], env=runtime.env, capture_output=True, text=True
     )
     assert second.returncode == 0
     assert str(pid) in second.stderr
