@@ -74,7 +74,7 @@ class LineBuffer:
         """Take in what was received. Raises BadLine when a line outgrows the limit; whole lines before it are kept."""
         *whole, rest = data.split(b"\n")
         if whole and self._rest:
-            whole[0] = bytes(self._rest) + whole[0]
+            whole[0] = b"".join((self._rest, whole[0]))  # one copy: the line may have 16 MiB
             self._rest.clear()
         self.lines.extend(line for line in whole if line and not line.isspace())
         self._rest += rest

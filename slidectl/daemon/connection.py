@@ -8,14 +8,11 @@ from __future__ import annotations
 import socket
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Protocol
+from typing import Any, Protocol
 
 from slidectl.client.lines import BadLine, LineBuffer
 from slidectl.daemon.loop import HANG_UP, ONCE, PEER_CLOSED, READ, WRITE, EventLoop
-from slidectl.daemon.outbox import Outbox, Tally
-
-if TYPE_CHECKING:
-    from slidectl.daemon.server import Busy
+from slidectl.daemon.outbox import Outbox, Publications
 
 _CHUNK = 64 * 1024
 _SERVED_A_TURN_S = 0.002
@@ -24,7 +21,7 @@ _MOST_UNREAD = 1024 * 1024
 
 
 class Receiver(Protocol):
-    """What a connection talks to."""
+    """What a connection talks to: a session."""
 
     @property
     def waiting(self) -> bool:
@@ -46,33 +43,42 @@ class Receiver(Protocol):
         """The exception that is being handled is a fault of ours: log it."""
 
 
+class Busy:
+    """Connections that have more to do before the loop may wait, in order."""
+
+    def __init__(self) -> None:
+        self.with_input: dict[Connection, None] = {}
+        self.with_output: dict[Connection, None] = {}
+        self.with_messages: dict[Any, None] = {}
+        """Readers of topics that have new messages."""
+
+    def forget(self, connection: Connection) -> None:
+        """It was closed."""
+        self.with_input.pop(connection, None)
+        self.with_output.pop(connection, None)
+        self.with_messages.pop(connection, None)
+
+
 class Connection:
-    """A non-blocking socket with a buffer of lines on each side. `busy` collects those that need the next turn."""
+    """A non-blocking socket with a buffer of lines on each side."""
 
     def __init__(
-        self,
-        connection: socket.socket,
-        loop: EventLoop,
-        busy: Busy,
-        tally: Tally,
-        receiver: Callable[[Connection], Receiver],
-        on_close: Callable[[Connection], None],
+        self, raw: socket.socket, loop: EventLoop, busy: Busy, publications: Publications, receiver: Receiver
     ) -> None:
-        self._socket = connection
-        self._fd = connection.fileno()
+        self._socket = raw
+        self._fd = raw.fileno()
         self._loop = loop
         self._busy = busy
-        self._on_close = on_close
+        self._receiver = receiver
         self._incoming = LineBuffer()
-        self._receiver = receiver(self)
-        self.outbox = Outbox(self._receiver.report, tally)
+        self.outbox = Outbox(receiver.report, publications)
         self._chunk: bytes | memoryview = b""
         self._failure: BadLine | None = None
         self._blocked = False  # the kernel takes no more for now
+        self._readable = True  # the kernel may have something for us
         self._ends = False  # the client sends no more than what is here already
         self._ended = False  # no more will be read
         self._deaf = False  # the client takes no more, ever
-        self._readable = True  # the kernel may have something for us
         self._waits_to_write = False
         self.open = True
         loop.watch(self._fd, READ | ONCE, self._ready)
@@ -81,7 +87,7 @@ class Connection:
 
     def _ready(self, events: int) -> None:
         """Events are only noted: what is done about them has its turn when all have been noted."""
-        self._readable = True
+        self._readable = not self._ended
         self._ends = self._ends or bool(events & (HANG_UP | PEER_CLOSED))
         self._busy.with_input[self] = None
         if events & HANG_UP:
@@ -103,13 +109,15 @@ class Connection:
         self._safely(self._serve_some)
 
     def _serve_some(self) -> None:
+        # A client that does not take its answers is not listened to until it does: that bounds what we keep for it.
+        # Lines of it that have come already wait as well.
         lines = self._incoming.lines
         end = time.monotonic() + _SERVED_A_TURN_S
-        while not self.is_overfull:
+        while (lines or self._readable) and not self.is_overfull:
             if lines:
                 self._receiver.take(lines.popleft())
-            elif not self._receive():
-                break
+            else:
+                self._receive()
             if time.monotonic() >= end:
                 break
         if self._failure is not None and not lines:
@@ -117,37 +125,23 @@ class Connection:
             self._receiver.refuse(failure)
         self._settle()
 
-    def _receive(self) -> bool:
-        """Read a piece. False when there is none to be had."""
-        if not self._listening():
-            return False
+    def _receive(self) -> None:
         try:
             data = self._socket.recv(_CHUNK)
         except BlockingIOError:
             self._readable = False
-            return False
+            return
         except OSError:
             data = b""
-        # A short piece is all that there is, except for the end; what comes later is told anew: see epoll(7).
-        self._readable = len(data) == _CHUNK or self._ends
         try:
             self._incoming.feed(data)
-            if not data:
-                self._end_of_input()
+            if not data and self._incoming.unfinished:
+                raise BadLine(f"a line that was cut off after {self._incoming.unfinished} bytes")
         except BadLine as error:
             self._failure = error
-            self._ended = True
-        return bool(self._incoming.lines) or self._listening()
-
-    def _listening(self) -> bool:
-        # A client that does not take its answers is not listened to until it does: that bounds what we keep for it.
-        # Lines of it that have come already wait as well.
-        return self._readable and not self._ended and not self.is_overfull
-
-    def _end_of_input(self) -> None:
-        self._ended = True
-        if self._incoming.unfinished:
-            raise BadLine(f"a line that was cut off after {self._incoming.unfinished} bytes")
+        self._ended = not data or self._failure is not None
+        # A short piece is all that there is, except for the end; what comes later is told anew: see epoll(7).
+        self._readable = not self._ended and (len(data) == _CHUNK or self._ends)
 
     # --- out ----------------------------------------------------------------------------------------------------
 
@@ -162,14 +156,14 @@ class Connection:
             self._busy.with_output[self] = None
 
     @property
-    def is_overfull(self) -> bool:
-        """True while more waits for the client than may: what is not an answer to it should not be added."""
-        return self.unread >= _MOST_UNREAD
-
-    @property
     def unread(self) -> int:
         """Bytes that wait for this client alone."""
         return self.outbox.unbounded + len(self._chunk)
+
+    @property
+    def is_overfull(self) -> bool:
+        """True while more waits for the client than may: what is not an answer to it should not be added."""
+        return self.unread >= _MOST_UNREAD
 
     def flush(self) -> None:
         """Send what the kernel takes now, within reason."""
@@ -207,7 +201,7 @@ class Connection:
             return
         if unsent and not self._blocked:
             self._busy.with_output[self] = None
-        if (lines and not self.is_overfull) or self._listening():
+        if (lines or self._readable) and not self.is_overfull:
             self._busy.with_input[self] = None
         if self._blocked != self._waits_to_write:
             self._waits_to_write = self._blocked
@@ -221,5 +215,4 @@ class Connection:
         self._busy.forget(self)
         self._loop.forget(self._fd)
         self._socket.close()
-        self._on_close(self)
         self._safely(self._receiver.closed)

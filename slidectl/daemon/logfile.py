@@ -53,7 +53,7 @@ class LogFile(RotatingFileHandler):
 
     def reopen(self) -> None:
         """The file may have been deleted: go on in one that others find."""
-        stream, self.stream = self.stream, None  # type: ignore[assignment]
+        stream, self.stream = self.stream, None
         with suppress(OSError):
             if stream is not None:
                 stream.close()

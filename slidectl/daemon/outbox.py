@@ -1,71 +1,105 @@
 """What waits for clients: the last lines of each topic, kept once for all who read it, and the answers of each client.
 
 A reader is a place in the lines of a topic. One that stops costs no work and no memory of its own: the lines that were
-given up since are counted when it reads again. Knows no socket and no JSON.
+given up since are counted when it reads again. A connection subscribes a topic once, however often it was asked for.
+Those without a throttle share the lines of the topic; one with a throttle has lines of its own. Knows no socket.
 """
 
 from __future__ import annotations
 
+import heapq
+import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import islice
 from operator import itemgetter
-from typing import Any
+from typing import Any, Protocol
 
+from slidectl.client.lines import LONGEST_LINE, encode
+from slidectl.errors import MessageRefused
+from slidectl.simulation.topics import Subscription, Topics
+
+DEFAULT_QUEUE = 1000
+MOST_QUEUE = 100_000
 MOST_BYTES = 8 * 1024 * 1024
 """Bound of what one topic keeps whatever the queue lengths, for topics of large messages."""
-_TIDY_AT = 512
-_LOOK_EVERY = 128
-_LOOK_BYTES = 1024 * 1024
-_PIECE_LINES, _FEWEST_LINES = 256, 16
-"""Lines of a piece that are looked at together, and of one topic at least."""
+MOST_BYTES_IN_ALL = 64 * 1024 * 1024
+"""Bound of the lines of all topics together."""
+_TIDY_EVERY = 128
 
-Reader = Any
-"""Whoever is to be woken when a topic has a new line: a connection."""
+Message = dict[str, Any]
 Entry = tuple[int, bytes, "Share | None"]
 """A line that waits, with its number; without a share it is for one client alone."""
 
 
-class Tally:
-    """Numbers all lines of a daemon, so that each client gets what it has waiting in the order of making.
+class Reader(Protocol):
+    """Whoever is to be woken when a topic has a new line: a connection."""
 
-    Counts also the bytes that all channels keep.
-    """
+    outbox: Outbox
 
-    __slots__ = ("kept", "last", "piece")
+    def send(self, line: bytes) -> None:
+        """A line for this reader alone."""
+
+
+class Publications:
+    """The lines of all topics that clients read. `fresh` are the channels with lines that no reader was woken for."""
 
     def __init__(self) -> None:
+        self.fresh: dict[Channel, None] = {}
         self.kept = 0
+        """Bytes of all channels."""
         self.last = 0
+        """Number of the last line of the daemon: each client gets what it has waiting in the order of making."""
         self.piece: tuple[Any, bytes, list[int]] = (None, b"", [])
         """The piece that was last made of lines of topics alone: what it begins with, its bytes, the places after it.
         Readers who keep up with the same topics come one after the other, and all get the same."""
+        self._channels: dict[Channel, None] = {}
+        self._shared: dict[str, Channel] = {}
 
-    def next(self) -> int:
-        """One more."""
-        self.last += 1
-        return self.last
+    def channel(self, topic: str, period_s: float = 0.0) -> Channel:
+        """The lines of the topic: the shared ones, or with a period new ones for one reader."""
+        channel = None if period_s else self._shared.get(topic)
+        if channel is None:
+            channel = Channel(topic, self, period_s)
+            self._channels[channel] = None
+            if not period_s:
+                self._shared[topic] = channel
+        return channel
+
+    def note(self, channel: Channel) -> None:
+        """It has a new line."""
+        self.fresh[channel] = None
+        if self.kept > MOST_BYTES_IN_ALL:
+            self.tidy()
+            while self.kept > MOST_BYTES_IN_ALL:
+                largest = max(self._channels, key=lambda one: one.size)
+                largest.give_up((largest.first + largest.end + 1) // 2)
+
+    def leave(self, channel: Channel, reader: Reader) -> None:
+        """It reads the channel no more."""
+        channel.readers.pop(reader, None)
+        channel.tidy()
+        if not channel.readers:
+            self._channels.pop(channel, None)
+            self.fresh.pop(channel, None)
+            if self._shared.get(channel.topic) is channel:
+                del self._shared[channel.topic]
+
+    def tidy(self) -> None:
+        """Give up what all have read."""
+        for channel in self._channels:
+            channel.tidy()
 
 
 class Channel:
-    """The lines of one topic that its readers may still want, the newest. `first` and `end` count lines since ever."""
+    """The lines of one topic that its readers may still want, the newest. `first` and `end` count lines since ever.
 
-    __slots__ = (
-        "_base",
-        "_lines",
-        "_look_at",
-        "_look_size",
-        "_order",
-        "_tally",
-        "end",
-        "first",
-        "readers",
-        "size",
-        "topic",
-    )
+    With `period_s` two of them are at least so many wall seconds apart.
+    """
 
-    def __init__(self, topic: str, tally: Tally) -> None:
+    def __init__(self, topic: str, publications: Publications, period_s: float = 0.0) -> None:
         self.topic = topic
+        self.period_s = period_s
         self.readers: dict[Reader, Share] = {}
         self.first = 0
         """Index of the oldest line that is kept."""
@@ -73,61 +107,58 @@ class Channel:
         """Index of the next line to come."""
         self.size = 0
         """Bytes that are kept."""
-        self._tally = tally
-        # Two flat lists, and not tuples or objects for each line: the garbage collector passes them by.
-        self._lines: list[bytes] = []
-        self._order: list[int] = []
-        self._base = 0
-        """Index of what stands first in the lists; lines before `first` are empty there."""
-        self._look_at = _LOOK_EVERY
-        self._look_size = _LOOK_BYTES
+        self.lines: list[tuple[int, bytes]] = []
+        """Those from `first` to before `end`, each with its number."""
+        self._publications = publications
+        self._next_s = 0.0
+        self._tidy_at = _TIDY_EVERY
+
+    def take(self, message: Message) -> None:
+        """A message was published. The one callback of all who share the channel: the graph calls it once for all.
+
+        Raises:
+            MessageRefused: what came in fitted a line, but not all text is as long when it is sent.
+        """
+        if self.period_s:
+            now = time.monotonic()
+            if now < self._next_s:
+                return
+            self._next_s = now + self.period_s
+        self.put(_line(self.topic, message))
+        self._publications.note(self)
 
     def put(self, line: bytes) -> None:
         """A new line. Those that nobody can get any more make room."""
-        self._lines.append(line)
-        self._order.append(self._tally.next())
+        self._publications.last += 1
+        self._publications.kept += len(line)
+        self.lines.append((self._publications.last, line))
         self.end += 1
         self.size += len(line)
-        self._tally.kept += len(line)
-        if self.end >= self._look_at or self.size >= self._look_size:
+        if self.end >= self._tidy_at or self.size > MOST_BYTES:
             self.tidy()
 
     def tidy(self) -> None:
         """Give up what all have read, what is more than any of them may have waiting, and what is too large in all."""
-        self._give_up(min((share.wanted for share in self.readers.values()), default=self.end))
-        while self.size > MOST_BYTES and self.first < self.end - 1:
-            self._give_up(self.first + 1)
-        self._look_at = self.end + _LOOK_EVERY
-        self._look_size = min(MOST_BYTES, max(_LOOK_BYTES, self.size * 5 // 4))
+        self.give_up(min((share.wanted for share in self.readers.values()), default=self.end))
+        size, until = self.size, self.first
+        while size > MOST_BYTES and until < self.end - 1:
+            size -= len(self.lines[until - self.first][1])
+            until += 1
+        self.give_up(until)
+        self._tidy_at = self.end + _TIDY_EVERY
 
-    def halve(self) -> None:
-        """Give up the older half, to make room for others."""
-        self._give_up((self.first + self.end + 1) // 2)
-
-    def _give_up(self, until: int) -> None:
-        lines, base = self._lines, self._base
-        size = self.size
-        for position in range(self.first - base, until - base):
-            self.size -= len(lines[position])
-            lines[position] = b""
-        self._tally.kept -= size - self.size
-        self.first = max(self.first, until)
-        gone = self.first - base
-        if gone > _TIDY_AT and gone * 2 > len(lines):
-            del lines[:gone]
-            del self._order[:gone]
-            self._base = self.first
-
-    def lines(self, begin: int, end: int) -> tuple[list[int], list[bytes]]:
-        """Numbers and lines from index `begin` to before `end`."""
-        place = slice(begin - self._base, end - self._base)
-        return self._order[place], self._lines[place]
+    def give_up(self, until: int) -> None:
+        """Forget the lines before this index."""
+        count = max(0, until - self.first)
+        size = sum(len(line) for _, line in islice(self.lines, count))
+        del self.lines[:count]
+        self.first += count
+        self.size -= size
+        self._publications.kept -= size
 
 
 class Share:
     """One reader's place in a channel. At most `limit` lines wait for it; what is older is lost to it."""
-
-    __slots__ = ("channel", "limit", "next")
 
     def __init__(self, channel: Channel, limit: int) -> None:
         self.channel = channel
@@ -152,13 +183,19 @@ class Share:
         self.next = oldest
         return lost
 
+    def entries(self) -> Iterator[Entry]:
+        """The lines from here on. It may move on meanwhile."""
+        lines = self.channel.lines
+        for index in range(self.next - self.channel.first, len(lines)):
+            yield *lines[index], self
+
 
 class Outbox:
     """What one client gets, in order. `report` makes the line that tells of so many lost lines of a topic."""
 
-    def __init__(self, report: Callable[[str, int], bytes], tally: Tally) -> None:
+    def __init__(self, report: Callable[[str, int], bytes], publications: Publications) -> None:
         self._report = report
-        self._tally = tally
+        self._publications = publications
         self._own: deque[Entry] = deque()
         self._shares: dict[Share, None] = {}
         self.unbounded = 0
@@ -167,10 +204,11 @@ class Outbox:
     def __bool__(self) -> bool:
         return bool(self._own) or any(share.waits for share in self._shares)
 
-    def put(self, data: bytes) -> None:
+    def put(self, line: bytes) -> None:
         """A line that must arrive."""
-        self.unbounded += len(data)
-        self._own.append((self._tally.next(), data, None))
+        self.unbounded += len(line)
+        self._publications.last += 1
+        self._own.append((self._publications.last, line, None))
 
     def join(self, share: Share) -> None:
         """The lines of this share are to be sent from now on."""
@@ -184,13 +222,13 @@ class Outbox:
         """What the share has waiting is sent, and then nothing more."""
         self.leave(share)
         lost = share.skip()
-        entries: list[Entry] = [(number, line, None) for number, line, _ in _window(share, share.channel.end)]
+        entries: list[Entry] = [(number, line, None) for number, line, _ in share.entries()]
         if lost:
-            entries.insert(
-                0, (entries[0][0] if entries else self._tally.next(), self._report(share.channel.topic, lost), None)
-            )
+            self._publications.last += 1
+            number = entries[0][0] if entries else self._publications.last
+            entries.insert(0, (number, self._report(share.channel.topic, lost), None))
         self.unbounded += sum(len(line) for _, line, _ in entries)
-        self._own = deque(sorted([*self._own, *entries], key=_number))
+        self._own = deque(heapq.merge(self._own, entries, key=itemgetter(0)))
 
     def clear(self) -> None:
         """Nobody will read any of it."""
@@ -201,30 +239,27 @@ class Outbox:
     def take(self, most: int) -> bytes:
         """The next lines as one piece of about `most` bytes, with a report before the first line after a gap."""
         waiting = [share for share in self._shares if share.waits]
-        if not waiting:
-            return b"".join(self._take_own(most))
         losses = {share: lost for share in waiting if (lost := share.skip())}
         if losses or self._own:
             return self._make_piece(waiting, losses, most)
-        key = (self._tally.last, most, [(share.channel, share.next) for share in waiting])
-        known, piece, places = self._tally.piece
+        key = (self._publications.last, most, [(share.channel, share.next) for share in waiting])
+        known, piece, places = self._publications.piece
         if key == known:
             for share, place in zip(waiting, places, strict=True):
                 share.next = place
             return piece
         piece = self._make_piece(waiting, losses, most)
-        self._tally.piece = (key, piece, [share.next for share in waiting])
+        self._publications.piece = (key, piece, [share.next for share in waiting])
         return piece
 
     def _make_piece(self, waiting: list[Share], losses: dict[Share, int], most: int) -> bytes:
-        entries, before = self._next_entries(waiting)
         taken: list[bytes] = []
-        size = 0
-        for number, line, share in entries:
-            if size >= most or number >= before:
+        size = own = 0
+        for _, line, share in heapq.merge(self._own, *(share.entries() for share in waiting)):
+            if size >= most:
                 break
             if share is None:
-                self._own.popleft()
+                own += 1
                 self.unbounded -= len(line)
             else:
                 if share in losses:
@@ -232,6 +267,8 @@ class Outbox:
                 share.next += 1
             taken.append(line)
             size += len(line)
+        for _ in range(own):
+            self._own.popleft()
         for share, lost in losses.items():
             if share.waits:
                 share.next -= lost  # it is told with the first line, in a later piece
@@ -239,39 +276,83 @@ class Outbox:
                 taken.append(self._report(share.channel.topic, lost))
         return b"".join(taken)
 
-    def _next_entries(self, waiting: list[Share]) -> tuple[list[Entry], int]:
-        """The next lines in order, so many of each kind; and the number before which none is missing."""
-        entries: list[Entry] = []
-        before = self._tally.last + 1
-        most = max(_FEWEST_LINES, _PIECE_LINES // len(waiting))
-        for share in waiting:
-            end = min(share.channel.end, share.next + most)
-            entries += _window(share, end)
-            if end < share.channel.end:
-                before = min(before, entries[-1][0] + 1)
-        if self._own:
-            entries += islice(self._own, _PIECE_LINES)
-            if len(self._own) > _PIECE_LINES:
-                before = min(before, entries[-1][0] + 1)
-        if len(waiting) > 1 or self._own:
-            entries.sort(key=_number)
-        return entries, before
 
-    def _take_own(self, most: int) -> list[bytes]:
-        own = self._own
-        taken: list[bytes] = []
-        size = 0
-        while own and size < most:
-            line = own.popleft()[1]
-            taken.append(line)
-            size += len(line)
-        self.unbounded -= size
-        return taken
+class Feed:
+    """What one connection gets of one topic. Asked for more than once, the most generous of the wishes counts."""
+
+    def __init__(self, topic: str, reader: Reader, publications: Publications) -> None:
+        self.topic = topic
+        self._reader = reader
+        self._publications = publications
+        self._wishes: dict[str | None, tuple[float, int]] = {}
+        self._share: Share | None = None
+        self._subscription: Subscription | None = None
+
+    def begin(self, topics: Topics, kind: str | None, node: str) -> None:
+        """Subscribe, as was wanted before. Raises as `Topics.subscribe`."""
+        take = self._begin_to_read().take
+        try:
+            self._subscription = topics.subscribe(self.topic, kind, node, take, self._take_latched)
+        except BaseException:
+            self.close()
+            raise
+
+    def want(self, wish_id: str | None, throttle_ms: float, queue_length: int) -> None:
+        """Add a wish, or change that of the same id: wall ms between two messages at least, messages that may wait."""
+        limit = min(queue_length, MOST_QUEUE) if queue_length > 0 else DEFAULT_QUEUE
+        self._wishes[wish_id] = (max(0.0, throttle_ms) / 1000, limit)
+        self._update()
+
+    def unwant(self, wish_id: str | None) -> bool:
+        """Take a wish back (None: all of them). True when none is left."""
+        if wish_id is None:
+            self._wishes.clear()
+        self._wishes.pop(wish_id, None)
+        if self._wishes:
+            self._update()
+        return not self._wishes
+
+    def _wish(self) -> tuple[float, int]:
+        """Wall seconds between two messages, and messages that may wait."""
+        wishes = self._wishes.values()
+        return min(period_s for period_s, _ in wishes), max(limit for _, limit in wishes)
+
+    def _update(self) -> None:
+        """The wishes have changed."""
+        if self._share is None or self._subscription is None:
+            return
+        period_s, limit = self._wish()
+        channel = self._share.channel
+        if bool(channel.period_s) == bool(period_s):
+            self._share.limit = limit
+            channel.period_s = period_s
+            return
+        self._reader.outbox.retire(self._share)
+        self._publications.leave(channel, self._reader)
+        self._subscription.redirect(self._begin_to_read().take)
+
+    def _begin_to_read(self) -> Channel:
+        period_s, limit = self._wish()
+        channel = self._publications.channel(self.topic, period_s)
+        self._share = channel.readers[self._reader] = Share(channel, limit)
+        self._reader.outbox.join(self._share)
+        return channel
+
+    def _take_latched(self, message: Message) -> None:
+        """What was published before: it is for this reader alone."""
+        self._reader.send(_line(self.topic, message))
+
+    def close(self) -> None:
+        """End the subscription; what waits is not sent."""
+        if self._subscription is not None:
+            self._subscription.close()
+        if self._share is not None:
+            self._reader.outbox.leave(self._share)
+            self._publications.leave(self._share.channel, self._reader)
 
 
-def _window(share: Share, end: int) -> list[Entry]:
-    order, lines = share.channel.lines(share.next, end)
-    return [(number, line, share) for number, line in zip(order, lines, strict=True)]
-
-
-_number = itemgetter(0)
+def _line(topic: str, message: Message) -> bytes:
+    line = encode({"op": "publish", "topic": topic, "msg": message})
+    if len(line) > LONGEST_LINE:
+        raise MessageRefused(f"a message of {len(line)} bytes on {topic} does not fit a line of {LONGEST_LINE}")
+    return line

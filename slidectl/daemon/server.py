@@ -1,4 +1,4 @@
-"""All connections: accepts them, serves those that have more to do, and says goodbye.
+"""All connections: accepts them, serves those that have more to do, and ends them.
 
 Called from the event loop between two cycles. Knows no operations: each connection has its session for that.
 """
@@ -16,9 +16,8 @@ from typing import Any
 from slidectl.client.lines import encode
 from slidectl.client.link import peer
 from slidectl.daemon.connection import Connection
-from slidectl.daemon.feed import Publications
 from slidectl.daemon.loop import READ, EventLoop
-from slidectl.daemon.session import Session
+from slidectl.daemon.session import Around, Session
 from slidectl.simulation.graph import Graph
 
 MOST_CONNECTIONS = 512
@@ -33,40 +32,18 @@ _PAUSE_FACTOR = 3.0
 """Between two rounds of messages that took long, so many times that time is left to the cycles and to all else."""
 
 
-class Busy:
-    """Connections that have more to do before the loop may wait, in order."""
-
-    def __init__(self) -> None:
-        self.with_input: dict[Connection, None] = {}
-        self.with_output: dict[Connection, None] = {}
-        self.with_messages: dict[Connection, None] = {}
-        """Readers of topics that have new messages."""
-
-    def forget(self, connection: Connection) -> None:
-        """It was closed."""
-        self.with_input.pop(connection, None)
-        self.with_output.pop(connection, None)
-        self.with_messages.pop(connection, None)
-
-
 class Server:
-    """Connections on `listener`, with the graph behind them. `log` takes a severity and a text."""
+    """Connections on `listener`, with the graph behind them."""
 
     def __init__(
-        self,
-        listener: socket.socket,
-        loop: EventLoop,
-        graph: Graph,
-        unexpected: Callable[[str], None],
+        self, listener: socket.socket, loop: EventLoop, graph: Graph, unexpected: Callable[[str], None]
     ) -> None:
-        self.graph = graph
-        self.publications = Publications()
-        self.unexpected = unexpected
-        self.busy = Busy()
-        self.sessions: dict[Connection, Session] = {}
+        self._around = Around(graph, loop, unexpected, self._listen)
+        self.sessions = self._around.sessions
+        self.publications = self._around.publications
+        self.busy = self._around.busy
         self._listener = listener
-        self._most = _room()
-        self._loop = loop
+        self._most = _most_connections()
         self._serial = 0
         self._listening = False
         self._paused_for = ""
@@ -113,14 +90,11 @@ class Server:
         due_s = max(0.0, self._messages_due_s - time.monotonic())
         return due_s if most_s is None else min(most_s, due_s)
 
-    def close(self, farewell: str) -> None:
-        """Say goodbye to all and let go of everything. What a client does not take at once is lost."""
-        for connection, session in list(self.sessions.items()):
-            session.tell("warning", farewell)
-            connection.flush()
-            connection.close()
-        if self._listening:
-            self._loop.forget(self._listener.fileno())
+    def close(self, why: str) -> None:
+        """End all sessions and let go of everything."""
+        for session in list(self.sessions):
+            session.end(why)
+        self._pause()
         self._listener.close()
 
     def tidy(self) -> None:
@@ -139,13 +113,13 @@ class Server:
 
     def _pause(self) -> None:
         if self._listening:
-            self._loop.forget(self._listener.fileno())
+            self._around.loop.forget(self._listener.fileno())
         self._listening = False
 
     def _listen(self) -> None:
         """Accept while there is room: a listener that is ready and not served would keep the loop from waiting."""
         if not self._listening:
-            self._loop.watch(self._listener.fileno(), READ, self._accept)
+            self._around.loop.watch(self._listener.fileno(), READ, self._accept)
         self._listening = True
 
     def _accept(self, _: int) -> None:
@@ -165,41 +139,24 @@ class Server:
 
     def _pause_listening(self, why: str) -> None:
         if why != self._paused_for:  # it is tried again and again
-            self.graph.log("warn", "/slidectl", why)
+            self._around.graph.log("warn", "/slidectl", why)
         self._paused_for = why
         self._pause()
 
     def _admit(self, connection: socket.socket) -> None:
         pid, uid = peer(connection)
+        connection.setblocking(False)
         reason = refusal(uid)
         if reason is None:
-            connection.setblocking(False)
-            self._begin(connection, pid)
+            self._serial += 1
+            Session(connection, self._around, f"/slidectl_{pid}_{self._serial}", _session_of(pid))
             return
-        self.graph.log("warn", "/slidectl", f"refused a connection of process {pid}: {reason}")
+        self._around.graph.log("warn", "/slidectl", f"refused a connection of process {pid}: {reason}")
         with connection, suppress(OSError):
-            connection.setblocking(False)
             connection.send(encode({"op": "status", "level": "error", "msg": reason}))
 
-    def _begin(self, raw: socket.socket, pid: int) -> None:
-        self._serial += 1
-        node = f"/slidectl_{pid}_{self._serial}"
-        begun: list[Session] = []
-        process_session = _session_of(pid)
 
-        def session_of(connection: Connection) -> Session:
-            begun.append(Session(connection, self, node, process_session))
-            return begun[0]
-
-        connection = Connection(raw, self._loop, self.busy, self.publications.tally, session_of, self._ended)
-        self.sessions[connection] = begun[0]
-
-    def _ended(self, connection: Connection) -> None:
-        self.sessions.pop(connection, None)
-        self._listen()
-
-
-def _in_turn(waiting: dict[Connection, None], action: Callable[[Connection], None], end_s: float) -> None:
+def _in_turn(waiting: dict[Any, None], action: Callable[[Any], None], end_s: float) -> None:
     """Act for those who wait, until the time is up: the others stay, before those who come to wait meanwhile."""
     for connection in list(waiting):
         if waiting.pop(connection, _GONE) is not _GONE:
@@ -223,7 +180,7 @@ def refusal(uid: int) -> str | None:
     return f"this daemon belongs to uid {os.geteuid()}; processes of uid {uid} may not use it"
 
 
-def _room() -> int:
+def _most_connections() -> int:
     """How many connections there may be."""
     limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
     if limit == resource.RLIM_INFINITY:

@@ -6,16 +6,19 @@ happens is a `status` back to it.
 
 from __future__ import annotations
 
+import json
+import re
+import socket
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 import slidectl
 from slidectl import msgs, names
 from slidectl.client.lines import LONGEST_LINE, BadLine, decode, encode
 from slidectl.control.node_handle import Reasons
-from slidectl.daemon import wire
-from slidectl.daemon.connection import Connection
-from slidectl.daemon.feed import Feed, Publications
+from slidectl.daemon.connection import Busy, Connection
+from slidectl.daemon.loop import EventLoop
+from slidectl.daemon.outbox import Feed, Publications
 from slidectl.errors import AmbiguousName, NoDescriptors, Refused, SlidectlError, UsageError, listing
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.pending import Pending
@@ -31,16 +34,33 @@ _LONGEST_LATE, _MOST_LATE = 4096, 8 * 1024 * 1024
 
 What answers at once is bounded otherwise: a connection with so much unread is not listened to.
 """
+_MOST_VALUES = 100_000
+_MOST_MAPPINGS = 20_000
+"""A mapping may stand for a message with all its default values."""
+_LONGEST_ENVELOPE = 4096
+_ENVELOPE = re.compile(r'"(op|id|service)"\s*:\s*("(?:[^"\\\x00-\x1f]|\\["\\/bfnrt])*"|-?\d{1,18}(?=\s*[,}]))')
+_LONGEST_ID = 1000
+_DEEPEST_ID = 200
+"""Characters of an id that is a list or a mapping: enough to number things with, too few to nest deeply."""
+_LARGEST_NUMBER = 1e9
 
 
-class Surroundings(Protocol):
-    """What all sessions share."""
+class Around:
+    """What all sessions share.
 
-    graph: Graph
-    publications: Publications
+    `unexpected` logs the exception that is being handled: it is a fault of ours. `ended` is called after each session.
+    """
 
-    def unexpected(self, text: str) -> None:
-        """Log the exception that is being handled: it is a fault of ours."""
+    def __init__(
+        self, graph: Graph, loop: EventLoop, unexpected: Callable[[str], None], ended: Callable[[], None]
+    ) -> None:
+        self.graph = graph
+        self.loop = loop
+        self.unexpected = unexpected
+        self.ended = ended
+        self.busy = Busy()
+        self.publications = Publications()
+        self.sessions: dict[Session, None] = {}
 
 
 class Session:
@@ -49,11 +69,12 @@ class Session:
     `process_session` is the session id of the client's process, 0 when it is not known.
     """
 
-    def __init__(self, connection: Connection, around: Surroundings, node: str, process_session: int) -> None:
+    def __init__(self, raw: socket.socket, around: Around, node: str, process_session: int) -> None:
         self.node = node
+        self.connection = Connection(raw, around.loop, around.busy, around.publications, self)
         self._process_session = process_session
-        self._connection = connection
         self._around = around
+        around.sessions[self] = None
         self._graph = around.graph
         self._level = LEVELS["warning"]
         self._publishers: dict[str, TopicPublisher] = {}
@@ -90,12 +111,12 @@ class Session:
         self._graph.caller = self._process_session
         try:
             try:
-                wire.check_size(line)
+                _check_size(line)
             except BadLine:
-                message = wire.envelope(line)
+                message = _envelope(line)
                 raise
             message = decode(line)
-            wire.check_id(message)
+            _check_id(message)
             self._operation(message)(message)
         except SlidectlError as error:
             self._complain(error, message)
@@ -113,7 +134,7 @@ class Session:
         op = message.get("op")
         operation = self._operations.get(op) if isinstance(op, str) else None
         if operation is None:
-            what = "a message without an op" if op is None else f"unknown op {wire.shortened(op)}"
+            what = "a message without an op" if op is None else f"unknown op {_shortened(op)}"
             raise UsageError(what, f"ops: {listing(self._operations)}")
         return operation
 
@@ -135,10 +156,17 @@ class Session:
     def tell(self, level: str, text: str) -> None:
         """A status line that answers nothing in particular."""
         if self._level <= LEVELS[level]:
-            self._connection.send(encode({"op": "status", "level": level, "msg": text}))
+            self.connection.send(encode({"op": "status", "level": level, "msg": text}))
+
+    def end(self, text: str) -> None:
+        """Tell the client why and close the connection. What it does not take at once is lost."""
+        self.tell("warning", text)
+        self.connection.flush()
+        self.connection.close()
 
     def closed(self) -> None:
         """The client has gone: take back all that it had, and drop what it waits for."""
+        self._around.sessions.pop(self, None)
         for pending in list(self._calls):
             pending.cancel()
         self._calls.clear()
@@ -148,15 +176,16 @@ class Session:
             feed.close()
         self._feeds.clear()
         self._graph.close_node(self.node)
+        self._around.ended()
 
     def _complain(self, error: SlidectlError, message: Message) -> None:
         """Tell the client; who called a service gets an answer even when it is this one."""
         if message.get("op") == "call_service" and isinstance(message.get("service"), str):
             asked = {"op": "service_response", "service": message["service"][: names.LONGEST]}
-            self._connection.send(encode(asked | _returned(message) | _failure(error) | self._reasons()))
+            self.connection.send(encode(asked | _returned(message) | _failure(error) | self._reasons()))
         elif self._level <= LEVELS["error"] or message.get("ack"):
             status = {"op": "status", "level": "error", "msg": str(error), "exit_code": error.exit_code}
-            self._connection.send(encode(status | wire.given_id(message) | self._reasons()))
+            self.connection.send(encode(status | _given_id(message) | self._reasons()))
 
     def _reasons(self) -> Message:
         """The warnings and errors so far of the line that is being carried out, as a part of its answer."""
@@ -166,8 +195,8 @@ class Session:
     # --- topics -------------------------------------------------------------------------------------------------
 
     def _advertise(self, message: Message) -> None:
-        topic = wire.name(message, "topic")
-        kind = wire.text(message, "type", "") or self._graph.topics.type_of(topic)
+        topic = _name(message, "topic")
+        kind = _text(message, "type", "") or self._graph.topics.type_of(topic)
         latch = bool(message.get("latch", False))
         known = self._publishers.get(topic)
         if known is not None and known.latch == latch:
@@ -178,59 +207,57 @@ class Session:
             known.close()
 
     def _unadvertise(self, message: Message) -> None:
-        topic = wire.name(message, "topic")
+        topic = _name(message, "topic")
         publisher = self._publishers.pop(topic, None)
         if publisher is None:
             raise Refused(f"{topic} is not advertised on this connection", f"advertised: {listing(self._publishers)}")
         publisher.close()
 
     def _publish(self, message: Message) -> None:
-        topic = wire.name(message, "topic")
+        topic = _name(message, "topic")
         content = message.get("msg", {})
         publisher = self._publishers.get(topic)
         if publisher is None:
-            self._graph.topics.publish(topic, wire.text(message, "type", "") or None, content, self.node)
+            self._graph.topics.publish(topic, _text(message, "type", "") or None, content, self.node)
         else:
             publisher.publish(msgs.check(self._graph.topics.type_of(topic), content))
         if message.get("unheard") and not self._graph.topics.subscribers(topic):
-            status = {"op": "status", "level": "info", **wire.given_id(message), "topic": topic, "unheard": True}
-            self._connection.send(encode({**status, "msg": f"nobody subscribes to {topic}"}))
+            status = {"op": "status", "level": "info", **_given_id(message), "topic": topic, "unheard": True}
+            self.connection.send(encode({**status, "msg": f"nobody subscribes to {topic}"}))
         if message.get("ack"):
-            status = {"op": "status", "level": "info", **wire.given_id(message), "msg": "delivered"}
-            self._connection.send(encode(status | self._reasons()))
+            status = {"op": "status", "level": "info", **_given_id(message), "msg": "delivered"}
+            self.connection.send(encode(status | self._reasons()))
 
     def _subscribe(self, message: Message) -> None:
-        topic = wire.name(message, "topic")
-        throttle, queue = wire.number(message, "throttle_rate"), wire.number(message, "queue_length")
-        if wire.text(message, "compression", "none") != "none":
-            raise UsageError(
-                f"compression {wire.shortened(message['compression'])} is not offered", "compression: none"
-            )
-        kind = wire.text(message, "type", "") or None
+        topic = _name(message, "topic")
+        throttle, queue = _number(message, "throttle_rate"), _number(message, "queue_length")
+        if _text(message, "compression", "none") != "none":
+            raise UsageError(f"compression {_shortened(message['compression'])} is not offered", "compression: none")
+        kind = _text(message, "type", "") or None
         feed = self._feeds.get(topic)
         if feed is None:
-            feed = Feed(topic, self._connection, self._around.publications)
-            feed.want(wire.wish_id(message), throttle, int(queue))
+            feed = Feed(topic, self.connection, self._around.publications)
+            feed.want(_wish_id(message), throttle, int(queue))
             feed.begin(self._graph.topics, kind, self.node)
             self._feeds[topic] = feed
             return
         if kind is not None:  # complains when the type is another one
             self._graph.topics.subscribe(topic, kind, self.node, lambda _: None).close()
-        feed.want(wire.wish_id(message), throttle, int(queue))
+        feed.want(_wish_id(message), throttle, int(queue))
 
     def _unsubscribe(self, message: Message) -> None:
-        topic = wire.name(message, "topic")
+        topic = _name(message, "topic")
         feed = self._feeds.get(topic)
         if feed is None:
             raise Refused(f"{topic} is not subscribed on this connection", f"subscribed: {listing(self._feeds)}")
-        if feed.unwant(wire.wish_id(message)):
+        if feed.unwant(_wish_id(message)):
             del self._feeds[topic]
             feed.close()
 
     # --- services -----------------------------------------------------------------------------------------------
 
     def _call_service(self, message: Message) -> None:
-        service = wire.name(message, "service")
+        service = _name(message, "service")
         if len(self._calls) >= _MOST_OPEN_CALLS:
             raise Refused(f"{_MOST_OPEN_CALLS} calls of this connection wait for their answers", "take these first")
         request = self._by_name(service, message.get("args") or {})
@@ -263,22 +290,22 @@ class Session:
             if len(line) > LONGEST_LINE:
                 what = f"its answer has {len(line)} bytes, and a line has at most {LONGEST_LINE}"
                 line = encode(response | _failure(Refused(f"{service}: {what}", "ask for less")))
-            if len(line) > _LONGEST_LATE and self._connection.unread > _MOST_LATE:
+            if len(line) > _LONGEST_LATE and self.connection.unread > _MOST_LATE:
                 what = f"its answer of {len(line)} bytes was given up: this connection does not read its answers"
                 line = encode(response | _failure(Refused(f"{service}: {what}")))
         except Exception as error:  # this may be called from within a control cycle, which must not fail for it
             self.unexpected(f"the answer of {service} to {self.node}")
             line = encode(response | _failure(Refused(f"internal error: {error!r}; the daemon's log has more")))
-        self._connection.send(line)
+        self.connection.send(line)
 
     def _advertise_service(self, message: Message) -> None:
-        service = wire.name(message, "service")
+        service = _name(message, "service")
         self._services[service] = self._graph.services.advertise(
-            service, wire.text(message, "type"), self.node, lambda request: self._ask(service, request)
+            service, _text(message, "type"), self.node, lambda request: self._ask(service, request)
         )
 
     def _unadvertise_service(self, message: Message) -> None:
-        service = wire.name(message, "service")
+        service = _name(message, "service")
         provided = self._services.pop(service, None)
         if provided is None:
             raise Refused(f"{service} is not provided by this connection", f"provided: {listing(self._services)}")
@@ -286,7 +313,7 @@ class Session:
 
     def _ask(self, service: str, request: Message) -> Pending:
         """Somebody calls a service that this client provides. Raises Refused when it does not take its calls."""
-        if self._connection.is_overfull:
+        if self.connection.is_overfull:
             raise Refused(f"{self.node}, which provides {service}, does not read its calls")
         self._serial += 1
         call_id = f"service_request:{service}:{self._serial}"
@@ -296,13 +323,13 @@ class Session:
 
         pending = Pending(on_cancel=nobody_waits)
         self._asked[call_id] = pending
-        self._connection.send(encode({"op": "call_service", "id": call_id, "service": service, "args": request}))
+        self.connection.send(encode({"op": "call_service", "id": call_id, "service": service, "args": request}))
         return pending
 
     def _service_response(self, message: Message) -> None:
         pending = self._asked.pop(str(message.get("id")), None)
         if pending is None:
-            raise Refused(f"nobody waits for the service response {wire.shortened(message.get('id'))}")
+            raise Refused(f"nobody waits for the service response {_shortened(message.get('id'))}")
         values = message.get("values", {})
         if message.get("result", True):
             pending.resolve(values)
@@ -310,15 +337,15 @@ class Session:
             pending.reject(Refused(values if isinstance(values, str) else "the provider failed"))
 
     def _set_level(self, message: Message) -> None:
-        level = wire.text(message, "level")
+        level = _text(message, "level")
         if level not in LEVELS:
-            raise UsageError(f"unknown level {wire.shortened(level)}", f"levels: {', '.join(LEVELS)}")
+            raise UsageError(f"unknown level {_shortened(level)}", f"levels: {', '.join(LEVELS)}")
         self._level = LEVELS[level]
 
 
 def _returned(call: Message) -> Message:
     """What the answer to a call brings back: the id, and our version to a client that has given its own."""
-    return wire.given_id(call) | ({"version": slidectl.__version__} if "version" in call else {})
+    return _given_id(call) | ({"version": slidectl.__version__} if "version" in call else {})
 
 
 def _failure(error: SlidectlError) -> Message:
@@ -326,3 +353,80 @@ def _failure(error: SlidectlError) -> Message:
     if isinstance(error, AmbiguousName):
         failure["matches"] = error.matches  # the text may leave some out
     return failure
+
+
+def _text(message: Message, key: str, default: str | None = None) -> str:
+    """Raises UsageError."""
+    value = message.get(key, default)
+    if not isinstance(value, str):
+        raise UsageError(f"op {message['op']!r} needs {key!r}, a text")
+    return value
+
+
+def _name(message: Message, key: str) -> str:
+    """A name, from the root if it is relative. Raises UsageError: BadName for one that is too long."""
+    given = _text(message, key)
+    if len(given) > names.LONGEST:
+        raise names.TooLong(given)
+    return names.join("/", given)
+
+
+def _check_size(line: bytes) -> None:
+    """Raises BadLine for one that would take long to read, with as much of the message as tells what it is.
+
+    Text is quick to read, values are not: a message of more than so many holds up the world. They are counted by what
+    stands between them, without looking whether that is inside of a text.
+    """
+    if len(line) < _MOST_VALUES:
+        return
+    values = line.count(b",") + line.count(b"[")
+    mappings = line.count(b"{")
+    if values + mappings > _MOST_VALUES:
+        raise BadLine(f"a line with {values + mappings} values, and {_MOST_VALUES} is the most")
+    if mappings > _MOST_MAPPINGS:
+        raise BadLine(f"a line with {mappings} mappings, and {_MOST_MAPPINGS} is the most")
+
+
+def _envelope(line: bytes) -> Message:
+    """What stands before the first list of a line that is not read: its op, its id, its service, where given."""
+    beginning = line[:_LONGEST_ENVELOPE].decode("utf-8", "replace")
+    fields = {match[1]: json.loads(match[2]) for match in _ENVELOPE.finditer(beginning.partition("[")[0])}
+    return {key: fields[key] for key in ("op", "id", "service") if key in fields}
+
+
+def _check_id(message: Message) -> None:
+    """Raises UsageError, and forgets the id, when it is one that nobody could want back."""
+    given = message.get("id")
+    most = _LONGEST_ID if isinstance(given, str) else _DEEPEST_ID
+    try:
+        fits = len(given if isinstance(given, str) else repr(given)) <= most
+    except RecursionError:
+        fits = False
+    if not fits:
+        del message["id"]
+        raise UsageError(f"an id of more than {most} characters")
+
+
+def _given_id(message: Message) -> Message:
+    """The id that comes back with the answer: as it was given, if it was."""
+    return {"id": message["id"]} if "id" in message else {}
+
+
+def _wish_id(message: Message) -> str | None:
+    """The id by which a subscription is told from another one of the same connection."""
+    given = message.get("id")
+    return None if given is None else str(given)
+
+
+def _number(message: Message, key: str) -> float:
+    """0 when it is not given. Raises UsageError."""
+    value = message.get(key) or 0
+    if not isinstance(value, int | float) or not 0 <= value <= _LARGEST_NUMBER:
+        raise UsageError(f"{key!r} is a number from 0 to {_LARGEST_NUMBER:g}, not {_shortened(value)}")
+    return value
+
+
+def _shortened(value: Any) -> str:
+    """The value as an error quotes it."""
+    text = repr(value[:60] if isinstance(value, str) else value)
+    return text if len(text) <= 60 else text[:57] + "..."

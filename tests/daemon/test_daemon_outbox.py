@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slidectl.daemon.feed import MOST_BYTES_IN_ALL, Publications
-from slidectl.daemon.outbox import MOST_BYTES, Channel, Outbox, Share, Tally
+from slidectl.daemon.outbox import MOST_BYTES, MOST_BYTES_IN_ALL, Channel, Outbox, Publications, Share
 
 
 def report(topic: str, dropped: int) -> bytes:
@@ -19,13 +18,16 @@ def report(topic: str, dropped: int) -> bytes:
 class Desk:
     """One client's outbox, and topics that it reads."""
 
-    def __init__(self, tally: Tally | None = None) -> None:
-        self.tally = tally or Tally()
-        self.outbox = Outbox(report, self.tally)
+    def __init__(self, publications: Publications | None = None) -> None:
+        self.publications = publications or Publications()
+        self.outbox = Outbox(report, self.publications)
+
+    def send(self, line: bytes) -> None:
+        self.outbox.put(line)
 
     def channel(self, topic: str, limit: int) -> Channel:
         """A topic with this client as its reader."""
-        channel = Channel(topic, self.tally)
+        channel = Channel(topic, self.publications)
         self.read(channel, limit)
         return channel
 
@@ -80,25 +82,25 @@ def test_large_messages_are_bounded_by_their_bytes_and_the_newest_is_kept(desk: 
     for _ in range(5):
         channel.put(b"x" * (MOST_BYTES // 2))
     channel.put(b"y" * (MOST_BYTES + 1))
-    assert channel.size == desk.tally.kept == MOST_BYTES + 1
+    assert channel.size == desk.publications.kept == MOST_BYTES + 1
     assert desk.outbox.take(1) == b"<5 of t>" + b"y" * (MOST_BYTES + 1)
 
 
 def test_readers_who_stop_have_the_lines_of_a_topic_in_common(desk: Desk) -> None:
     channel = desk.channel("t", 100)
-    others = [Desk(desk.tally) for _ in range(50)]
+    others = [Desk(desk.publications) for _ in range(50)]
     for other in others:
         other.read(channel, 100)
     for number in range(100_000):
         channel.put(b"%06d" % number)
-    assert desk.tally.kept == channel.size < 500 * 6
+    assert desk.publications.kept == channel.size < 500 * 6
     expected = b"<99900 of t>" + b"".join(b"%06d" % number for number in range(99_900, 100_000))
     assert [each.outbox.take(10_000) for each in (desk, *others)] == [expected] * 51
 
 
 def test_a_reader_who_reads_loses_nothing_beside_one_who_does_not(desk: Desk) -> None:
     channel = desk.channel("t", 10)
-    Desk(desk.tally).read(channel, 10)
+    Desk(desk.publications).read(channel, 10)
     received = []
     for number in range(5000):
         channel.put(b"%05d" % number)
@@ -117,12 +119,12 @@ def test_what_all_have_read_is_given_up(desk: Desk) -> None:
 
 def test_topics_of_large_messages_are_bounded_together() -> None:
     publications = Publications()
-    reader = Desk(publications.tally)
+    reader = Desk(publications)
     for number in range(100):
-        channel = publications.shared(f"/t{number}")
+        channel = publications.channel(f"/t{number}")
         reader.read(channel, 10)
         channel.take({"data": "x" * 1_000_000})
-    assert publications.tally.kept <= MOST_BYTES_IN_ALL
+    assert publications.kept <= MOST_BYTES_IN_ALL
     sent = b"".join(iter(lambda: reader.outbox.take(1_000_000), b""))
     told = sent.count(b"<1 of /t")
     assert told > 0
