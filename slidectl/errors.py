@@ -16,7 +16,6 @@ EXIT_NO_DAEMON = 3
 EXIT_TIMED_OUT = 4
 EXIT_INTERRUPTED = 130
 
-
 _LONGEST_SHOWN = 120
 _LONGEST_TEXT = 4000
 _LONGEST_ERROR = 20_000
@@ -45,32 +44,28 @@ def closest(name: str, known: Iterable[str]) -> str | None:
     """
     if len(name) > _LONGEST_COMPARED:
         return None
-    known = [full for full in known if len(full) <= 2 * _LONGEST_COMPARED]
-    if len(known) > _MOST_COMPARED:
-        known.sort()
-        from bisect import bisect
+    from bisect import bisect  # only an error needs these, and every command imports us
+    from difflib import SequenceMatcher, get_close_matches
+    from os.path import commonprefix
 
-        begin = max(0, bisect(known, name) - _MOST_COMPARED // 2)
-        known = known[begin : begin + _MOST_COMPARED]
-    from difflib import SequenceMatcher, get_close_matches  # only an error needs it, and every command imports us
-
+    known = sorted(full for full in known if len(full) <= 2 * _LONGEST_COMPARED)
+    begin = max(0, bisect(known, name) - _MOST_COMPARED // 2) if len(known) > _MOST_COMPARED else 0
+    known = known[begin : begin + _MOST_COMPARED]
     components = name.count("/") + 1
     by_end: dict[str, str] = {}
     for full in known:
         by_end.setdefault(full, full)
         if not name.startswith("/"):
             by_end.setdefault("/".join(full.split("/")[-components:]), full)
-    matches = get_close_matches(name, list(by_end), n=3, cutoff=0.6)
-    if not matches:
-        return None
+    matches = get_close_matches(name, by_end, n=3, cutoff=0.6)
+    # Among equals it is the beginning that people get right.
+    matches.sort(key=lambda match: (SequenceMatcher(None, match, name).ratio(), len(commonprefix((match, name)))))  # noqa: RUF071
+    return by_end[matches[-1]] if matches else None
 
-    def likeness(match: str) -> tuple[float, int]:
-        """How alike they are; among equals it is the beginning that people get right."""
-        blocks = SequenceMatcher(None, match, name)
-        first = blocks.get_matching_blocks()[0]
-        return blocks.ratio(), first.size if first.a == first.b == 0 else 0
 
-    return by_end[max(matches, key=likeness)]
+def _suggestion(name: str, known: Iterable[str]) -> str:
+    near = closest(name, known)
+    return f" Did you mean {near!r}?" if near else ""
 
 
 def listing(known: Iterable[str], most: int = 12) -> str:
@@ -155,12 +150,13 @@ class NoDescriptors(SlidectlError):
 class UnknownName(SlidectlError):
     """A name that does not exist: says which do, and suggests the closest."""
 
+    kind = name = ""
+    known: Sequence[str] = ()
+
     def __init__(self, kind: str, name: str, known: Sequence[str], where: str = "") -> None:
-        near = closest(name, known)
-        suggestion = f" Did you mean {near!r}?" if near else ""
         inside = f" {where}" if where else ""
         plural = kind if kind.endswith("s") else f"{kind[:-1]}ies" if kind.endswith("y") else f"{kind}s"
-        super().__init__(f"no {kind} {quoted(name)}{inside}.{suggestion}", f"{plural}: {listing(known)}")
+        super().__init__(f"no {kind} {quoted(name)}{inside}.{_suggestion(name, known)}", f"{plural}: {listing(known)}")
         self.kind = kind
         self.name = name
         self.known = list(known)
@@ -168,6 +164,8 @@ class UnknownName(SlidectlError):
 
 class AmbiguousName(UsageError):
     """A short name that fits more than one full name."""
+
+    matches: Sequence[str] = ()
 
     def __init__(self, kind: str, name: str, matches: Sequence[str]) -> None:
         super().__init__(
@@ -180,19 +178,15 @@ class Unused(Refused):
     """A topic that exists, but nobody is in that `role` for it (`publishers` or `subscribers`)."""
 
     def __init__(self, role: str, topic: str, used: Sequence[str]) -> None:
-        near = closest(topic, used)
-        suggestion = f" Did you mean {near!r}?" if near else ""
         verb = "publishes" if role == "publishers" else "subscribes to"
-        super().__init__(f"nobody {verb} {topic}.{suggestion}", f"topics with {role}: {listing(used)}")
-
-
-_ANY_NAME = "name: letters, digits, '_' and '/', and the first is a letter, '/' or '~'"
+        super().__init__(f"nobody {verb} {topic}.{_suggestion(topic, used)}", f"topics with {role}: {listing(used)}")
 
 
 class BadName(UsageError):
     """Text that is not a legal graph name."""
 
-    def __init__(self, name: str, rule: str = _ANY_NAME, hint: str | None = None) -> None:
+    def __init__(self, name: str, rule: str = "", hint: str | None = None) -> None:
+        rule = rule or "name: letters, digits, '_' and '/', and the first is a letter, '/' or '~'"
         super().__init__(f"{quoted(name)} is not a legal {rule}", hint)
 
 

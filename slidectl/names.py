@@ -14,19 +14,14 @@ from slidectl.errors import AmbiguousName, BadName, UnknownName
 LONGEST = 1000
 """Characters of a name, with all that stands above it. What is longer is an error or an attack."""
 
-_LEGAL = r"(?a)[A-Za-z/~][\w/]*\Z"
+_LEGAL = r"(?a)(?!.*//)(?!.+/\Z)[A-Za-z/~][\w/]*\Z"
 _COMPONENT = r"(?a)[A-Za-z]\w*\Z"
 _PARAMETER = r"(?=.)/?(?:[^\s\x00-\x1f\x7f/~][^\s\x00-\x1f\x7f/]*(?:/(?!\Z)|\Z))*\Z"
 
 
 def is_legal(name: str) -> bool:
     """True for a legal graph name (no double or trailing slash; `/` alone is the root; not longer than LONGEST)."""
-    return (
-        len(name) <= LONGEST
-        and bool(re.match(_LEGAL, name))
-        and "//" not in name
-        and (name == "/" or not name.endswith("/"))
-    )
+    return len(name) <= LONGEST and bool(re.match(_LEGAL, name))
 
 
 def check(name: str) -> str:
@@ -109,14 +104,10 @@ def resolve(name: str, known: Iterable[str], *, kind: str, namespace: str = "/")
     if name.startswith("/"):
         raise UnknownName(kind, name, sorted(names))
     matches = sorted(n for n in names if n.endswith("/" + name))
-    if len(matches) > 1:
-        matches = _within(matches, namespace) or matches
-    if len(matches) > 1:
-        raise AmbiguousName(kind, name, matches)
     if not matches:
         raise UnknownName(kind, name, sorted(names))
+    inside = [n for n in matches if is_under(n, namespace)] if namespace.strip("/") else []
+    matches = inside if len(matches) > 1 and inside else matches
+    if len(matches) > 1:
+        raise AmbiguousName(kind, name, matches)
     return matches[0]
-
-
-def _within(names: list[str], namespace: str) -> list[str]:
-    return [n for n in names if is_under(n, namespace)] if namespace.strip("/") else []

@@ -69,20 +69,15 @@ def _path(text: str) -> Path:
 def runtime_folder() -> str:
     """`$XDG_RUNTIME_DIR/slidectl`, else a folder of the user under the temporary folder."""
     base = os.environ.get("XDG_RUNTIME_DIR")
-    if base:
-        return os.path.join(os.path.abspath(base), "slidectl")
-    return temporary_runtime_folder()
+    return os.path.join(os.path.abspath(base), "slidectl") if base else temporary_runtime_folder()
 
 
 def temporary_runtime_folder() -> str:
     """The folder of all instances where XDG_RUNTIME_DIR is not set."""
-    return os.path.join(_temporary_folder(), f"slidectl-{os.getuid()}")
-
-
-def _temporary_folder() -> str:
-    """As `tempfile.gettempdir` finds it; importing that module costs more than all the rest of this one."""
+    # The temporary folder as tempfile.gettempdir finds it; that module takes longer to import than this one.
     named = (os.environ.get(variable) for variable in ("TMPDIR", "TEMP", "TMP"))
-    return next((os.path.abspath(folder) for folder in named if folder and os.path.isdir(folder)), "/tmp")
+    temporary = next((os.path.abspath(folder) for folder in named if folder and os.path.isdir(folder)), "/tmp")
+    return os.path.join(temporary, f"slidectl-{os.getuid()}")
 
 
 def instance(name: str | None = None, socket: str | None = None) -> InstancePaths:
@@ -96,30 +91,24 @@ def instance(name: str | None = None, socket: str | None = None) -> InstancePath
     if socket == "":
         raise UsageError("the socket's path is empty", "is a variable in it not set?")
     if socket is not None:
-        return _checked(_of_socket(os.path.abspath(socket)))
-    if name is None:
-        name = os.environ.get("SLIDECTL_INSTANCE") or DEFAULT_INSTANCE
-    if name != DEFAULT_INSTANCE and not re.match(_INSTANCE, name):
-        raise UsageError(f"instance name {name!r} is not a plain file name (letters, digits, '.', '_', '-')")
-    folder = os.path.join(runtime_folder(), name)
-    return _checked(InstancePaths(folder, os.path.join(folder, _SOCKET)))
-
-
-def _of_socket(path: str) -> InstancePaths:
-    """That of an instance is the instance, however it was named: its lock and its log are the same files."""
-    folder, file = os.path.split(path)
-    above, name = os.path.split(folder)
-    is_instances = file == _SOCKET and above == runtime_folder() and re.match(_INSTANCE, name)
-    return InstancePaths(folder, path, "" if is_instances else f"{file}.")
-
-
-def _checked(paths: InstancePaths) -> InstancePaths:
-    if len(os.fsencode(paths.socket_text)) > _LONGEST_SOCKET_PATH:
+        path = os.path.abspath(socket)
+        folder, file = os.path.split(path)
+        above, name = os.path.split(folder)
+        # That of an instance is the instance, however it was named: its lock and its log are the same files.
+        is_instances = file == _SOCKET and above == runtime_folder() and re.match(_INSTANCE, name)
+        found = InstancePaths(folder, path, "" if is_instances else f"{file}.")
+    else:
+        name = name if name is not None else os.environ.get("SLIDECTL_INSTANCE") or DEFAULT_INSTANCE
+        if not re.match(_INSTANCE, name):
+            raise UsageError(f"instance name {name!r} is not a plain file name (letters, digits, '.', '_', '-')")
+        folder = os.path.join(runtime_folder(), name)
+        found = InstancePaths(folder, os.path.join(folder, _SOCKET))
+    if len(os.fsencode(found.socket_text)) > _LONGEST_SOCKET_PATH:
         raise UsageError(
-            f"socket path is longer than {_LONGEST_SOCKET_PATH} bytes: {paths.socket_text}",
+            f"socket path is longer than {_LONGEST_SOCKET_PATH} bytes: {found.socket_text}",
             "set XDG_RUNTIME_DIR to a shorter folder, or give --socket",
         )
-    return paths
+    return found
 
 
 def make_private(folder: Path) -> None:
@@ -129,48 +118,30 @@ def make_private(folder: Path) -> None:
         Refused: it cannot be made, belongs to somebody else, is a link, or is open to others. Or somebody else may
             put another one into its place: that is checked for the folder that holds all instances.
     """
-    if _is_ours_to_name(folder):
-        _check_link(folder.parent)
+    above = folder.parent
+    hint = "set XDG_RUNTIME_DIR to a folder of your own"
+    # Anybody may put a link into the temporary folder.
+    if _is_ours_to_name(folder) and above.is_symlink() and (uid := above.lstat().st_uid) != os.geteuid():
+        raise Refused(f"{above} is a symbolic link of another user (uid {uid})", hint)
     try:
-        folder.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        above.mkdir(mode=0o700, parents=True, exist_ok=True)
         folder.mkdir(mode=0o700, exist_ok=True)
     except FileExistsError:
         raise Refused(f"{folder} is not a folder") from None
     except OSError as error:
-        hint = "set XDG_RUNTIME_DIR to a folder of your own"
         raise Refused(f"cannot make the folder {folder}: {error.strerror or error}", hint) from None
     if _is_ours_to_name(folder):
-        _check_unswappable(folder.parent)
+        info = above.stat()
+        if info.st_uid != os.geteuid():
+            raise Refused(f"{above} belongs to another user (uid {info.st_uid})", hint)
+        if stat.S_IMODE(info.st_mode) & 0o022:
+            raise Refused(f"{above} can be written by other users", f"chmod go-w {above}")
     check_private(folder)
 
 
 def _is_ours_to_name(folder: str | Path) -> bool:
     """True for the folder of an instance; that of a named socket is the user's affair."""
     return os.path.dirname(os.fspath(folder)) == runtime_folder()
-
-
-def _check_link(folder: Path) -> None:
-    """Raise Refused for a symbolic link of another user: anybody may put one into the temporary folder."""
-    try:
-        info = os.lstat(folder)
-    except OSError:
-        return
-    if stat.S_ISLNK(info.st_mode) and info.st_uid != os.geteuid():
-        raise Refused(
-            f"{folder} is a symbolic link of another user (uid {info.st_uid})",
-            "set XDG_RUNTIME_DIR to a folder of your own",
-        )
-
-
-def _check_unswappable(folder: Path) -> None:
-    """Raise Refused when another user may rename what is in the folder."""
-    info = os.stat(folder)
-    if info.st_uid != os.geteuid():
-        raise Refused(
-            f"{folder} belongs to another user (uid {info.st_uid})", "set XDG_RUNTIME_DIR to a folder of your own"
-        )
-    if stat.S_IMODE(info.st_mode) & 0o022:
-        raise Refused(f"{folder} can be written by other users", f"chmod go-w {folder}")
 
 
 def check_private(folder: str | Path) -> None:

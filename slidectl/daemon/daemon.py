@@ -38,8 +38,6 @@ _FIRST_COMMANDS_S = 1.0
 _YOUNG_OBJECTS = 2000
 _PROPERTIES = {"rtf": "speed", "timestep": "timestep", "gravity": "gravity"}
 """The options that say how the world is, by their names in the status."""
-_LONG_COLLECTION_S = 0.002
-"""What took so long to look through is not looked through again until there are twice as many objects."""
 _PR_SET_TIMERSLACK = 29
 
 
@@ -50,7 +48,6 @@ class Daemon:
         self._start = start
         self._place = place
         self._place_trouble = ""
-        self._seems_taken_over = False
         self._next_look_s = time.monotonic() + _LOOK_EVERY_S
         self._log = log
         self._began_s = began_s
@@ -71,7 +68,7 @@ class Daemon:
         graph.log.sink = self._keep_line
         graph.services.advertise("/slidectl/shutdown", "slidectl/Shutdown", NODE, self._shut_down)
         self._loop = EventLoop()
-        self._pacer = Pacer(self.simulation.loop, knocked=self._loop.is_ready, limit=self._limit_step)
+        self._pacer = Pacer(self.simulation.loop, knocked=self._loop.is_ready)
         self._server = Server(listener, self._loop, graph, self._unexpected)
         self._mesh_reader = MeshReader(self._loop, self._unexpected)
         self.simulation.read_meshes = self._mesh_reader.read
@@ -98,11 +95,6 @@ class Daemon:
             if busy.with_output or busy.with_messages or fresh:
                 server.flush()
         self._end()
-
-    def _limit_step(self, end_s: float | None) -> None:
-        """The simulation knows no wall time: it asks."""
-        now = time.perf_counter
-        self.simulation.loop.enough = None if end_s is None else lambda: now() >= end_s
 
     def _hold(self) -> float:
         """A fault of ours in a cycle holds the world and is told, instead of ending it."""
@@ -131,18 +123,13 @@ class Daemon:
         try:
             gone, listener = self._place.mend()
         except TakenOver as error:
-            if self._seems_taken_over:
-                self._stopping = f"stopped: {error.message}"
-            # One that has just come may find this one's socket answered, and go again.
-            self._seems_taken_over = True
-            self._next_look_s = time.monotonic() + _TIDY_EVERY_S
+            self._stopping = f"stopped: {error.message}"
             return
         except (SlidectlError, OSError) as error:  # it may be deleted while it is made again
             if str(error) != self._place_trouble:
                 self._log.write("error", f"nobody can find this daemon any more: {error}")
             self._place_trouble = str(error)
             return
-        self._seems_taken_over = False
         self._place_trouble = ""
         if listener is not None:
             self._server.listen_on(listener)
@@ -153,27 +140,23 @@ class Daemon:
     def _collect_garbage(self) -> None:
         """What stays is not looked through: with a hundred robots that would hold up the world for 20 ms.
 
-        The same holds for connections, topics and parameters in such numbers that looking through them takes long.
+        All is looked through when a robot has gone, or when twice as much stays as the last time.
         """
         robots = frozenset(self.simulation.robots)
-        if self._kept_robots - robots:
-            self._collect_all()
-        elif robots - self._kept_robots:
-            gc.freeze()
-        elif gc.get_count()[0] > _YOUNG_OBJECTS:
-            began = time.thread_time()
-            gc.collect()
-            if time.thread_time() - began > _LONG_COLLECTION_S:
-                gc.freeze()
-                if gc.get_freeze_count() > self._most_kept_objects:
-                    self._collect_all()
+        deleted, added = self._kept_robots - robots, robots - self._kept_robots
         self._kept_robots = robots
-
-    def _collect_all(self) -> None:
-        gc.unfreeze()
-        gc.collect()
+        if added:
+            self._most_kept_objects = max(self._most_kept_objects, 2 * gc.get_freeze_count())
+        elif gc.get_count()[0] > _YOUNG_OBJECTS:
+            gc.collect()
+        elif not deleted:
+            return
         gc.freeze()
-        self._most_kept_objects = 2 * gc.get_freeze_count()
+        if deleted or gc.get_freeze_count() > self._most_kept_objects:
+            gc.unfreeze()
+            gc.collect()
+            gc.freeze()
+            self._most_kept_objects = 2 * gc.get_freeze_count()
 
     # --- ends ---------------------------------------------------------------------------------------------------
 

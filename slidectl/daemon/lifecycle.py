@@ -31,10 +31,6 @@ _PAUSE_S = 0.01
 _GRACE_S = 5.0
 
 
-class StartFailed(Refused):
-    """The daemon's process ended, or said why it cannot run."""
-
-
 def running(paths: InstancePaths) -> int | None:
     """Process id of the daemon that lives at `paths`, or None. It may still be starting."""
     return holder(paths.lock)
@@ -47,7 +43,7 @@ def start(paths: InstancePaths, options: DaemonOptions | None = None, timeout: f
         Its process id, and whether it ran already (then the options had no effect).
 
     Raises:
-        StartFailed: with the reason, or the last lines of the log. TimedOut. Refused: the folder is not private.
+        Refused: it ended, with the reason or the last lines of its log; or the folder is not private. TimedOut.
         KeyboardInterrupt: and then a process that was started here has been ended again.
     """
     beginning = Beginning(paths, options)
@@ -123,13 +119,13 @@ class Beginning:
             self._process = None
             if not line:
                 why = _last_lines(self._paths.log, self._log_before)
-                raise StartFailed(f"the daemon did not start ({_end(process.wait())})", why)
+                raise Refused(f"the daemon did not start ({_end(process.wait())})", why)
             answer = json.loads(line)
             if answer["state"] == "ready":
                 return process.pid, False
             process.wait()
             if answer["state"] == "failed":
-                error = StartFailed(str(answer["error"]))
+                error = Refused(str(answer["error"]))
                 error.exit_code = int(answer["exit_code"])
                 raise error
 

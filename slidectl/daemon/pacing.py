@@ -10,46 +10,23 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
+
+from slidectl.simulation.loop import Loop
 
 FREE_SLICE_S = 0.0005
 CATCH_UP_SLICE_S = 0.002
 MOST_BEHIND_S = 0.1
 """What is later than this is not caught up: the schedule is moved instead, and the speed that is reached says so."""
 _SHORTEST_WAIT_S = 0.001
-_SHORT_S, _LONG_S, _GROWTH = 0.00004, 0.00014, 1.05
-"""Free-running cycles between two looks at the sockets: few after a client knocked, then ever more up to many."""
+_CHUNK_S = 0.00014
+"""Free-running cycles between two looks at the sockets: a look takes a microsecond."""
 _LONGEST_CHUNK = 1024
 _RECENT = 8192
 """Cycles of which the figures are kept."""
 _MARK_EVERY_S, _MARKS = 0.1, 20
 """The speed that is reached is that of about the last two seconds."""
-
-
-class Wishes(Protocol):
-    """How the world is asked to run (simulation.run_state.RunState)."""
-
-    paused: bool
-    speed: float
-
-    def allowed(self, most: int) -> int:
-        """How many cycles, at most `most`, may run now."""
-
-
-class Steppable(Protocol):
-    """What is paced (simulation.loop.Loop)."""
-
-    @property
-    def run(self) -> Wishes:
-        """The wishes."""
-
-    step_ns: int
-    """Nanoseconds of one cycle."""
-
-    def step(self, cycles: int = 1) -> int:
-        """Run so many cycles; fewer when the physics diverges."""
 
 
 class Pacer:
@@ -58,20 +35,17 @@ class Pacer:
     Cycles at a real-time factor run in groups of at least 1 ms of wall time, each group when its time has come:
     one cycle at the usual 1 kHz. `lateness` is how much later than that a group began, `durations` the wall time of a
     cycle (the mean of a group), `overruns` the groups that began more than their own length too late. Cycles that run
-    as fast as possible make way as soon as `knocked` says that a client wants something. `limit` tells the simulation
-    the time at which it is to end a step early (None: never): cycles may suddenly take a thousand times as long.
+    as fast as possible make way as soon as `knocked` says that a client wants something.
     """
 
     def __init__(
         self,
-        simulation: Steppable,
+        simulation: Loop,
         clock: Callable[[], float] = time.perf_counter,
         knocked: Callable[[], bool] = lambda: False,
-        limit: Callable[[float | None], None] = lambda _: None,
     ) -> None:
         self._simulation = simulation
         self._knocked = knocked
-        self._limit = limit
         self._clock = clock
         self._mode: tuple[float, int] | None = None
         self._step_s = 0.0
@@ -80,7 +54,6 @@ class Pacer:
         self._group = 1
         self._group_s = 0.0
         self._chunk = 1
-        self._chunk_s = _SHORT_S
         self._simulated_s = 0.0
         self._marks: deque[tuple[float, float]] = deque(maxlen=_MARKS)
         """Wall time and simulated time so far, now and then; empty while the world stands still."""
@@ -110,7 +83,7 @@ class Pacer:
         period_s = self._step_s / factor
         # A million cycles a second and more are what no machine reaches: as fast as possible comes to the same.
         self._is_free = period_s * _LONGEST_CHUNK < _SHORTEST_WAIT_S
-        self._limit(None)
+        self._simulation.enough = None
         self._group = 1 if self._is_free else max(1, int(_SHORTEST_WAIT_S / period_s))
         self._group_s = self._group * period_s
         self._due_s = self._clock()
@@ -126,7 +99,7 @@ class Pacer:
         run, step, clock = self._simulation.run, self._simulation.step, self._clock
         now = clock()
         end = now + FREE_SLICE_S
-        self._limit(end)
+        self._simulation.enough = lambda: clock() >= end  # cycles may suddenly take a thousand times as long
         while now < end and (asked := run.allowed(self._chunk)):
             done = step(asked)
             began, now = now, clock()
@@ -137,10 +110,8 @@ class Pacer:
             self._simulated_s += done * self._step_s
             if now >= self._next_mark_s:
                 self._mark(now)
-            knocked = self._knocked()
-            self._chunk_s = _SHORT_S if knocked else min(_LONG_S, _GROWTH * self._chunk_s)
-            self._chunk = max(1, min(_LONGEST_CHUNK, int(self._chunk_s / max(duration, 1e-9))))
-            if knocked:
+            self._chunk = max(1, min(_LONGEST_CHUNK, int(_CHUNK_S / max(duration, 1e-9))))
+            if self._knocked():
                 break
         return 0.0
 

@@ -183,7 +183,7 @@ def test_a_start_that_fails_tells_why(runtime: Runtime) -> None:
     broken.parent.mkdir()
     broken.write_text("raise ImportError('libmujoco is gone')")
     runtime.env["PYTHONPATH"] = f"{broken.parent}:{runtime.env['PYTHONPATH']}"
-    with pytest.raises(lifecycle.StartFailed, match="libmujoco is gone"):
+    with pytest.raises(Refused, match="libmujoco is gone"):
         runtime.start()
     assert [file.name for file in runtime.paths.folder.iterdir()] == ["log"]
 

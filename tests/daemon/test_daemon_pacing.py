@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable
 
 import pytest
 
@@ -22,6 +23,7 @@ class FakeSimulation:
         self.cost_s = cost_s
         self.cycles = 0
         self.breaks_at = math.inf
+        self.enough: Callable[[], bool] | None = None
 
     def clock(self) -> float:
         return self.now_s
@@ -114,16 +116,20 @@ def test_free_running_returns_to_the_sockets_after_a_slice(simulation: FakeSimul
 def test_free_running_cycles_are_limited_by_the_clock_and_paced_ones_by_their_number(
     simulation: FakeSimulation,
 ) -> None:
-    limits: list[float | None] = []
-    pacer = Pacer(simulation, simulation.clock, limit=limits.append)
+    pacer = Pacer(simulation, simulation.clock)
     pacer.turn()
+    assert simulation.enough is None
     simulation.run.speed = math.inf
     began = simulation.now_s
     pacer.turn()
+    assert simulation.enough is not None
+    simulation.now_s = began + 0.9 * FREE_SLICE_S
+    assert not simulation.enough()
+    simulation.now_s = began + 1.1 * FREE_SLICE_S
+    assert simulation.enough()
     simulation.run.speed = 1.0
     pacer.turn()
-    assert [limit for limit in limits if limit is not None] == [began + FREE_SLICE_S]
-    assert limits[-1] is None
+    assert simulation.enough is None
 
 
 def test_heavy_cycles_are_run_one_at_a_time(simulation: FakeSimulation, pacer: Pacer) -> None:
