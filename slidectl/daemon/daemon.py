@@ -197,7 +197,7 @@ class Daemon:
             "version": slidectl.__version__,
             "pid": os.getpid(),
             "instance": shown(self._start.paths.name),
-            "connections": len(self._server.sessions),
+            "connections": len(self._server.connections),
             "memory": _resident_bytes(),
             "uptime": time.monotonic() - self._began_s,
             "log": shown(str(self._start.paths.log)),

@@ -33,12 +33,20 @@ Entry = tuple[int, bytes, "Share | None"]
 
 
 class Reader(Protocol):
-    """Whoever is to be woken when a topic has a new line: a connection."""
+    """Whoever gets lines: a connection."""
 
     outbox: Outbox
 
+    @property
+    def unread(self) -> int:
+        """Bytes that wait for this reader alone."""
+
+    @property
+    def is_overfull(self) -> bool:
+        """True while more waits for it than may: what is not an answer to it should not be added."""
+
     def send(self, line: bytes) -> None:
-        """A line for this reader alone."""
+        """A line for this reader alone, which must arrive."""
 
 
 class Publications:

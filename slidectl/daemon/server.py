@@ -1,6 +1,7 @@
-"""All connections: accepts them, serves those that have more to do, and ends them.
+"""The server: accepts connections, serves those that have more to do, and carries bytes between sockets and sessions.
 
-Called from the event loop between two cycles. Knows no operations: each connection has its session for that.
+Called from the event loop between two cycles. Never waits: what the kernel does not take stays in the outbox. Knows
+lines, not operations: each connection has its session for these.
 """
 
 from __future__ import annotations
@@ -13,23 +14,43 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from slidectl.client.lines import encode
+from slidectl.client.lines import BadLine, LineBuffer, encode
 from slidectl.client.link import peer
-from slidectl.daemon.connection import Connection
-from slidectl.daemon.loop import READ, EventLoop
-from slidectl.daemon.session import Around, Session
+from slidectl.daemon.loop import HANG_UP, ONCE, PEER_CLOSED, READ, WRITE, EventLoop
+from slidectl.daemon.outbox import Outbox, Publications, Reader
+from slidectl.daemon.session import Session
 from slidectl.simulation.graph import Graph
 
 MOST_CONNECTIONS = 512
 _KEPT_DESCRIPTORS = 32
 """File descriptors that connections must leave to the rest of the process."""
 _ACCEPTED_A_TURN = 16
-_GONE: Any = object()
-_SERVED_A_TURN_S = 0.005
-_SENT_A_TURN_S = 0.003
+_CHUNK = 64 * 1024
+_MOST_UNREAD = 1024 * 1024
+_SERVED_ONE_S, _SERVED_A_TURN_S = 0.002, 0.005
+"""How long one connection, and all of them, are served before cycles have their turn."""
+_SENT_ONE, _SENT_A_TURN_S = 256 * 1024, 0.003
+"""Bytes to one connection, and seconds for all of them, likewise."""
 _COSTLY_S, _LONGEST_PAUSE_S = 0.0003, 0.1
 _PAUSE_FACTOR = 3.0
 """Between two rounds of messages that took long, so many times that time is left to the cycles and to all else."""
+_GONE: Any = object()
+
+
+class Busy:
+    """Connections that have more to do before the loop may wait, in order."""
+
+    def __init__(self) -> None:
+        self.with_input: dict[Connection, None] = {}
+        self.with_output: dict[Connection, None] = {}
+        self.with_messages: dict[Reader, None] = {}
+        """Readers of topics that have new messages."""
+
+    def forget(self, connection: Connection) -> None:
+        """It was closed."""
+        self.with_input.pop(connection, None)
+        self.with_output.pop(connection, None)
+        self.with_messages.pop(connection, None)
 
 
 class Server:
@@ -38,10 +59,12 @@ class Server:
     def __init__(
         self, listener: socket.socket, loop: EventLoop, graph: Graph, unexpected: Callable[[str], None]
     ) -> None:
-        self._around = Around(graph, loop, unexpected, self._listen)
-        self.sessions = self._around.sessions
-        self.publications = self._around.publications
-        self.busy = self._around.busy
+        self.loop = loop
+        self.graph = graph
+        self.unexpected = unexpected
+        self.publications = Publications()
+        self.busy = Busy()
+        self.connections: dict[Connection, None] = {}
         self._listener = listener
         self._most = _most_connections()
         self._serial = 0
@@ -91,35 +114,40 @@ class Server:
         return due_s if most_s is None else min(most_s, due_s)
 
     def close(self, why: str) -> None:
-        """End all sessions and let go of everything."""
-        for session in list(self.sessions):
-            session.end(why)
+        """End all connections and let go of everything."""
+        for connection in list(self.connections):
+            connection.end(why)
         self._pause()
         self._listener.close()
 
     def tidy(self) -> None:
         """Now and then: give up lines that nobody wants, and look whether there is room for connections again."""
         self.publications.tidy()
-        if len(self.sessions) < self._most:
+        if len(self.connections) < self._most:
             self._listen()
+
+    def ended(self, connection: Connection) -> None:
+        """It was closed."""
+        self.connections.pop(connection, None)
+        self._listen()
 
     def listen_on(self, listener: socket.socket) -> None:
         """Accept connections here from now on; those that there are stay."""
         self._pause()
         self._listener.close()
         self._listener = listener
-        if len(self.sessions) < self._most:
+        if len(self.connections) < self._most:
             self._listen()
 
     def _pause(self) -> None:
         if self._listening:
-            self._around.loop.forget(self._listener.fileno())
+            self.loop.forget(self._listener.fileno())
         self._listening = False
 
     def _listen(self) -> None:
         """Accept while there is room: a listener that is ready and not served would keep the loop from waiting."""
         if not self._listening:
-            self._around.loop.watch(self._listener.fileno(), READ, self._accept)
+            self.loop.watch(self._listener.fileno(), READ, self._accept)
         self._listening = True
 
     def _accept(self, _: int) -> None:
@@ -133,13 +161,13 @@ class Server:
                 return
             self._paused_for = ""
             self._admit(connection)
-            if len(self.sessions) >= self._most:
+            if len(self.connections) >= self._most:
                 self._pause_listening(f"{self._most} connections are open; others wait until one of them ends")
                 return
 
     def _pause_listening(self, why: str) -> None:
         if why != self._paused_for:  # it is tried again and again
-            self._around.graph.log("warn", "/slidectl", why)
+            self.graph.log("warn", "/slidectl", why)
         self._paused_for = why
         self._pause()
 
@@ -149,11 +177,178 @@ class Server:
         reason = refusal(uid)
         if reason is None:
             self._serial += 1
-            Session(connection, self._around, f"/slidectl_{pid}_{self._serial}", _session_of(pid))
+            self.connections[Connection(connection, self, pid, self._serial)] = None
             return
-        self._around.graph.log("warn", "/slidectl", f"refused a connection of process {pid}: {reason}")
+        self.graph.log("warn", "/slidectl", f"refused a connection of process {pid}: {reason}")
         with connection, suppress(OSError):
             connection.send(encode({"op": "status", "level": "error", "msg": reason}))
+
+
+class Connection:
+    """A non-blocking socket with a buffer of lines on each side."""
+
+    def __init__(self, raw: socket.socket, server: Server, pid: int, serial: int) -> None:
+        self._socket = raw
+        self._fd = raw.fileno()
+        self._server = server
+        self._loop = server.loop
+        self._busy = server.busy
+        self._incoming = LineBuffer()
+        self._session = Session(
+            self, server.graph, server.publications, server.unexpected, f"/slidectl_{pid}_{serial}", _session_of(pid)
+        )
+        self.outbox = Outbox(self._session.report, server.publications)
+        self._chunk: bytes | memoryview = b""
+        self._failure: BadLine | None = None
+        self._blocked = False  # the kernel takes no more for now
+        self._readable = True  # the kernel may have something for us
+        self._ends = False  # the client sends no more than what is here already
+        self._ended = False  # no more will be read
+        self._deaf = False  # the client takes no more, ever
+        self._waits_to_write = False
+        self.open = True
+        self._loop.watch(self._fd, READ | ONCE, self._ready)
+
+    # --- in -----------------------------------------------------------------------------------------------------
+
+    def _ready(self, events: int) -> None:
+        """Events are only noted: what is done about them has its turn when all have been noted."""
+        self._readable = not self._ended
+        self._ends = self._ends or bool(events & (HANG_UP | PEER_CLOSED))
+        self._busy.with_input[self] = None
+        if events & HANG_UP:
+            self._stop_sending()
+        if events & WRITE:
+            self._blocked = False
+            self._busy.with_output[self] = None
+
+    def _safely(self, action: Callable[[], None]) -> None:
+        """A fault of ours ends one connection, not the daemon."""
+        try:
+            action()
+        except Exception:
+            self._session.unexpected("serving a connection failed")
+            self.close()
+
+    def serve(self) -> None:
+        """Take in what has come. There is a limit to each turn, so that no client holds up the others."""
+        self._safely(self._serve_some)
+
+    def _serve_some(self) -> None:
+        # A client that does not take its answers is not listened to until it does: that bounds what we keep for it.
+        # Lines of it that have come already wait as well.
+        lines = self._incoming.lines
+        end = time.monotonic() + _SERVED_ONE_S
+        while (lines or self._readable) and not self.is_overfull:
+            if lines:
+                self._session.take(lines.popleft())
+            else:
+                self._receive()
+            if time.monotonic() >= end:
+                break
+        if self._failure is not None and not lines:
+            failure, self._failure = self._failure, None
+            self._session.refuse(failure)
+        self._settle()
+
+    def _receive(self) -> None:
+        try:
+            data = self._socket.recv(_CHUNK)
+        except BlockingIOError:
+            self._readable = False
+            return
+        except OSError:
+            data = b""
+        try:
+            self._incoming.feed(data)
+            if not data and self._incoming.unfinished:
+                raise BadLine(f"a line that was cut off after {self._incoming.unfinished} bytes")
+        except BadLine as error:
+            self._failure = error
+        self._ended = not data or self._failure is not None
+        # A short piece is all that there is, except for the end; what comes later is told anew: see epoll(7).
+        self._readable = not self._ended and (len(data) == _CHUNK or self._ends)
+
+    # --- out ----------------------------------------------------------------------------------------------------
+
+    def send(self, line: bytes) -> None:
+        """A line that must arrive: an answer, a refusal."""
+        if self._deaf:
+            return
+        self.outbox.put(line)
+        if not self._blocked:
+            # To the end of the row: answers leave in the order in which they were given, whoever they are for.
+            self._busy.with_output.pop(self, None)
+            self._busy.with_output[self] = None
+
+    @property
+    def unread(self) -> int:
+        """Bytes that wait for this client alone."""
+        return self.outbox.unbounded + len(self._chunk)
+
+    @property
+    def is_overfull(self) -> bool:
+        """True while more waits for the client than may: what is not an answer to it should not be added."""
+        return self.unread >= _MOST_UNREAD
+
+    def flush(self) -> None:
+        """Send what the kernel takes now, within reason."""
+        if not self._blocked:
+            self._safely(self._send_some)
+
+    def _send_some(self) -> None:
+        sent = 0
+        while (self._chunk or self.outbox) and not self._blocked and sent < _SENT_ONE:
+            chunk = self._chunk or self.outbox.take(_CHUNK)
+            try:
+                count = self._socket.send(chunk)
+            except BlockingIOError:
+                count = 0
+            except OSError:
+                self._stop_sending()
+                break
+            self._chunk = memoryview(chunk)[count:]  # no copy: a piece may be 16 MiB, and go out in a hundred parts
+            self._blocked = bool(self._chunk)
+            sent += count
+        self._settle()
+
+    def _stop_sending(self) -> None:
+        self._deaf = True
+        self._chunk = b""
+        self.outbox.clear()
+
+    def _settle(self) -> None:
+        """After anything changed: what to wait for, and whether the end is reached."""
+        lines = bool(self._incoming.lines)
+        unsent = bool(self._chunk or self.outbox)
+        if self._ended and not lines and not unsent and (self._deaf or not self._session.waiting):
+            self.close()
+        if not self.open:
+            return
+        if unsent and not self._blocked:
+            self._busy.with_output[self] = None
+        if (lines or self._readable) and not self.is_overfull:
+            self._busy.with_input[self] = None
+        if self._blocked != self._waits_to_write:
+            self._waits_to_write = self._blocked
+            self._loop.change(self._fd, READ | ONCE | (WRITE if self._blocked else 0))
+
+    def close(self) -> None:
+        """End it now; the session takes back all that the client had."""
+        if not self.open:
+            return
+        self.open = False
+        self._busy.forget(self)
+        self._loop.forget(self._fd)
+        self._socket.close()
+        self._safely(self._session.closed)
+        self._server.ended(self)
+
+    def end(self, why: str) -> None:
+        """Tell the client why, and close. What it does not take at once is lost."""
+        self._session.tell("warning", why)
+        self.flush()
+        self.close()
 
 
 def _in_turn(waiting: dict[Any, None], action: Callable[[Any], None], end_s: float) -> None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import re
-import socket
 from collections.abc import Callable
 from typing import Any
 
@@ -16,9 +15,7 @@ import slidectl
 from slidectl import msgs, names
 from slidectl.client.lines import LONGEST_LINE, BadLine, decode, encode
 from slidectl.control.node_handle import Reasons
-from slidectl.daemon.connection import Busy, Connection
-from slidectl.daemon.loop import EventLoop
-from slidectl.daemon.outbox import Feed, Publications
+from slidectl.daemon.outbox import Feed, Publications, Reader
 from slidectl.errors import AmbiguousName, NoDescriptors, Refused, SlidectlError, UsageError, listing
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.pending import Pending
@@ -45,37 +42,28 @@ _DEEPEST_ID = 200
 _LARGEST_NUMBER = 1e9
 
 
-class Around:
-    """What all sessions share.
-
-    `unexpected` logs the exception that is being handled: it is a fault of ours. `ended` is called after each session.
-    """
-
-    def __init__(
-        self, graph: Graph, loop: EventLoop, unexpected: Callable[[str], None], ended: Callable[[], None]
-    ) -> None:
-        self.graph = graph
-        self.loop = loop
-        self.unexpected = unexpected
-        self.ended = ended
-        self.busy = Busy()
-        self.publications = Publications()
-        self.sessions: dict[Session, None] = {}
-
-
 class Session:
     """The graph as one client uses it, under the node name `node`. Everything it took is given back by `closed`.
 
     `process_session` is the session id of the client's process, 0 when it is not known.
     """
 
-    def __init__(self, raw: socket.socket, around: Around, node: str, process_session: int) -> None:
+    def __init__(
+        self,
+        connection: Reader,
+        graph: Graph,
+        publications: Publications,
+        unexpected: Callable[[str], None],
+        node: str,
+        process_session: int,
+    ) -> None:
         self.node = node
-        self.connection = Connection(raw, around.loop, around.busy, around.publications, self)
+        self.unexpected = unexpected
+        """Logs the exception that is being handled: it is a fault of ours."""
         self._process_session = process_session
-        self._around = around
-        around.sessions[self] = None
-        self._graph = around.graph
+        self._connection = connection
+        self._graph = graph
+        self._publications = publications
         self._level = LEVELS["warning"]
         self._publishers: dict[str, TopicPublisher] = {}
         self._feeds: dict[str, Feed] = {}
@@ -149,24 +137,13 @@ class Session:
         text = f"{dropped} messages on {topic} were dropped: read too slowly"
         return encode({"op": "status", "level": "warning", "topic": topic, "dropped": dropped, "msg": text})
 
-    def unexpected(self, what: str) -> None:
-        """The exception that is being handled is a fault of ours: log it."""
-        self._around.unexpected(what)
-
     def tell(self, level: str, text: str) -> None:
         """A status line that answers nothing in particular."""
         if self._level <= LEVELS[level]:
-            self.connection.send(encode({"op": "status", "level": level, "msg": text}))
-
-    def end(self, text: str) -> None:
-        """Tell the client why and close the connection. What it does not take at once is lost."""
-        self.tell("warning", text)
-        self.connection.flush()
-        self.connection.close()
+            self._connection.send(encode({"op": "status", "level": level, "msg": text}))
 
     def closed(self) -> None:
         """The client has gone: take back all that it had, and drop what it waits for."""
-        self._around.sessions.pop(self, None)
         for pending in list(self._calls):
             pending.cancel()
         self._calls.clear()
@@ -176,16 +153,15 @@ class Session:
             feed.close()
         self._feeds.clear()
         self._graph.close_node(self.node)
-        self._around.ended()
 
     def _complain(self, error: SlidectlError, message: Message) -> None:
         """Tell the client; who called a service gets an answer even when it is this one."""
         if message.get("op") == "call_service" and isinstance(message.get("service"), str):
             asked = {"op": "service_response", "service": message["service"][: names.LONGEST]}
-            self.connection.send(encode(asked | _returned(message) | _failure(error) | self._reasons()))
+            self._connection.send(encode(asked | _returned(message) | _failure(error) | self._reasons()))
         elif self._level <= LEVELS["error"] or message.get("ack"):
             status = {"op": "status", "level": "error", "msg": str(error), "exit_code": error.exit_code}
-            self.connection.send(encode(status | _given_id(message) | self._reasons()))
+            self._connection.send(encode(status | _given_id(message) | self._reasons()))
 
     def _reasons(self) -> Message:
         """The warnings and errors so far of the line that is being carried out, as a part of its answer."""
@@ -223,10 +199,10 @@ class Session:
             publisher.publish(msgs.check(self._graph.topics.type_of(topic), content))
         if message.get("unheard") and not self._graph.topics.subscribers(topic):
             status = {"op": "status", "level": "info", **_given_id(message), "topic": topic, "unheard": True}
-            self.connection.send(encode({**status, "msg": f"nobody subscribes to {topic}"}))
+            self._connection.send(encode({**status, "msg": f"nobody subscribes to {topic}"}))
         if message.get("ack"):
             status = {"op": "status", "level": "info", **_given_id(message), "msg": "delivered"}
-            self.connection.send(encode(status | self._reasons()))
+            self._connection.send(encode(status | self._reasons()))
 
     def _subscribe(self, message: Message) -> None:
         topic = _name(message, "topic")
@@ -236,7 +212,7 @@ class Session:
         kind = _text(message, "type", "") or None
         feed = self._feeds.get(topic)
         if feed is None:
-            feed = Feed(topic, self.connection, self._around.publications)
+            feed = Feed(topic, self._connection, self._publications)
             feed.want(_wish_id(message), throttle, int(queue))
             feed.begin(self._graph.topics, kind, self.node)
             self._feeds[topic] = feed
@@ -290,13 +266,13 @@ class Session:
             if len(line) > LONGEST_LINE:
                 what = f"its answer has {len(line)} bytes, and a line has at most {LONGEST_LINE}"
                 line = encode(response | _failure(Refused(f"{service}: {what}", "ask for less")))
-            if len(line) > _LONGEST_LATE and self.connection.unread > _MOST_LATE:
+            if len(line) > _LONGEST_LATE and self._connection.unread > _MOST_LATE:
                 what = f"its answer of {len(line)} bytes was given up: this connection does not read its answers"
                 line = encode(response | _failure(Refused(f"{service}: {what}")))
         except Exception as error:  # this may be called from within a control cycle, which must not fail for it
             self.unexpected(f"the answer of {service} to {self.node}")
             line = encode(response | _failure(Refused(f"internal error: {error!r}; the daemon's log has more")))
-        self.connection.send(line)
+        self._connection.send(line)
 
     def _advertise_service(self, message: Message) -> None:
         service = _name(message, "service")
@@ -313,7 +289,7 @@ class Session:
 
     def _ask(self, service: str, request: Message) -> Pending:
         """Somebody calls a service that this client provides. Raises Refused when it does not take its calls."""
-        if self.connection.is_overfull:
+        if self._connection.is_overfull:
             raise Refused(f"{self.node}, which provides {service}, does not read its calls")
         self._serial += 1
         call_id = f"service_request:{service}:{self._serial}"
@@ -323,7 +299,7 @@ class Session:
 
         pending = Pending(on_cancel=nobody_waits)
         self._asked[call_id] = pending
-        self.connection.send(encode({"op": "call_service", "id": call_id, "service": service, "args": request}))
+        self._connection.send(encode({"op": "call_service", "id": call_id, "service": service, "args": request}))
         return pending
 
     def _service_response(self, message: Message) -> None:
