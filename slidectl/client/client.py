@@ -607,8 +607,6 @@ class Params:
             full = names.join("/", name)
         self.set_all({full: value})
 
-    set = __setitem__
-
     def set_all(self, values: Mapping[str, Any]) -> None:
         """Set several by their full names, all or none. Raises Refused: a loaded controller cannot take a value."""
         texts = [json.dumps(value, allow_nan=False) for value in values.values()]
@@ -617,8 +615,6 @@ class Params:
     def __delitem__(self, name: str) -> None:
         full = self._client.resolve("parameter", name)["name"]
         self._client.call("/rosapi/delete_param", {"name": full})
-
-    delete = __delitem__
 
     def names(self) -> list[str]:
         """The full names, sorted."""

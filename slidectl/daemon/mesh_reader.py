@@ -7,6 +7,7 @@ time and memory that the kernel keeps. It says what it has read on a pipe. Nothi
 from __future__ import annotations
 
 import ctypes
+import io
 import os
 import resource
 import select
@@ -159,18 +160,18 @@ class _Job:
 
     def settle(self, status: int) -> None:
         """Understand what the process has said; of the mesh in the middle of which it ended, why."""
-        said = memoryview(bytes(self.said))
+        said = io.BytesIO(self.said)
         for source in self.sources:
-            if len(said) < _RESULT.size:
+            header = said.read(_RESULT.size)
+            is_hull, text_length, file_length = _RESULT.unpack(header) if len(header) == _RESULT.size else (False, 0, 0)
+            text, content = str(said.read(text_length), "utf-8", "replace"), said.read(file_length)
+            if not text or len(content) < file_length:
                 self.results[source] = BadMesh(_why(status), source.path)
-                continue
-            is_hull, name_length, file_length = _RESULT.unpack_from(said)
-            name_end = _RESULT.size + name_length
-            name, content = str(said[_RESULT.size : name_end], "utf-8"), bytes(said[name_end : name_end + file_length])
-            said = said[name_end + file_length :]
-            self.results[source] = result = Hull(name, content) if is_hull else BadMesh(name, source.path)
-            if isinstance(result, Hull):
-                self.unprepared.append(result)
+            elif is_hull:
+                self.results[source] = hull = Hull(text, content)
+                self.unprepared.append(hull)
+            else:
+                self.results[source] = BadMesh(text, source.path)
 
 
 def _why(status: int) -> str:
@@ -186,12 +187,13 @@ def _work(sources: Sequence[Source], writing: int, parent: int) -> None:
     code = 1
     try:
         _confine(writing, parent)
-        for source in sources:
-            result = hulls.read(source)
-            if isinstance(result, Hull):
-                _say(writing, True, result.name, result.stl)
-            else:
-                _say(writing, False, result.reason, b"")
+        with os.fdopen(writing, "wb") as pipe:
+            for source in sources:
+                result = hulls.read(source)
+                text, content = (result.name, result.stl) if isinstance(result, Hull) else (result.reason, b"")
+                name = text.encode("utf-8", "replace")
+                pipe.write(_RESULT.pack(isinstance(result, Hull), len(name), len(content)) + name + content)
+                pipe.flush()
         code = 0
     finally:
         os._exit(code)
@@ -224,10 +226,3 @@ def _limit(what: int, most: int) -> None:
     _, hard = resource.getrlimit(what)
     most = most if hard == resource.RLIM_INFINITY else min(most, hard)
     resource.setrlimit(what, (most, hard))
-
-
-def _say(writing: int, is_hull: bool, name: str, content: bytes) -> None:
-    text = name.encode("utf-8", "replace")
-    left = memoryview(_RESULT.pack(is_hull, len(text), len(content)) + text + content)
-    while left:
-        left = left[os.write(writing, left) :]

@@ -248,7 +248,7 @@ class Connection:
                 break
         if self._failure is not None and not lines:
             failure, self._failure = self._failure, None
-            self._session.refuse(failure)
+            self._session.complain(failure, {})
         self._settle()
 
     def _receive(self) -> None:

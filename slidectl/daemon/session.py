@@ -25,6 +25,11 @@ from slidectl.simulation.topics import TopicPublisher
 LEVELS = {"info": 0, "warning": 1, "error": 2, "none": 3}
 Message = dict[str, Any]
 
+_OPERATIONS = (
+    "advertise", "unadvertise", "publish", "subscribe", "unsubscribe", "call_service", "advertise_service",
+    "unadvertise_service", "service_response", "set_level",
+)  # fmt: skip
+"""Each is a method of the session, with an underscore before its name."""
 _MOST_OPEN_CALLS = 1000
 _LONGEST_LATE, _MOST_LATE = 4096, 8 * 1024 * 1024
 """Bytes of an answer, and of what waits before it, from which on it is given up when it comes later than its call.
@@ -71,18 +76,6 @@ class Session:
         self._services: dict[str, Service] = {}
         self._asked: dict[str, Pending] = {}
         self._serial = 0
-        self._operations: dict[str, Callable[[Message], None]] = {
-            "advertise": self._advertise,
-            "unadvertise": self._unadvertise,
-            "publish": self._publish,
-            "subscribe": self._subscribe,
-            "unsubscribe": self._unsubscribe,
-            "call_service": self._call_service,
-            "advertise_service": self._advertise_service,
-            "unadvertise_service": self._unadvertise_service,
-            "service_response": self._service_response,
-            "set_level": self._set_level,
-        }
 
     # --- the connection's side ----------------------------------------------------------------------------------
 
@@ -105,30 +98,22 @@ class Session:
                 raise
             message = decode(line)
             _check_id(message)
-            self._operation(message)(message)
+            op = message.get("op")
+            if op not in _OPERATIONS:
+                what = "a message without an op" if op is None else f"unknown op {_shortened(op)}"
+                raise UsageError(what, f"ops: {listing(_OPERATIONS)}")
+            getattr(self, f"_{op}")(message)
         except SlidectlError as error:
-            self._complain(error, message)
+            self.complain(error, message)
         except Exception as error:
             if isinstance(error, OSError) and error.errno in NoDescriptors.ERRNOS:
-                self._complain(NoDescriptors("the daemon"), message)
+                self.complain(NoDescriptors("the daemon"), message)
                 return
             self.unexpected(f"{self.node} sent {line[:200]!r}")
-            self._complain(Refused(f"internal error: {error!r}; the daemon's log has more"), message)
+            self.complain(Refused(f"internal error: {error!r}; the daemon's log has more"), message)
         finally:
             log.reasons = None
             self._graph.caller = 0
-
-    def _operation(self, message: Message) -> Callable[[Message], None]:
-        op = message.get("op")
-        operation = self._operations.get(op) if isinstance(op, str) else None
-        if operation is None:
-            what = "a message without an op" if op is None else f"unknown op {_shortened(op)}"
-            raise UsageError(what, f"ops: {listing(self._operations)}")
-        return operation
-
-    def refuse(self, error: BadLine) -> None:
-        """The stream is broken."""
-        self._complain(error, {})
 
     def report(self, topic: str, dropped: int) -> bytes:
         """The line that tells of messages that were dropped; empty for a client that does not want to know."""
@@ -154,8 +139,8 @@ class Session:
         self._feeds.clear()
         self._graph.close_node(self.node)
 
-    def _complain(self, error: SlidectlError, message: Message) -> None:
-        """Tell the client; who called a service gets an answer even when it is this one."""
+    def complain(self, error: SlidectlError, message: Message) -> None:
+        """Tell the client what is wrong with its message; who called a service gets an answer even then."""
         if message.get("op") == "call_service" and isinstance(message.get("service"), str):
             asked = {"op": "service_response", "service": message["service"][: names.LONGEST]}
             self._connection.send(encode(asked | _returned(message) | _failure(error) | self._reasons()))
@@ -184,10 +169,8 @@ class Session:
 
     def _unadvertise(self, message: Message) -> None:
         topic = _name(message, "topic")
-        publisher = self._publishers.pop(topic, None)
-        if publisher is None:
-            raise Refused(f"{topic} is not advertised on this connection", f"advertised: {listing(self._publishers)}")
-        publisher.close()
+        _owned(self._publishers, topic, "advertised")
+        self._publishers.pop(topic).close()
 
     def _publish(self, message: Message) -> None:
         topic = _name(message, "topic")
@@ -223,12 +206,8 @@ class Session:
 
     def _unsubscribe(self, message: Message) -> None:
         topic = _name(message, "topic")
-        feed = self._feeds.get(topic)
-        if feed is None:
-            raise Refused(f"{topic} is not subscribed on this connection", f"subscribed: {listing(self._feeds)}")
-        if feed.unwant(_wish_id(message)):
-            del self._feeds[topic]
-            feed.close()
+        if _owned(self._feeds, topic, "subscribed").unwant(_wish_id(message)):
+            self._feeds.pop(topic).close()
 
     # --- services -----------------------------------------------------------------------------------------------
 
@@ -282,10 +261,8 @@ class Session:
 
     def _unadvertise_service(self, message: Message) -> None:
         service = _name(message, "service")
-        provided = self._services.pop(service, None)
-        if provided is None:
-            raise Refused(f"{service} is not provided by this connection", f"provided: {listing(self._services)}")
-        provided.close()
+        _owned(self._services, service, "provided")
+        self._services.pop(service).close()
 
     def _ask(self, service: str, request: Message) -> Pending:
         """Somebody calls a service that this client provides. Raises Refused when it does not take its calls."""
@@ -329,6 +306,13 @@ def _failure(error: SlidectlError) -> Message:
     if isinstance(error, AmbiguousName):
         failure["matches"] = error.matches  # the text may leave some out
     return failure
+
+
+def _owned(owned: dict[str, Any], name: str, how: str) -> Any:
+    """What the connection has by this name. Raises Refused."""
+    if name not in owned:
+        raise Refused(f"{name} is not {how} on this connection", f"{how}: {listing(owned)}")
+    return owned[name]
 
 
 def _text(message: Message, key: str, default: str | None = None) -> str:

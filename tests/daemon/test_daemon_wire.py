@@ -155,14 +155,13 @@ def test_the_shortest_queue_keeps_the_newest_and_tells_what_was_dropped(connect:
     reader.call("/rosapi/get_time")
     line = b'{"op":"publish","topic":"/flood","msg":{"data":%d}}\n'
     writer.raw(b"".join(line % number for number in range(20)))
-    assert reader.receive() == {
-        "op": "status",
-        "level": "warning",
-        "topic": "/flood",
-        "dropped": 19,
-        "msg": "19 messages on /flood were dropped: read too slowly",
-    }
-    assert reader.receive()["msg"]["data"] == 19
+    said = [reader.receive()]
+    while said[-1].get("msg") != {"data": 19}:
+        said.append(reader.receive())
+    told = [message for message in said if message["op"] == "status"]
+    assert len(told) >= 1
+    assert sum(message["dropped"] for message in told) + len(said) - len(told) == 20
+    assert told[0]["msg"] == f"{told[0]['dropped']} messages on /flood were dropped: read too slowly"
 
 
 def test_a_service_that_fails_answers_with_its_reason_and_exit_code(wire: Wire) -> None:
