@@ -174,11 +174,11 @@ class Server:
     def _admit(self, connection: socket.socket) -> None:
         pid, uid = peer(connection)
         connection.setblocking(False)
-        reason = refusal(uid)
-        if reason is None:
+        if uid == os.geteuid():
             self._serial += 1
             self.connections[Connection(connection, self, pid, self._serial)] = None
             return
+        reason = f"this daemon belongs to uid {os.geteuid()}; processes of uid {uid} may not use it"
         self.graph.log("warn", "/slidectl", f"refused a connection of process {pid}: {reason}")
         with connection, suppress(OSError):
             connection.send(encode({"op": "status", "level": "error", "msg": reason}))
@@ -366,13 +366,6 @@ def _session_of(pid: int) -> int:
         return os.getsid(pid) if pid else 0  # 0 is a process of another pid namespace, and for getsid ourselves
     except OSError:
         return 0
-
-
-def refusal(uid: int) -> str | None:
-    """Why a process of this user may not come in; None when it may."""
-    if uid == os.geteuid():
-        return None
-    return f"this daemon belongs to uid {os.geteuid()}; processes of uid {uid} may not use it"
 
 
 def _most_connections() -> int:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import random
 import resource
 import select
 import signal
@@ -21,7 +20,6 @@ from daemon_fixture import Runtime
 from rosbridge_wire import Wire
 
 from slidectl.client.lines import LONGEST_LINE
-from slidectl.daemon.server import refusal
 
 Connect = Callable[[], Wire]
 NESTED = b"[" * 600 + b"NaN" + b"]" * 600
@@ -132,37 +130,6 @@ def test_a_provider_that_does_not_read_gets_no_more_calls(wire: Wire, connect: C
     assert answer["values"].endswith("which provides /deaf, does not read its calls")
 
 
-def test_random_bytes_do_not_end_the_daemon(connect: Connect) -> None:
-    noise = random.Random(4)
-    for _ in range(20):
-        wire = connect()
-        wire.raw(noise.randbytes(5000) + b"\n")
-        assert wire.receive()["level"] == "error"
-        wire.close()
-    assert connect().call("/rosapi/get_time")["result"] is True
-
-
-def test_mutilated_operations_do_not_end_the_daemon(connect: Connect) -> None:
-    chance = random.Random(5)
-    sound = [
-        json.dumps(message).encode()
-        for message in (
-            {"op": "subscribe", "id": "a", "topic": "/clock", "type": "rosgraph_msgs/Clock", "queue_length": 3},
-            {"op": "call_service", "id": "b", "service": "/rosapi/topic_type", "args": {"topic": "/clock"}},
-            {"op": "publish", "topic": "/x", "msg": {"data": 1.0}, "type": "std_msgs/Float64"},
-            {"op": "advertise_service", "service": "/mine", "type": "std_srvs/Trigger"},
-        )
-    ]
-    wire = connect()
-    for _ in range(500):
-        line = bytearray(chance.choice(sound))
-        for _ in range(chance.randrange(1, 4)):
-            line[chance.randrange(len(line))] = chance.randrange(32, 127)
-        wire.raw(bytes(line) + b"\n")
-    wire.send(op="call_service", id="end", service="/rosapi/get_time")
-    assert wire.until("service_response", id="end")["result"] is True
-
-
 def test_a_line_of_100_mb_is_refused_and_never_kept(daemon: Runtime, connect: Connect) -> None:
     wire = connect()
     assert daemon.pid is not None
@@ -185,13 +152,6 @@ def feed_until_hung_up(wire: Wire, most: int) -> int:
         except (BrokenPipeError, ConnectionResetError):
             return taken
     return most
-
-
-def test_a_long_line_within_the_limit_is_taken(wire: Wire) -> None:
-    wire.send(op="subscribe", topic="/long", type="std_msgs/String")
-    text = "x" * 5_000_000
-    wire.send(op="publish", topic="/long", msg={"data": text})
-    assert wire.receive()["msg"]["data"] == text
 
 
 def test_a_line_that_is_cut_off_is_answered_when_the_client_still_listens(wire: Wire) -> None:
@@ -361,18 +321,6 @@ def test_answers_that_are_not_read_are_bounded_by_one_beyond_the_bound(daemon: R
     assert modest.call("/rosapi/delete_param", name="/large")["result"]
 
 
-def test_one_that_leaves_without_its_answers_leaves_nothing(connect: Connect) -> None:
-    modest = connect()
-    assert modest.call("/rosapi/set_param", name="/large", value=json.dumps("x" * 4_000_000))["result"]
-    for _ in range(20):
-        greedy = connect()
-        greedy.raw(b'{"op": "call_service", "service": "/rosapi/get_param", "args": {"name": "/large"}}\n' * 50)
-        greedy.close()
-    assert modest.call("/rosapi/delete_param", name="/large")["result"]
-    while modest.call("/slidectl/status")["values"]["connections"] > 1:
-        pass
-
-
 def test_late_answers_to_one_who_does_not_read_are_given_up_and_told(daemon: Runtime, connect: Connect) -> None:
     provider, greedy = connect(), connect()
     provider.send(op="advertise_service", service="/large", type="rosapi/GetParam")
@@ -457,13 +405,6 @@ def send_until_not_listened_to(greedy: Wire, question: bytes, modest: Wire) -> i
     raise AssertionError(f"the daemon took {asked} bytes of questions")
 
 
-def test_many_clients_at_once_are_all_served(connect: Connect) -> None:
-    clients = [connect() for _ in range(100)]
-    for client in clients:
-        client.send(op="call_service", id="x", service="/rosapi/get_time")
-    assert all(client.receive()["result"] is True for client in clients)
-
-
 def test_connections_beyond_what_the_process_can_hold_wait_for_their_turn(runtime: Runtime) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (64, hard))
@@ -477,11 +418,6 @@ def test_connections_beyond_what_the_process_can_hold_wait_for_their_turn(runtim
         client.close()
     assert clients[-1].call("/rosapi/get_time")["result"] is True
     clients[-1].close()
-
-
-def test_only_processes_of_the_same_user_may_come_in() -> None:
-    assert refusal(os.geteuid()) is None
-    assert "may not use it" in (refusal(os.geteuid() + 1) or "")
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")

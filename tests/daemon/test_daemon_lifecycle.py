@@ -86,10 +86,6 @@ def test_stop_ends_the_process_and_leaves_only_the_log(runtime: Runtime) -> None
     assert runtime.pid is None
 
 
-def test_stopping_where_nothing_runs_says_so(runtime: Runtime) -> None:
-    assert runtime.stop() is None
-
-
 def test_two_starts_at_once_give_one_daemon(runtime: Runtime) -> None:
     script = (
         "from slidectl import paths; from slidectl.daemon import lifecycle; print(lifecycle.start(paths.instance()))"
@@ -216,16 +212,11 @@ def test_a_folder_that_is_open_to_others_is_refused_by_both_sides(runtime: Runti
         runtime.client()
 
 
-def test_a_socket_in_a_folder_that_all_share_is_refused_without_advice_that_would_close_it(runtime: Runtime) -> None:
-    runtime.folder.chmod(0o1777)
-    with runtime.environment(), pytest.raises(Refused, match="a folder of your own"):
-        lifecycle.start(paths.instance(socket=str(runtime.folder / "robot.sock")))
-
-
+@pytest.mark.parametrize("mode", [0o755, 0o1777])  # as a home is, or the temporary folder
 def test_a_socket_in_a_folder_that_others_can_read_is_refused_without_advice_that_would_close_it(
-    runtime: Runtime,
+    runtime: Runtime, mode: int
 ) -> None:
-    runtime.folder.chmod(0o755)  # as a home is, or the root
+    runtime.folder.chmod(mode)
     with runtime.environment(), pytest.raises(Refused, match="a folder of your own") as caught:
         lifecycle.start(paths.instance(socket=str(runtime.folder / "robot.sock")))
     assert f"chmod 700 {runtime.folder}" not in str(caught.value)
@@ -425,7 +416,7 @@ def test_commands_work_in_a_folder_whose_name_is_no_utf8_and_a_locale_that_knows
         runtime.remove()
 
 
-@pytest.mark.parametrize("limit", [6, 7, 8, 9, 12, 16, 20])
+@pytest.mark.parametrize("limit", [6, 12, 20])
 def test_a_daemon_that_may_open_few_files_is_not_started_and_says_why(runtime: Runtime, limit: int) -> None:
     script = f"ulimit -n {limit}; exec {sys.executable} -m slidectl daemon start"
     done = subprocess.run(
@@ -437,7 +428,7 @@ def test_a_daemon_that_may_open_few_files_is_not_started_and_says_why(runtime: R
     assert runtime.pid is None
 
 
-@pytest.mark.parametrize("limit", [7, 9, 12])
+@pytest.mark.parametrize("limit", [7, 12])
 def test_a_command_that_may_open_few_files_works_or_says_why(runtime: Runtime, limit: int) -> None:
     runtime.start(paused=True)
     script = f"ulimit -n {limit}; exec {sys.executable} -m slidectl topic list"

@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent.parent))
 from fuzz_attacks import ATTACKS
 from fuzz_target import Tally, case_random, target
 
-SHARES = {"lines": 0.25, "files": 0.25, "robots": 0.2, "meshes": 0.1, "manager": 0.1, "kill-9": 0.1}
+SHARES = {"lines": 0.25, "files": 0.25, "robots": 0.2, "meshes": 0.1, "manager": 0.2}
 """Of the seconds, by kind."""
 _MOST_FAULTS = 5
 

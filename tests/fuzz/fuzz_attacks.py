@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import struct
 import tempfile
@@ -13,9 +12,9 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from daemon_fixture import ROOT, Runtime
+from daemon_fixture import ROOT
 from fuzz_mutations import ODD_VALUES, mutated_bytes, mutated_text, shrunk
-from fuzz_target import RawWire, Target, check_text, fresh_client, write
+from fuzz_target import RawWire, Target, check_text, write
 
 from slidectl import description
 from slidectl.check import run as checking
@@ -347,46 +346,6 @@ class Manager:
             raise AssertionError(f"{verb} {request}: {answer} {states}, expected {expected} {model.states}")
 
 
-# --- kill -9 ---------------------------------------------------------------------------------------------------------
-
-
-class Kill:
-    """A daemon that is killed at some moment; the next one starts as if nothing had been."""
-
-    kind = "kill -9"
-
-    def __init__(self, target: Target) -> None:
-        del target
-
-    def case(self, rng: Random) -> str:
-        runtime = Runtime()
-        try:
-            pid, _ = runtime.start(paused=rng.random() < 0.5)
-            with fresh_client(runtime) as client:
-                moment = rng.choice(("idle", "after a spawn", "in a step"))
-                if moment != "idle":
-                    xml = description.load("slider").xml
-                    client.call("/gazebo/spawn_urdf_model", {"model_name": "slider", "model_xml": xml})
-                if moment == "in a step":
-                    client.call_async("/slidectl/step", {"cycles": 10**7})
-                os.kill(pid, signal.SIGKILL)
-                with suppress(ChildProcessError):
-                    os.waitpid(pid, 0)
-            if runtime.pid is not None:
-                raise AssertionError(f"process {runtime.pid} is said to live after kill -9 ({moment})")
-            again, ran_already = runtime.start(paused=True)
-            if ran_already or again == pid:
-                raise AssertionError(f"no new daemon was started ({moment})")
-            with fresh_client(runtime) as client:
-                if client.call("/slidectl/list_robots")["robots"]:
-                    raise AssertionError("the new world is not empty")
-            check_text(runtime.log, "the log")
-            runtime.stop()
-        finally:
-            runtime.remove()
-        return moment
-
-
 ATTACKS: dict[str, Callable[[Target], Any]] = {
-    attack.kind.replace(" ", ""): attack for attack in (Lines, Files, Robots, Meshes, Manager, Kill)
+    attack.kind: attack for attack in (Lines, Files, Robots, Meshes, Manager)
 }

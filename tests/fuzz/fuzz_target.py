@@ -16,8 +16,6 @@ from typing import Any
 
 from daemon_fixture import Runtime
 
-from slidectl.client import Client
-
 MARKS = ("Traceback (most recent call last)", "a fault of slidectl")
 ANSWER_LIMIT_S = 20.0
 """How long an answer may take on a busy machine. The world is paused: no answer may need a cycle."""
@@ -168,10 +166,6 @@ class RawWire:
 
     def close(self) -> None:
         self.socket.close()
-
-
-def fresh_client(runtime: Runtime) -> Client:
-    return runtime.client(ANSWER_LIMIT_S)
 
 
 def write(folder: Path, name: str, content: bytes) -> Path:
