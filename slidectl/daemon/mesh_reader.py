@@ -38,6 +38,7 @@ AT_ONCE = 2
 _NICER = 10
 _PIECE = 1 << 16
 _PR_SET_PDEATHSIG = 1
+_LARGEST_DESCRIPTOR = 2**31 - 1
 _RESULT = struct.Struct("<?II")
 """One result: whether it is a hull, the length of its name (or of the reason why there is none), that of its file."""
 _WHY = {
@@ -208,10 +209,8 @@ def _confine(writing: int, parent: int) -> None:
     if os.getppid() != parent:
         os._exit(1)
     # Neither the clients' sockets nor the lock may outlive the daemon in here.
-    for descriptor in map(int, os.listdir("/proc/self/fd")):
-        if descriptor > 2 and descriptor != writing:
-            with suppress(OSError):
-                os.close(descriptor)
+    os.closerange(3, writing)
+    os.closerange(writing + 1, _LARGEST_DESCRIPTOR)
     os.nice(_NICER)
     with open("/proc/self/statm", encoding="ascii") as statm:
         mapped = int(statm.read().split()[0]) * resource.getpagesize()

@@ -12,7 +12,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from itertools import islice
-from operator import itemgetter
 from typing import Any, Protocol
 
 from slidectl.client.lines import LONGEST_LINE, encode
@@ -229,14 +228,10 @@ class Outbox:
     def retire(self, share: Share) -> None:
         """What the share has waiting is sent, and then nothing more."""
         self.leave(share)
-        lost = share.skip()
-        entries: list[Entry] = [(number, line, None) for number, line, _ in share.entries()]
-        if lost:
-            self._publications.last += 1
-            number = entries[0][0] if entries else self._publications.last
-            entries.insert(0, (number, self._report(share.channel.topic, lost), None))
-        self.unbounded += sum(len(line) for _, line, _ in entries)
-        self._own = deque(heapq.merge(self._own, entries, key=itemgetter(0)))
+        if lost := share.skip():
+            self.put(self._report(share.channel.topic, lost))
+        for _, line, _ in share.entries():
+            self.put(line)
 
     def clear(self) -> None:
         """Nobody will read any of it."""

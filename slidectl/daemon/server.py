@@ -346,7 +346,7 @@ class Connection:
 
     def end(self, why: str) -> None:
         """Tell the client why, and close. What it does not take at once is lost."""
-        self._session.tell("warning", why)
+        self._session.warn(why)
         self.flush()
         self.close()
 

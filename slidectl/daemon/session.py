@@ -122,10 +122,10 @@ class Session:
         text = f"{dropped} messages on {topic} were dropped: read too slowly"
         return encode({"op": "status", "level": "warning", "topic": topic, "dropped": dropped, "msg": text})
 
-    def tell(self, level: str, text: str) -> None:
+    def warn(self, text: str) -> None:
         """A status line that answers nothing in particular."""
-        if self._level <= LEVELS[level]:
-            self._connection.send(encode({"op": "status", "level": level, "msg": text}))
+        if self._level <= LEVELS["warning"]:
+            self._connection.send(encode({"op": "status", "level": "warning", "msg": text}))
 
     def closed(self) -> None:
         """The client has gone: take back all that it had, and drop what it waits for."""

@@ -131,7 +131,7 @@ def test_a_share_that_is_replaced_sends_what_it_has_waiting(desk: Desk) -> None:
     desk.outbox.put(b"answer")
     desk.outbox.retire(channel.readers[desk])
     channel.put(b"3")
-    assert desk.outbox.take(100) == b"<1 of t>12answer"
+    assert desk.outbox.take(100) == b"answer<1 of t>12"
     assert desk.outbox.unbounded == 0
 
 
