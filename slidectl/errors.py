@@ -165,8 +165,6 @@ class UnknownName(SlidectlError):
 class AmbiguousName(UsageError):
     """A short name that fits more than one full name."""
 
-    matches: Sequence[str] = ()
-
     def __init__(self, kind: str, name: str, matches: Sequence[str]) -> None:
         super().__init__(
             f"{quoted(name)} fits more than one {kind}: {listing(matches)}", "write the full name, or give --ns"
