@@ -117,7 +117,7 @@ def _definitions(root: str, text: str) -> dict[str, str]:
 
 
 def _schema(root: str, texts: Mapping[str, str]) -> Schema:
-    from slidectl.msgs.parsing import parse_message
+    from slidectl.msgs.definitions import parse_message
 
     definitions = {name: parse_message(text, name) for name, text in texts.items()}
     return Schema(root, {name: tuple(Field(*field) for field in d.fields) for name, d in definitions.items()})
@@ -192,5 +192,5 @@ def definition(path: str, type_name: str, raw: bool) -> str:
 
 def _shown(schema: Schema, type_name: str, indent: str) -> Iterator[str]:
     for field in schema.fields(type_name):
-        yield f"{indent}{field.spelled} {field.name}"
+        yield f"{indent}{field.type_text} {field.name}"
         yield from _shown(schema, field.type, indent + "  ")
