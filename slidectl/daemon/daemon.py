@@ -26,7 +26,7 @@ from slidectl.daemon.place import Place, TakenOver
 from slidectl.daemon.server import Server
 from slidectl.errors import SlidectlError
 from slidectl.paths import shown
-from slidectl.simulation.assembly import SpawnedRobot
+from slidectl.simulation.robots import SpawnedRobot
 from slidectl.simulation.simulation import Simulation
 
 NODE = "/slidectl"

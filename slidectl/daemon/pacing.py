@@ -24,7 +24,7 @@ _LONGEST_CHUNK = 1024
 
 
 class Wishes(Protocol):
-    """How the world is asked to run (simulation.run_state.RunState)."""
+    """How the world is asked to run (simulation.loop.RunState)."""
 
     paused: bool
     speed: float

@@ -16,8 +16,8 @@ from slidectl.simulation.pending import Pending
 
 if TYPE_CHECKING:
     from slidectl.control.controller_manager import ControllerManager
+    from slidectl.simulation.graph import GraphNode
     from slidectl.simulation.loop import Loop
-    from slidectl.simulation.node import GraphNode
 
 Act = Callable[[Message, Pending], None]
 """Carries out a request; the answer is settled then, or when its switch is done."""

@@ -134,21 +134,17 @@ class Services:
 
 def _follow(service: Service, inner: Pending) -> Pending:
     """The caller's side of an answer: checked against the type; fails when the provider goes, ends with the caller."""
+    outer = inner.converted(lambda answered: msgs.check(service.response_type, answered.result()))
 
-    def gone() -> None:
+    def forget(_: Pending) -> None:
         service.open.pop(outer, None)
+
+    def cancel() -> None:
+        forget(outer)
         inner.cancel()
 
-    def settle(answered: Pending) -> None:
-        service.open.pop(outer, None)
-        try:
-            response = msgs.check(service.response_type, answered.result())
-        except SlidectlError as error:
-            outer.reject(error)
-            return
-        outer.resolve(response)
-
-    outer = Pending(on_cancel=gone)
-    service.open[outer] = inner
-    inner.then(settle)
+    if not outer.done:
+        service.open[outer] = inner
+        outer.on_cancel = cancel
+        outer.then(forget)
     return outer

@@ -1,4 +1,4 @@
-"""The topic bus: who publishes what to whom, with types, latching and names.
+"""The topic bus: who publishes what to whom, with types, latching and names; and topics at a steady rate.
 
 Delivery is a plain call, in the order of subscription, before `publish` returns. Queues for slow readers
 are the affair of whoever has one.
@@ -8,11 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, ClassVar
+from functools import partial
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from slidectl import msgs, names
 from slidectl.control.node_handle import Message, MessageCallback
 from slidectl.errors import Refused, SlidectlError, UnknownName
+
+if TYPE_CHECKING:
+    from slidectl.simulation.clock import Timer
+    from slidectl.simulation.graph import Graph
 
 
 class TypeConflict(Refused):
@@ -61,7 +66,7 @@ class TopicPublisher:
         if refusal is not None:
             raise refusal
 
-    def for_newcomer(self) -> Message | None:
+    def first_message(self) -> Message | None:
         """The message that a new subscriber gets at once: the latched one."""
         return self.last
 
@@ -78,10 +83,75 @@ class NodePublisher(TopicPublisher):
 
     def publish(self, message: Message) -> None:
         """Hand a complete message on and number its header. The dict must not be changed afterwards."""
-        try:
+        with suppress(SlidectlError):
             super().publish(message)
-        except SlidectlError:
-            return
+
+
+class _DemandPublisher(NodePublisher):
+    """Tells when it begins and when it ceases to be wanted."""
+
+    __slots__ = ("_build_first", "_is_wanted", "_on_demand")
+
+    def __init__(
+        self, on_demand: Callable[[bool], None], build_first: Callable[[], Message | None], *arguments: Any
+    ) -> None:
+        self._on_demand = on_demand
+        self._build_first = build_first
+        self._is_wanted = False
+        super().__init__(*arguments)
+
+    @property
+    def wanted(self) -> bool:
+        return self._is_wanted
+
+    @wanted.setter
+    def wanted(self, value: bool) -> None:
+        if value != self._is_wanted:
+            self._is_wanted = value
+            self._on_demand(value)
+
+    def first_message(self) -> Message | None:
+        return self._build_first()
+
+
+class PeriodicTopic:
+    """Publishes what `build` gives, every `period_ns` of simulated time, until `close`. Free while nobody listens.
+
+    The phase is that of multiples of the period, whoever listened before. While `is_still` says that no cycle will come
+    by itself, a new subscriber gets the present message at once, and those that are there when the publisher comes too.
+    """
+
+    def __init__(
+        self,
+        graph: Graph,
+        topic: str,
+        type_name: str,
+        node: str,
+        period_ns: int,
+        build: Callable[[], Message],
+        is_still: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self._graph = graph
+        self._period_ns = period_ns
+        self._build = build
+        self._timer: Timer | None = None
+        kind = partial(_DemandPublisher, self._demand, lambda: build() if is_still() else None)
+        self._publisher = graph.topics.advertise(topic, type_name, node, kind=kind)
+        if self._publisher.wanted and is_still():
+            self._publish()
+
+    def close(self) -> None:
+        """Stop publishing."""
+        self._demand(False)
+        self._publisher.close()
+
+    def _demand(self, wanted: bool) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer = self._graph.timers.every(self._period_ns, self._publish) if wanted else None
+
+    def _publish(self) -> None:
+        self._publisher.publish(self._build())
 
 
 class Subscription:
@@ -191,7 +261,7 @@ class Topics:
         self._users.setdefault(node, {})[subscription] = None
         self._update(entry)
         for publisher in tuple(entry.publishers):
-            message = publisher.for_newcomer()
+            message = publisher.first_message()
             if message is not None:
                 with suppress(SlidectlError):  # who published it is not there to hear a refusal
                     (latched or callback)(message)

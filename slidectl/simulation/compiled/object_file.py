@@ -25,7 +25,6 @@ _SOURCES = (
     "physics/drives.py",
     "physics/divergence.py",
     "simulation/cycle.py",
-    "simulation/runner.py",
     "simulation/compiled",
 )
 

@@ -31,7 +31,7 @@ from slidectl.simulation.compiled.tables import (
 )
 
 if TYPE_CHECKING:
-    from slidectl.simulation.assembly import SpawnedRobot
+    from slidectl.simulation.robots import SpawnedRobot
 
 Update = Callable[[int, float], None]
 

@@ -17,13 +17,13 @@ from slidectl.simulation.compiled import tables as turns
 from slidectl.simulation.compiled.object_file import Cycle
 from slidectl.simulation.compiled.robot_rows import InterpretedUpdate, RobotRows
 from slidectl.simulation.compiled.tables import NEW_CYCLE, Progress, Tables
-from slidectl.simulation.runner import CHECK_EVERY
+from slidectl.simulation.cycle import CHECK_EVERY
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from slidectl.simulation.assembly import SpawnedRobot
     from slidectl.simulation.loop import Loop
+    from slidectl.simulation.robots import SpawnedRobot
 
 
 _FEW_ROWS = 1000
