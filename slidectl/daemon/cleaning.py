@@ -16,7 +16,7 @@ from typing import NamedTuple
 from slidectl import paths
 from slidectl.daemon.lock import holder
 from slidectl.paths import InstancePaths
-from slidectl.simulation.compiled import cache
+from slidectl.simulation.compiled import object_file
 
 
 class Leftover(NamedTuple):
@@ -35,7 +35,7 @@ def leftovers(history: Path, chosen: InstancePaths) -> list[Leftover]:
     Raises:
         LockFailed: nobody can say whether a daemon lives there.
     """
-    found = [*_folder(cache.folder(), "compiled code"), *_folder(history.parent, "history of the shell")]
+    found = [*_folder(object_file.folder(), "compiled code"), *_folder(history.parent, "history of the shell")]
     for folder in dict.fromkeys((Path(paths.runtime_folder()), Path(paths.temporary_runtime_folder()))):
         for instance in _subfolders(folder):
             found += _folder(instance, f"instance {instance.name}", _user_of(instance.glob("*lock")))

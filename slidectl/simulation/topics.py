@@ -6,7 +6,7 @@ are the affair of whoever has one.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -191,13 +191,9 @@ class Topic:
         first = msgs.fields(type_name)[:1]
         self.has_header = any(field.name == "header" and field.type == "std_msgs/Header" for field in first)
 
-    def users(self) -> list[TopicPublisher | Subscription]:
-        """All publishers, then all subscribers."""
-        return [*self.publishers, *self.subscriptions]
-
     def nodes(self) -> list[str]:
         """Names of the nodes that publish or subscribe it."""
-        return _distinct([user.node for user in self.users()])
+        return _nodes([*self.publishers, *self.subscriptions])
 
     def update(self) -> None:
         """After somebody came or went."""
@@ -233,7 +229,7 @@ class Topics:
             BadName, TypeConflict. UnknownName: no such message type.
         """
         entry = self._entry(topic, type_name)
-        publisher = kind(entry, node, latch, self._forget_publisher)
+        publisher = kind(entry, node, latch, self._forget)
         entry.publishers.append(publisher)
         self._users.setdefault(node, {})[publisher] = None
         self._update(entry)
@@ -256,7 +252,7 @@ class Topics:
             BadName, TypeConflict. UnknownName: no such topic or message type.
         """
         entry = self._entry(topic, type_name or self.type_of(topic))
-        subscription = Subscription(entry, node, callback, self._forget_subscription)
+        subscription = Subscription(entry, node, callback, self._forget)
         entry.subscriptions.append(subscription)
         self._users.setdefault(node, {})[subscription] = None
         self._update(entry)
@@ -277,8 +273,9 @@ class Topics:
         kind = type_name or self.type_of(topic)
         self._agrees(topic, kind)
         checked = msgs.check(kind, message)
-        publisher = self._own(topic, node) or self.advertise(topic, kind, node)
-        publisher.publish(checked)
+        known = self._topics[topic].publishers if topic in self._topics else []
+        own = next((publisher for publisher in known if publisher.node == node), None)
+        (own or self.advertise(topic, kind, node)).publish(checked)
 
     def names(self) -> list[str]:
         """All topics, sorted."""
@@ -300,11 +297,11 @@ class Topics:
 
     def publishers(self, topic: str) -> list[str]:
         """Names of the nodes that publish it; none when there is no such topic."""
-        return _distinct([p.node for p in self._topics[topic].publishers]) if topic in self._topics else []
+        return _nodes(self._topics[topic].publishers) if topic in self._topics else []
 
     def subscribers(self, topic: str) -> list[str]:
         """Names of the nodes that subscribe it; none when there is no such topic."""
-        return _distinct([s.node for s in self._topics[topic].subscriptions]) if topic in self._topics else []
+        return _nodes(self._topics[topic].subscriptions) if topic in self._topics else []
 
     def nodes(self) -> set[str]:
         """Names of all nodes that publish or subscribe something."""
@@ -328,10 +325,6 @@ class Topics:
             raise UnknownName("topic", topic, self.names())
         return self._topics[topic]
 
-    def _own(self, topic: str, node: str) -> TopicPublisher | None:
-        entry = self._topics.get(topic)
-        return next((p for p in entry.publishers if p.node == node), None) if entry else None
-
     def _agrees(self, topic: str, type_name: str) -> None:
         msgs.fields(type_name)  # raises UnknownName
         entry = self._topics.get(topic)
@@ -345,36 +338,26 @@ class Topics:
             self._names = None
         return self._topics[topic]
 
-    def _forget_publisher(self, publisher: TopicPublisher) -> None:
-        if self._has_gone(publisher):
-            publisher.topic.publishers.remove(publisher)
-            self._tidy(publisher.topic)
-
-    def _forget_subscription(self, subscription: Subscription) -> None:
-        if self._has_gone(subscription):
-            subscription.topic.subscriptions.remove(subscription)
-            self._tidy(subscription.topic)
-
-    def _has_gone(self, user: TopicPublisher | Subscription) -> bool:
-        """Take it from those of its node. False when that has been done before."""
-        users = self._users.get(user.node, {})
-        if user not in users:
-            return False
+    def _forget(self, user: TopicPublisher | Subscription) -> None:
+        users, topic = self._users.get(user.node, {}), user.topic
+        if user not in users:  # that has been done before
+            return
         del users[user]
         if not users:
             del self._users[user.node]
-        return True
-
-    def _update(self, topic: Topic) -> None:
-        self.changes += 1
-        topic.update()
-
-    def _tidy(self, topic: Topic) -> None:
+        if isinstance(user, TopicPublisher):
+            topic.publishers.remove(user)
+        else:
+            topic.subscriptions.remove(user)
         self._update(topic)
         if not topic.publishers and not topic.subscriptions:
             self._topics.pop(topic.name, None)
             self._names = None
 
+    def _update(self, topic: Topic) -> None:
+        self.changes += 1
+        topic.update()
 
-def _distinct(nodes: list[str]) -> list[str]:
-    return list(dict.fromkeys(nodes))
+
+def _nodes(users: Sequence[TopicPublisher | Subscription]) -> list[str]:
+    return list(dict.fromkeys(user.node for user in users))

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from struct import Struct
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from slidectl.control.controller_interface import Compiled, ControllerBase, Parts
+from slidectl.control.controller_interface import ControllerBase, Parts
 from slidectl.control.hardware_interface import JointStateHandle
 from slidectl.control.laws import Columns
 from slidectl.control.pid import Pid
@@ -109,14 +109,15 @@ class RobotRows:
         found: float = _NUMBER.unpack_from(self._tables["robots"], self.number * ROBOT.size + _PERIOD_OFFSET)[0]
         return found
 
+    def _mark_plain(self) -> None:
+        """The machine code leaves the robot to the interpreter."""
+        _FLAG.pack_into(self._tables["robots"], self.number * ROBOT.size + _PLAIN_OFFSET, True)
+
     def show_joints(self) -> None:
         """Let the handles be as the rows are, for a controller that has no row."""
         joints = self._tables["joints"]
         for handle, offset in self._handles:
             _show(joints, offset, handle)
-
-    def _mark_plain(self) -> None:
-        _FLAG.pack_into(self._tables["robots"], self.number * ROBOT.size + _PLAIN_OFFSET, True)
 
     # -- making the rows -------------------------------------------------------------------------------------------
 
@@ -161,7 +162,12 @@ class RobotRows:
     ) -> None:
         if compiled is None or any(id(handle) not in places for handle in compiled.parts.handles()):
             self._reserve_row(tables, "controllers", None, INTERPRETED, 0)
-            self.interpreted[position] = self._interpreted_update(position)
+            update = self.updates[position]
+            owner = getattr(update, "__self__", None)
+            claims = owner.claimed_resources if isinstance(owner, ControllerBase) else ()
+            names = {name for claim in claims for name in claim.resources}
+            claimed = [(handle, offset) for handle, offset in self._handles if handle.name in names]
+            self.interpreted[position] = InterpretedUpdate(self, update, self._tables["joints"], claimed)
             return
         controller, kind, parts = compiled
         own: list[float] = []
@@ -184,14 +190,6 @@ class RobotRows:
         number = tables.count("pids")
         self._reserve_row(tables, "pids", pid)
         return number
-
-    def _interpreted_update(self, position: int) -> InterpretedUpdate:
-        update = self.updates[position]
-        owner = getattr(update, "__self__", None)
-        claims = owner.claimed_resources if isinstance(owner, ControllerBase) else ()
-        names = {name for claim in claims for name in claim.resources}
-        claimed = [(handle, offset) for handle, offset in self._handles if handle.name in names]
-        return InterpretedUpdate(self, update, self._tables["joints"], claimed)
 
     def _reserve_row(self, tables: Tables, table: str, source: object, *places: float) -> Row:
         columns = TABLES[table]
@@ -302,15 +300,11 @@ def _compiled(update: Update) -> CompiledController | None:
     if not isinstance(controller, ControllerBase):
         return None
     owner: Any = next(cls for cls in type(controller).__mro__ if "update" in vars(cls))
-    if owner not in KINDS or _is_overridden(controller, owner, FORMS[owner]):
+    if owner not in KINDS:
+        return None
+    own_names = {"update", "publish", *FORMS[owner].columns.names}
+    heirs = itertools.takewhile(lambda cls: cls is not owner, type(controller).__mro__)
+    if not {"update", "publish"}.isdisjoint(vars(controller)) or any(own_names & vars(heir).keys() for heir in heirs):
         return None
     parts = controller.parts()
     return None if parts is None else CompiledController(controller, KINDS[owner], parts)
-
-
-def _is_overridden(controller: ControllerBase, owner: type[ControllerBase], form: Compiled) -> bool:
-    heirs = itertools.takewhile(lambda cls: cls is not owner, type(controller).__mro__)
-    methods = {"update", "publish"}
-    return not methods.isdisjoint(vars(controller)) or any(
-        not vars(heir).keys().isdisjoint({*methods, *form.columns.names}) for heir in heirs
-    )
