@@ -54,7 +54,7 @@ class Graph:
         return sorted(self.topics.nodes() | self.services.nodes())
 
     def close_node(self, name: str) -> None:
-        """A node has gone (a client hung up): take back all that it had."""
+        """A node has gone (a client has disconnected): take back all that it had."""
         self.topics.close_node(name)
         self.services.close_node(name)
 

@@ -1,6 +1,6 @@
 """The loop of cycles, and how it is asked to run: paused or not, how fast, and the steps that somebody waits for.
 
-One cycle after the other, on demand. It knows simulated time only: how fast it is called is the caller's affair.
+One cycle after the other, on demand. It knows simulated time only; the caller decides how fast it is called.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ class Loop:
         """True when somebody else (the daemon) calls `step` as `run` says; else time moves only when asked."""
         self.enough: Callable[[], bool] | None = None
         """Asked now and then between two cycles of a `step`: True ends it, since the driver has other things to do.
-        How dear the next cycles are is not known before they have run: a robot may have come, or fallen."""
+        How long the next cycles take is not known before they have run: a robot may have come, or fallen."""
         self.in_cycle = False
         self.robots: tuple[SpawnedRobot, ...] = ()
         self.plain = PlainRunner(self)
@@ -169,7 +169,7 @@ class Loop:
         return not self.in_cycle and (not self.driven or self.run.allowed(1) == 0)
 
     def between_cycles(self, action: str) -> None:
-        """Raises Refused inside a cycle, where the action would pull the floor from under others."""
+        """Raises Refused inside a cycle, where others still work on what the action changes."""
         if self.in_cycle:
             raise Refused(
                 f"cannot {action} in the middle of a control cycle", "do it after the cycle: graph.timers.soon(...)"

@@ -1,7 +1,6 @@
 """The topic bus: who publishes what to whom, with types, latching and names; and topics at a steady rate.
 
-Delivery is a plain call, in the order of subscription, before `publish` returns. Queues for slow readers
-are the affair of whoever has one.
+Delivery is a plain call, in the order of subscription, before `publish` returns. There are no queues here.
 """
 
 from __future__ import annotations

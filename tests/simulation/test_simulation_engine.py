@@ -314,7 +314,7 @@ def test_forces_from_outside_act_and_show_as_they_do_in_python() -> None:
 
 
 @needs_numba
-def test_an_emergency_stop_is_the_interpreters_affair() -> None:
+def test_the_interpreter_runs_a_robot_under_an_emergency_stop() -> None:
     plugin = "<eStopTopic>/stop</eStopTopic>"
 
     def scene(simulation: Simulation) -> None:
