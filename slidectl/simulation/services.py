@@ -50,8 +50,6 @@ class Services:
 
     def __init__(self) -> None:
         self._services: dict[str, Service] = {}
-        self._names: list[str] | None = []
-        """All names in order; None when that must be looked up again."""
         self._by_node: dict[str, dict[Service, None]] = {}
 
     def advertise(self, name: str, type_name: str, node: str, handler: Handler) -> Service:
@@ -65,7 +63,6 @@ class Services:
             raise Refused(f"service {name} is already provided by {self._services[name].node}")
         service = self._services[name] = Service(name, type_name, node, handler, self._forget)
         self._by_node.setdefault(node, {})[service] = None
-        self._names = None
         return service
 
     def call(self, name: str, request: Any = None) -> Pending:
@@ -84,9 +81,7 @@ class Services:
 
     def names(self) -> list[str]:
         """All services, sorted."""
-        if self._names is None:
-            self._names = sorted(self._services)
-        return list(self._names)
+        return sorted(self._services)
 
     def exists(self, name: str) -> bool:
         """True when somebody provides it."""
@@ -125,7 +120,6 @@ class Services:
     def _forget(self, service: Service) -> None:
         if self._services.get(service.name) is service:
             del self._services[service.name]
-            self._names = None
             of_node = self._by_node[service.node]
             del of_node[service]
             if not of_node:

@@ -207,8 +207,6 @@ class Topics:
 
     def __init__(self) -> None:
         self._topics: dict[str, Topic] = {}
-        self._names: list[str] | None = []
-        """All names in order; None when that must be looked up again."""
         # By node: one that goes must not cost a look at all topics, of which a client may have made many.
         self._users: dict[str, dict[TopicPublisher | Subscription, None]] = {}
         self.changes = 0
@@ -278,9 +276,7 @@ class Topics:
 
     def names(self) -> list[str]:
         """All topics, sorted."""
-        if self._names is None:
-            self._names = sorted(self._topics)
-        return list(self._names)
+        return sorted(self._topics)
 
     def types(self) -> dict[str, str]:
         """Type of each topic, in the order of the names."""
@@ -334,7 +330,6 @@ class Topics:
         self._agrees(topic, type_name)
         if topic not in self._topics:
             self._topics[names.check_absolute(topic, "topic")] = Topic(topic, type_name)
-            self._names = None
         return self._topics[topic]
 
     def _forget(self, user: TopicPublisher | Subscription) -> None:
@@ -351,7 +346,6 @@ class Topics:
         self._update(topic)
         if not topic.publishers and not topic.subscriptions:
             self._topics.pop(topic.name, None)
-            self._names = None
 
     def _update(self, topic: Topic) -> None:
         self.changes += 1
