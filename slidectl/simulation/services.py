@@ -69,15 +69,14 @@ class Services:
         """Ask. Failures are in the answer, which is settled already unless it needs simulated time."""
         try:
             service = self._known(name)
-            checked = msgs.check(service.request_type, {} if request is None else request)
-            answer = service.handler(checked)
-            if not isinstance(answer, Pending):
-                answer = msgs.check(service.response_type, answer)
+            answer = service.handler(msgs.check(service.request_type, {} if request is None else request))
+            if isinstance(answer, Pending):
+                return _follow(service, answer)
+            return Pending.of(msgs.check(service.response_type, answer))
         except SlidectlError as error:
             pending = Pending()
             pending.reject(error)
             return pending
-        return _follow(service, answer) if isinstance(answer, Pending) else Pending.of(answer)
 
     def names(self) -> list[str]:
         """All services, sorted."""
