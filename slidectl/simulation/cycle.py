@@ -7,8 +7,8 @@ integer nanoseconds.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 from slidectl.control.duration import to_seconds
 from slidectl.control.laws import law
@@ -107,7 +107,7 @@ class ControlCycle:
         self._write(time_ns, begin_to_write(self, time_ns))
 
 
-class Runner(Protocol):
+class Runner:
     """Runs cycles: the clock advances, every robot has its part, the physics makes its step, timers fire.
 
     A runner may keep the state of robots in memory of its own: before anybody looks at a robot, it gives that robot
@@ -120,9 +120,11 @@ class Runner(Protocol):
 
         Returns how many. Raises EngineError: MuJoCo cannot go on.
         """
+        raise NotImplementedError
 
     def take_robots(self, robots: Sequence[SpawnedRobot]) -> None:
         """These are the robots now, in this order."""
+        raise NotImplementedError
 
     def give_back(self, robot: SpawnedRobot) -> None:
         """Somebody is about to look at the robot, or to change it: its objects are to be what they should be."""
@@ -134,24 +136,15 @@ class Runner(Protocol):
         """The world was rebuilt: robots may have other places in it."""
 
 
-class PlainRunner:
+class PlainRunner(Runner):
     """The interpreter. Robots are always as they should be."""
 
     def __init__(self, loop: Loop) -> None:
         self._loop = loop
-        self._cycles = tuple(robot.parts.cycle.run for robot in loop.robots)
+        self._cycles: tuple[Callable[[int], None], ...] = ()
 
     def take_robots(self, robots: Sequence[SpawnedRobot]) -> None:
         self._cycles = tuple(robot.parts.cycle.run for robot in robots)
-
-    def give_back(self, robot: SpawnedRobot) -> None:
-        """Nothing to do."""
-
-    def give_back_all(self) -> None:
-        """Nothing to do."""
-
-    def follow_world(self) -> None:
-        """Nothing to do."""
 
     def run(self, count: int) -> int:
         loop, world, robots = self._loop, self._loop.world, self._cycles

@@ -102,7 +102,7 @@ class Log:
 
 
 class GraphNode:
-    """A node handle on the graph (control's NodeHandle), with all that was advertised through it.
+    """A node handle on the graph, with all that was advertised through it. NodeHandle (control) says what it does.
 
     `namespace` resolves relative names, `name` is the node that stands in listings and in the log.
     """
@@ -125,63 +125,47 @@ class GraphNode:
         return node
 
     def get_param(self, name: str, default: Any = MISSING) -> Any:
-        """The parameter (a subtree is a dict), else `default`; UnknownParameter, a KeyError, when there is none."""
         return self._graph.parameters.get(self._absolute(name), default)
 
     def has_param(self, name: str) -> bool:
-        """True when the parameter or a parameter below it is set."""
         return self._graph.parameters.has(self._absolute(name))
 
     def set_param(self, name: str, value: Any) -> None:
-        """Set the parameter; watchers of it are told, this handle's own too."""
         self._graph.parameters.set(self._absolute(name), value)
 
     def search_param(self, name: str) -> str | None:
-        """The absolute name of `name` found in this namespace or the nearest one above it, else None."""
         return self._graph.parameters.search(self.namespace, name)
 
     def watch_param(self, name: str, callback: Callable[[], None]) -> None:
-        """Call back whenever the parameter, or one below it, is set or deleted by anybody."""
         self._taken.append(self._graph.parameters.watch(self._absolute(name), self._entering(callback)).close)
 
     def guard_params(self, judge: ParameterJudge) -> None:
-        """Ask `judge` before anybody sets or deletes something in this namespace, below it or above it."""
         self._taken.append(self._graph.parameters.guard(self.namespace, judge).close)
 
     def advertise(self, topic: str, type_name: str, latch: bool = False) -> Publisher:
-        """Publish `topic`. Raises BadName, TypeConflict, UnknownName (no such type)."""
         publisher = self._graph.topics.advertise(self._absolute(topic), type_name, self.name, latch, NodePublisher)
         self._taken.append(publisher.close)
         return publisher
 
     def subscribe(self, topic: str, type_name: str, callback: MessageCallback) -> None:
-        """Call back for each message on `topic`. Raises BadName, TypeConflict, UnknownName (no such type)."""
         name, entering = self._absolute(topic), self._entering(callback)
         self._taken.append(self._graph.topics.subscribe(name, type_name, self.name, entering).close)
 
     def advertise_service(self, service: str, type_name: str, handler: Handler) -> None:
-        """Answer calls of `service`, at once or with a Pending. Raises BadName, Refused (taken), UnknownName."""
         name, entering = self._absolute(service), self._entering(handler)
         self._taken.append(self._graph.services.advertise(name, type_name, self.name, entering).close)
 
     def log(self, severity: str, text: str) -> None:
-        """One line on /rosout, and from `warn` on a reason in the answer to the request under way.
-
-        `severity` is `debug`, `info`, `warn`, `error` or `fatal`.
-        """
         self._graph.log(severity, self.name, text)
 
     @property
     def reasons(self) -> Reasons | None:
-        """The reasons of the request that is being carried out; None outside of any."""
         return self._graph.log.reasons
 
     def answering(self, reasons: Reasons | None) -> AbstractContextManager[None]:
-        """Inside, what is logged belongs to the request with these reasons."""
         return self._graph.log.answering(reasons)
 
     def now_ns(self) -> int:
-        """Simulated time in nanoseconds, that of the last cycle begun."""
         return self._graph.clock.time_ns
 
     def shutdown(self) -> None:

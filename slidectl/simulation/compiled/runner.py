@@ -17,7 +17,7 @@ from slidectl.simulation.compiled import tables as turns
 from slidectl.simulation.compiled.object_file import Cycle
 from slidectl.simulation.compiled.robot_rows import InterpretedUpdate, RobotRows
 from slidectl.simulation.compiled.tables import NEW_CYCLE, Progress, Tables
-from slidectl.simulation.cycle import CHECK_EVERY
+from slidectl.simulation.cycle import CHECK_EVERY, Runner
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -33,7 +33,7 @@ _FIRST_LOOK = 16
 """Cycles before the driver is asked for the first time whether there is enough."""
 
 
-class CompiledRunner:
+class CompiledRunner(Runner):
     """The cycles of a loop's robots, by `code`."""
 
     def __init__(self, loop: Loop, code: Cycle) -> None:
