@@ -89,7 +89,7 @@ def _descend(schema: Schema, owner: Selection, step: Step) -> Selection:
     take = _field_taker(field, step.name)
     for index in step.indices:
         if depth == 0:
-            raise UsageError(f"{step.name!r} is {field.type_text}, which has no element {_spelled(step.name, index)}")
+            raise UsageError(f"{step.name!r} is {field.spelled}, which has no element {_spelled(step.name, index)}")
         depth -= isinstance(index, int)
         take = _indexed(take, index, step.name)
     return Selection(field.type, owner.depth + depth, _over(owner.take, take, owner.depth))

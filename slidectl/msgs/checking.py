@@ -12,7 +12,6 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache, partial
 from itertools import islice
-from numbers import Integral, Real
 from struct import Struct
 from typing import Any
 
@@ -238,12 +237,19 @@ def _check_float32(value: Any) -> float:
 def _as_float(value: Any, expected: str) -> float:
     if value is None:
         return math.nan
-    if isinstance(value, bool) or not isinstance(value, Real):
+    if not _is_number(value, "Real"):
         raise must_be(f"a number ({expected})", value)
     try:
         return float(value)
     except OverflowError:
         raise must_be(f"a number that fits {expected}", value) from None
+
+
+def _is_number(value: Any, kind: str) -> bool:
+    """True for numbers of that kind of `numbers` other than bool; numpy's scalars are such."""
+    import numbers  # late: `slidectl pub` sends what is right already
+
+    return isinstance(value, getattr(numbers, kind)) and not isinstance(value, bool)
 
 
 def _integer_checker(type_name: str) -> Checker:
@@ -252,7 +258,7 @@ def _integer_checker(type_name: str) -> Checker:
     def check_integer(value: Any) -> int:
         if type(value) is int and lowest <= value <= highest:
             return value
-        if isinstance(value, bool) or not isinstance(value, Integral):
+        if not _is_number(value, "Integral"):
             raise must_be(f"an integer ({type_name})", value)
         if not lowest <= value <= highest:
             raise must_be(f"{type_name} ({lowest} to {highest})", value)
@@ -264,7 +270,7 @@ def _integer_checker(type_name: str) -> Checker:
 def _check_bool(value: Any) -> bool:
     if isinstance(value, bool):
         return value
-    if isinstance(value, Integral) and value in (0, 1):
+    if _is_number(value, "Integral") and value in (0, 1):
         return bool(value)
     raise must_be("true or false", value)
 

@@ -21,7 +21,7 @@ from slidectl.msgs.checking import (
     describe,
     must_be,
 )
-from slidectl.msgs.schema import BYTES, PRIMITIVES, SCALAR, TIMES, Field, from_typedefs
+from slidectl.msgs.schema import BYTES, PRIMITIVES, SCALAR, TIMES, Field
 
 FieldsOf = Callable[[str], Sequence[Field]]
 """The fields of a message type."""
@@ -34,7 +34,11 @@ _NS = 1_000_000_000
 
 def fields_from(typedefs: Iterable[Mapping[str, Any]]) -> FieldsOf:
     """The look-up in the `typedefs` of a rosapi answer (rosapi/TypeDef: that of the type and of those nested in it)."""
-    return from_typedefs(typedefs).fields
+    known = {
+        str(typedef["type"]): tuple(map(Field, typedef["fieldnames"], typedef["fieldtypes"], typedef["fieldarraylen"]))
+        for typedef in typedefs
+    }
+    return known.__getitem__
 
 
 def field_paths(fields_of: FieldsOf, type_name: str) -> list[str]:

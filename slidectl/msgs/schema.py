@@ -1,12 +1,11 @@
 """The fields of message types, and the primitive types with their ranges.
 
-Plain records and tables: nothing here reads a definition. A client makes a Schema of a daemon's answer.
+Plain records and tables: nothing here reads a definition.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 SCALAR = -1
 VARIABLE = 0
@@ -18,12 +17,11 @@ INTEGER_RANGES = {
     "char": (0, 255),
 }
 """ROS 1's integers with their lowest and highest value. `byte` is an int8 and `char` an uint8 there."""
-INTEGERS = frozenset(INTEGER_RANGES)
 FLOATS = frozenset({"float32", "float64"})
 TIMES = frozenset({"time", "duration"})
 BYTES = frozenset({"uint8", "char"})
 """Arrays of these are base64 text in a message, as on the wire."""
-PRIMITIVES = INTEGERS | FLOATS | TIMES | {"bool", "string"}
+PRIMITIVES = frozenset(INTEGER_RANGES) | FLOATS | TIMES | {"bool", "string"}
 
 
 class Field(NamedTuple):
@@ -37,38 +35,3 @@ class Field(NamedTuple):
     def type_text(self) -> str:
         """The type as a definition writes it: `float64`, `float64[]`, `float64[9]`."""
         return self.type + ("" if self.array == SCALAR else f"[{self.array or ''}]")
-
-
-class Schema:
-    """The type `root` and every type that it is made of."""
-
-    __slots__ = ("root", "types")
-
-    def __init__(self, root: str, types: Mapping[str, tuple[Field, ...]]) -> None:
-        self.root = root
-        self.types = types
-
-    def fields(self, type_name: str) -> tuple[Field, ...]:
-        """The fields of a type, in order; none for a primitive."""
-        return self.types.get(type_name, ())
-
-    def field(self, type_name: str, name: str) -> Field | None:
-        """The field of that name, if there is one."""
-        return next((field for field in self.fields(type_name) if field.name == name), None)
-
-    @property
-    def has_header(self) -> bool:
-        """True when there is a field `header` of the type std_msgs/Header: the message has a stamp."""
-        field = self.field(self.root, "header")
-        return field is not None and field.type == "std_msgs/Header" and field.array == SCALAR
-
-
-def from_typedefs(typedefs: Iterable[Mapping[str, Any]]) -> Schema:
-    """The schema of a `typedefs` list (rosapi/TypeDef); the first one is the root."""
-    listed = list(typedefs)
-    types = {
-        str(entry["type"]): tuple(map(Field, entry["fieldnames"], entry["fieldtypes"], entry["fieldarraylen"]))
-        for entry in listed
-        if entry["type"] not in TIMES
-    }
-    return Schema(str(listed[0]["type"]) if listed else "", types)

@@ -146,7 +146,7 @@ def test_a_command_of_the_tutorial_imports_only_what_is_allowed(
     moving: CommandLine, tmp_path: Path, words: tuple[str, ...]
 ) -> None:
     loaded = modules(moving, tmp_path, *words)
-    assert foreign(loaded) <= ALLOWED | {"signal", "binascii", "numbers"}
+    assert foreign(loaded) <= ALLOWED | {"signal", "binascii"}
     assert not {name for name in loaded if name.startswith(("slidectl.description", "slidectl.daemon"))}
 
 

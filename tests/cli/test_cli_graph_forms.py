@@ -298,5 +298,5 @@ def test_a_schema_is_read_from_the_answer_of_the_daemon() -> None:
     ]
     types = from_typedefs(typedefs)
     assert types.root == "a/B"
-    assert [field.type_text for field in types.fields("a/B")] == ["float64[3]", "std_msgs/Header"]
+    assert [field.spelled for field in types.fields("a/B")] == ["float64[3]", "std_msgs/Header"]
     assert not types.has_header

@@ -192,5 +192,5 @@ def definition(path: str, type_name: str, raw: bool) -> str:
 
 def _shown(schema: Schema, type_name: str, indent: str) -> Iterator[str]:
     for field in schema.fields(type_name):
-        yield f"{indent}{field.type_text} {field.name}"
+        yield f"{indent}{field.spelled} {field.name}"
         yield from _shown(schema, field.type, indent + "  ")
