@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from slidectl import paths
 from slidectl.daemon.place import holder
-from slidectl.simulation.compiled import cache
+from slidectl.simulation.compiled import object_file
 
 
 class Leftover(NamedTuple):
@@ -34,7 +34,7 @@ def leftovers(history: Path, chosen: paths.InstancePaths) -> list[Leftover]:
     Raises:
         Refused: nobody can say whether a daemon lives there.
     """
-    found = _folder(cache.folder(), "compiled code") + _folder(history.parent, "history of the shell")
+    found = _folder(object_file.folder(), "compiled code") + _folder(history.parent, "history of the shell")
     for folder in dict.fromkeys((Path(paths.runtime_folder()), Path(paths.temporary_runtime_folder()))):
         inside = sorted(folder.iterdir()) if _is_ours(folder) else []
         instances = [one for path in inside for one in _folder(path, f"instance {path.name}", path.glob("*lock"))]

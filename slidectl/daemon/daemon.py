@@ -26,7 +26,7 @@ from slidectl.daemon.place import Place, TakenOver
 from slidectl.daemon.server import Server
 from slidectl.errors import SlidectlError
 from slidectl.paths import shown
-from slidectl.simulation.assembly import SpawnedRobot
+from slidectl.simulation.robots import SpawnedRobot
 from slidectl.simulation.simulation import Simulation
 
 NODE = "/slidectl"
@@ -59,7 +59,7 @@ class Daemon:
         options = start.options
         self.simulation = Simulation(options.timestep, options.gravity, options.ground, options.engine)
         self.simulation.driven = True
-        self.simulation.engine.is_welcome = False
+        self.simulation.engine.may_load = False
         self.simulation.run.paused = options.paused
         self.simulation.run.speed = options.rtf
         self.simulation.chosen.update(_PROPERTIES[name] for name in options.chosen if name in _PROPERTIES)
@@ -107,7 +107,7 @@ class Daemon:
         """Now and then: collect garbage (the process runs without the collector, which would choose any moment)."""
         now = time.monotonic()
         self._next_tidy_s = now + _TIDY_EVERY_S
-        self.simulation.engine.is_welcome = now - self._began_s > _FIRST_COMMANDS_S
+        self.simulation.engine.may_load = now - self._began_s > _FIRST_COMMANDS_S
         self._collect_garbage()
         self._server.tidy()
         if now >= self._next_look_s:

@@ -1,33 +1,37 @@
-"""Building, completing and checking messages: one checker and one maker per type, compiled at its first use.
+"""Building, completing and checking messages: one checker per type, made at its first use.
 
-A message is a dict with all fields of its type, in their order. Checking never changes what it was given.
+A message is a dict with all fields of its type, in their order. Checking never changes what it was given. A checker
+returns the value to keep or raises Mismatch; the path to the wrong value is collected while the exception climbs, so
+that nothing is kept while all is well.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import binascii
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache, partial
+from itertools import islice
+from struct import Struct
 from typing import Any
 
-from slidectl.msgs.catalogue import definition_of
-from slidectl.msgs.mismatch import Mismatch, UnknownField, must_be
-from slidectl.msgs.parsing import Definition
-from slidectl.msgs.primitives import (
-    Checker,
-    bytes_checker,
-    check_float64,
-    checked_list,
-    checker_of,
-    encode,
-    time_checker,
-)
+from slidectl.errors import BadMessage, closest
+from slidectl.msgs.definitions import definition_of
 from slidectl.msgs.schema import BYTES, FLOATS, INTEGER_RANGES, PRIMITIVES, SCALAR, TIMES, Field
 
 Message = dict[str, Any]
-_KINDS: dict[str, Callable[[], Any]] = {**dict.fromkeys(INTEGER_RANGES, int), **dict.fromkeys(FLOATS, float)}
-_KINDS |= {"bool": bool, "string": str}
+Checker = Callable[[Any], Any]
 
-_checkers: dict[str, Checker] = {}
+_FLOAT32 = Struct("=f")
+_FLOAT32_MAX = 3.4028234663852886e38
+_NS = 1_000_000_000
+_SECONDS_RANGE = {"time": INTEGER_RANGES["uint32"], "duration": INTEGER_RANGES["int32"]}
+_DEFAULTS: dict[str, Any] = {**dict.fromkeys(INTEGER_RANGES, 0), **dict.fromkeys(FLOATS, 0.0), "bool": False}
+_DEFAULTS["string"] = ""
+_BYTES_WANTED = "base64 text or a list of integers from 0 to 255"
+# What a client sends may be huge; an error stays a line.
+_LONGEST_SHOWN = 40
+_MOST_KEYS = 8
 
 
 def check(type_name: str, value: Any) -> Message:
@@ -39,10 +43,7 @@ def check(type_name: str, value: Any) -> Message:
     Raises:
         UnknownName: no such type. BadMessage: the value does not fit; its `path` is the field.
     """
-    try:
-        checker = _checkers[type_name]
-    except KeyError:
-        checker = _checkers[type_name] = _compile(type_name)
+    checker = checker_of(type_name)
     try:
         return checker(value)  # type: ignore[no-any-return]
     except Mismatch as problem:
@@ -51,129 +52,283 @@ def check(type_name: str, value: Any) -> Message:
 
 def default(type_name: str) -> Message:
     """A fresh complete message: zeros, empty texts, empty lists. Raises UnknownName."""
-    return _message_maker(type_name)()  # type: ignore[no-any-return]
+    return check(type_name, {})
 
 
-def _compile(type_name: str) -> Checker:
-    return time_checker(type_name) if type_name in TIMES else _message_checker(definition_of(type_name))
+class Mismatch(Exception):
+    """A value that does not fit a type. `reason` ends the sentence that begins with the path."""
+
+    def __init__(self, reason: str, hint: str | None = None) -> None:
+        super().__init__(reason)
+        self.reason = reason
+        self.hint = hint
+        self.steps: list[str] = []
+
+    @property
+    def path(self) -> str:
+        """The field, as `points[0].x`; empty for the whole message."""
+        return "".join(step if step[0] == "[" else f".{step}" for step in reversed(self.steps)).removeprefix(".")
+
+    def as_error(self, type_name: str) -> BadMessage:
+        """The error for the user who gave this value for a message of `type_name`."""
+        return BadMessage(f"{type_name}: {self.path or 'the message'} {self.reason}", self.path, self.hint)
 
 
-def _message_checker(of: Definition) -> Checker:
-    slots = tuple((field.name, _field_checker(field), _field_maker(field)) for field in of.fields)
+class UnknownField(Mismatch):
+    """A field that the type at this place does not have."""
+
+    def __init__(self, given: Iterable[Any], type_name: str, fields: Sequence[str]) -> None:
+        """`given` are the keys, one of which is not among the fields."""
+        self.field = _short(str(next(key for key in given if key not in fields)))
+        hint = f"{type_name} has {'the fields ' + ', '.join(fields) if fields else 'no fields'}"
+        super().__init__(f"{self.field!r} is no field of {type_name}", hint)
+        self.near = closest(self.field, fields)
+
+    def as_error(self, type_name: str) -> BadMessage:
+        """Names the unknown field by its full path, and the known one that is nearest in spelling."""
+        path = f"{self.path}.{self.field}".removeprefix(".")
+        near = f"{self.path}.{self.near}".removeprefix(".")
+        suggestion = f". Did you mean {near!r}?" if self.near else ""
+        return BadMessage(f"{type_name}: no field {path!r}{suggestion}", path, self.hint)
+
+
+def must_be(expected: str, given: Any, hint: str | None = None) -> Mismatch:
+    """The mismatch for a value of the wrong kind."""
+    return Mismatch(f"must be {expected}, not {describe(given)}", hint)
+
+
+def at(step: str, convert: Callable[..., Any], *arguments: Any) -> Any:
+    """What `convert` gives; a mismatch in it happened at this step of the path."""
+    try:
+        return convert(*arguments)
+    except Mismatch as problem:
+        problem.steps.append(step)
+        raise
+
+
+def describe(value: Any) -> str:
+    """The value as a person would name it: `the text 'abc'`, `a list of 3`, `null`."""
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return f"the text {_short(repr(value[:_LONGEST_SHOWN]))}"
+    if isinstance(value, (int, float)):
+        return f"the number {_short(_number_text(value))}"
+    if isinstance(value, Mapping):
+        names = ", ".join(_short(str(key)) for key in islice(value, _MOST_KEYS))
+        return f"an object with {_short(names)}" if value else "an empty object"
+    if isinstance(value, (list, tuple)):
+        return f"a list of {len(value)}"
+    return f"{type(value).__name__} {_short(str(value))}"
+
+
+def _number_text(value: int | float) -> str:
+    try:
+        return str(value)
+    except ValueError:  # Python writes no integers of thousands of digits
+        return f"of {value.bit_length()} bits" if isinstance(value, int) else repr(value)
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= _LONGEST_SHOWN else text[: _LONGEST_SHOWN - 1] + "…"
+
+
+@cache
+def checker_of(type_name: str) -> Checker:
+    """The checker of a message type or a primitive type. Raises UnknownName."""
+    if type_name in INTEGER_RANGES:
+        return _integer_checker(type_name)
+    if type_name in TIMES:
+        return _time_checker(type_name)
+    primitives = {"float64": _check_float64, "float32": _check_float32, "bool": _check_bool, "string": _check_string}
+    return primitives.get(type_name) or _message_checker(type_name)
+
+
+def _message_checker(type_name: str) -> Checker:
+    of = definition_of(type_name)
+    slots = tuple((field.name, *_checker_and_default(field)) for field in of.fields)
     fields = tuple(field.name for field in of.fields)
+    listed = ", ".join(f"{field.type_text} {field.name}" for field in of.fields)
+    hint = f"{type_name} has the fields {listed}" if fields else f"{type_name} has no fields"
 
     def check_message(value: Any) -> Message:
         if type(value) is not dict and not isinstance(value, Mapping):
-            raise must_be(f"an object (a {of.name})", value, _has(of))
+            raise must_be(f"an object (a {type_name})", value, hint)
         result = {}
         given = 0
         name = ""
         try:
-            for name, checker, make in slots:
+            for name, checker, make_default in slots:
                 if name in value:
                     result[name] = checker(value[name])
                     given += 1
                 else:
-                    result[name] = make()
+                    result[name] = make_default()
         except Mismatch as problem:
             problem.steps.append(name)
-            problem.hint = problem.hint or _has(of)
+            problem.hint = problem.hint or hint
             raise
         if given != len(value):
-            raise UnknownField(next(key for key in value if key not in fields), of.name, fields)
+            raise UnknownField(value, type_name, fields)
         return result
 
     return check_message
 
 
-def _has(of: Definition) -> str:
-    """`pkg/Type has the fields float64 x, float64[] y`."""
-    fields = ", ".join(f"{field.type_text} {field.name}" for field in of.fields)
-    return f"{of.name} has the fields {fields}" if fields else f"{of.name} has no fields"
-
-
-@cache
-def _element_checker(type_name: str) -> Checker:
-    return checker_of(type_name) if type_name in PRIMITIVES - TIMES else _shared(type_name)
-
-
-def _shared(type_name: str) -> Checker:
-    if type_name not in _checkers:
-        _checkers[type_name] = _compile(type_name)
-    return _checkers[type_name]
-
-
-def _field_checker(field: Field) -> Checker:
+def _checker_and_default(field: Field) -> tuple[Checker, Callable[[], Any]]:
+    """How the field is checked, and what makes the value of one that is not given."""
+    element = checker_of(field.type)
+    is_single_value = field.type in PRIMITIVES - TIMES
+    make_one = partial(_DEFAULTS.get, field.type) if is_single_value else partial(element, {})
     if field.array == SCALAR:
-        return _element_checker(field.type)
+        return element, make_one
     if field.type in BYTES:
-        return bytes_checker(field.type, field.array)
-    return _float_list_checker(field) if field.type == "float64" else _list_checker(field)
-
-
-def _list_checker(field: Field) -> Checker:
-    element = _element_checker(field.type)
-    length = field.array
+        return bytes_checker(field), partial(str, _base64(bytes(field.array)))
+    kept_as_is = {float} if field.type == "float64" else set()
 
     def check_list(value: Any) -> list[Any]:
-        if type(value) is not list:
-            value = _as_list(value, field)
-        if length and len(value) != length:
-            raise _wrong_length(value, field)
-        return checked_list(value, element)
+        if hasattr(value, "tolist"):  # an array of numpy, from a script beside the simulation
+            value = value.tolist()
+        values = checked_length(field, value)
+        if kept_as_is and kept_as_is.issuperset(map(type, values)):
+            return list(values)
+        return _checked_elements(values, element)
 
-    return check_list
-
-
-def _float_list_checker(field: Field) -> Checker:
-    length = field.array
-
-    def check_floats(value: Any) -> list[float]:
-        if type(value) is not list:
-            value = _as_list(value, field)
-        if length and len(value) != length:
-            raise _wrong_length(value, field)
-        for number in value:
-            if type(number) is not float:
-                return checked_list(value, check_float64)
-        return value[:]  # type: ignore[no-any-return]
-
-    return check_floats
+    return check_list, lambda: [make_one() for _ in range(field.array)]
 
 
-def _as_list(value: Any, field: Field) -> list[Any]:
-    if isinstance(value, (list, tuple)):
-        return list(value)
-    if hasattr(value, "tolist"):  # an array of numpy, from a script beside the simulation
-        return _as_list(value.tolist(), field)
-    raise must_be(f"a list ({field.type_text})", value)
+def checked_length(field: Field, value: Any) -> Sequence[Any]:
+    """The value, which must be a list of the field's length. Raises Mismatch."""
+    if not isinstance(value, (list, tuple)):
+        raise must_be(f"a list ({field.type_text})", value)
+    if field.array and len(value) != field.array:
+        raise Mismatch(f"must be a list of exactly {field.array} ({field.type_text}), not of {len(value)}")
+    return value
 
 
-def _wrong_length(value: list[Any], field: Field) -> Mismatch:
-    return Mismatch(f"must be a list of exactly {field.array} ({field.type_text}), not of {len(value)}")
+def _checked_elements(values: Sequence[Any], element: Checker) -> list[Any]:
+    """A mismatch knows the index of the first wrong one."""
+    try:
+        return [element(value) for value in values]
+    except Mismatch:
+        for index, value in enumerate(values):
+            at(f"[{index}]", element, value)
+        raise
 
 
-@cache
-def _message_maker(type_name: str) -> Callable[[], Any]:
-    slots = tuple((field.name, _field_maker(field)) for field in definition_of(type_name).fields)
-    return lambda: {name: make() for name, make in slots}
+# Primitive types. The first line of each checker is the way of a value that is right already.
 
 
-@cache
-def _field_maker(field: Field) -> Callable[[], Any]:
-    if field.array == SCALAR:
-        return _element_maker(field.type)
-    if field.type in BYTES:
-        return partial(str, encode(bytes(field.array)))
-    if not field.array:
-        return list
-    element = _element_maker(field.type)
-    return lambda: [element() for _ in range(field.array)]
+def _check_float64(value: Any) -> float:
+    """A number; null is not-a-number, as rosbridge sends it."""
+    return value if type(value) is float else _as_float(value, "float64")
 
 
-def _element_maker(type_name: str) -> Callable[[], Any]:
-    if type_name in TIMES:
-        return lambda: {"secs": 0, "nsecs": 0}
-    if type_name in PRIMITIVES:
-        return _KINDS[type_name]
-    return _message_maker(type_name)
+def _check_float32(value: Any) -> float:
+    number = _as_float(value, "float32")
+    if abs(number) > _FLOAT32_MAX and not math.isinf(number):
+        raise Mismatch(f"must be float32 (at most 3.4e38), not the number {number}")
+    rounded: float = _FLOAT32.unpack(_FLOAT32.pack(number))[0]  # what a reader in ROS gets
+    return rounded
+
+
+def _as_float(value: Any, expected: str) -> float:
+    if value is None:
+        return math.nan
+    if not _is_number(value, "Real"):
+        raise must_be(f"a number ({expected})", value)
+    try:
+        return float(value)
+    except OverflowError:
+        raise must_be(f"a number that fits {expected}", value) from None
+
+
+def _is_number(value: Any, kind: str) -> bool:
+    """True for numbers of that kind of `numbers` other than bool; numpy's scalars are such."""
+    import numbers  # late: `slidectl pub` sends what is right already
+
+    return isinstance(value, getattr(numbers, kind)) and not isinstance(value, bool)
+
+
+def _integer_checker(type_name: str) -> Checker:
+    lowest, highest = INTEGER_RANGES[type_name]
+
+    def check_integer(value: Any) -> int:
+        if type(value) is int and lowest <= value <= highest:
+            return value
+        if not _is_number(value, "Integral"):
+            raise must_be(f"an integer ({type_name})", value)
+        if not lowest <= value <= highest:
+            raise must_be(f"{type_name} ({lowest} to {highest})", value)
+        return int(value)
+
+    return check_integer
+
+
+def _check_bool(value: Any) -> bool:
+    if isinstance(value, bool):
+        return value
+    if _is_number(value, "Integral") and value in (0, 1):
+        return bool(value)
+    raise must_be("true or false", value)
+
+
+def _check_string(value: Any) -> str:
+    """Text that can be written as UTF-8."""
+    if type(value) is str and value.isascii():
+        return value
+    if not isinstance(value, str):
+        raise must_be("text (string)", value)
+    try:
+        value.encode()
+    except UnicodeEncodeError:
+        raise Mismatch("holds half of a surrogate pair, which is no text") from None
+    return str(value)
+
+
+def _time_checker(type_name: str) -> Checker:
+    """The checker of `time` or `duration`: {"secs", "nsecs"}, brought to 0 <= nsecs < 10^9 as ROS does."""
+    lowest, highest = _SECONDS_RANGE[type_name]
+    integer = _integer_checker("int64")
+
+    def check_time(value: Any) -> dict[str, int]:
+        if not isinstance(value, Mapping):
+            raise must_be(f"a {type_name} {{secs, nsecs}}", value)
+        if not value.keys() <= {"secs", "nsecs"}:
+            raise UnknownField(value, type_name, ("secs", "nsecs"))
+        carried, nsecs = divmod(at("nsecs", integer, value.get("nsecs", 0)), _NS)
+        secs = at("secs", integer, value.get("secs", 0)) + carried
+        if not lowest <= secs <= highest:
+            raise Mismatch(f"must be a {type_name} of {lowest} to {highest} seconds, not {describe(secs)}")
+        return {"secs": secs, "nsecs": nsecs}
+
+    return check_time
+
+
+def bytes_checker(field: Field) -> Checker:
+    """The checker of a list of bytes, which is base64 text in a message: takes that, a list of integers, or bytes."""
+    element = checker_of(field.type)
+
+    def check_bytes(value: Any) -> str:
+        if isinstance(value, str):
+            try:
+                data = binascii.a2b_base64(value, strict_mode=True) if value else b""
+            except ValueError:
+                raise must_be(_BYTES_WANTED, value) from None
+        elif isinstance(value, (list, tuple)):
+            data = bytes(_checked_elements(value, element))
+        elif isinstance(value, (bytes, bytearray)):
+            data = bytes(value)
+        else:
+            raise must_be(_BYTES_WANTED, value)
+        if field.array and len(data) != field.array:
+            raise Mismatch(f"must hold exactly {field.array} bytes, not {len(data)}")
+        return value if isinstance(value, str) else _base64(data)
+
+    return check_bytes
+
+
+def _base64(data: bytes) -> str:
+    return binascii.b2a_base64(data, newline=False).decode("ascii")

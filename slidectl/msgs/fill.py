@@ -9,14 +9,22 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from slidectl.errors import BadMessage, UnknownName
-from slidectl.msgs.mismatch import Mismatch, UnknownField, describe, must_be
-from slidectl.msgs.primitives import bytes_checker, checker_of, time_checker
+from slidectl.errors import BadMessage
+from slidectl.msgs.checking import (
+    Message,
+    Mismatch,
+    UnknownField,
+    at,
+    bytes_checker,
+    checked_length,
+    checker_of,
+    describe,
+    must_be,
+)
 from slidectl.msgs.schema import BYTES, PRIMITIVES, SCALAR, TIMES, Field
 
-Message = dict[str, Any]
 FieldsOf = Callable[[str], Sequence[Field]]
-"""The fields of a message type. Raises UnknownName."""
+"""The fields of a message type."""
 Time = tuple[int, int]
 """Seconds and nanoseconds."""
 
@@ -30,13 +38,7 @@ def fields_from(typedefs: Iterable[Mapping[str, Any]]) -> FieldsOf:
         str(typedef["type"]): tuple(map(Field, typedef["fieldnames"], typedef["fieldtypes"], typedef["fieldarraylen"]))
         for typedef in typedefs
     }
-
-    def fields_of(type_name: str) -> Sequence[Field]:
-        if type_name not in known:
-            raise UnknownName("message type", type_name, sorted(known))
-        return known[type_name]
-
-    return fields_of
+    return known.__getitem__
 
 
 def field_paths(fields_of: FieldsOf, type_name: str) -> list[str]:
@@ -60,9 +62,8 @@ def fill(fields_of: FieldsOf, type_name: str, args: Sequence[Any], now: Time | N
     Raises:
         BadMessage: unknown fields, too few or too many values, a value that does not fit. UnknownName: no such type.
     """
-    filler = _Filler(fields_of, now)
     try:
-        return filler.whole(type_name, args)
+        return _Filler(fields_of, now).whole(type_name, args)
     except Mismatch as problem:
         raise problem.as_error(type_name) from None
 
@@ -85,7 +86,7 @@ class _WrongCount(Mismatch):
 
 
 class _Filler:
-    """Walks a type and the values given for it. Mismatches collect their path on the way up."""
+    """Walks a type and the values given for it."""
 
     def __init__(self, fields_of: FieldsOf, now: Time | None) -> None:
         self._fields_of = fields_of
@@ -96,42 +97,37 @@ class _Filler:
         if len(args) == 1 and isinstance(args[0], Mapping):
             return self._by_name(type_name, args[0])
         if len(args) == 1 and _is_multi_array(fields) and _is_plain_list(args[0]):
-            return {"data": _at("data", self._value, fields[1], args[0])}
-        if len(args) == len(fields):
-            args = [_empty_text(field, value) for field, value in zip(fields, args, strict=True)]
+            return {"data": at("data", self._value, fields[1], args[0])}
+        if len(args) == len(fields):  # an empty argument, which YAML reads as null, means empty text where text is due
+            texts = [field.array == SCALAR and field.type == "string" for field in fields]
+            args = ["" if is_text and value is None else value for is_text, value in zip(texts, args, strict=True)]
         return self._by_position(type_name, args)
 
     def _by_name(self, type_name: str, given: Mapping[Any, Any]) -> Message:
         fields = {field.name: field for field in self._fields_of(type_name)}
-        for name in given:
-            if name not in fields:
-                raise UnknownField(name, type_name, tuple(fields))
-        return {name: _at(name, self._value, fields[name], value) for name, value in given.items()}
+        if not given.keys() <= fields.keys():
+            raise UnknownField(given, type_name, tuple(fields))
+        return {name: at(name, self._value, fields[name], value) for name, value in given.items()}
 
     def _by_position(self, type_name: str, given: Sequence[Any]) -> Message:
         fields = self._fields_of(type_name)
         if len(given) != len(fields):
             raise _WrongCount(len(given), fields)
-        return {
-            field.name: _at(field.name, self._value, field, value) for field, value in zip(fields, given, strict=True)
-        }
+        return {f.name: at(f.name, self._value, f, value) for f, value in zip(fields, given, strict=True)}
 
     def _value(self, field: Field, value: Any) -> Any:
         if field.array == SCALAR:
             return self._single(field.type, value)
         if field.type in BYTES:
-            return bytes_checker(field.type, field.array)(value)
-        if not isinstance(value, (list, tuple)):
-            raise must_be(f"a list ({field.type_text})", value)
-        if field.array and len(value) != field.array:
-            raise Mismatch(f"must be a list of exactly {field.array} ({field.type_text}), not of {len(value)}")
-        return [_at(f"[{index}]", self._single, field.type, element) for index, element in enumerate(value)]
+            return bytes_checker(field)(value)
+        values = checked_length(field, value)
+        return [at(f"[{index}]", self._single, field.type, element) for index, element in enumerate(values)]
 
     def _single(self, type_name: str, value: Any) -> Any:
         if type_name in TIMES:
             return self._time(type_name, value)
         if type_name in PRIMITIVES:
-            return _leaf(type_name, value)
+            return _primitive(type_name, value)
         if type_name == _HEADER and value == "auto":
             return {"seq": 0, "stamp": self._time("time", "now"), "frame_id": ""}
         if isinstance(value, Mapping):
@@ -142,7 +138,7 @@ class _Filler:
         keyword = "'auto', " if type_name == _HEADER else ""
         raise must_be(f"{keyword}a mapping or a list (a {type_name})", value, f"{type_name} has the fields {names}")
 
-    def _time(self, type_name: str, value: Any) -> dict[str, int]:
+    def _time(self, type_name: str, value: Any) -> Any:
         if type_name == "time" and value == "now":
             if self._now is None:
                 raise Mismatch("cannot be 'now': there is no clock to ask")
@@ -154,28 +150,15 @@ class _Filler:
         if not isinstance(value, Mapping):
             keyword = "'now', " if type_name == "time" else ""
             raise must_be(f"{keyword}{{secs, nsecs}} or nanoseconds (a {type_name})", value)
-        return time_checker(type_name)(value)  # type: ignore[no-any-return]
+        return checker_of(type_name)(value)
 
 
-def _at(step: str, convert: Callable[..., Any], *args: Any) -> Any:
-    try:
-        return convert(*args)
-    except Mismatch as problem:
-        problem.steps.append(step)
-        raise
-
-
-def _leaf(type_name: str, value: Any) -> Any:
+def _primitive(type_name: str, value: Any) -> Any:
     if type_name == "string" and not isinstance(value, str):
         raise Mismatch(f"must be text (string), and YAML reads this as {describe(value)}", "quote it twice: '\"text\"'")
     if value is None:
         raise must_be(type_name, value)
     return checker_of(type_name)(value)
-
-
-def _empty_text(field: Field, value: Any) -> Any:
-    """An empty argument, which YAML reads as null, means empty text where text is due."""
-    return "" if value is None and field.array == SCALAR and field.type == "string" else value
 
 
 def _is_multi_array(fields: Sequence[Field]) -> bool:

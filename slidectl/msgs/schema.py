@@ -1,6 +1,6 @@
-"""What a message type is made of: fields, and the primitive types with their ranges.
+"""The fields of message types, and the primitive types with their ranges.
 
-Plain records and tables. Nothing here reads a file, and nothing here knows a particular message.
+Plain records and tables: nothing here reads a definition.
 """
 
 from __future__ import annotations
@@ -34,6 +34,4 @@ class Field(NamedTuple):
     @property
     def type_text(self) -> str:
         """The type as a definition writes it: `float64`, `float64[]`, `float64[9]`."""
-        if self.array == SCALAR:
-            return self.type
-        return f"{self.type}[{self.array or ''}]"
+        return self.type + ("" if self.array == SCALAR else f"[{self.array or ''}]")

@@ -3,9 +3,9 @@
 Knows simulated time only: no sockets, no wall time, no threads.
 """
 
-from slidectl.simulation.assembly import SpawnedRobot
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.pending import Pending
+from slidectl.simulation.robots import SpawnedRobot
 from slidectl.simulation.simulation import Simulation
 
 __all__ = ["Graph", "Pending", "Simulation", "SpawnedRobot"]

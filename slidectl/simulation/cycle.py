@@ -1,10 +1,13 @@
-"""One robot's part of a control cycle: read, update, limits and write, in the order of gazebo_ros_control.
+"""The control cycle: one robot's part of it, and who runs the cycles of a loop.
 
-The hot path of the whole program. Knows no physics engine and no clients; times are integer nanoseconds.
+A robot's part is read, update, limits and write, in the order of gazebo_ros_control. The interpreter runs the cycles
+here, machine code in `compiled/`, with the same results to the bit. The hot path of the whole program; times are
+integer nanoseconds.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from slidectl.control.duration import to_seconds
@@ -13,6 +16,13 @@ from slidectl.control.laws import law
 if TYPE_CHECKING:
     from slidectl.control.controller_manager import ControllerManager
     from slidectl.control.hardware_interface import RobotHW
+    from slidectl.simulation.loop import Loop
+    from slidectl.simulation.robots import SpawnedRobot
+
+CHECK_EVERY = 256
+"""Cycles between two looks at whether the physics has diverged; counted from time 0, however stepping is cut."""
+_LOOK_MASK = 7
+"""The interpreter asks after so many cycles, and one more, whether there is `enough`."""
 
 
 @law
@@ -61,7 +71,7 @@ class ControlCycle:
     )
 
     def __init__(self, hardware: RobotHW, manager: ControllerManager, control_period_ns: int, time_ns: int) -> None:
-        """`time_ns` is now. Counted from 0, the first period of a newcomer would be the whole time of the world."""
+        """`time_ns` is now: counted from 0, the first period would be the whole time of the world."""
         self._read = hardware.read
         self._update = manager.update
         self._write = hardware.write
@@ -95,3 +105,68 @@ class ControlCycle:
     def write(self, time_ns: int) -> None:
         """The end of the cycle at `time_ns`: limits and commands."""
         self._write(time_ns, begin_to_write(self, time_ns))
+
+
+class Runner:
+    """Runs cycles: the clock advances, every robot has its part, the physics makes its step, timers fire.
+
+    A runner may keep the state of robots in memory of its own: before anybody looks at a robot, it gives that robot
+    back.
+    """
+
+    def run(self, count: int) -> int:
+        """At most `count` cycles, up to and with the first after which a timer is due, the physics is to be checked, or
+        the driver says that there is enough.
+
+        Returns how many. Raises EngineError: MuJoCo cannot go on.
+        """
+        raise NotImplementedError
+
+    def take_robots(self, robots: Sequence[SpawnedRobot]) -> None:
+        """These are the robots now, in this order."""
+        raise NotImplementedError
+
+    def give_back(self, robot: SpawnedRobot) -> None:
+        """Somebody is about to look at the robot, or to change it: its objects are to be what they should be."""
+
+    def give_back_all(self) -> None:
+        """The same for all robots."""
+
+    def follow_world(self) -> None:
+        """The world was rebuilt: robots may have other places in it."""
+
+
+class PlainRunner(Runner):
+    """The interpreter. Robots are always as they should be."""
+
+    def __init__(self, loop: Loop) -> None:
+        self._loop = loop
+        self._cycles: tuple[Callable[[int], None], ...] = ()
+
+    def take_robots(self, robots: Sequence[SpawnedRobot]) -> None:
+        self._cycles = tuple(robot.parts.cycle.run for robot in robots)
+
+    def run(self, count: int) -> int:
+        loop, world, robots = self._loop, self._loop.world, self._cycles
+        clock, timers, clock_topic, step_ns = loop.graph.clock, loop.graph.timers, loop.graph.clock_topic, loop.step_ns
+        clock_publisher, enough = clock_topic.publisher, loop.enough
+        time_ns = clock.time_ns
+        done = 0
+        loop.in_cycle = True
+        try:
+            for done in range(1, min(count, CHECK_EVERY - clock.cycles % CHECK_EVERY) + 1):
+                time_ns += step_ns
+                clock.time_ns = time_ns
+                if clock_publisher.wanted:
+                    clock_topic.tick(time_ns, step_ns)
+                for robot in robots:
+                    robot(time_ns)
+                world.step()
+                if time_ns >= timers.next_ns or (enough is not None and not done & _LOOK_MASK and enough()):
+                    break
+        finally:
+            loop.in_cycle = False
+            clock.cycles += done
+        if time_ns >= timers.next_ns:
+            timers.fire()
+        return done

@@ -1,20 +1,32 @@
-"""The graph: topics, services, parameters, the log, timers and the clock that they share.
+"""The graph: topics, services, parameters, the log, timers and the clock that they share, and node handles on it.
 
 No physics and no control here; the simulation hangs those on it.
 """
 
 from __future__ import annotations
 
-from slidectl.simulation.clock import Clock, ClockTopic
-from slidectl.simulation.node import GraphNode
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from typing import Any, ParamSpec, TypeVar
+
+from slidectl import names
+from slidectl.control.node_handle import MISSING, Message, MessageCallback, ParameterJudge, Publisher, Reasons
+from slidectl.errors import cut
+from slidectl.simulation.clock import Clock, ClockTopic, Timers, stamp
 from slidectl.simulation.parameters import Parameters
-from slidectl.simulation.rosout import Rosout
-from slidectl.simulation.services import Services
-from slidectl.simulation.timers import Timers
+from slidectl.simulation.services import Handler, Services
 from slidectl.simulation.topics import NodePublisher, Topics
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 WORLD_NODE = "/gazebo"
 CLOCK_FREQUENCY = "/gazebo/pub_clock_frequency"
+LEVELS = {"debug": 1, "info": 2, "warn": 4, "error": 8, "fatal": 16}
+MOST_REASONS = 100
+"""Reasons that one answer holds; the log has the rest."""
+Sink = Callable[[str, str, str, int], None]
+"""Takes severity, node, text, time in ns."""
 
 
 class Graph:
@@ -28,7 +40,7 @@ class Graph:
         self.parameters = Parameters()
         self.caller = 0
         """The session id of the process whose request is being carried out, 0 when nobody knows or none is."""
-        self.log = Rosout(self.topics, self.clock.now_ns, WORLD_NODE)
+        self.log = Log(self.topics, self.clock.now_ns)
         clock = self.topics.advertise("/clock", "rosgraph_msgs/Clock", WORLD_NODE, kind=NodePublisher)
         self.clock_topic = ClockTopic(clock)
         self.parameters.watch(CLOCK_FREQUENCY, self._take_clock_frequency)
@@ -42,9 +54,145 @@ class Graph:
         return sorted(self.topics.nodes() | self.services.nodes())
 
     def close_node(self, name: str) -> None:
-        """A node has gone (a client hung up): take back all that it had."""
+        """A node has gone (a client has disconnected): take back all that it had."""
         self.topics.close_node(name)
         self.services.close_node(name)
 
     def _take_clock_frequency(self) -> None:
         self.clock_topic.set_frequency(self.parameters.get(CLOCK_FREQUENCY, 0))
+
+
+class Log:
+    """Lines from nodes, out on `/rosout` and to `sink` (the daemon's file), whether somebody subscribes or not.
+
+    Warnings and errors also become the reasons of the request that is being carried out, if one is.
+    """
+
+    def __init__(self, topics: Topics, now_ns: Callable[[], int]) -> None:
+        self.sink: Sink | None = None
+        self.reasons: Reasons | None = None
+        """Those of the request that is being carried out. There is one thread, so there is at most one request."""
+        self._now_ns = now_ns
+        self._publisher = topics.advertise("/rosout", "rosgraph_msgs/Log", WORLD_NODE, kind=NodePublisher)
+
+    def __call__(self, severity: str, node: str, text: str) -> None:
+        """One line; `severity` is a key of LEVELS."""
+        level = LEVELS[severity]
+        text = cut(text)  # what a client sent may be part of it
+        if self.reasons is not None and level >= LEVELS["warn"] and len(self.reasons) < MOST_REASONS:
+            self.reasons.append(text)
+        now = self._now_ns()
+        if self.sink is not None:
+            self.sink(severity, node, text, now)
+        if not self._publisher.wanted:
+            self._publisher.sequence += 1
+            return
+        header = {"seq": 0, "stamp": stamp(now), "frame_id": ""}
+        line: Message = {"header": header, "level": level, "name": node, "msg": text}
+        self._publisher.publish({**line, "file": "", "function": "", "line": 0, "topics": []})
+
+    @contextmanager
+    def answering(self, reasons: Reasons | None) -> Iterator[None]:
+        """Inside, lines are reasons of that request (of none: None)."""
+        before, self.reasons = self.reasons, reasons
+        try:
+            yield
+        finally:
+            self.reasons = before
+
+
+class GraphNode:
+    """A node handle on the graph, with all that was advertised through it. NodeHandle (control) says what it does.
+
+    `namespace` resolves relative names, `name` is the node that stands in listings and in the log.
+    """
+
+    def __init__(self, graph: Graph, namespace: str, name: str) -> None:
+        self.namespace = names.check(namespace)
+        self.name = name
+        self._graph = graph
+        self._parent: GraphNode | None = None
+        self._children: list[GraphNode] = []
+        self._taken: list[Callable[[], None]] = []
+        self.before_entry: Callable[[], None] = lambda: None
+        """Called before every callback that was given to this handle or a child of it."""
+
+    def child(self, name: str) -> GraphNode:
+        """The node handle of `namespace/name`. What it advertises ends with this one's `shutdown`."""
+        node = GraphNode(self._graph, self._absolute(name), self.name)
+        node._parent = self
+        self._children.append(node)
+        return node
+
+    def get_param(self, name: str, default: Any = MISSING) -> Any:
+        return self._graph.parameters.get(self._absolute(name), default)
+
+    def has_param(self, name: str) -> bool:
+        return self._graph.parameters.has(self._absolute(name))
+
+    def set_param(self, name: str, value: Any) -> None:
+        self._graph.parameters.set(self._absolute(name), value)
+
+    def search_param(self, name: str) -> str | None:
+        return self._graph.parameters.search(self.namespace, name)
+
+    def watch_param(self, name: str, callback: Callable[[], None]) -> None:
+        self._taken.append(self._graph.parameters.watch(self._absolute(name), self._entering(callback)).close)
+
+    def guard_params(self, judge: ParameterJudge) -> None:
+        self._taken.append(self._graph.parameters.guard(self.namespace, judge).close)
+
+    def advertise(self, topic: str, type_name: str, latch: bool = False) -> Publisher:
+        publisher = self._graph.topics.advertise(self._absolute(topic), type_name, self.name, latch, NodePublisher)
+        self._taken.append(publisher.close)
+        return publisher
+
+    def subscribe(self, topic: str, type_name: str, callback: MessageCallback) -> None:
+        name, entering = self._absolute(topic), self._entering(callback)
+        self._taken.append(self._graph.topics.subscribe(name, type_name, self.name, entering).close)
+
+    def advertise_service(self, service: str, type_name: str, handler: Handler) -> None:
+        name, entering = self._absolute(service), self._entering(handler)
+        self._taken.append(self._graph.services.advertise(name, type_name, self.name, entering).close)
+
+    def log(self, severity: str, text: str) -> None:
+        self._graph.log(severity, self.name, text)
+
+    @property
+    def reasons(self) -> Reasons | None:
+        return self._graph.log.reasons
+
+    def answering(self, reasons: Reasons | None) -> AbstractContextManager[None]:
+        return self._graph.log.answering(reasons)
+
+    def now_ns(self) -> int:
+        return self._graph.clock.time_ns
+
+    def shutdown(self) -> None:
+        """Take back all that was advertised, subscribed and watched through this handle and its children.
+
+        All of it, even if somebody who is told of it fails; the last such error is raised then.
+        """
+        if self._parent is not None and self in self._parent._children:
+            self._parent._children.remove(self)
+        taken, self._taken = self._taken, []
+        with ExitStack() as closing:  # the last is the first
+            for close in taken:
+                closing.callback(close)
+            for child in reversed(self._children):
+                closing.callback(child.shutdown)
+
+    def _entering(self, callback: Callable[P, T]) -> Callable[P, T]:
+        """The callback, before which all handles above are told that somebody is about to call into what they hold."""
+
+        def entered(*arguments: P.args, **keywords: P.kwargs) -> T:
+            node: GraphNode | None = self
+            while node is not None:
+                node.before_entry()
+                node = node._parent
+            return callback(*arguments, **keywords)
+
+        return entered
+
+    def _absolute(self, name: str) -> str:
+        return names.join(self.namespace, name)

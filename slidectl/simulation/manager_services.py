@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING
 
 from slidectl.control.node_handle import Message, Reasons
@@ -16,11 +17,11 @@ from slidectl.simulation.pending import Pending
 
 if TYPE_CHECKING:
     from slidectl.control.controller_manager import ControllerManager
+    from slidectl.simulation.graph import GraphNode
     from slidectl.simulation.loop import Loop
-    from slidectl.simulation.node import GraphNode
 
-Act = Callable[[Message, Pending], None]
-"""Carries out a request; the answer is settled then, or when its switch is done."""
+Act = Callable[[Message, Pending], Message | None]
+"""Carries out a request. Returns the response, or None when the answer is settled at the end of a switch."""
 
 
 class ManagerServices:
@@ -36,9 +37,25 @@ class ManagerServices:
         self._node = node
         self._look = look
         self._loop = loop
-        self._queue: deque[tuple[Callable[[Pending], None], Pending, Reasons | None]] = deque()
+        self._queue: deque[tuple[Act, Message, Pending, Reasons | None]] = deque()
         self._switch: Pending | None = None
-        self._advertise()
+        acts: dict[str, tuple[str, Act]] = {
+            "list_controllers": ("ListControllers", lambda *_: {"controller": manager.list()}),
+            "list_controller_types": (
+                "ListControllerTypes",
+                lambda *_: {"types": manager.types(), "base_classes": manager.base_classes()},
+            ),
+            "load_controller": ("LoadController", lambda request, _: {"ok": manager.load(request["name"])}),
+            "unload_controller": ("UnloadController", lambda request, _: {"ok": manager.unload(request["name"])}),
+            "reload_controller_libraries": (
+                "ReloadControllerLibraries",
+                lambda request, _: {"ok": manager.reload_libraries(request["force_kill"])},
+            ),
+            "switch_controller": ("SwitchController", self._start_switch),
+        }
+        services = node.child("controller_manager")
+        for name, (kind, act) in acts.items():
+            services.advertise_service(name, f"controller_manager_msgs/{kind}", partial(self._take, act))
 
     def settle(self) -> None:
         """Finish an armed switch now, because the world has come to a stand."""
@@ -46,59 +63,29 @@ class ManagerServices:
             self._look()
             self._manager.manage_switch(self._node.now_ns())
 
-    def _advertise(self) -> None:
-        offers: dict[str, tuple[str, Act]] = {
-            "list_controllers": ("ListControllers", self._list),
-            "list_controller_types": ("ListControllerTypes", self._types),
-            "load_controller": ("LoadController", self._load),
-            "unload_controller": ("UnloadController", self._unload),
-            "switch_controller": ("SwitchController", self._start_switch),
-            "reload_controller_libraries": ("ReloadControllerLibraries", self._reload),
-        }
-        services = self._node.child("controller_manager")
-        for name, (kind, act) in offers.items():
-            services.advertise_service(name, f"controller_manager_msgs/{kind}", self._queued(act))
-
-    def _queued(self, act: Act) -> Callable[[Message], Pending]:
-        def handle(request: Message) -> Pending:
-            pending = Pending()
-            self._queue.append((lambda answer: act(request, answer), pending, self._node.reasons))
-            self._work()
-            return pending
-
-        return handle
+    def _take(self, act: Act, request: Message) -> Pending:
+        pending = Pending()
+        self._queue.append((act, request, pending, self._node.reasons))
+        self._work()
+        return pending
 
     def _work(self) -> None:
         """Carry out what is queued, up to the next switch that needs a cycle."""
         while self._queue and self._switch is None:
-            act, pending, reasons = self._queue.popleft()
-            if not pending.cancelled:
-                with self._node.answering(reasons):  # it may have waited for the switch of another request
-                    self._carry_out(act, pending)
+            act, request, pending, reasons = self._queue.popleft()
+            if pending.cancelled:
+                continue
+            with self._node.answering(reasons):  # it may have waited for the switch of another request
+                try:
+                    response = act(request, pending)
+                except SlidectlError as error:
+                    self._switch = None
+                    pending.reject(error)
+                else:
+                    if response is not None:
+                        pending.resolve(response)
 
-    def _carry_out(self, act: Callable[[Pending], None], pending: Pending) -> None:
-        try:
-            act(pending)
-        except SlidectlError as error:
-            self._switch = None
-            pending.reject(error)
-
-    def _list(self, _request: Message, answer: Pending) -> None:
-        answer.resolve({"controller": self._manager.list()})
-
-    def _types(self, _request: Message, answer: Pending) -> None:
-        answer.resolve({"types": self._manager.types(), "base_classes": self._manager.base_classes()})
-
-    def _load(self, request: Message, answer: Pending) -> None:
-        answer.resolve({"ok": self._manager.load(request["name"])})
-
-    def _unload(self, request: Message, answer: Pending) -> None:
-        answer.resolve({"ok": self._manager.unload(request["name"])})
-
-    def _reload(self, request: Message, answer: Pending) -> None:
-        answer.resolve({"ok": self._manager.reload_libraries(request["force_kill"])})
-
-    def _start_switch(self, request: Message, answer: Pending) -> None:
+    def _start_switch(self, request: Message, answer: Pending) -> Message | None:
         self._switch = answer
         armed = self._manager.request_switch(
             request["start_controllers"],
@@ -110,9 +97,10 @@ class ManagerServices:
         )
         if not armed:
             self._switch = None
-            answer.resolve({"ok": False})
-        elif self._loop.stands_still:
+            return {"ok": False}
+        if self._loop.stands_still:
             self.settle()
+        return None
 
     def _finish_switch(self, answer: Pending, ok: bool) -> None:
         self._switch = None

@@ -1,168 +1,357 @@
-"""`/slidectl/status`, `step`, `set_speed`, `set_params`, `sleep`, `list_robots` and `sources`: not in ROS.
+"""The services of `/slidectl` but `wait`, which has a module of its own, and `shutdown`, which is the daemon's.
 
-`resolve`, `wait` and what stops joints have modules of their own, and `shutdown` is the daemon's.
+These are not in ROS: status, step, sleep, set_speed, set_params, list_robots, sources, resolve, estop, rest_joints.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import slidectl
+from slidectl import msgs, names
 from slidectl.control.duration import from_seconds
+from slidectl.control.hardware_interface import EffortJointInterface, PositionJointInterface, VelocityJointInterface
 from slidectl.control.node_handle import Message
-from slidectl.errors import Refused, SlidectlError, UsageError
-from slidectl.simulation import resolve
+from slidectl.description.robot import Joint
+from slidectl.description.transmissions import driving
+from slidectl.errors import Refused, SlidectlError, UnknownName, Unused, UsageError, closest, listing
 from slidectl.simulation.pending import Pending
-from slidectl.simulation.robot_info import robot_info
-from slidectl.simulation.rosapi_parameters import absolute, from_json
+from slidectl.simulation.robots import SpawnedRobot
+from slidectl.simulation.rosapi import absolute, from_json, typedefs
 
 if TYPE_CHECKING:
     from slidectl.simulation.simulation import Simulation
 
 NODE = "/slidectl"
 LONGEST_S = 1e9
+_KINDS = ("topic", "service", "parameter", "node", "robot")
+_MOST_COMPARED = 8
+"""Ways to cut a name from a field that are compared with known names for a suggestion, which takes milliseconds."""
+_QUANTITIES = {
+    EffortJointInterface.type_name: "an effort of",
+    VelocityJointInterface.type_name: "a velocity of",
+    PositionJointInterface.type_name: "the position",
+}
+
+Claim = tuple[str, str]
+"""An interface and a joint."""
 
 
-def advertise(simulation: Simulation) -> None:
-    """Provide them."""
-    node = simulation.graph.node(NODE, NODE)
-    node.advertise_service("status", "slidectl/Status", lambda _: _status(simulation))
-    node.advertise_service("step", "slidectl/Step", lambda request: _step(simulation, request))
-    node.advertise_service("set_speed", "slidectl/SetSpeed", lambda request: _set_speed(simulation, request))
-    node.advertise_service("set_params", "slidectl/SetParams", lambda request: _set_params(simulation, request))
-    node.advertise_service("sleep", "slidectl/Sleep", lambda request: _sleep(simulation, request))
-    node.advertise_service("list_robots", "slidectl/ListRobots", lambda request: _list_robots(simulation, request))
-    node.advertise_service("sources", "slidectl/Sources", lambda request: _sources(simulation, request))
-    node.advertise_service("resolve", "slidectl/Resolve", lambda request: resolve.answer(simulation, request))
+class OwnServices:
+    """The services of one simulation."""
 
+    def __init__(self, simulation: Simulation) -> None:
+        """Advertises all of them."""
+        self._simulation = simulation
+        self._graph = simulation.graph
+        self._robots = simulation.robots
+        node = simulation.graph.node(NODE, NODE)
+        node.advertise_service("status", "slidectl/Status", self._status)
+        node.advertise_service("step", "slidectl/Step", self._step)
+        node.advertise_service("sleep", "slidectl/Sleep", self._sleep)
+        node.advertise_service("set_speed", "slidectl/SetSpeed", self._set_speed)
+        node.advertise_service("set_params", "slidectl/SetParams", self._set_params)
+        node.advertise_service("list_robots", "slidectl/ListRobots", self._list_robots)
+        node.advertise_service("sources", "slidectl/Sources", self._sources)
+        node.advertise_service("resolve", "slidectl/Resolve", self._resolve)
+        node.advertise_service("estop", "slidectl/EmergencyStop", self._stop)
+        node.advertise_service("rest_joints", "slidectl/RestJoints", self._rest)
 
-def _status(simulation: Simulation) -> Message:
-    managers = [robot.parts.manager for robot in simulation.robots]
-    return {
-        "version": slidectl.__version__,
-        "time": simulation.graph.clock.seconds,
-        "cycles": simulation.cycles,
-        "paused": simulation.run.paused,
-        "trouble": simulation.run.trouble,
-        "speed": 0.0 if math.isinf(simulation.run.speed) else simulation.run.speed,
-        "timestep": simulation.timestep_ns * 1e-9,
-        "chosen": sorted(simulation.chosen),
-        "engine": str(simulation.engine),
-        "robots": simulation.robots.names(),
-        "estop": [robot.name for robot in simulation.robots if robot.emergency_stop],
-        "controllers": sum(len(manager.names()) for manager in managers),
-        "controllers_running": sum(manager.running_count for manager in managers),
-        **simulation.monitor(),
-    }
+    def _status(self, _: Message) -> Message:
+        simulation = self._simulation
+        managers = [robot.parts.manager for robot in self._robots]
+        return {
+            "version": slidectl.__version__,
+            "time": self._graph.clock.seconds,
+            "cycles": simulation.cycles,
+            "paused": simulation.run.paused,
+            "trouble": simulation.run.trouble,
+            "speed": 0.0 if math.isinf(simulation.run.speed) else simulation.run.speed,
+            "timestep": simulation.timestep_ns * 1e-9,
+            "chosen": sorted(simulation.chosen),
+            "engine": str(simulation.engine),
+            "robots": self._robots.names(),
+            "estop": [robot.name for robot in self._robots if robot.emergency_stop],
+            "controllers": sum(len(manager.names()) for manager in managers),
+            "controllers_running": sum(manager.running_count for manager in managers),
+            **simulation.monitor(),
+        }
 
+    # Time
 
-def _step(simulation: Simulation, request: Message) -> Pending:
-    """Pauses first. Answered when the cycles are done, or when they were given up."""
-    answer = Pending()
-    steps = _run_steps(simulation, _cycles(simulation, request))
-    answer.on_cancel = steps.cancel
+    def _step(self, request: Message) -> Pending:
+        """Pauses first. Answered when the cycles are done, or when they were given up."""
+        clock = self._graph.clock
 
-    def settle(done: Pending) -> None:
-        text = str(done.error) if done.error else f"{done.result()} cycles done"
-        clock = simulation.graph.clock
-        response = {"success": done.error is None, "message": text, "time": clock.seconds, "cycles": clock.cycles}
-        answer.resolve(response)
+        def response(done: Pending) -> Message:
+            text = str(done.error) if done.error else f"{done.result()} cycles done"
+            return {"success": done.error is None, "message": text, "time": clock.seconds, "cycles": clock.cycles}
 
-    steps.then(settle)
-    return answer
+        return self._run_steps(self._cycles(request)).converted(response)
 
+    def _run_steps(self, cycles: int) -> Pending:
+        if not cycles:
+            self._simulation.pause()
+            return Pending.of(0)
+        if self._simulation.driven:
+            return self._simulation.run.ask_steps(cycles)
+        pending = Pending()
+        try:
+            pending.resolve(self._simulation.step(cycles))
+        except SlidectlError as error:
+            pending.reject(error)
+        return pending
 
-def _run_steps(simulation: Simulation, cycles: int) -> Pending:
-    if not cycles:
-        simulation.pause()
-        return Pending.of(0)
-    if simulation.driven:
-        return simulation.run.ask_steps(cycles)
-    pending = Pending()
-    try:
-        pending.resolve(simulation.step(cycles))
-    except SlidectlError as error:
-        pending.reject(error)
-    return pending
+    def _cycles(self, request: Message) -> int:
+        """Whole cycles: those that were asked for, or as many as make up the time that was asked for.
 
-
-def _cycles(simulation: Simulation, request: Message) -> int:
-    """Whole cycles: those that were asked for, or as many as make up the time that was asked for.
-
-    Raises Refused for a time that is no whole number of cycles: the world would stop elsewhere than was asked.
-    """
-    seconds: float = request["seconds"]
-    if not 0 <= seconds < LONGEST_S:
-        raise Refused(f"seconds must be 0 or more (and less than {LONGEST_S:g}), not {seconds:g}")
-    cycles: int = request["cycles"]
-    if cycles:
+        Raises Refused for a time that is no whole number of cycles: the world would stop elsewhere than was asked.
+        """
+        seconds: float = request["seconds"]
+        if not 0 <= seconds < LONGEST_S:
+            raise Refused(f"seconds must be 0 or more (and less than {LONGEST_S:g}), not {seconds:g}")
+        if request["cycles"]:
+            return int(request["cycles"])
+        step_ns, asked_ns = self._simulation.timestep_ns, from_seconds(seconds)
+        cycles = round(asked_ns / step_ns)
+        # A time step such as 1/240 s is rounded to nanoseconds, so a second of it is up to one off for each cycle.
+        if abs(cycles * step_ns - asked_ns) > cycles:
+            below = asked_ns // step_ns
+            near = [f"{count * step_ns * 1e-9:.9g}s" for count in (below, below + 1) if count]
+            text = f"{seconds:.9g} s is no whole number of cycles of {step_ns * 1e-9:g} s"
+            raise Refused(text, f"possible: {' or '.join(near)}")
         return cycles
-    step_ns, asked_ns = simulation.timestep_ns, from_seconds(seconds)
-    cycles = round(asked_ns / step_ns)
-    # A time step such as 1/240 s is rounded to nanoseconds, so a second of it is up to one off for each cycle.
-    if abs(cycles * step_ns - asked_ns) > cycles:
-        near = [
-            f"{count * step_ns * 1e-9:.9g}s" for count in range(asked_ns // step_ns, asked_ns // step_ns + 2) if count
-        ]
-        raise Refused(
-            f"{seconds:.9g} s is no whole number of cycles of {step_ns * 1e-9:g} s", f"possible: {' or '.join(near)}"
-        )
-    return cycles
+
+    def _sleep(self, request: Message) -> Pending:
+        """Answered when the simulated time has passed; a paused world never gets there."""
+        duration: float = request["duration"]
+        if not 0 <= duration < LONGEST_S:
+            raise Refused(f"a duration is 0 s or more (and less than {LONGEST_S:g} s), not {duration:g}")
+        clock, pending = self._graph.clock, Pending()
+
+        def wake() -> None:
+            pending.resolve({"success": True, "time": clock.seconds})
+
+        if duration:
+            pending.on_cancel = self._graph.timers.after(from_seconds(duration), wake).cancel
+        else:
+            wake()
+        return pending
+
+    def _set_speed(self, request: Message) -> Message:
+        try:
+            self._simulation.set_speed(request["speed"])
+        except Refused as error:
+            return {"success": False, "message": str(error)}
+        self._simulation.chosen.add("speed")
+        speed = self._simulation.run.speed
+        text = "as fast as possible" if math.isinf(speed) else f"real-time factor {speed:g}"
+        return {"success": True, "message": text}
+
+    # Parameters and names
+
+    def _set_params(self, request: Message) -> Message:
+        given, texts = request["names"], request["values"]
+        if len(given) != len(texts):
+            raise UsageError(f"{len(given)} names and {len(texts)} values: one value for each name")
+        parameters = self._graph.parameters
+        values = {absolute(name): from_json(text) for name, text in zip(given, texts, strict=True)}
+        created = [name for name in values if not parameters.has(name)]
+        guarded = [name for name in created if parameters.is_guarded(name)]
+        parameters.set_all(values, request["known_only"])
+        return {"created": created, "guarded": guarded}
+
+    def _sources(self, request: Message) -> Message:
+        digest: str = request["digest"]
+        if re.fullmatch("[0-9a-f]{64}", digest) is None:
+            raise Refused("a digest is SHA-256 in 64 hexadecimal digits")
+        if request["note"]:
+            self._robots.sources.put(digest, request["note"])
+        return {"note": self._robots.sources.get(digest)}
+
+    def _resolve(self, request: Message) -> Message:
+        """The full name that a short one means (see names.resolve), with the type and the nodes. It changes nothing.
+
+        Raises:
+            UnknownName: nothing fits. AmbiguousName: several do. Unused: the topic has nobody in the role.
+        """
+        kind, name = request["kind"], request["name"]
+        if kind not in _KINDS:
+            raise UsageError(f"unknown kind {kind!r}", f"kinds: {', '.join(_KINDS)}")
+        if len(name) > names.LONGEST:
+            raise names.TooLong(name)
+        namespace = request["namespace"] or "/"
+        if kind == "topic":
+            return self._resolve_topic(name, namespace, request["role"], request["with_field"])
+        if kind == "service":
+            services = self._graph.services
+            full = names.resolve(name, services.names(), kind=kind, namespace=namespace)
+            type_name = services.type_of(full)
+            return {
+                "name": full,
+                "type": type_name,
+                "typedefs": typedefs(msgs.request_type(type_name)),
+                "response_typedefs": typedefs(msgs.response_type(type_name)),
+                "nodes": [services.node_of(full)],
+            }
+        if kind == "parameter":
+            return {"name": self._resolve_parameter(name, namespace)}
+        if kind == "robot":
+            return {"name": self._robot(name).name}
+        return {"name": names.resolve(name, self._graph.nodes(), kind=kind, namespace=namespace)}
+
+    def _resolve_topic(self, text: str, namespace: str, role: str, with_field: bool) -> Message:
+        topics = self._graph.topics
+        types = topics.types()
+        users = {"publishers": topics.publishers, "subscribers": topics.subscribers}
+        if role and role not in users:
+            raise UsageError(f"unknown role {role!r}", f"roles: {', '.join(users)}")
+
+        def used(known: list[str]) -> list[str]:
+            return [topic for topic in known if not role or users[role](topic)]
+
+        cuts = list(names.cut_from_field(text)) if with_field else [(text, "")]
+        for name, field in cuts:
+            exact, is_relative = names.join(namespace, name), not name.startswith("/")
+            near = [known for known in types if known == exact or (is_relative and known.endswith(f"/{name}"))]
+            if not near:
+                continue
+            if not used(near):
+                raise Unused(role, " or ".join(near), used(list(types)))
+            full = names.resolve(name, used(near), kind="topic", namespace=namespace)
+            nodes = users[role](full) if role else []
+            found = {"name": full, "field": field, "type": types[full], "nodes": nodes}
+            return {**found, "typedefs": typedefs(types[full])}
+        known = used(list(types))
+        suggested = (name for name, _ in cuts[:_MOST_COMPARED] if closest(name, known))
+        raise UnknownName("topic", next(suggested, text), known)
+
+    def _resolve_parameter(self, name: str, namespace: str) -> str:
+        """The parameter, or the namespace of parameters."""
+        if name == "/":
+            return name
+        known = self._graph.parameters.names()
+        spaces = set()
+        for each in known:
+            while (each := names.parent(each)) != "/":
+                spaces.add(each)
+        try:
+            return names.resolve(name.rstrip("/"), {*known, *spaces}, kind="parameter", namespace=namespace)
+        except UnknownName as error:
+            error.hint = f"parameters: {listing(known)}"
+            raise
+
+    def _robot(self, name: str) -> SpawnedRobot:
+        """By its name, or by its namespace. Raises UnknownName."""
+        return next((robot for robot in self._robots if name == robot.namespace), None) or self._robots.get(name)
+
+    # Robots as they are
+
+    def _list_robots(self, request: Message) -> Message:
+        asked: str = request["name"]
+        robots = [self._robots.get(asked)] if asked else list(self._robots)
+        return {"robots": [self._robot_info(robot) for robot in robots]}
+
+    def _robot_info(self, robot: SpawnedRobot) -> Message:
+        """slidectl/RobotInfo."""
+        paper = robot.paper
+        driven = [transmission.joints[0] for transmission in driving(paper.transmissions)]
+        # A joint is commanded through the first of its interfaces, as the hardware reads it.
+        interfaces = {joint.name: joint.hardware_interfaces[0] for joint in driven}
+        position, attitude = self._simulation.world.link_pose(robot.name, paper.root)
+        return {
+            "name": robot.name,
+            "namespace": robot.namespace,
+            "fixed": paper.is_fixed_to_world,
+            "links": list(paper.links),
+            "joints": [self._joint_info(robot, joint, interfaces) for joint in paper.joints.values()],
+            "controllers": list(robot.parts.manager.names()),
+            "pose": [*map(float, position), *map(float, attitude)],
+            "report": [
+                {"verdict": n.verdict, "subject": n.subject, "text": n.text, "file": n.file, "line": n.line or 0}
+                for n in paper.report
+            ],
+            "estop": robot.emergency_stop,
+            "process_session": robot.caller,
+        }
+
+    def _joint_info(self, robot: SpawnedRobot, joint: Joint, interfaces: dict[str, str]) -> Message:
+        position: Any = math.nan
+        velocity = effort = position
+        if joint.type in ("revolute", "continuous", "prismatic"):
+            position, velocity, effort = self._simulation.world.joint_state(robot.name, joint.name)
+        limit = joint.limit
+        bounded = limit is not None and joint.type in ("revolute", "prismatic")
+        return {
+            "name": joint.name,
+            "type": joint.type,
+            "hardware_interface": interfaces.get(joint.name, ""),
+            "position": position,
+            "velocity": velocity,
+            "effort": effort,
+            "lower": limit.lower if limit and bounded else math.nan,
+            "upper": limit.upper if limit and bounded else math.nan,
+            "max_velocity": limit.velocity if limit else math.nan,
+            "max_effort": limit.effort if limit else math.nan,
+        }
+
+    # What joints do when nobody is to move them
+
+    def _stop(self, request: Message) -> Message:
+        """The emergency stop of DefaultRobotHWSim, which the topic that a robot's plugin names sets too.
+
+        All robots in one cycle, or none where a name is unknown.
+        """
+        try:
+            meant = [self._robot(name) for name in dict.fromkeys(request["names"])] or list(self._robots)
+            if not meant:
+                raise Refused("no robots in the world")
+        except SlidectlError as error:
+            return {"success": False, "message": str(error), "robots": []}
+        for robot in meant:
+            robot.emergency_stop = request["stop"]
+        listed = [robot.name for robot in meant]
+        what = "emergency stop" if request["stop"] else "released"
+        return {"success": True, "message": f"{', '.join(listed)}: {what}", "robots": listed}
+
+    def _rest(self, request: Message) -> Message:
+        """A stopped controller leaves its last command with the hardware, as in ros_control; this sets another one."""
+        try:
+            if request["command"] not in ("zero", "hold"):
+                raise UnknownName("command", request["command"], ["zero", "hold"])
+            robot = self._robot(request["robot"])
+            claims = _resting_claims(robot, request)
+            if not request["check_only"]:
+                robot.look()
+            commands = robot.hardware.resting_commands(claims, request["command"] == "hold")
+            if not request["check_only"]:
+                robot.hardware.command(commands)
+        except SlidectlError as error:
+            return {"success": False, "message": str(error), "joints": []}
+        joints = list(dict.fromkeys(joint for _, joint in commands))
+        text = "; ".join(f"{joint} keeps {_QUANTITIES[kind]} {value:g}" for (kind, joint), value in commands.items())
+        return {"success": True, "message": text or "no joint is concerned", "joints": joints}
 
 
-def _set_speed(simulation: Simulation, request: Message) -> Message:
-    try:
-        simulation.set_speed(request["speed"])
-    except Refused as error:
-        return {"success": False, "message": str(error)}
-    simulation.chosen.add("speed")
-    speed = simulation.run.speed
-    return {"success": True, "message": "as fast as possible" if math.isinf(speed) else f"real-time factor {speed:g}"}
+def _resting_claims(robot: SpawnedRobot, request: Message) -> list[Claim]:
+    """What the controllers claim and nobody else does. Raises UnknownName, Refused (one runs)."""
+    loaded = {one["name"]: one for one in robot.manager.list()}
+    for name in (*request["controllers"], *request["left_to"]):
+        if name not in loaded:
+            raise UnknownName("controller", name, list(loaded), f"of robot {robot.name!r}")
+    running = {name for name, one in loaded.items() if one["state"] == "running"}
+    asked = [name for name in loaded if name in set(request["controllers"])]
+    if running.intersection(asked) and not request["check_only"]:
+        still = ", ".join(name for name in asked if name in running)
+        raise Refused(f"{still} runs and writes its own commands", "stop it first")
+    others = running.difference(asked) | set(request["left_to"])
+    taken = {joint for name in others for _, joint in _claims(loaded[name])}
+    found = dict.fromkeys(claim for name in request["controllers"] for claim in _claims(loaded[name]))
+    return [claim for claim in found if claim[1] not in taken]
 
 
-def _set_params(simulation: Simulation, request: Message) -> Message:
-    given, texts = request["names"], request["values"]
-    if len(given) != len(texts):
-        raise UsageError(f"{len(given)} names and {len(texts)} values: one value for each name")
-    parameters = simulation.parameters
-    values = {absolute(name): from_json(text) for name, text in zip(given, texts, strict=True)}
-    created = [name for name in values if not parameters.has(name)]
-    guarded = [name for name in created if parameters.is_guarded(name)]
-    parameters.set_all(values, request["known_only"])
-    return {"created": created, "guarded": guarded}
-
-
-def _sleep(simulation: Simulation, request: Message) -> Pending:
-    """Answered when the simulated time has passed; a paused world never gets there."""
-    duration: float = request["duration"]
-    if not 0 <= duration < LONGEST_S:
-        raise Refused(f"a duration is 0 s or more (and less than {LONGEST_S:g} s), not {duration:g}")
-    graph = simulation.graph
-    pending = Pending()
-
-    def wake() -> None:
-        pending.resolve({"success": True, "time": graph.clock.seconds})
-
-    if duration:
-        pending.on_cancel = graph.timers.after(from_seconds(duration), wake).cancel
-    else:
-        wake()
-    return pending
-
-
-def _list_robots(simulation: Simulation, request: Message) -> Message:
-    asked: str = request["name"]
-    robots = [simulation.robots.get(asked)] if asked else list(simulation.robots)
-    return {"robots": [robot_info(robot, simulation.world) for robot in robots]}
-
-
-def _sources(simulation: Simulation, request: Message) -> Message:
-    digest: str = request["digest"]
-    if re.fullmatch("[0-9a-f]{64}", digest) is None:
-        raise Refused("a digest is SHA-256 in 64 hexadecimal digits")
-    sources = simulation.robots.sources
-    if request["note"]:
-        sources.put(digest, request["note"])
-    return {"note": sources.get(digest)}
+def _claims(controller: Message) -> list[Claim]:
+    claimed = controller["claimed_resources"]
+    return [(claim["hardware_interface"], joint) for claim in claimed for joint in claim["resources"]]

@@ -15,13 +15,15 @@ from typing import Any, Generic, TypeVar
 
 from slidectl import names
 from slidectl.control.node_handle import MISSING, ParameterChange, ParameterJudge
-from slidectl.errors import UnknownName, UsageError, quoted
+from slidectl.errors import Refused, UnknownName, UsageError, quoted
 
 Path = tuple[str, ...]
 C = TypeVar("C")
 DEEPEST = 64
 """Levels of namespaces, mappings and lists above a value."""
-
+LARGEST = 128 * 1024 * 1024
+"""Characters of all parameters together; each value counts LEAST besides the characters of a text."""
+LEAST = 80
 
 _BLANK = re.compile(r"\s")
 _PLAIN_KEY = re.compile(r"\w{1,100}\Z", re.ASCII)
@@ -82,6 +84,8 @@ class Parameters:
         self._root: dict[str, Any] = {}
         self._names: list[str] | None = None
         """All names in order; None when that must be looked up again."""
+        self._counted = 0
+        """The size of the tree when it was last counted, and of all that was set since."""
         self._watches: Hooks[Callable[[], None]] = Hooks()
         self._guards: Hooks[ParameterJudge] = Hooks()
 
@@ -122,10 +126,14 @@ class Parameters:
 
     def _set(self, leaves: list[tuple[Path, Any]], known_only: bool = False) -> None:
         self._judge(leaves, known_only=known_only)
+        self._check_room(leaves)
         if any(_has_names(content) or _has_names(self._find(leaf)) for leaf, content in leaves):
             self._names = None
         for leaf, content in leaves:
-            self._put(leaf, content)
+            if leaf:
+                _assign(self._root, leaf, content)
+            else:
+                self._root = content
         self._tell([leaf for leaf, _ in leaves])
 
     def delete(self, name: str) -> None:
@@ -139,12 +147,15 @@ class Parameters:
             raise UnknownParameter("parameter", name, self.names())
         self._judge([(path, MISSING)], deletes=True)
         self._names = None
-        if path:
-            del self._find(path[:-1])[path[-1]]
-            self._prune(path[:-1])
-        else:
+        deleted = path
+        if not path:
             self._root = {}
-        self._tell([path])
+        while path:  # namespaces that become empty go too, so that `has` does not see them
+            del self._find(path[:-1])[path[-1]]
+            path = path[:-1]
+            if self._find(path):
+                break
+        self._tell([deleted])
 
     def names(self, namespace: str = "/") -> list[str]:
         """Absolute names of all values below `namespace`, sorted."""
@@ -200,23 +211,15 @@ class Parameters:
             node = node[part]
         return node
 
-    def _put(self, path: Path, value: Any) -> None:
-        if not path:
-            self._root = value
-            return
-        node = self._root
-        for part in path[:-1]:
-            below = node.get(part)
-            if not isinstance(below, dict):
-                below = node[part] = {}
-            node = below
-        node[path[-1]] = value
-
-    def _prune(self, path: Path) -> None:
-        """Namespaces that have become empty go too, so that `has` does not see them."""
-        while path and self._find(path) == {}:
-            del self._find(path[:-1])[path[-1]]
-            path = path[:-1]
+    def _check_room(self, leaves: list[tuple[Path, Any]]) -> None:
+        """Raises Refused when the tree has no room for these; it is counted when that may be."""
+        growth = sum(_size(content) for _, content in leaves)
+        if self._counted + growth > LARGEST:
+            self._counted = _size(self._root)
+            growth -= sum(_size(self._find(leaf)) for leaf, _ in leaves if self._find(leaf) is not MISSING)
+            if self._counted + growth > LARGEST:
+                raise Refused(f"all parameters together would be larger than {LARGEST} characters", "delete some")
+        self._counted += growth
 
     def _tell(self, changed: list[Path]) -> None:
         """What one watcher fails at is no reason for the others not to hear of it."""
@@ -235,6 +238,20 @@ def _copied(value: Any) -> Any:
     return {key: _copied(below) for key, below in value.items()} if isinstance(value, dict) else value
 
 
+def _assign(tree: dict[str, Any], path: Path, value: Any) -> None:
+    """Put the value at the path in the tree; MISSING takes away what is there."""
+    *above, last = path
+    for part in above:
+        below = tree.get(part)
+        if not isinstance(below, dict):
+            below = tree[part] = {}
+        tree = below
+    if value is MISSING:
+        tree.pop(last, None)
+    else:
+        tree[last] = value
+
+
 def _with(value: Any, place: Path, leaf: Path, content: Any) -> Any:
     """`value`, which stands at `place`, as it is when `content` (MISSING: nothing) stands at `leaf`."""
     if not _related(place, leaf):
@@ -245,18 +262,18 @@ def _with(value: Any, place: Path, leaf: Path, content: Any) -> Any:
                 return content
             content = content.get(part, MISSING)
         return _copied(content)
-    node = value = value if isinstance(value, dict) else {}
-    *above, last = leaf[len(place) :]
-    for part in above:
-        below = node.get(part)
-        if not isinstance(below, dict):
-            below = node[part] = {}
-        node = below
-    if content is MISSING:
-        node.pop(last, None)
-    else:
-        node[last] = _copied(content)
+    value = value if isinstance(value, dict) else {}
+    _assign(value, leaf[len(place) :], _copied(content))
     return value
+
+
+def _size(value: Any) -> int:
+    """What LARGEST counts."""
+    if isinstance(value, dict):
+        return sum(len(key) + _size(below) for key, below in value.items())
+    if isinstance(value, list):
+        return LEAST * len(value) + sum(_size(item) for item in value if type(item) in (str, list, dict))
+    return LEAST + (len(value) if isinstance(value, str) else 0)
 
 
 def _settable(name: str, value: Any) -> tuple[Path, Any]:
@@ -312,7 +329,10 @@ def _checked(value: Any, where: str, depth: int) -> Any:
     if isinstance(value, dict):
         return _checked_mapping(value, where, depth)
     if isinstance(value, list | tuple):
-        return [_checked_item(item, where, index, depth + 1) for index, item in enumerate(value)]
+        return [
+            item if _is_plain(item) else _checked(item, f"{where}[{index}]", depth + 1)
+            for index, item in enumerate(value)
+        ]
     if isinstance(value, str):
         return _checked_text(value, where)
     if isinstance(value, bool | int | float):
@@ -321,10 +341,6 @@ def _checked(value: Any, where: str, depth: int) -> Any:
     raise UsageError(
         f"parameter {where}: {kind} is no value", "a parameter is a bool, a number, a string, a list or a mapping"
     )
-
-
-def _checked_item(item: Any, where: str, index: int, depth: int) -> Any:
-    return item if _is_plain(item) else _checked(item, f"{where}[{index}]", depth)
 
 
 def _is_plain(value: Any) -> bool:
@@ -336,24 +352,20 @@ def _is_plain(value: Any) -> bool:
 def _checked_number(value: float, where: str) -> float:
     """JSON has no other numbers, and no control law has a use for them."""
     try:
-        is_finite = math.isfinite(value)
+        if math.isfinite(value):
+            return value
+        shown = str(value)
     except OverflowError:
-        is_finite = False
-    if not is_finite:
-        shown = value if isinstance(value, float) else "an integer beyond 1e308"
-        raise UsageError(f"parameter {where}: {shown} is no finite number, and parameters hold no others")
-    return value
+        shown = "an integer beyond 1e308"
+    raise UsageError(f"parameter {where}: {shown} is no finite number, and parameters hold no others")
 
 
 def _checked_text(text: str, where: str) -> str:
     """Half of a surrogate pair, which JSON can spell, could be kept but never be told."""
-    if not text.isascii():
-        try:
-            text.encode()
-        except UnicodeEncodeError:
-            raise UsageError(
-                f"parameter {where}: {text[:40]!r} holds half of a surrogate pair, which is no text"
-            ) from None
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        raise UsageError(f"parameter {where}: {text[:40]!r} holds half of a surrogate pair, which is no text") from None
     return text
 
 
@@ -365,14 +377,13 @@ def _checked_mapping(value: dict[Any, Any], where: str, depth: int) -> dict[str,
             continue
         if not isinstance(key, str) or not _path(key) or _BLANK.search(key):
             raise UsageError(f"parameter {where}: {quoted(str(key))} cannot be a name", "names are text without blanks")
-        _checked_text(key, where)
-        *above, last = _path(key)
-        content = _checked(below, f"{where.rstrip('/')}/{key.strip('/')}", depth + 1 + len(above))
+        path = _path(_checked_text(key, where))
+        content = _checked(below, f"{where.rstrip('/')}/{key.strip('/')}", depth + len(path))
         node = result
-        for part in above:
+        for part in path[:-1]:
             node = node.setdefault(part, {})
-        if isinstance(content, dict) and isinstance(node.get(last), dict):
-            node[last] |= content
+        if isinstance(content, dict) and isinstance(node.get(path[-1]), dict):
+            node[path[-1]] |= content
         else:
-            node[last] = content
+            node[path[-1]] = content
     return result

@@ -62,6 +62,24 @@ class Pending:
             callback(self)
         return self
 
+    def converted(self, convert: Callable[[Pending], Any]) -> Pending:
+        """The answer that `convert` makes of this one when it is settled; a SlidectlError that it raises fails it.
+
+        Cancelling it cancels this one.
+        """
+        answer = Pending(on_cancel=self.cancel)
+
+        def settle(done: Pending) -> None:
+            try:
+                value = convert(done)
+            except SlidectlError as error:
+                answer.reject(error)
+            else:
+                answer.resolve(value)
+
+        self.then(settle)
+        return answer
+
     def result(self) -> Any:
         """The answer.
 
@@ -76,9 +94,7 @@ class Pending:
 
     def _settle(self) -> None:
         self.done = True
-        self.on_cancel = (
-            None  # it refers to this object, whose answer may be large: that must not wait for a collection
-        )
+        self.on_cancel = None  # it refers to this object, whose answer may be large: not to be left to the collector
         callbacks, self._callbacks = self._callbacks, []
         for callback in callbacks:
             callback(self)

@@ -1,37 +1,126 @@
 """The robots of the world: spawned as a whole or not at all, deleted without a trace.
 
-The registry and its rules about names. Knows no requests of clients; those come through the services of `/gazebo`.
+A robot is its paper, body, hardware, controller manager and services. Each thing that is brought up leaves its undoing
+on a stack, so a failure half-way and a deletion are the same path. Requests of clients come through the services of
+`/gazebo`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from typing import NamedTuple
 
 from slidectl import description, names
+from slidectl.control.controller_manager import ControllerManager
+from slidectl.control.duration import from_seconds
+from slidectl.control.node_handle import Message
 from slidectl.description import source_note
-from slidectl.description.robot import Robot
-from slidectl.errors import Refused, UnknownName
-from slidectl.physics import World
+from slidectl.description.gazebo_tags import SIM_TYPES
+from slidectl.description.robot import ControlPlugin, Robot
+from slidectl.errors import BadFile, Refused, UnknownName
+from slidectl.physics import EngineError, Overlap, World
+from slidectl.physics.body import Body
 from slidectl.physics.hulls import Hulls
-from slidectl.simulation.assembly import (
-    ORIGIN,
-    Companion,
-    Pose,
-    SpawnedRobot,
-    assemble,
-    check_hardware_type,
-    report,
-    warn_of_overlaps,
-)
+from slidectl.physics.robot_hw import MujocoRobotHW
+from slidectl.physics.rotation import ORIGIN, Pose
+from slidectl.simulation.cycle import ControlCycle
+from slidectl.simulation.graph import GraphNode
 from slidectl.simulation.loop import Loop
+from slidectl.simulation.manager_services import ManagerServices
 
+DESCRIPTION = "robot_description"
 RESERVED = ("world", "map")
 """What gazebo_ros takes for the world wherever it could be a model: such a robot could not be told from it."""
+STANDING = 0.001
+"""m. What is in something else by no more than this stands on it, or beside it."""
+MOST_NAMED = 5
+"""Robots, and pairs of links of each, that one spawn warns of."""
+_SEVERITIES = {"wrong": "warn", "ignored": "warn", "converted": "info"}
 
 
-class Newcomer(NamedTuple):
+class ControlParts:
+    """What runs in a robot's cycle."""
+
+    hardware: MujocoRobotHW
+    manager: ControllerManager
+    cycle: ControlCycle
+
+
+class SpawnedRobot:
+    """One robot in the world with all that belongs to it. `taken` gives everything back, the last first.
+
+    `parts` are for whoever runs the cycles. Everybody else comes in by `hardware`, `manager`, `cycle` or a callback of
+    the node, so that those who run the cycles hear of it before.
+    """
+
+    body: Body
+    services: ManagerServices
+
+    def __init__(self, parsed: ParsedRobot, node: GraphNode) -> None:
+        self.name = parsed.name
+        self.namespace = parsed.namespace
+        self.paper = parsed.paper
+        self.xml = parsed.xml
+        self.caller = parsed.caller
+        """The session id of the process that asked for it, 0 when nobody knows."""
+        self.node = node
+        self.taken = ExitStack()
+        self.parts = ControlParts()
+        self.warnings: list[str] = []
+        """What was wrong with the place at which it was spawned."""
+
+    def watch_entries(self, callback: Callable[[], None]) -> None:
+        """Call back before anybody outside of the cycle looks at the robot's control, or changes it."""
+        self.node.before_entry = callback
+
+    @property
+    def hardware(self) -> MujocoRobotHW:
+        """The joints as controllers see them."""
+        self.node.before_entry()
+        return self.parts.hardware
+
+    @property
+    def manager(self) -> ControllerManager:
+        """The controllers."""
+        self.node.before_entry()
+        return self.parts.manager
+
+    @property
+    def cycle(self) -> ControlCycle:
+        """Its part of each cycle of the world."""
+        self.node.before_entry()
+        return self.parts.cycle
+
+    @property
+    def emergency_stop(self) -> bool:
+        """True: efforts and velocities are 0, positions are held. Controllers go on; its end starts them anew."""
+        return self.parts.cycle.emergency_stop
+
+    @emergency_stop.setter
+    def emergency_stop(self, stopped: bool) -> None:
+        self.cycle.emergency_stop = self.hardware.estop = stopped
+
+    def look(self) -> None:
+        """Read the joints outside of a cycle: after the world was changed, and before the first cycle."""
+        self.hardware.read(self.node.now_ns(), 0.0)
+
+    def reset(self, time_ns: int) -> None:
+        """As it was spawned. Controllers stay loaded and running; each is stopped and started again.
+
+        The hardware comes first, since a controller's set point is what it measures when it starts.
+        """
+        self.hardware.reset()
+        self.cycle.rewind(time_ns)
+        self.look()
+        self.manager.restart_running(time_ns)
+
+    def __repr__(self) -> str:
+        return f"SpawnedRobot({self.name!r}, {self.namespace!r})"
+
+
+class ParsedRobot(NamedTuple):
     """A robot that was read and not spawned yet: its full namespace, what it is on paper, and its URDF."""
 
     name: str
@@ -77,7 +166,8 @@ class Robots:
         self._world = world
         self._loop = loop
         self._robots: dict[str, SpawnedRobot] = {}
-        self.companions: list[Companion] = []
+        self.on_spawn: list[Callable[[SpawnedRobot], Callable[[], None]]] = []
+        """Called with each robot that is brought up. What they return takes back what they did."""
         self.sources = Sources()
 
     def __iter__(self) -> Iterator[SpawnedRobot]:
@@ -113,37 +203,63 @@ class Robots:
         """
         return self._spawn(self.read(xml, name, namespace), pose, hulls)
 
-    def read(self, xml: str, name: str, namespace: str | None = None) -> Newcomer:
+    def read(self, xml: str, name: str, namespace: str | None = None) -> ParsedRobot:
         """A robot that may be spawned as far as one can tell without its meshes. Raises as `spawn`."""
         self._check_name(name)
         urdf, note = source_note.split(xml)
         note = note or self.sources.get(source_note.digest(urdf))
         paper = description.parse(source_note.join(urdf, note))
-        check_hardware_type(paper)
-        return Newcomer(name, self._namespace(name, namespace, paper), paper, urdf, note, self._loop.graph.caller)
+        plugin = paper.plugin or ControlPlugin()
+        if plugin.robot_sim_type not in SIM_TYPES:
+            reason = f"<robotSimType> {plugin.robot_sim_type!r} is no simulated hardware; there is {SIM_TYPES[0]}"
+            raise BadFile(reason, DESCRIPTION, plugin.line)
+        asked = (names.join("/", namespace).rstrip("/") or "/") if namespace else description.namespace_of(paper, name)
+        place = names.check(asked)
+        self._check_namespace(place)
+        return ParsedRobot(name, place, paper, urdf, note, self._loop.graph.caller)
 
-    def spawn_read(self, newcomer: Newcomer, pose: Pose, hulls: Hulls) -> SpawnedRobot:
+    def spawn_read(self, parsed: ParsedRobot, pose: Pose, hulls: Hulls) -> SpawnedRobot:
         """Spawn what was read some cycles ago. Raises as `spawn`: others may have come meanwhile."""
-        self._check_name(newcomer.name)
-        self._check_namespace(newcomer.namespace)
-        return self._spawn(newcomer, pose, hulls)
+        self._check_name(parsed.name)
+        self._check_namespace(parsed.namespace)
+        return self._spawn(parsed, pose, hulls)
 
-    def _spawn(self, newcomer: Newcomer, pose: Pose, hulls: Hulls | None) -> SpawnedRobot:
+    def _spawn(self, parsed: ParsedRobot, pose: Pose, hulls: Hulls | None) -> SpawnedRobot:
         self._loop.between_cycles("spawn a robot")
-        name, place, paper = newcomer.name, newcomer.namespace, newcomer.paper
-        robot = SpawnedRobot(name, place, paper, newcomer.xml, self._loop.graph.node(place))
-        robot.caller = newcomer.caller
-        with self._world.attached(paper, name, pose, hulls) as robot.body, ExitStack() as undoing:
-            assemble(robot, self._world, self._loop, self.companions, undoing)
+        robot = SpawnedRobot(parsed, self._loop.graph.node(parsed.namespace))
+        with self._world.attached(parsed.paper, parsed.name, pose, hulls) as robot.body, ExitStack() as undoing:
+            self._bring_up(robot, undoing)
             undoing.callback(self._forget, robot)
-            self._robots[name] = robot
+            self._robots[robot.name] = robot
             self._tell_loop()
-            report(robot)
-            warn_of_overlaps(robot, self._world)
+            for notice in robot.paper.report:
+                if notice.verdict in _SEVERITIES:
+                    robot.node.log(_SEVERITIES[notice.verdict], f"{robot.name}: {notice}")
+            _warn_of_overlaps(robot, self._world)
             robot.taken = undoing.pop_all()
-        if newcomer.note:
-            self.sources.put(source_note.digest(newcomer.xml), newcomer.note)
+        if parsed.note:
+            self.sources.put(source_note.digest(parsed.xml), parsed.note)
         return robot
+
+    def _bring_up(self, robot: SpawnedRobot, undoing: ExitStack) -> None:
+        """All that belongs to a robot whose body is in the world. What takes it back goes on the stack `undoing`."""
+        loop, parts, plugin = self._loop, robot.parts, robot.paper.plugin or ControlPlugin()
+        undoing.callback(robot.node.shutdown)
+        _put_description(robot, loop, undoing)
+        parts.hardware = MujocoRobotHW(self._world, robot.body, robot.paper, robot.node, robot.namespace)
+        robot.look()
+        parts.manager = ControllerManager(parts.hardware, robot.node)
+        period_ns = _control_period(plugin, loop.step_ns, robot)
+        parts.cycle = ControlCycle(parts.hardware, parts.manager, period_ns, loop.graph.clock.time_ns)
+        robot.services = ManagerServices(parts.manager, robot.node, robot.look, loop)
+        if plugin.estop_topic is not None:
+
+            def take_emergency_stop(message: Message) -> None:
+                robot.emergency_stop = message["data"]
+
+            robot.node.subscribe(plugin.estop_topic, "std_msgs/Bool", take_emergency_stop)
+        for bring_up in self.on_spawn:
+            undoing.callback(bring_up(robot))
 
     def delete(self, name: str) -> None:
         """Take all that belongs to the robot out of the world, and stop its controllers. Raises UnknownName.
@@ -162,14 +278,22 @@ class Robots:
             text = f"{name} is deleted, but not all went well: {type(error).__name__}: {error}"
             self._loop.graph.log("error", robot.node.name, text)
 
-    def _forget(self, robot: SpawnedRobot) -> None:
-        self._robots.pop(robot.name, None)
-        self._tell_loop()
+    def reset(self) -> None:
+        """All of them and the world are as they were spawned, even if one fails; its error is raised then."""
+        self.settle_switches()
+        self._world.reset()
+        with ExitStack() as resetting:  # what is put on last comes first
+            for robot in reversed(tuple(self)):
+                resetting.callback(robot.reset, self._loop.graph.clock.time_ns)
 
     def settle_switches(self) -> None:
         """The world has come to a stand: what waits for a cycle is finished now."""
         for robot in self:
             robot.services.settle()
+
+    def _forget(self, robot: SpawnedRobot) -> None:
+        self._robots.pop(robot.name, None)
+        self._tell_loop()
 
     def _tell_loop(self) -> None:
         self._loop.take_robots(tuple(self._robots.values()))
@@ -187,16 +311,72 @@ class Robots:
                 "choose another name (-n), or delete that one first",
             )
 
-    def _namespace(self, name: str, asked: str | None, paper: Robot) -> str:
-        home = names.join("/", asked).rstrip("/") or "/" if asked else description.namespace_of(paper, name)
-        namespace = names.check(home)
-        self._check_namespace(namespace)
-        return namespace
-
     def _check_namespace(self, namespace: str) -> None:
-        taken = {robot.namespace: robot.name for robot in self}
-        if namespace in taken:
-            raise Refused(
-                f"the namespace {namespace} belongs to robot {taken[namespace]!r} already",
-                "give this one another namespace",
-            )
+        owner = next((robot for robot in self if robot.namespace == namespace), None)
+        if owner is not None:
+            text = f"the namespace {namespace} belongs to robot {owner.name!r} already"
+            raise Refused(text, "give this one another namespace")
+
+
+def _put_description(robot: SpawnedRobot, loop: Loop, undoing: ExitStack) -> None:
+    parameters = loop.graph.parameters
+    name = names.join(robot.namespace, DESCRIPTION)
+    before = parameters.get(name, None)
+    parameters.set(name, robot.xml)
+
+    def take_back() -> None:
+        """What somebody else has set, the launch of a robot in the root most often, is there again."""
+        if before is not None and parameters.get(name, None) == robot.xml:
+            parameters.set(name, before)
+        elif parameters.has(name):
+            parameters.delete(name)
+
+    undoing.callback(take_back)
+
+
+def _control_period(plugin: ControlPlugin, step_ns: int, robot: SpawnedRobot) -> int:
+    if plugin.control_period is None:
+        return step_ns
+    period_ns = from_seconds(plugin.control_period)
+    comparison = f"controlPeriod {plugin.control_period:g} s, the simulation's step {step_ns * 1e-9:g} s"
+    if period_ns < step_ns:
+        robot.node.log("error", f"{robot.name}: controllers cannot run faster than the simulation: {comparison}")
+    elif period_ns > step_ns:
+        robot.node.log("warn", f"{robot.name}: controllers run slower than the simulation: {comparison}")
+    return period_ns
+
+
+def _warn_of_overlaps(robot: SpawnedRobot, world: World) -> None:
+    """Say, and keep in `robot.warnings`, into what it was put: such bodies push each other away, or jam."""
+    try:
+        overlaps = world.overlaps(robot.name, STANDING)
+    except EngineError:  # contacts beyond number: the first step says so
+        return
+    others: dict[str | None, list[Overlap]] = {}
+    for overlap in overlaps:
+        others.setdefault(overlap.robot, []).append(overlap)
+    texts = [_overlap_text(other, found) for other, found in others.items()]
+    if len(texts) > MOST_NAMED:
+        texts[MOST_NAMED:] = [f"it was put into {len(texts) - MOST_NAMED} robots more"]
+    for text in texts:
+        robot.warnings.append(f"{robot.name}: {text}")
+        robot.node.log("warn", robot.warnings[-1])
+
+
+def _overlap_text(other: str | None, found: list[Overlap]) -> str:
+    """`other` is the robot that it is in; None is the ground."""
+    pairs = [
+        f"{one.link} {'' if other is None else f'in {other}::{one.other} '}{one.depth * 1e3:.0f} mm" for one in found
+    ]
+    rest = len(pairs) - MOST_NAMED
+    deepest = ", ".join(pairs[:MOST_NAMED]) + (f" and {rest} more" if rest > 0 else "")
+    if other is None:
+        height = math.ceil(found[0].depth * 1e3) * 1e-3
+        return (
+            f"it was put into the ground, which pushes it out or jams it: {deepest} deep;"
+            f" {height:.3f} m higher it is free (--at X Y Z)"
+        )
+    return (
+        f"it was put into the robot {other!r}, and the two push each other away or jam: {deepest} deep;"
+        " give it another place (--at X Y Z)"
+    )

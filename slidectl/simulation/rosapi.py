@@ -1,98 +1,59 @@
 """`/rosapi/*`: what exists in the graph, as rosapi of the rosbridge suite answers it.
 
-Topics, services and nodes here; types and parameters have modules of their own. Lists are sorted, and what does not
-exist gives an empty answer, as there.
+Lists are sorted, and what does not exist gives an empty answer, as there; but a parameter that is not set is said to
+be so, where rosapi answers null. Relative names stand in the root.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Iterator
+from typing import Any
 
-from slidectl import msgs
-from slidectl.control.node_handle import Message
+from slidectl import msgs, names
+from slidectl.control.node_handle import MISSING, Message
+from slidectl.errors import BadMessage, Refused, quoted
+from slidectl.msgs.schema import TIMES
 from slidectl.simulation.clock import stamp
 from slidectl.simulation.graph import Graph
-from slidectl.simulation.rosapi_parameters import parameter_services
-from slidectl.simulation.rosapi_types import type_services
+from slidectl.simulation.parameters import Parameters
 
 NODE = "/rosapi"
 Offer = tuple[str, Callable[[Message], Message]]
 """Service type without its package, and what answers."""
 
+_LONGEST = 8 * 1024 * 1024
+"""Characters of a value: what is written twice as JSON must not take longer than a world can be held up."""
+_LEAST = 80
+"""What a single value counts: a hundred thousand of them take as long to write as a text of that length."""
+_MOST_VALUES = 100_000
+
 
 def advertise(graph: Graph) -> None:
     """Provide all services of rosapi for this graph."""
     node = graph.node(NODE, NODE)
-    offers: dict[str, Offer] = {
-        **_topic_services(graph),
-        **_service_services(graph),
-        **_node_services(graph),
-        **type_services(),
-        **parameter_services(graph.parameters),
-        "get_time": ("GetTime", lambda _: {"time": stamp(graph.clock.time_ns)}),
-    }
+    offers = _graph_services(graph) | _type_services() | _parameter_services(graph.parameters)
     for name, (kind, answer) in offers.items():
         node.advertise_service(name, f"rosapi/{kind}", answer)
 
 
-def _topic_services(graph: Graph) -> dict[str, Offer]:
-    topics = graph.topics
-
-    def type_of(topic: str) -> str:
-        return topics.type_of(topic) if topics.exists(topic) else ""
-
-    def raw_types() -> list[str]:
-        return [msgs.definition(kind) for kind in topics.types().values()]
+def _graph_services(graph: Graph) -> dict[str, Offer]:
+    topics, services = graph.topics, graph.services
 
     def listing() -> Message:
         types = topics.types()
         return {"topics": list(types), "types": list(types.values())}
 
-    return {
-        "topics": ("Topics", lambda _: listing()),
-        "topics_and_raw_types": ("TopicsAndRawTypes", lambda _: {**listing(), "typedefs_full_text": raw_types()}),
-        "topic_type": (
-            "TopicType",
-            lambda request: {"type": type_of(request["topic"])},
-        ),
-        "topics_for_type": ("TopicsForType", lambda request: {"topics": _having(topics.types(), request["type"])}),
-        "publishers": ("Publishers", lambda request: {"publishers": topics.publishers(request["topic"])}),
-        "subscribers": ("Subscribers", lambda request: {"subscribers": topics.subscribers(request["topic"])}),
-    }
-
-
-def _service_services(graph: Graph) -> dict[str, Offer]:
-    services = graph.services
-
-    def type_of(service: str) -> str:
-        return services.type_of(service) if services.exists(service) else ""
+    def listing_with_text() -> Message:
+        return {**listing(), "typedefs_full_text": [msgs.definition(kind) for kind in topics.types().values()]}
 
     def providers(asked: str) -> list[str]:
         """rosapi asks by type; a service's own name is understood too."""
         found = [asked] if services.exists(asked) else _having(services.types(), asked)
         return sorted({services.node_of(name) for name in found})
 
-    def node_of(name: str) -> str:
-        return services.node_of(name) if services.exists(name) else ""
-
-    return {
-        "services": ("Services", lambda _: {"services": services.names()}),
-        "service_type": (
-            "ServiceType",
-            lambda request: {"type": type_of(request["service"])},
-        ),
-        "services_for_type": (
-            "ServicesForType",
-            lambda request: {"services": _having(services.types(), request["type"])},
-        ),
-        "service_providers": ("ServiceProviders", lambda request: {"providers": providers(request["service"])}),
-        "service_node": ("ServiceNode", lambda request: {"node": node_of(request["service"])}),
-        "service_host": ("ServiceHost", lambda request: {"host": "localhost" if node_of(request["service"]) else ""}),
-    }
-
-
-def _node_services(graph: Graph) -> dict[str, Offer]:
-    topics, services = graph.topics, graph.services
+    def node_of(service: str) -> str:
+        return services.node_of(service) if services.exists(service) else ""
 
     def details(node: str) -> Message:
         return {
@@ -102,10 +63,145 @@ def _node_services(graph: Graph) -> dict[str, Offer]:
         }
 
     return {
+        "get_time": ("GetTime", lambda _: {"time": stamp(graph.clock.time_ns)}),
+        "topics": ("Topics", lambda _: listing()),
+        "topics_and_raw_types": ("TopicsAndRawTypes", lambda _: listing_with_text()),
+        "topic_type": ("TopicType", lambda r: {"type": topics.types().get(r["topic"], "")}),
+        "topics_for_type": ("TopicsForType", lambda r: {"topics": _having(topics.types(), r["type"])}),
+        "publishers": ("Publishers", lambda r: {"publishers": topics.publishers(r["topic"])}),
+        "subscribers": ("Subscribers", lambda r: {"subscribers": topics.subscribers(r["topic"])}),
+        "services": ("Services", lambda _: {"services": services.names()}),
+        "service_type": ("ServiceType", lambda r: {"type": services.types().get(r["service"], "")}),
+        "services_for_type": ("ServicesForType", lambda r: {"services": _having(services.types(), r["type"])}),
+        "service_providers": ("ServiceProviders", lambda r: {"providers": providers(r["service"])}),
+        "service_node": ("ServiceNode", lambda r: {"node": node_of(r["service"])}),
+        "service_host": ("ServiceHost", lambda r: {"host": "localhost" if node_of(r["service"]) else ""}),
         "nodes": ("Nodes", lambda _: {"nodes": graph.nodes()}),
-        "node_details": ("NodeDetails", lambda request: details(request["node"])),
+        "node_details": ("NodeDetails", lambda r: details(r["node"])),
     }
 
 
 def _having(types: dict[str, str], wanted: str) -> list[str]:
     return [name for name, kind in types.items() if kind == wanted]
+
+
+# Types: the one that was asked for, then its parts, depth first, each once, as in rosapi
+
+
+def _type_services() -> dict[str, Offer]:
+    """An unknown type fails the call with the names that are near."""
+
+    def details(type_name: str) -> Message:
+        return {"typedefs": typedefs(type_name)}
+
+    return {
+        "message_details": ("MessageDetails", lambda r: details(r["type"])),
+        "service_request_details": ("ServiceRequestDetails", lambda r: details(msgs.request_type(r["type"]))),
+        "service_response_details": ("ServiceResponseDetails", lambda r: details(msgs.response_type(r["type"]))),
+    }
+
+
+def typedefs(type_name: str) -> list[Message]:
+    """The type (rosapi/TypeDef), then those that it is made of. Raises UnknownName."""
+    return list(_typedefs(type_name, set()))
+
+
+def _typedefs(type_name: str, seen: set[str]) -> Iterator[Message]:
+    """Times are types of their own there."""
+    if type_name in seen:
+        return
+    seen.add(type_name)
+    is_time = type_name in TIMES
+    fields = [msgs.Field(name, "int32") for name in ("secs", "nsecs")] if is_time else msgs.fields(type_name)
+    constants = [] if is_time else sorted(msgs.constants(type_name))
+    example = msgs.default(type_name)
+    yield {
+        "type": type_name,
+        "fieldnames": [field.name for field in fields],
+        "fieldtypes": [field.type for field in fields],
+        "fieldarraylen": [field.array for field in fields],
+        "examples": [_example(field, example[field.name]) for field in fields],
+        "constnames": [constant.name for constant in constants],
+        "constvalues": [str(constant.value) for constant in constants],
+    }
+    for field in fields:
+        if "/" in field.type or field.type in TIMES:
+            yield from _typedefs(field.type, seen)
+
+
+def _example(field: msgs.Field, value: Any) -> str:
+    """As rosapi writes it: empty brackets for lists and messages, else the default's text."""
+    if field.array >= 0:
+        return "[]"
+    return "{}" if isinstance(value, dict) else str(value)
+
+
+# Parameters: values are JSON text
+
+
+def _parameter_services(parameters: Parameters) -> dict[str, Offer]:
+    def get(request: Message) -> Message:
+        default = _text_or_json(request["default"]) if request["default"] else MISSING
+        value = parameters.look(absolute(request["name"]), default)
+        _check_size(value, request["name"])
+        return {"value": json.dumps(value)}
+
+    def put(request: Message) -> Message:
+        parameters.set(absolute(request["name"]), from_json(request["value"]))
+        return {}
+
+    def delete(request: Message) -> Message:
+        parameters.delete(absolute(request["name"]))
+        return {}
+
+    return {
+        "get_param": ("GetParam", get),
+        "set_param": ("SetParam", put),
+        "delete_param": ("DeleteParam", delete),
+        "search_param": ("SearchParam", lambda r: {"global_name": parameters.search("/", r["name"]) or ""}),
+        "has_param": ("HasParam", lambda r: {"exists": parameters.has(absolute(r["name"]))}),
+        "get_param_names": ("GetParamNames", lambda _: {"names": parameters.names()}),
+    }
+
+
+def absolute(name: str) -> str:
+    """The name of a request: relative ones stand in the root."""
+    return names.join("/", name.rstrip("/") or "/")
+
+
+def from_json(text: str) -> Any:
+    """The value of a request. Raises BadMessage."""
+    if len(text) > _LONGEST:
+        raise BadMessage(f"a value of {len(text)} characters, and {_LONGEST} is the most", "value")
+    if text.count(",") + text.count("[") + text.count("{") > _MOST_VALUES:
+        raise BadMessage(f"a value of more than {_MOST_VALUES} parts", "value", "set parts of it one after the other")
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        reason = f"the value is not JSON ({error}): {text[:80]!r}"
+        raise BadMessage(reason, "value", "text needs quotes of its own") from None
+
+
+def _text_or_json(text: str) -> Any:
+    """rosapi takes a default that is no JSON for the text that it is."""
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        return text
+
+
+def _check_size(value: Any, name: str) -> None:
+    """Raises Refused for what would take long to be written, and no line can hold."""
+    left, rest = _LONGEST, [value]
+    while rest and left > 0:
+        here = rest.pop()
+        if isinstance(here, dict):
+            rest += here.values()
+            left -= sum(map(len, here))
+        elif isinstance(here, list):
+            if len(here) * _LEAST > left:
+                left = 0
+            rest += here
+        left -= len(here) if isinstance(here, str) else _LEAST
+    if left <= 0:
+        raise Refused(f"the value of {quoted(name)} is too large for an answer", "ask for a part of it")

@@ -50,8 +50,6 @@ class Services:
 
     def __init__(self) -> None:
         self._services: dict[str, Service] = {}
-        self._names: list[str] | None = []
-        """All names in order; None when that must be looked up again."""
         self._by_node: dict[str, dict[Service, None]] = {}
 
     def advertise(self, name: str, type_name: str, node: str, handler: Handler) -> Service:
@@ -65,28 +63,24 @@ class Services:
             raise Refused(f"service {name} is already provided by {self._services[name].node}")
         service = self._services[name] = Service(name, type_name, node, handler, self._forget)
         self._by_node.setdefault(node, {})[service] = None
-        self._names = None
         return service
 
     def call(self, name: str, request: Any = None) -> Pending:
         """Ask. Failures are in the answer, which is settled already unless it needs simulated time."""
         try:
             service = self._known(name)
-            checked = msgs.check(service.request_type, {} if request is None else request)
-            answer = service.handler(checked)
-            if not isinstance(answer, Pending):
-                answer = msgs.check(service.response_type, answer)
+            answer = service.handler(msgs.check(service.request_type, {} if request is None else request))
+            if isinstance(answer, Pending):
+                return _follow(service, answer)
+            return Pending.of(msgs.check(service.response_type, answer))
         except SlidectlError as error:
             pending = Pending()
             pending.reject(error)
             return pending
-        return _follow(service, answer) if isinstance(answer, Pending) else Pending.of(answer)
 
     def names(self) -> list[str]:
         """All services, sorted."""
-        if self._names is None:
-            self._names = sorted(self._services)
-        return list(self._names)
+        return sorted(self._services)
 
     def exists(self, name: str) -> bool:
         """True when somebody provides it."""
@@ -125,7 +119,6 @@ class Services:
     def _forget(self, service: Service) -> None:
         if self._services.get(service.name) is service:
             del self._services[service.name]
-            self._names = None
             of_node = self._by_node[service.node]
             del of_node[service]
             if not of_node:
@@ -134,21 +127,17 @@ class Services:
 
 def _follow(service: Service, inner: Pending) -> Pending:
     """The caller's side of an answer: checked against the type; fails when the provider goes, ends with the caller."""
+    outer = inner.converted(lambda answered: msgs.check(service.response_type, answered.result()))
 
-    def gone() -> None:
+    def forget(_: Pending) -> None:
         service.open.pop(outer, None)
+
+    def cancel() -> None:
+        forget(outer)
         inner.cancel()
 
-    def settle(answered: Pending) -> None:
-        service.open.pop(outer, None)
-        try:
-            response = msgs.check(service.response_type, answered.result())
-        except SlidectlError as error:
-            outer.reject(error)
-            return
-        outer.resolve(response)
-
-    outer = Pending(on_cancel=gone)
-    service.open[outer] = inner
-    inner.then(settle)
+    if not outer.done:
+        service.open[outer] = inner
+        outer.on_cancel = cancel
+        outer.then(forget)
     return outer

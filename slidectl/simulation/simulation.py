@@ -13,15 +13,17 @@ from slidectl.control.node_handle import Message, MessageCallback
 from slidectl.errors import Refused
 from slidectl.physics import World, hulls
 from slidectl.physics.hulls import Source
-from slidectl.simulation import gazebo, own_services, reset, rosapi, state_publisher, stopping, waits
-from slidectl.simulation.assembly import ORIGIN, Pose, SpawnedRobot
+from slidectl.physics.rotation import ORIGIN, Pose
+from slidectl.simulation import rosapi, waits
 from slidectl.simulation.compiled.engine import Engine
+from slidectl.simulation.gazebo import GazeboServices
 from slidectl.simulation.graph import Graph
-from slidectl.simulation.loop import Loop
+from slidectl.simulation.loop import Loop, RunState
+from slidectl.simulation.own_services import OwnServices
 from slidectl.simulation.parameters import Parameters
 from slidectl.simulation.pending import Pending
-from slidectl.simulation.robots import Robots
-from slidectl.simulation.run_state import RunState
+from slidectl.simulation.robots import Robots, SpawnedRobot
+from slidectl.simulation.state_publisher import StatePublishers
 from slidectl.simulation.topics import Subscription
 
 SCRIPT_NODE = "/script"
@@ -67,11 +69,10 @@ class Simulation:
         self.run.on_halt = self.robots.settle_switches
         self.graph.parameters.set("/use_sim_time", True)
         rosapi.advertise(self.graph)
-        own_services.advertise(self)
-        stopping.advertise(self.graph, self.robots)
+        OwnServices(self)
         waits.advertise(self.graph)
-        gazebo.advertise(self)
-        self.robots.companions.append(state_publisher.companion(self))
+        GazeboServices(self)
+        self.robots.on_spawn.append(StatePublishers(self).bring_up)
 
     @property
     def time_ns(self) -> int:
@@ -183,12 +184,26 @@ class Simulation:
         self.loop.step_ns = step_ns
 
     def reset_simulation(self) -> None:
-        """Time and world back to the beginning; controllers stay loaded and running."""
-        reset.reset_simulation(self)
+        """Time and world back to the beginning, at once, all or nothing; controllers stay loaded and running.
+
+        Sleeps, waits and deadlines that are running keep what is left of them.
+        """
+        self.loop.between_cycles("reset")
+        clock = self.graph.clock
+        before_ns, clock.time_ns, clock.cycles = clock.time_ns, 0, 0
+        self.graph.timers.rebase(before_ns, 0)
+        self.reset_world()
+        self.graph.clock_topic.publish_now(0)
 
     def reset_world(self) -> None:
-        """The world back to the beginning, time goes on; controllers stay loaded and running."""
-        reset.reset_world(self)
+        """Every robot as it was spawned, time goes on; controllers stay loaded and running.
+
+        Each controller is stopped and started again, so that PID integrators, set points and publishers' clocks begin
+        afresh. ros_control leaves these behind.
+        """
+        self.loop.between_cycles("reset")
+        self.run.trouble = ""
+        self.robots.reset()
 
 
 def _read_here(sources: Sequence[Source]) -> Pending:

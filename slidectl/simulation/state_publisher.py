@@ -17,25 +17,55 @@ from slidectl.description.robot import Joint
 from slidectl.physics.frames import compose, relative
 from slidectl.physics.rotation import Pose
 from slidectl.rotations import IDENTITY, from_rpy
-from slidectl.simulation.assembly import SpawnedRobot
 from slidectl.simulation.clock import SECOND, stamp
-from slidectl.simulation.periodic import PeriodicTopic
-from slidectl.simulation.topics import NodePublisher, TopicPublisher
+from slidectl.simulation.robots import SpawnedRobot
+from slidectl.simulation.topics import NodePublisher, PeriodicTopic, TopicPublisher
 
 if TYPE_CHECKING:
     from slidectl.simulation.simulation import Simulation
 
 FREQUENCY_HZ = 50
-ROTARY = ("revolute", "continuous")
 NODE = "robot_state_publisher"
-ENABLED = "enabled"
-"""The parameter that, when it is false, takes the node out of the graph."""
+
+
+class StatePublishers:
+    """Those of all robots of a simulation."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        self._simulation = simulation
+        self._publishers: dict[str, StatePublisher] = {}
+
+    def bring_up(self, robot: SpawnedRobot) -> Callable[[], None]:
+        """Give the robot its own. Returns what takes it back.
+
+        Two robots with the same links would speak of the same frames: the later one gets a prefix of its own.
+        """
+        parameters = self._simulation.parameters
+        others = {frame for publisher in self._publishers.values() for frame in publisher.frames()}
+        shares_frames = not others.isdisjoint(set(robot.paper.links) - {"world"})
+        chosen, prefix = "", ""
+        if shares_frames and not _prefix(self._simulation, robot):
+            prefix = robot.namespace.strip("/") or robot.name
+            chosen = names.join(robot.namespace, f"{NODE}/tf_prefix")  # in a namespace above, it would be others' too
+            parameters.set(chosen, prefix)
+            text = f"{robot.name}: another robot has frames of the same names; these are {prefix}/LINK on /tf"
+            robot.node.log("info", text)
+        publisher = self._publishers[robot.name] = StatePublisher(self._simulation, robot, prefix)
+
+        def take_back() -> None:
+            del self._publishers[robot.name]
+            publisher.close()
+            if chosen and parameters.has(chosen):
+                parameters.delete(chosen)
+
+        return take_back
 
 
 class StatePublisher:
     """One robot's transforms. Frames carry `tf_prefix` if that parameter is found in or above the node's namespace.
 
-    `chosen` is a prefix that nobody asked for: with that one all robots still share the frame `world`.
+    `chosen` is a prefix that nobody asked for: with that one all robots still share the frame `world`. The node is out
+    of the graph while its parameter `enabled` is false.
     """
 
     def __init__(self, simulation: Simulation, robot: SpawnedRobot, chosen: str = "") -> None:
@@ -43,6 +73,7 @@ class StatePublisher:
         self._robot = robot
         self._chosen = chosen
         self._moving = [joint for joint in robot.paper.joints.values() if joint.type != "fixed"]
+        self._fixed = [joint for joint in robot.paper.joints.values() if joint.type == "fixed"]
         self._node = names.join(robot.namespace, NODE)
         self._prefix = ""
         self._period_ns = 0
@@ -56,6 +87,10 @@ class StatePublisher:
         self._watch.close()
         self._silence()
 
+    def frames(self) -> set[str]:
+        """All frames but the world's."""
+        return {self._frame(link) for link in self._robot.paper.links} - {"world"}
+
     def _silence(self) -> None:
         for publisher in (self._tf, self._static):
             if publisher is not None:
@@ -64,40 +99,34 @@ class StatePublisher:
 
     def _configure(self) -> None:
         """What the parameters of the node ask for; called whenever one is set or deleted."""
-        prefix = _prefix(self._simulation, self._robot) or self._chosen
+        simulation = self._simulation
+        prefix = _prefix(simulation, self._robot) or self._chosen
         has_other_names, self._prefix = prefix != self._prefix, prefix
-        if self._simulation.parameters.get(names.join(self._node, ENABLED), True) is False:
+        if simulation.parameters.get(names.join(self._node, "enabled"), True) is False:
             self._silence()
             return
         period_ns = self._asked_period_ns()
         if self._tf is None or period_ns != self._period_ns:
             self._period_ns = period_ns
-            self._publish_moving()
+            if self._tf is not None:
+                self._tf.close()
+            self._tf = PeriodicTopic(
+                simulation.graph,
+                "/tf",
+                "tf2_msgs/TFMessage",
+                self._node,
+                period_ns,
+                lambda: {"transforms": [self._transform(joint, self._pose(joint)) for joint in self._moving]},
+                lambda: simulation.driven and simulation.loop.stands_still,
+            )
         if self._static is None or has_other_names:
-            self._publish_fixed()
-
-    def _publish_moving(self) -> None:
-        if self._tf is not None:
-            self._tf.close()
-        simulation = self._simulation
-        self._tf = PeriodicTopic(
-            simulation.graph,
-            "/tf",
-            "tf2_msgs/TFMessage",
-            self._node,
-            self._period_ns,
-            self._dynamic,
-            lambda: simulation.driven and simulation.loop.stands_still,
-        )
-
-    def _publish_fixed(self) -> None:
-        if self._static is None:
-            topics = self._simulation.graph.topics
-            kind = "tf2_msgs/TFMessage"
-            self._static = topics.advertise("/tf_static", kind, self._node, latch=True, kind=NodePublisher)
-        fixed = [joint for joint in self._robot.paper.joints.values() if joint.type == "fixed"]
-        if fixed:
-            self._static.publish({"transforms": [self._transform(joint, _origin(joint)) for joint in fixed]})
+            if self._static is None:
+                advertise = simulation.graph.topics.advertise
+                kind = "tf2_msgs/TFMessage"
+                self._static = advertise("/tf_static", kind, self._node, latch=True, kind=NodePublisher)
+            if self._fixed:
+                transforms = [self._transform(joint, _origin(joint)) for joint in self._fixed]
+                self._static.publish({"transforms": transforms})
 
     def _asked_period_ns(self) -> int:
         asked = self._simulation.parameters.get(names.join(self._node, "publish_frequency"), FREQUENCY_HZ)
@@ -106,17 +135,9 @@ class StatePublisher:
         self._robot.node.log("warn", f"{self._node}: publish_frequency is above 0 Hz, not {asked!r}; it stays at 50")
         return SECOND // FREQUENCY_HZ
 
-    def frame(self, link: str) -> str:
-        """Name of a link's frame."""
+    def _frame(self, link: str) -> str:
         is_shared = link == "world" and self._prefix == self._chosen
         return link if is_shared or not self._prefix else f"{self._prefix}/{link}"
-
-    def frames(self) -> set[str]:
-        """All frames but the world's."""
-        return {self.frame(link) for link in self._robot.paper.links} - {"world"}
-
-    def _dynamic(self) -> Message:
-        return {"transforms": [self._transform(joint, self._pose(joint)) for joint in self._moving]}
 
     def _pose(self, joint: Joint) -> Pose:
         """The child in the parent: by the joint's equation, or as the world has it (planar, floating)."""
@@ -128,8 +149,8 @@ class StatePublisher:
     def _transform(self, joint: Joint, place: Pose) -> Message:
         (x, y, z), (qx, qy, qz, qw) = place
         return {
-            "header": {"seq": 0, "stamp": stamp(self._simulation.time_ns), "frame_id": self.frame(joint.parent)},
-            "child_frame_id": self.frame(joint.child),
+            "header": {"seq": 0, "stamp": stamp(self._simulation.time_ns), "frame_id": self._frame(joint.parent)},
+            "child_frame_id": self._frame(joint.child),
             "transform": {
                 "translation": {"x": x, "y": y, "z": z},
                 "rotation": {"x": qx, "y": qy, "z": qz, "w": qw},
@@ -144,47 +165,13 @@ def _origin(joint: Joint) -> Pose:
 def _displacement(joint: Joint, position: float) -> Pose:
     """What the joint's position (m or rad) does along or about its axis."""
     x, y, z = joint.axis
-    if joint.type in ROTARY:
+    if joint.type in ("revolute", "continuous"):
         sine = math.sin(position / 2)
         return (0.0, 0.0, 0.0), (x * sine, y * sine, z * sine, math.cos(position / 2))
     return (x * position, y * position, z * position), IDENTITY
-
-
-def companion(simulation: Simulation) -> Callable[[SpawnedRobot], Callable[[], None]]:
-    """What gives every robot of the simulation its state publisher."""
-    publishers: dict[str, StatePublisher] = {}
-
-    def bring_up(robot: SpawnedRobot) -> Callable[[], None]:
-        others = {frame for publisher in publishers.values() for frame in publisher.frames()}
-        clash = others & (set(robot.paper.links) - {"world"})
-        chosen = _choose_prefix(simulation, robot) if clash and not _prefix(simulation, robot) else None
-        prefix = _prefix(simulation, robot) if chosen else ""
-        publisher = publishers[robot.name] = StatePublisher(simulation, robot, prefix)
-
-        def take_back() -> None:
-            del publishers[robot.name]
-            publisher.close()
-            if chosen and simulation.parameters.has(chosen):
-                simulation.parameters.delete(chosen)
-
-        return take_back
-
-    return bring_up
 
 
 def _prefix(simulation: Simulation, robot: SpawnedRobot) -> str:
     found = simulation.parameters.search(names.join(robot.namespace, NODE), "tf_prefix")
     value = simulation.parameters.get(found) if found else None
     return value.strip("/") if isinstance(value, str) else ""
-
-
-def _choose_prefix(simulation: Simulation, robot: SpawnedRobot) -> str:
-    """Two robots with the same links would speak of the same frames: the later one gets a prefix of its own.
-
-    Returns the name of the parameter that says so.
-    """
-    prefix = robot.namespace.strip("/") or robot.name
-    name = names.join(robot.namespace, f"{NODE}/tf_prefix")  # in a namespace above, it would be others' too
-    simulation.parameters.set(name, prefix)
-    robot.node.log("info", f"{robot.name}: another robot has frames of the same names; these are {prefix}/LINK on /tf")
-    return name

@@ -1,18 +1,22 @@
-"""The topic bus: who publishes what to whom, with types, latching and names.
+"""The topic bus: who publishes what to whom, with types, latching and names; and topics at a steady rate.
 
-Delivery is a plain call, in the order of subscription, before `publish` returns. Queues for slow readers
-are the affair of whoever has one.
+Delivery is a plain call, in the order of subscription, before `publish` returns. There are no queues here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import Any, ClassVar
+from functools import partial
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from slidectl import msgs, names
 from slidectl.control.node_handle import Message, MessageCallback
 from slidectl.errors import Refused, SlidectlError, UnknownName
+
+if TYPE_CHECKING:
+    from slidectl.simulation.clock import Timer
+    from slidectl.simulation.graph import Graph
 
 
 class TypeConflict(Refused):
@@ -61,7 +65,7 @@ class TopicPublisher:
         if refusal is not None:
             raise refusal
 
-    def for_newcomer(self) -> Message | None:
+    def first_message(self) -> Message | None:
         """The message that a new subscriber gets at once: the latched one."""
         return self.last
 
@@ -78,10 +82,75 @@ class NodePublisher(TopicPublisher):
 
     def publish(self, message: Message) -> None:
         """Hand a complete message on and number its header. The dict must not be changed afterwards."""
-        try:
+        with suppress(SlidectlError):
             super().publish(message)
-        except SlidectlError:
-            return
+
+
+class _DemandPublisher(NodePublisher):
+    """Tells when it begins and when it ceases to be wanted."""
+
+    __slots__ = ("_build_first", "_is_wanted", "_on_demand")
+
+    def __init__(
+        self, on_demand: Callable[[bool], None], build_first: Callable[[], Message | None], *arguments: Any
+    ) -> None:
+        self._on_demand = on_demand
+        self._build_first = build_first
+        self._is_wanted = False
+        super().__init__(*arguments)
+
+    @property
+    def wanted(self) -> bool:
+        return self._is_wanted
+
+    @wanted.setter
+    def wanted(self, value: bool) -> None:
+        if value != self._is_wanted:
+            self._is_wanted = value
+            self._on_demand(value)
+
+    def first_message(self) -> Message | None:
+        return self._build_first()
+
+
+class PeriodicTopic:
+    """Publishes what `build` gives, every `period_ns` of simulated time, until `close`. Free while nobody listens.
+
+    The phase is that of multiples of the period, whoever listened before. While `is_still` says that no cycle will come
+    by itself, a new subscriber gets the present message at once, and those that are there when the publisher comes too.
+    """
+
+    def __init__(
+        self,
+        graph: Graph,
+        topic: str,
+        type_name: str,
+        node: str,
+        period_ns: int,
+        build: Callable[[], Message],
+        is_still: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self._graph = graph
+        self._period_ns = period_ns
+        self._build = build
+        self._timer: Timer | None = None
+        kind = partial(_DemandPublisher, self._demand, lambda: build() if is_still() else None)
+        self._publisher = graph.topics.advertise(topic, type_name, node, kind=kind)
+        if self._publisher.wanted and is_still():
+            self._publish()
+
+    def close(self) -> None:
+        """Stop publishing."""
+        self._demand(False)
+        self._publisher.close()
+
+    def _demand(self, wanted: bool) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer = self._graph.timers.every(self._period_ns, self._publish) if wanted else None
+
+    def _publish(self) -> None:
+        self._publisher.publish(self._build())
 
 
 class Subscription:
@@ -121,13 +190,9 @@ class Topic:
         first = msgs.fields(type_name)[:1]
         self.has_header = any(field.name == "header" and field.type == "std_msgs/Header" for field in first)
 
-    def users(self) -> list[TopicPublisher | Subscription]:
-        """All publishers, then all subscribers."""
-        return [*self.publishers, *self.subscriptions]
-
     def nodes(self) -> list[str]:
         """Names of the nodes that publish or subscribe it."""
-        return _distinct([user.node for user in self.users()])
+        return _nodes([*self.publishers, *self.subscriptions])
 
     def update(self) -> None:
         """After somebody came or went."""
@@ -142,8 +207,6 @@ class Topics:
 
     def __init__(self) -> None:
         self._topics: dict[str, Topic] = {}
-        self._names: list[str] | None = []
-        """All names in order; None when that must be looked up again."""
         # By node: one that goes must not cost a look at all topics, of which a client may have made many.
         self._users: dict[str, dict[TopicPublisher | Subscription, None]] = {}
         self.changes = 0
@@ -163,7 +226,7 @@ class Topics:
             BadName, TypeConflict. UnknownName: no such message type.
         """
         entry = self._entry(topic, type_name)
-        publisher = kind(entry, node, latch, self._forget_publisher)
+        publisher = kind(entry, node, latch, self._forget)
         entry.publishers.append(publisher)
         self._users.setdefault(node, {})[publisher] = None
         self._update(entry)
@@ -186,12 +249,12 @@ class Topics:
             BadName, TypeConflict. UnknownName: no such topic or message type.
         """
         entry = self._entry(topic, type_name or self.type_of(topic))
-        subscription = Subscription(entry, node, callback, self._forget_subscription)
+        subscription = Subscription(entry, node, callback, self._forget)
         entry.subscriptions.append(subscription)
         self._users.setdefault(node, {})[subscription] = None
         self._update(entry)
         for publisher in tuple(entry.publishers):
-            message = publisher.for_newcomer()
+            message = publisher.first_message()
             if message is not None:
                 with suppress(SlidectlError):  # who published it is not there to hear a refusal
                     (latched or callback)(message)
@@ -207,14 +270,13 @@ class Topics:
         kind = type_name or self.type_of(topic)
         self._agrees(topic, kind)
         checked = msgs.check(kind, message)
-        publisher = self._own(topic, node) or self.advertise(topic, kind, node)
-        publisher.publish(checked)
+        known = self._topics[topic].publishers if topic in self._topics else []
+        own = next((publisher for publisher in known if publisher.node == node), None)
+        (own or self.advertise(topic, kind, node)).publish(checked)
 
     def names(self) -> list[str]:
         """All topics, sorted."""
-        if self._names is None:
-            self._names = sorted(self._topics)
-        return list(self._names)
+        return sorted(self._topics)
 
     def types(self) -> dict[str, str]:
         """Type of each topic, in the order of the names."""
@@ -230,11 +292,11 @@ class Topics:
 
     def publishers(self, topic: str) -> list[str]:
         """Names of the nodes that publish it; none when there is no such topic."""
-        return _distinct([p.node for p in self._topics[topic].publishers]) if topic in self._topics else []
+        return _nodes(self._topics[topic].publishers) if topic in self._topics else []
 
     def subscribers(self, topic: str) -> list[str]:
         """Names of the nodes that subscribe it; none when there is no such topic."""
-        return _distinct([s.node for s in self._topics[topic].subscriptions]) if topic in self._topics else []
+        return _nodes(self._topics[topic].subscriptions) if topic in self._topics else []
 
     def nodes(self) -> set[str]:
         """Names of all nodes that publish or subscribe something."""
@@ -258,10 +320,6 @@ class Topics:
             raise UnknownName("topic", topic, self.names())
         return self._topics[topic]
 
-    def _own(self, topic: str, node: str) -> TopicPublisher | None:
-        entry = self._topics.get(topic)
-        return next((p for p in entry.publishers if p.node == node), None) if entry else None
-
     def _agrees(self, topic: str, type_name: str) -> None:
         msgs.fields(type_name)  # raises UnknownName
         entry = self._topics.get(topic)
@@ -272,39 +330,27 @@ class Topics:
         self._agrees(topic, type_name)
         if topic not in self._topics:
             self._topics[names.check_absolute(topic, "topic")] = Topic(topic, type_name)
-            self._names = None
         return self._topics[topic]
 
-    def _forget_publisher(self, publisher: TopicPublisher) -> None:
-        if self._has_gone(publisher):
-            publisher.topic.publishers.remove(publisher)
-            self._tidy(publisher.topic)
-
-    def _forget_subscription(self, subscription: Subscription) -> None:
-        if self._has_gone(subscription):
-            subscription.topic.subscriptions.remove(subscription)
-            self._tidy(subscription.topic)
-
-    def _has_gone(self, user: TopicPublisher | Subscription) -> bool:
-        """Take it from those of its node. False when that has been done before."""
-        users = self._users.get(user.node, {})
-        if user not in users:
-            return False
+    def _forget(self, user: TopicPublisher | Subscription) -> None:
+        users, topic = self._users.get(user.node, {}), user.topic
+        if user not in users:  # that has been done before
+            return
         del users[user]
         if not users:
             del self._users[user.node]
-        return True
+        if isinstance(user, TopicPublisher):
+            topic.publishers.remove(user)
+        else:
+            topic.subscriptions.remove(user)
+        self._update(topic)
+        if not topic.publishers and not topic.subscriptions:
+            self._topics.pop(topic.name, None)
 
     def _update(self, topic: Topic) -> None:
         self.changes += 1
         topic.update()
 
-    def _tidy(self, topic: Topic) -> None:
-        self._update(topic)
-        if not topic.publishers and not topic.subscriptions:
-            self._topics.pop(topic.name, None)
-            self._names = None
 
-
-def _distinct(nodes: list[str]) -> list[str]:
-    return list(dict.fromkeys(nodes))
+def _nodes(users: Sequence[TopicPublisher | Subscription]) -> list[str]:
+    return list(dict.fromkeys(user.node for user in users))

@@ -11,17 +11,18 @@ from typing import Any
 
 from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message
-from slidectl.errors import Refused
-from slidectl.simulation.conditions import Condition, show
+from slidectl.errors import BadMessage, Refused, UnknownName
+from slidectl.simulation.clock import Timer
 from slidectl.simulation.graph import Graph
-from slidectl.simulation.message_path import MessagePath, NoElement, parse
+from slidectl.simulation.message_path import MessagePath, NoElement, as_number, parse
 from slidectl.simulation.pending import Pending
-from slidectl.simulation.timers import Timer
 from slidectl.simulation.topics import Subscription
 
 NODE = "/slidectl"
+KINDS = ("near", "above", "below", "equals")
 _NOTHING: Any = object()
 _LONGEST_S = 1e9
+_LONGEST_SHOWN = 120
 
 
 def advertise(graph: Graph) -> None:
@@ -35,12 +36,87 @@ def wait(graph: Graph, request: Message) -> Pending:
     Raises:
         UnknownName: no such topic, field or condition. BadMessage: value, condition and field do not go together.
     """
-    type_name = graph.topics.type_of(request["topic"])
-    path = parse(type_name, request["field"])
+    path = parse(graph.topics.type_of(request["topic"]), request["field"])
     condition = Condition(request["condition"], request["value"], request["tolerance"])
     condition.check_type(f"{request['topic']}/{path.text}", path.type)
     hold_s, within_s = _duration("hold", request["hold"]), _duration("within", request["within"])
     return Wait(graph, request["topic"], path, condition, hold_s, within_s).pending
+
+
+def _duration(name: str, value: float) -> float:
+    """0 for none. Raises Refused for what no clock can measure."""
+    if not -_LONGEST_S < value < _LONGEST_S:
+        raise Refused(f"{name} is a number of seconds, not {value:g}")
+    return max(value, 0.0)
+
+
+class Condition:
+    """`near` (within the tolerance, its edge included), `above`, `below` (strictly), or `equals` any JSON value."""
+
+    def __init__(self, kind: str, value: str, tolerance: float = 0.0) -> None:
+        """
+        Args:
+            kind: one of KINDS.
+            value: JSON text.
+            tolerance: of `near`, 0 or more.
+
+        Raises:
+            UnknownName: no such condition. BadMessage: the value or the tolerance makes no sense for it.
+        """
+        if kind not in KINDS:
+            raise UnknownName("condition", kind, KINDS)
+        if not tolerance >= 0 or math.isinf(tolerance):
+            raise BadMessage(f"the tolerance is a number of 0 or more, not {tolerance:g}", "tolerance")
+        self.kind = kind
+        self.tolerance = tolerance
+        try:
+            self.wanted = json.loads(value)
+        except (ValueError, RecursionError):
+            reason = f"the value {value[:80]!r} is not JSON"
+            raise BadMessage(reason, "value", 'text needs quotes: "\\"on\\""') from None
+        number = as_number(self.wanted)
+        if kind != "equals" and (number is None or not math.isfinite(number)):
+            raise BadMessage(f"{kind} needs a number, not {value[:80]}", "value")
+        self._number = math.nan if number is None else number
+
+    def __str__(self) -> str:
+        text = f"{self.kind} {_shown(self.wanted)}"
+        return f"{text} ± {_shown(self.tolerance)}" if self.kind == "near" else text
+
+    def check_type(self, path: str, type_name: str) -> None:
+        """Raises BadMessage when values of the type can never be compared like this."""
+        comparable = type_name not in ("string", "bool") and "/" not in type_name and not type_name.endswith("]")
+        if self.kind != "equals" and not comparable:
+            reason = f"{path} is {type_name}, and {self.kind} needs a number"
+            raise BadMessage(reason, "field", "choose a field or an element")
+
+    def distance(self, value: Any) -> float:
+        """How far the value is from fulfilling it, in its unit: 0 or less when it does, inf when beyond compare."""
+        number, wanted = as_number(value), self._number
+        if self.kind == "equals" and (number is None or math.isnan(wanted)):
+            same = value == self.wanted and isinstance(value, bool) == isinstance(self.wanted, bool)
+            return 0.0 if same else math.inf
+        if number is None or math.isnan(number):
+            return math.inf
+        if self.kind == "equals":  # integers are compared as they are: as floats, large ones would be the same
+            is_equal = (number if isinstance(value, dict) else value) == self.wanted
+            return 0.0 if is_equal else _more_than_0(abs(number - wanted))
+        if self.kind == "near":
+            return max(wanted - self.tolerance - number, number - (wanted + self.tolerance))
+        return _more_than_0(wanted - number if self.kind == "above" else number - wanted)
+
+
+def _more_than_0(distance: float) -> float:
+    """A limit that does not count itself."""
+    return distance if distance != 0 else 5e-324
+
+
+def _shown(value: Any) -> str:
+    """Short text of a value for messages: numbers with six digits, all else as JSON, cut where it is long."""
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    text = json.dumps(value)
+    return text if len(text) <= _LONGEST_SHOWN else text[: _LONGEST_SHOWN - 3] + "..."
 
 
 class Wait:
@@ -63,7 +139,7 @@ class Wait:
         self._deadline = graph.timers.after(from_seconds(within_s), self._time_is_up) if within_s else None
         self._subscription: Subscription | None = None
         self._subscription = graph.topics.subscribe(topic, None, NODE, self._take)
-        if self.pending.done:
+        if self.pending.done:  # by a latched message, before there was a subscription to close
             self._close()
 
     def _take(self, message: Message) -> None:
@@ -75,21 +151,15 @@ class Wait:
             self._close()
             self.pending.reject(error)
             return
-        if self._judge(value):
-            self._begin_to_hold()
-        elif self._holding is not None:
-            self._holding.cancel()
-            self._holding = None
-
-    def _judge(self, value: Any) -> bool:
         distance = self._condition.distance(value)
         self._last = value
         if self._closest is _NOTHING or distance < self._least:
             self._closest, self._least = value, distance
-        return distance <= 0
-
-    def _begin_to_hold(self) -> None:
-        if not self._hold_s:
+        if not distance <= 0:  # not a number: it does not hold
+            if self._holding is not None:
+                self._holding.cancel()
+                self._holding = None
+        elif not self._hold_s:
             self._finish(True)
         elif self._holding is None:
             self._holding = self._graph.timers.after(from_seconds(self._hold_s), lambda: self._finish(True))
@@ -100,31 +170,27 @@ class Wait:
 
     def _finish(self, success: bool) -> None:
         self._close()
+        name = f"{self._topic}/{self._path.text}"
+        condition = f"{self._condition} for {self._hold_s:g} s" if self._hold_s else str(self._condition)
+        if success:
+            text = f"{name} is {_shown(self._last)} ({condition})"
+        else:
+            text = f"expected {name} {condition} within {self._within_s:g} s{self._why_not()}"
         self.pending.resolve(
             {
                 "success": success,
-                "message": f"{self._path_text()} {self._outcome()}" if success else f"expected {self._failure()}",
-                "last": _as_json(self._last),
-                "closest": _as_json(self._closest),
+                "message": text,
+                "last": "" if self._last is _NOTHING else json.dumps(self._last),
+                "closest": "" if self._closest is _NOTHING else json.dumps(self._closest),
                 "time": self._graph.clock.seconds,
             }
         )
 
-    def _outcome(self) -> str:
-        return f"is {show(self._last)} ({self._condition}{self._for()})"
-
-    def _failure(self) -> str:
-        what = f"{self._path_text()} {self._condition}{self._for()} within {self._within_s:g} s"
+    def _why_not(self) -> str:
         alone = "" if self._graph.topics.publishers(self._topic) else "; nobody publishes it"
         if self._last is _NOTHING:
-            return what + (alone or "; no message came")
-        return f"{what}; last {show(self._last)}, closest {show(self._closest)}{alone}"
-
-    def _for(self) -> str:
-        return f" for {self._hold_s:g} s" if self._hold_s else ""
-
-    def _path_text(self) -> str:
-        return f"{self._topic}/{self._path.text}"
+            return alone or "; no message came"
+        return f"; last {_shown(self._last)}, closest {_shown(self._closest)}{alone}"
 
     def _close(self) -> None:
         for part in (self._holding, self._deadline):
@@ -132,14 +198,3 @@ class Wait:
                 part.cancel()
         if self._subscription is not None:
             self._subscription.close()
-
-
-def _as_json(value: Any) -> str:
-    return "" if value is _NOTHING else json.dumps(value)
-
-
-def _duration(name: str, value: float) -> float:
-    """0 for none. Raises Refused for what no clock can measure."""
-    if not -_LONGEST_S < value < _LONGEST_S:
-        raise Refused(f"{name} is a number of seconds, not {value:g}")
-    return max(value, 0.0)

@@ -10,7 +10,7 @@ import pytest
 
 from slidectl.daemon.loop import READ, EventLoop
 from slidectl.daemon.pacing import CATCH_UP_SLICE_S, FREE_SLICE_S, MOST_BEHIND_S, Pacer
-from slidectl.simulation.run_state import RunState
+from slidectl.simulation.loop import RunState
 
 
 class FakeSimulation:

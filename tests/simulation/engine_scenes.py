@@ -263,7 +263,7 @@ def _bump(simulation: Simulation) -> None:
 
 
 def _come_or_go(simulation: Simulation) -> None:
-    if "guest" in simulation.robots:
-        simulation.delete("guest")
+    if "late" in simulation.robots:
+        simulation.delete("late")
     else:
-        add(simulation, "guest", arm(("continuous",)), {"only": {"type": POSITION, "joint": "joint1", "pid": GAINS}})
+        add(simulation, "late", arm(("continuous",)), {"only": {"type": POSITION, "joint": "joint1", "pid": GAINS}})

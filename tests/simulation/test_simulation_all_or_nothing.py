@@ -15,7 +15,7 @@ from slidectl.errors import Refused, SlidectlError
 from slidectl.physics import hulls, world
 from slidectl.physics.body import Body
 from slidectl.physics.compiler import WorldSpec
-from slidectl.simulation import Simulation, assembly, robots
+from slidectl.simulation import Simulation, robots
 from slidectl.simulation.compiled import object_file
 from slidectl.simulation.loop import Loop
 
@@ -128,12 +128,12 @@ OF_DELETIONS = {
 OF_SPAWNS = {
     "carrying over the state": (world, "carry_over"),
     "putting it there": (Body, "put_at_spawn"),
-    "bringing it up": (robots, "assemble"),
-    "its hardware": (assembly, "MujocoRobotHW"),
-    "its manager": (assembly, "ControllerManager"),
-    "its services": (assembly, "ManagerServices"),
+    "bringing it up": (robots.Robots, "_bring_up"),
+    "its hardware": (robots, "MujocoRobotHW"),
+    "its manager": (robots, "ControllerManager"),
+    "its services": (robots, "ManagerServices"),
     "telling the loop": (Loop, "take_robots"),
-    "its report": (robots, "report"),
+    "its report": (robots, "_warn_of_overlaps"),
 }
 
 
@@ -191,7 +191,7 @@ def test_whoever_fails_when_a_robot_goes_does_not_keep_it(mesh: Path, engine: st
     assert switch(simulation, start=["probe"], namespace="/m")
     loaded: Any = robot.manager.get("probe")
     loaded.stopping = failing(ZeroDivisionError("in stopping"))
-    robot.taken.callback(failing(MemoryError("in a companion")))
+    robot.taken.callback(failing(MemoryError("in a part")))
     robot.node.watch_param("anything", lambda: None)
     robot.node._taken.append(failing(OSError("in a publisher")))
     simulation.delete("m")
@@ -250,10 +250,10 @@ def test_properties_of_the_physics_are_set_all_or_not_at_all(mesh: Path) -> None
     assert simulation.call("/gazebo/get_physics_properties") == before
 
 
-def test_a_refusal_of_a_companion_comes_after_the_mesh_was_read_and_leaves_nothing(mesh: Path) -> None:
+def test_a_refusal_of_a_part_comes_after_the_mesh_was_read_and_leaves_nothing(mesh: Path) -> None:
     simulation = world_with_two(mesh, "plain")
     before = everything(simulation)
-    simulation.robots.companions.append(failing(Refused("not with me")))
+    simulation.robots.on_spawn.append(failing(Refused("not with me")))
     answer = simulation.call("/gazebo/spawn_urdf_model", {"model_name": "third", "model_xml": with_mesh(mesh)})
     assert not answer["success"]
     assert "not with me" in answer["status_message"]

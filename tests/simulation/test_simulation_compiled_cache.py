@@ -11,7 +11,7 @@ import pytest
 
 from slidectl.errors import Refused
 from slidectl.simulation import Simulation
-from slidectl.simulation.compiled import cache, object_file
+from slidectl.simulation.compiled import object_file
 
 needs_numba = pytest.mark.skipif(not object_file.is_possible(), reason="numba is not installed")
 
@@ -20,56 +20,50 @@ needs_numba = pytest.mark.skipif(not object_file.is_possible(), reason="numba is
 def folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """An empty one, of this test alone."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(object_file, "place", lambda: cache.folder() / "cycle-now.o")
-    cache.prepare()
-    return cache.folder()
+    monkeypatch.setattr(object_file, "place", lambda: object_file.folder() / "cycle-now.o")
+    object_file.prepare()
+    return object_file.folder()
+
+
+def put(folder: Path, name: str) -> Path:
+    """A file that was used long ago."""
+    file = folder / name
+    file.write_bytes(b"code")
+    file.chmod(0o600)
+    return file
 
 
 def test_what_is_written_is_the_users_alone(folder: Path) -> None:
     file = folder / "cycle-now.o"
-    assert not cache.holds(file)
-    cache.write(file, b"code")
-    assert cache.holds(file)
-    assert cache.read(file) == b"code"
+    assert not object_file.is_there()
+    object_file.write(b"code")
+    assert object_file.is_there()
+    assert object_file._read() == b"code"
     assert file.stat().st_mode & 0o777 == 0o600
     assert folder.stat().st_mode & 0o777 == 0o700
     assert list(folder.iterdir()) == [file]
 
 
-def test_a_file_that_others_may_write_is_not_taken(folder: Path) -> None:
-    file = folder / "cycle-now.o"
-    cache.write(file, b"code")
-    for mode in (0o620, 0o602):
-        file.chmod(mode)
-        assert not cache.holds(file)
-        with pytest.raises(cache.NotOurs, match=r"cycle-now\.o belongs to somebody else, or others may write"):
-            cache.read(file)
-
-
-def test_a_file_in_a_folder_that_others_may_write_is_not_taken(folder: Path) -> None:
-    file = folder / "cycle-now.o"
-    cache.write(file, b"code")
-    folder.chmod(0o770)
-    assert not cache.holds(file)
-    with pytest.raises(cache.NotOurs):
-        cache.read(file)
+@pytest.mark.parametrize(("place", "mode"), [("cycle-now.o", 0o620), ("cycle-now.o", 0o602), (".", 0o770)])
+def test_what_others_may_write_is_not_taken(folder: Path, place: str, mode: int) -> None:
+    object_file.write(b"code")
+    (folder / place).chmod(mode)
+    with pytest.raises(object_file.NotOurs, match="belongs to somebody else, or others may write"):
+        object_file._read()
 
 
 def test_a_link_to_a_file_is_not_taken(folder: Path, tmp_path: Path) -> None:
-    elsewhere = tmp_path / "code"
-    cache.write(elsewhere, b"code")
-    (folder / "cycle-now.o").symlink_to(elsewhere)
-    assert not cache.holds(folder / "cycle-now.o")
+    (folder / "cycle-now.o").symlink_to(put(tmp_path, "code"))
     with pytest.raises(OSError, match="symbolic link"):
-        cache.read(folder / "cycle-now.o")
+        object_file._read()
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files away")
 def test_a_file_of_somebody_else_is_not_taken(folder: Path) -> None:
-    file = folder / "cycle-now.o"
-    cache.write(file, b"code")
-    os.chown(file, 12345, 12345)
-    assert not cache.holds(file)
+    object_file.write(b"code")
+    os.chown(folder / "cycle-now.o", 12345, 12345)
+    with pytest.raises(object_file.NotOurs):
+        object_file._read()
 
 
 @needs_numba
@@ -86,7 +80,7 @@ def test_an_engine_without_a_place_for_its_code_says_so_and_runs_plain(folder: P
 
 @needs_numba
 def test_code_that_is_tidied_away_under_an_engine_is_made_anew(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    cache.write(folder / "cycle-now.o", b"code")
+    object_file.write(b"code")
 
     def gone() -> None:
         (folder / "cycle-now.o").unlink(missing_ok=True)
@@ -99,34 +93,33 @@ def test_code_that_is_tidied_away_under_an_engine_is_made_anew(folder: Path, mon
 
 
 def test_the_files_that_were_used_last_stay(folder: Path) -> None:
-    for age in range(cache.KEPT + 5):
-        file = folder / f"cycle-{age}.o"
-        cache.write(file, b"code")
-        os.utime(file, (10_000.0 - age, 10_000.0 - age))
-    oldest = folder / f"cycle-{cache.KEPT + 4}.o"
-    cache.read(oldest)
+    object_file.write(b"code")
+    for age in range(object_file.KEPT + 5):
+        os.utime(put(folder, f"cycle-{age}.o"), (10_000.0 - age, 10_000.0 - age))
+    os.utime(folder / "cycle-now.o", (1.0, 1.0))
+    object_file._read()
     (folder / "cycle-1.o.4711").write_bytes(b"cod")
     (folder / "compiling.log").touch()
-    cache.tidy()
-    kept = {f"cycle-{age}.o" for age in range(cache.KEPT - 1)}
-    assert {path.name for path in folder.iterdir()} == kept | {oldest.name, "compiling.log"}
+    object_file.tidy()
+    kept = {f"cycle-{age}.o" for age in range(object_file.KEPT - 1)}
+    assert {path.name for path in folder.iterdir()} == kept | {"cycle-now.o", "compiling.log"}
 
 
 @needs_numba
 def test_two_compilers_at_once_do_the_work_once_and_tidy_up(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    cache.prepare()
-    for age in range(cache.KEPT):
-        cache.write(cache.folder() / f"cycle-{age}.o", b"code")
-        os.utime(cache.folder() / f"cycle-{age}.o", (10_000.0 - age, 10_000.0 - age))
+    object_file.prepare()
+    folder = object_file.folder()
+    for age in range(object_file.KEPT):
+        os.utime(put(folder, f"cycle-{age}.o"), (10_000.0 - age, 10_000.0 - age))
     command = [sys.executable, "-m", "slidectl.simulation.compiled.compiler"]
     both = [subprocess.Popen(command, env=dict(os.environ)) for _ in range(2)]
     assert [process.wait() for process in both] == [0, 0]
     assert object_file.report().read_text() == ""
-    made = [path for path in cache.folder().glob("*.o") if path.stat().st_size > 1000]
-    assert [path.parent for path in made] == [cache.folder()]
-    assert len(list(cache.folder().glob("*.o"))) == cache.KEPT
-    assert not (cache.folder() / f"cycle-{cache.KEPT - 1}.o").exists()
+    made = [path for path in folder.glob("*.o") if path.stat().st_size > 1000]
+    assert [path.parent for path in made] == [folder]
+    assert len(list(folder.glob("*.o"))) == object_file.KEPT
+    assert not (folder / f"cycle-{object_file.KEPT - 1}.o").exists()
 
 
 @needs_numba
@@ -138,12 +131,11 @@ def test_a_compiler_whose_folder_is_gone_leaves_nothing_behind(monkeypatch: pyte
 
 
 def test_a_file_that_is_not_what_was_written_is_thrown_away(folder: Path) -> None:
-    file = folder / "cycle-now.o"
     for damaged in (b"", b"short", b"\0" * 9000):
+        file = put(folder, "cycle-now.o")
         file.write_bytes(damaged)
-        file.chmod(0o600)
-        with pytest.raises(cache.Damaged):
-            cache.read(file)
+        with pytest.raises(FileNotFoundError):
+            object_file._read()
         assert not file.exists()
 
 
@@ -151,8 +143,8 @@ def test_a_file_that_is_not_what_was_written_is_thrown_away(folder: Path) -> Non
 def test_damaged_code_is_made_anew_and_ends_nobody(tmp_path: Path) -> None:
     program = (
         "from slidectl.simulation import Simulation\n"
-        "from slidectl.simulation.compiled import cache, object_file\n"
-        "cache.prepare()\n"
+        "from slidectl.simulation.compiled import object_file\n"
+        "object_file.prepare()\n"
         "object_file.place().write_bytes(b'half of what was ' * 100)\n"
         "object_file.place().chmod(0o600)\n"
         "simulation = Simulation(engine='compiled')\n"

@@ -100,7 +100,7 @@ def test_no_first_period_is_longer_than_the_time_since_the_spawn_or_the_reset(en
 
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("before", [0, 1, 1_000_000])
-def test_soft_limits_and_drives_of_a_newcomer_do_the_same_whenever_it_comes(engine: str, before: int) -> None:
+def test_soft_limits_and_drives_of_a_new_robot_do_the_same_whenever_it_comes(engine: str, before: int) -> None:
     """It begins outside of its soft limits: what brings it back depends on the period. The same bits at any time."""
 
     def course(simulation: Simulation) -> list[tuple[float, float, float]]:

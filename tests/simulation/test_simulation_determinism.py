@@ -82,11 +82,11 @@ def test_robots_that_come_and_go_elsewhere_change_nothing() -> None:
     expected: Track = []
     seen: Track = []
     advance(quiet, lambda: 50, expected)
-    guests = iter(range(1000))
+    numbers = iter(range(1000))
 
     def come_and_go() -> int:
-        number = next(guests)
-        name = f"guest{number % 3}"
+        number = next(numbers)
+        name = f"late{number % 3}"
         if name in busy.robots:
             busy.delete(name)
         else:

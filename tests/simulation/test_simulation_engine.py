@@ -17,7 +17,7 @@ from slidectl.control.registry import controller
 from slidectl.errors import Refused, UsageError
 from slidectl.physics import Diverged, EngineError
 from slidectl.simulation import Simulation
-from slidectl.simulation.compiled import cache, engine, object_file, runner
+from slidectl.simulation.compiled import engine, object_file, runner
 
 needs_numba = pytest.mark.skipif(not object_file.is_possible(), reason="numba is not installed")
 
@@ -314,7 +314,7 @@ def test_forces_from_outside_act_and_show_as_they_do_in_python() -> None:
 
 
 @needs_numba
-def test_an_emergency_stop_is_the_interpreters_affair() -> None:
+def test_the_interpreter_runs_a_robot_under_an_emergency_stop() -> None:
     plugin = "<eStopTopic>/stop</eStopTopic>"
 
     def scene(simulation: Simulation) -> None:
@@ -532,7 +532,7 @@ def test_code_that_is_no_code_leaves_the_interpreter(monkeypatch: pytest.MonkeyP
 
     monkeypatch.setattr(object_file, "load", broken)
     simulation = Simulation(engine="auto")
-    cache.write(object_file.place(), b"nonsense")
+    object_file.write(b"nonsense")
     simulation.step(3)
     assert str(simulation.engine) == "plain: the compiled code cannot be loaded: no such code"
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from slidectl.errors import BadName, UsageError
+from slidectl.errors import BadName, Refused, UsageError
 from slidectl.simulation.parameters import Parameters, UnknownParameter
 
 
@@ -176,3 +176,15 @@ def test_a_watcher_that_fails_keeps_nobody_from_hearing_of_it() -> None:
     with pytest.raises(RuntimeError, match="this one"):
         parameters.set("/x", 1)
     assert heard == [1]
+
+
+def test_all_parameters_together_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("slidectl.simulation.parameters.LARGEST", 1000)
+    parameters = Parameters()
+    for _ in range(5):  # what is replaced does not count
+        parameters.set("/text", "x" * 500)
+    with pytest.raises(Refused, match="larger than 1000 characters"):
+        parameters.set("/other", "x" * 500)
+    assert parameters.names() == ["/text"]
+    parameters.delete("/text")
+    parameters.set("/other", "x" * 500)

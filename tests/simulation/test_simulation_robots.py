@@ -117,13 +117,13 @@ def test_a_robot_that_cannot_be_leaves_nothing_behind(simulation: Simulation, br
     simulation.spawn(cart(), "cart")
 
 
-def test_a_failing_companion_takes_the_robot_back(simulation: Simulation) -> None:
+def test_a_failing_part_of_a_robot_takes_the_robot_back(simulation: Simulation) -> None:
     before = traces(simulation)
 
     def fail(_robot: Any) -> Any:
         raise Refused("not with me")
 
-    simulation.robots.companions.append(fail)
+    simulation.robots.on_spawn.append(fail)
     with pytest.raises(Refused, match="not with me"):
         simulation.spawn(cart(), "cart")
     assert traces(simulation) == before

@@ -6,9 +6,8 @@ from typing import Any
 
 import pytest
 
-from slidectl.simulation.clock import Clock, stamp
+from slidectl.simulation.clock import NEVER, Clock, Timers, stamp
 from slidectl.simulation.graph import Graph
-from slidectl.simulation.timers import NEVER, Timers
 
 MS = 1_000_000
 

@@ -117,7 +117,7 @@ def _definitions(root: str, text: str) -> dict[str, str]:
 
 
 def _schema(root: str, texts: Mapping[str, str]) -> Schema:
-    from slidectl.msgs.parsing import parse_message
+    from slidectl.msgs.definitions import parse_message
 
     definitions = {name: parse_message(text, name) for name, text in texts.items()}
     return Schema(root, {name: tuple(Field(*field) for field in d.fields) for name, d in definitions.items()})

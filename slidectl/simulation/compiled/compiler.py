@@ -22,7 +22,7 @@ import numpy as np
 from numba.extending import overload, register_jitable
 
 from slidectl.control.laws import LAWS, Columns
-from slidectl.simulation.compiled import cache, guard, kernel, object_file
+from slidectl.simulation.compiled import guard, kernel, object_file
 from slidectl.simulation.compiled.object_file import machine
 from slidectl.simulation.compiled.tables import ARRAYS, CYCLE_TABLES, FORMS, TABLES, Progress, form_table
 
@@ -146,8 +146,8 @@ def main() -> int:
             return 0
         turn.truncate(0)
         try:
-            cache.write(object_file.place(), compile_cycle())
-            cache.tidy()
+            object_file.write(compile_cycle())
+            object_file.tidy()
         except Exception:
             turn.write(traceback.format_exc())
             return 1

@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING
 
 from slidectl.errors import Refused, UsageError
 from slidectl.paths import with_package
-from slidectl.simulation.compiled import cache, object_file
+from slidectl.simulation.compiled import object_file
 from slidectl.simulation.graph import WORLD_NODE
 
 if TYPE_CHECKING:
     from slidectl.simulation.compiled.runner import CompiledRunner
     from slidectl.simulation.loop import Loop
 
-PLAIN, COMPILED, AUTO = ENGINES = ("plain", "compiled", "auto")
+ENGINES = ("plain", "compiled", "auto")
 WORTH_COMPILING = 10_000
 """Cycles in one go for which a simulation that nobody drives begins to compile."""
 
@@ -33,68 +33,59 @@ class Engine:
         """Raises UsageError: no such engine. Refused: `compiled` without numba."""
         if chosen not in ENGINES:
             raise UsageError(f"there is no engine {chosen!r}", f"choose one of: {', '.join(ENGINES)}")
-        if chosen == COMPILED and not object_file.is_possible():
-            raise Refused("the compiled engine needs numba", "install it: pip install 'slidectl[fast]'")
+        if chosen == "compiled":
+            _check_possible()
         self._loop = loop
         self._chosen = chosen
         self._compiling: subprocess.Popen[bytes] | None = None
         self._trouble = ""
         self._has_looked = False
         self.compiled: CompiledRunner | None = None
-        self.is_welcome = True
+        self.may_load = True
         """False while a driver has more urgent things to do than to wait for code to be loaded."""
-        self.is_settled = chosen == PLAIN or not object_file.is_possible()
+        self.is_settled = chosen == "plain" or not object_file.is_possible()
         """True when nothing will change any more."""
 
     def __str__(self) -> str:
         if self.compiled is not None:
-            return COMPILED
+            return "compiled"
         if self._trouble:
             return f"plain: {self._trouble}"
         if self.is_settled:
-            return PLAIN
+            return "plain"
         return f"{self._chosen}: {'plain so far' if self._compiling is None else 'compiling, plain meanwhile'}"
 
     def advance(self, cycles: int) -> None:
         """Before so many cycles: load the code if it is there, else see to it that somebody makes it."""
-        if not self.is_welcome:
-            return
+        is_worth_it = self._loop.driven or cycles >= WORTH_COMPILING
         ended = None if self._compiling is None else self._compiling.poll()
-        if self._is_too_short(cycles) if self._compiling is None else ended is None:
+        # A script that makes a few cycles looks for the code once: each look takes microseconds.
+        has_reason = (is_worth_it or not self._has_looked) if self._compiling is None else ended is not None
+        if not self.may_load or not has_reason:
             return
+        self._has_looked = True
         if object_file.is_there():
             self._load()
         elif ended is not None:
             self._give_up(_what_failed(ended))
-        elif cycles >= WORTH_COMPILING or self._loop.driven:
-            self._begin()
-
-    def _is_too_short(self, cycles: int) -> bool:
-        """True for a few cycles of a script, which has looked for the code once: each look takes microseconds."""
-        looked, self._has_looked = self._has_looked, True
-        return looked and cycles < WORTH_COMPILING and not self._loop.driven
-
-    def _begin(self) -> None:
-        try:
-            self._compiling = _begin_to_compile()
-        except Refused as refusal:
-            self._give_up(refusal.message)
+        elif is_worth_it:
+            try:
+                self._compiling = _begin_to_compile()
+            except Refused as refusal:
+                self._give_up(refusal.message)
 
     def complete(self) -> None:
         """Compile, if need be, and load, now. Raises Refused when that fails."""
-        if self.compiled is not None:
-            return
-        if not object_file.is_possible():
-            raise Refused("the compiled engine needs numba", "install it: pip install 'slidectl[fast]'")
-        for _ in range(2):  # what is there may turn out to be damaged
+        _check_possible()
+        self._trouble = ""
+        while self.compiled is None:
             if not object_file.is_there():
                 code = _begin_to_compile().wait()
                 if not object_file.is_there():
                     raise Refused(_what_failed(code))
-            self._load()
-            if self.compiled is not None:
-                return
-        raise Refused(self._trouble or "the compiled code has gone again")
+            self._load()  # removes what is damaged
+            if self._trouble:
+                raise Refused(self._trouble)
 
     def _load(self) -> None:
         from slidectl.simulation.compiled.runner import CompiledRunner
@@ -114,8 +105,13 @@ class Engine:
     def _give_up(self, trouble: str) -> None:
         self.is_settled = True
         self._trouble = trouble
-        level = "error" if self._chosen == COMPILED else "warn"
+        level = "error" if self._chosen == "compiled" else "warn"
         self._loop.graph.log(level, WORLD_NODE, f"cycles run in the interpreter: {trouble}")
+
+
+def _check_possible() -> None:
+    if not object_file.is_possible():
+        raise Refused("the compiled engine needs numba", "install it: pip install 'slidectl[fast]'")
 
 
 def _what_failed(code: int) -> str:
@@ -127,7 +123,7 @@ def _what_failed(code: int) -> str:
 def _begin_to_compile() -> subprocess.Popen[bytes]:
     """Raises Refused: no place for the result."""
     try:
-        cache.prepare()
+        object_file.prepare()
         report = object_file.report().open("a", encoding="utf-8")
     except OSError as error:
         raise Refused(f"there is no place for compiled code: {error}") from error

@@ -25,8 +25,7 @@ from slidectl.simulation.compiled.tables import (
     ROBOT_IN_PYTHON,
     STEP_IN_PYTHON,
 )
-from slidectl.simulation.cycle import begin_to_write, control_is_due
-from slidectl.simulation.runner import CHECK_EVERY
+from slidectl.simulation.cycle import CHECK_EVERY, begin_to_write, control_is_due
 
 Table = Any
 

@@ -1,6 +1,9 @@
-"""Where the machine code of the cycle is kept, and how it is brought into this process: LLVM alone, without numba.
+"""Where the machine code of the cycle is kept between runs, and how it is brought into this process: by LLVM, without
+numba.
 
-A file is good for one version of everything that it was made from; that is in its name.
+A file is good for one version of everything that it was made from; that is in its name. It is machine code, so only a
+whole file that nobody but the user could have written is taken: what a crash of the machine left of one would end the
+process without a word.
 """
 
 from __future__ import annotations
@@ -9,74 +12,134 @@ import ctypes
 import functools
 import hashlib
 import importlib.util
+import os
 import platform
+import stat
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import slidectl
-from slidectl.simulation.compiled import cache, guard
+from slidectl.simulation.compiled import guard
+from slidectl.writing import replace
 
+KEPT = 8
+"""Files that stay: those that were used last. Each version of anything that the code is made from has its own."""
+_SEAL_BYTES = 32
 _SOURCES = (
     "control",
     "physics/effort.py",
     "physics/drives.py",
     "physics/divergence.py",
     "simulation/cycle.py",
-    "simulation/runner.py",
     "simulation/compiled",
 )
 
 
+class NotOurs(PermissionError):
+    """A file or folder that somebody else could have written."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(f"{path} belongs to somebody else, or others may write to it; move it away or chmod go-w it")
+
+
 @functools.cache
-def compilers() -> tuple[str, ...]:
-    """The versions of numba and llvmlite; empty when one of them is not installed, or only in part."""
-    try:
-        return tuple(_version(name) for name in ("numba", "llvmlite"))
-    except ImportError:
-        return ()
-
-
-def _version(name: str) -> str:
-    """Raises ImportError. A mere folder of that name on the path is no library."""
-    found = importlib.util.find_spec(name)
-    if found is None or found.origin is None:
-        raise ImportError(name)
-    version: str | None = metadata.version(name)  # None for what is left of one that was half removed
-    if version is None:
-        raise ImportError(name)
-    return version
-
-
 def is_possible() -> bool:
     """True when numba is installed."""
-    return bool(compilers())
+    return bool(_compilers())
+
+
+@functools.cache
+def _compilers() -> tuple[str, ...]:
+    """The versions of numba and llvmlite; empty when one of them is not installed, or only in part."""
+    versions = []
+    for name in ("numba", "llvmlite"):
+        found = importlib.util.find_spec(name)
+        if found is None or found.origin is None:  # a mere folder of that name on the path is no library
+            return ()
+        try:
+            versions.append(metadata.version(name))
+        except metadata.PackageNotFoundError:
+            return ()
+    return tuple(versions) if all(versions) else ()  # no version: what is left of one that was half removed
+
+
+def folder() -> Path:
+    """Where the code is kept, below XDG_CACHE_HOME or ~/.cache."""
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    return Path(base if os.path.isabs(base) else os.path.expanduser("~/.cache")) / "slidectl"
 
 
 @functools.cache
 def place() -> Path:
     """The file of the code for this program on this machine, whether it is there or not."""
     made_from = hashlib.sha256()
-    for text in (sys.version, platform.machine(), *compilers()):
+    for text in (sys.version, platform.machine(), *_compilers()):
         made_from.update(text.encode())
     root = Path(slidectl.__file__).parent
     for source in _SOURCES:
         whole = root / source
         for file in [whole] if whole.is_file() else sorted(whole.rglob("*.py")):
             made_from.update(file.read_bytes())
-    return cache.folder() / f"cycle-{made_from.hexdigest()[:24]}.o"
-
-
-def is_there() -> bool:
-    """True when the code is compiled, and by nobody else."""
-    return cache.holds(place())
+    return folder() / f"cycle-{made_from.hexdigest()[:24]}.o"
 
 
 def report() -> Path:
     """The file in which a failed compilation says why; whoever compiles has it locked."""
-    return cache.folder() / "compiling.log"
+    return folder() / "compiling.log"
+
+
+def prepare() -> None:
+    """See to it that the folder is there. Raises OSError: it cannot be made; NotOurs."""
+    if not folder().is_absolute():
+        raise FileNotFoundError("there is no home folder, and XDG_CACHE_HOME names none")
+    folder().mkdir(mode=0o700, parents=True, exist_ok=True)
+    _check_ours(folder(), folder().stat())
+
+
+def is_there() -> bool:
+    """True when the code is compiled."""
+    return place().exists()
+
+
+def write(content: bytes) -> None:
+    """Put the code in its place, at once or not at all. Raises OSError, also when the folder has gone meanwhile."""
+    replace(place(), hashlib.sha256(content).digest() + content, 0o600)
+
+
+def tidy() -> None:
+    """Throw away what was not used for longest, and drafts of those who ended before they were done.
+
+    For whoever has the report locked; others may read meanwhile, and find a file gone.
+    """
+    for draft in folder().glob("*.o.*"):
+        draft.unlink(missing_ok=True)
+    by_use = sorted(folder().glob("*.o"), key=lambda path: path.stat().st_mtime, reverse=True)
+    for old in by_use[KEPT:]:
+        old.unlink(missing_ok=True)
+
+
+def _read() -> bytes:
+    """The code; it counts as used now. Raises OSError: not there, or damaged, which removes it; NotOurs."""
+    path = place()
+    with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC), "rb") as file:
+        _check_ours(path, os.fstat(file.fileno()))
+        _check_ours(path.parent, path.parent.stat())
+        with suppress(OSError):  # a file system that can only be read
+            os.utime(path)
+        seal, content = file.read(_SEAL_BYTES), file.read()
+    if seal != hashlib.sha256(content).digest():
+        path.unlink(missing_ok=True)
+        raise FileNotFoundError(path)
+    return content
+
+
+def _check_ours(path: Path, found: os.stat_result) -> None:
+    if found.st_uid != os.geteuid() or found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        raise NotOurs(path)
 
 
 def machine() -> Any:
@@ -104,7 +167,7 @@ def load() -> Cycle:
     import llvmlite.binding as llvm
 
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine())
-    engine.add_object_file(llvm.ObjectFileRef.from_data(cache.read(place())))
+    engine.add_object_file(llvm.ObjectFileRef.from_data(_read()))
     engine.finalize_object()
     addresses = [engine.get_function_address(name) for name in (guard.DOOR, guard.ERROR_TEXT)]
     if not all(addresses):

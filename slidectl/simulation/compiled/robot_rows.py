@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from functools import partial
 from struct import Struct
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from slidectl.control.controller_interface import Compiled, ControllerBase, Parts
+from slidectl.control.controller_interface import ControllerBase, Parts
 from slidectl.control.hardware_interface import JointStateHandle
 from slidectl.control.laws import Columns
 from slidectl.control.pid import Pid
@@ -31,7 +32,7 @@ from slidectl.simulation.compiled.tables import (
 )
 
 if TYPE_CHECKING:
-    from slidectl.simulation.assembly import SpawnedRobot
+    from slidectl.simulation.robots import SpawnedRobot
 
 Update = Callable[[int, float], None]
 
@@ -59,11 +60,12 @@ class RobotRows:
         """The controllers without a row, by the same position."""
         self._places = robot.body.joints
         self._tables = tables.content
-        self._living: list[Row] = []
-        """Rows of objects that may change while the robot is not loaded."""
-        self._changing: list[Row] = []
-        """Those in which laws change something."""
-        self._constant: list[Row] = []
+        self._fill: list[Callable[[], None]] = []
+        """Fill the rows of objects that may change while the robot is not loaded."""
+        self._give: list[Callable[[], None]] = []
+        """Give objects back what laws change."""
+        self._constant: list[Callable[[], None]] = []
+        """Fill the rows of what never changes."""
         self._handles: list[tuple[Any, int]] = []
         """Each handle with the offset of its row."""
         self._is_possible = self._reserve(tables)
@@ -84,8 +86,8 @@ class RobotRows:
 
     def load(self) -> None:
         """From now on the rows are the truth."""
-        for row in self._living:
-            row.fill()
+        for fill in self._fill:
+            fill()
         for publication in self.publications.values():
             publication.update_wanted()
         self.is_loaded = True
@@ -94,29 +96,30 @@ class RobotRows:
         """From now on the objects are the truth again. If a Ctrl-C comes in between it is done once more, whole."""
         if not self.is_loaded:
             return
-        for row in self._changing:
-            row.give()
+        for give in self._give:
+            give()
         self._mark_plain()
         self.is_loaded = False
 
     @property
     def count(self) -> int:
         """How many rows it has in all tables."""
-        return len(self._living) + len(self._constant)
+        return len(self._fill) + len(self._constant)
 
     def period_s(self) -> float:
         """The period of the controllers' present update."""
         found: float = _NUMBER.unpack_from(self._tables["robots"], self.number * ROBOT.size + _PERIOD_OFFSET)[0]
         return found
 
+    def _mark_plain(self) -> None:
+        """The machine code leaves the robot to the interpreter."""
+        _FLAG.pack_into(self._tables["robots"], self.number * ROBOT.size + _PLAIN_OFFSET, True)
+
     def show_joints(self) -> None:
         """Let the handles be as the rows are, for a controller that has no row."""
         joints = self._tables["joints"]
         for handle, offset in self._handles:
             _show(joints, offset, handle)
-
-    def _mark_plain(self) -> None:
-        _FLAG.pack_into(self._tables["robots"], self.number * ROBOT.size + _PLAIN_OFFSET, True)
 
     # -- making the rows -------------------------------------------------------------------------------------------
 
@@ -142,8 +145,8 @@ class RobotRows:
         counts = [tables.count(name) for name in RANGES]
         ranges = [part for start, end in zip(starts, counts, strict=True) for part in (start, end - start)]
         self._reserve_row(tables, "robots", self.parts.cycle, False, *ranges)
-        for row in self._constant:
-            row.fill()
+        for fill in self._constant:
+            fill()
         self._mark_plain()
         return is_possible
 
@@ -151,9 +154,8 @@ class RobotRows:
         """Row numbers by the identity of the handles."""
         places = {}
         for joint in self.parts.hardware.driven():
-            places[id(joint.handle)] = tables.count("joints")
-            self._handles.append((joint.handle, tables.count("joints") * JOINT.size))
-            self._reserve_row(tables, "joints", *joint)
+            places[id(joint.handle)] = row = self._reserve_row(tables, "joints", *joint)
+            self._handles.append((joint.handle, row * JOINT.size))
         return places
 
     def _reserve_controller(
@@ -161,7 +163,12 @@ class RobotRows:
     ) -> None:
         if compiled is None or any(id(handle) not in places for handle in compiled.parts.handles()):
             self._reserve_row(tables, "controllers", None, INTERPRETED, 0)
-            self.interpreted[position] = self._interpreted_update(position)
+            update = self.updates[position]
+            owner = getattr(update, "__self__", None)
+            claims = owner.claimed_resources if isinstance(owner, ControllerBase) else ()
+            names = {name for claim in claims for name in claim.resources}
+            claimed = [(handle, offset) for handle, offset in self._handles if handle.name in names]
+            self.interpreted[position] = InterpretedUpdate(self, update, self._tables["joints"], claimed)
             return
         controller, kind, parts = compiled
         own: list[float] = []
@@ -171,87 +178,59 @@ class RobotRows:
             own.append(places[id(parts.joint)])
         if parts.publisher is not None:
             own.append(False)
-        self._reserve_row(tables, "controllers", None, kind, tables.count(form_table(kind)))
-        row = self._reserve_row(tables, form_table(kind), controller, *own)
+        form = form_table(kind)
+        self._reserve_row(tables, "controllers", None, kind, tables.count(form))
+        row = self._reserve_row(tables, form, controller, *own)
         if parts.publisher is not None:
             shown = [(handle, places[id(handle)] * JOINT.size) for handle in parts.shown]
-            self.publications[position] = Publication(controller, parts.publisher, row, shown)
+            self.publications[position] = Publication(
+                controller, parts.publisher, tables.content[form], TABLES[form], row, shown
+            )
 
     def _reserve_pid(self, tables: Tables, pid: Pid | None) -> int:
         """Its row number; 0, which nobody looks at, without one."""
-        if pid is None:
-            return 0
-        number = tables.count("pids")
-        self._reserve_row(tables, "pids", pid)
-        return number
+        return 0 if pid is None else self._reserve_row(tables, "pids", pid)
 
-    def _interpreted_update(self, position: int) -> InterpretedUpdate:
-        update = self.updates[position]
-        owner = getattr(update, "__self__", None)
-        claims = owner.claimed_resources if isinstance(owner, ControllerBase) else ()
-        names = {name for claim in claims for name in claim.resources}
-        claimed = [(handle, offset) for handle, offset in self._handles if handle.name in names]
-        return InterpretedUpdate(self, update, self._tables["joints"], claimed)
-
-    def _reserve_row(self, tables: Tables, table: str, source: object, *places: float) -> Row:
-        columns = TABLES[table]
+    def _reserve_row(self, tables: Tables, table: str, source: object, *places: float) -> int:
+        """A row for an object; `places` are the columns that no attribute fills. Returns its number."""
+        columns, rows = TABLES[table], tables.content[table]
         number = self.number if table == "robots" else tables.add(table)
-        row = Row(tables.content[table], columns, number, source, places)
-        (self._constant if table in CONSTANT else self._living).append(row)
+        (self._constant if table in CONSTANT else self._fill).append(
+            partial(columns.fill, rows, number, source, *places)
+        )
         if columns.changing:
-            self._changing.append(row)
-        return row
-
-
-class Row:
-    """One object's row: `places` are the columns that no attribute fills."""
-
-    __slots__ = ("_columns", "_number", "_places", "_source", "table")
-
-    def __init__(
-        self, table: bytearray, columns: Columns, number: int, source: object, places: tuple[float, ...]
-    ) -> None:
-        self.table = table
-        self._columns = columns
-        self._number = number
-        self._source = source
-        self._places = places
-
-    @property
-    def end(self) -> int:
-        """Where the row ends in its table, bytes."""
-        return (self._number + 1) * self._columns.size
-
-    def fill(self) -> None:
-        """From the object, all columns."""
-        self._columns.fill(self.table, self._number, self._source, *self._places)
-
-    def give(self) -> None:
-        """To the object, what laws change."""
-        self._columns.give(self.table, self._number, self._source)
+            self._give.append(partial(columns.give, rows, number, source))
+        return number
 
 
 class Publication:
     """A compiled controller that publishes: its flag `wanted`, the last column, and what `publish` looks at."""
 
-    __slots__ = ("_flag", "_publisher", "_row", "_shown", "controller")
+    __slots__ = ("_flag", "_give", "_publisher", "_shown", "_table", "controller")
 
     def __init__(
-        self, controller: ControllerBase, publisher: Any, row: Row, shown: list[tuple[JointStateHandle, int]]
+        self,
+        controller: ControllerBase,
+        publisher: Any,
+        table: bytearray,
+        columns: Columns,
+        row: int,
+        shown: list[tuple[JointStateHandle, int]],
     ) -> None:
         self.controller = controller
         self._publisher = publisher
-        self._row = row
-        self._flag = row.end - _FLAG.size
+        self._table = table
+        self._give = partial(columns.give, table, row, controller)
+        self._flag = (row + 1) * columns.size - _FLAG.size
         self._shown = shown
 
     def update_wanted(self) -> None:
         """Put into the row whether somebody listens."""
-        _FLAG.pack_into(self._row.table, self._flag, self._publisher.wanted)
+        _FLAG.pack_into(self._table, self._flag, self._publisher.wanted)
 
     def show(self, joints: bytearray) -> None:
         """Let the controller and its joints' handles be as they are in the rows, as far as `publish` looks at them."""
-        self._row.give()
+        self._give()
         for handle, offset in self._shown:
             _show(joints, offset, handle)
 
@@ -302,15 +281,11 @@ def _compiled(update: Update) -> CompiledController | None:
     if not isinstance(controller, ControllerBase):
         return None
     owner: Any = next(cls for cls in type(controller).__mro__ if "update" in vars(cls))
-    if owner not in KINDS or _is_overridden(controller, owner, FORMS[owner]):
+    if owner not in KINDS:
+        return None
+    own_names = {"update", "publish", *FORMS[owner].columns.names}
+    heirs = itertools.takewhile(lambda cls: cls is not owner, type(controller).__mro__)
+    if not {"update", "publish"}.isdisjoint(vars(controller)) or any(own_names & vars(heir).keys() for heir in heirs):
         return None
     parts = controller.parts()
     return None if parts is None else CompiledController(controller, KINDS[owner], parts)
-
-
-def _is_overridden(controller: ControllerBase, owner: type[ControllerBase], form: Compiled) -> bool:
-    heirs = itertools.takewhile(lambda cls: cls is not owner, type(controller).__mro__)
-    methods = {"update", "publish"}
-    return not methods.isdisjoint(vars(controller)) or any(
-        not vars(heir).keys().isdisjoint({*methods, *form.columns.names}) for heir in heirs
-    )

@@ -17,13 +17,13 @@ from slidectl.simulation.compiled import tables as turns
 from slidectl.simulation.compiled.object_file import Cycle
 from slidectl.simulation.compiled.robot_rows import InterpretedUpdate, RobotRows
 from slidectl.simulation.compiled.tables import NEW_CYCLE, Progress, Tables
-from slidectl.simulation.runner import CHECK_EVERY
+from slidectl.simulation.cycle import CHECK_EVERY, Runner
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from slidectl.simulation.assembly import SpawnedRobot
     from slidectl.simulation.loop import Loop
+    from slidectl.simulation.robots import SpawnedRobot
 
 
 _FEW_ROWS = 1000
@@ -33,7 +33,7 @@ _FIRST_LOOK = 16
 """Cycles before the driver is asked for the first time whether there is enough."""
 
 
-class CompiledRunner:
+class CompiledRunner(Runner):
     """The cycles of a loop's robots, by `code`."""
 
     def __init__(self, loop: Loop, code: Cycle) -> None:
@@ -205,58 +205,43 @@ class CompiledRunner:
             some *= 2
 
     def _run_turns(self, end: int) -> None:
-        """Turn by turn, until all cycles are done or one of them is the last for now."""
+        """Call the machine code, and take the turns that it leaves to the interpreter, up to the last cycle for now."""
         progress, code, addresses = self._progress, self._code.run, self._addresses.buffer_info()[0]
-        graph, world = self._graph, self._world
-        clock, timers, topics, clock_publisher = graph.clock, graph.timers, graph.topics, graph.clock_topic.publisher
-        next_ns = -1
+        world, clock, timers, topics = self._world, self._graph.clock, self._graph.timers, self._graph.topics
         while True:
-            if end - progress.cycles == 1 and not clock_publisher.wanted:
-                progress.left = 1
-            elif timers.next_ns != next_ns or clock_publisher.wanted:
-                next_ns = timers.next_ns
-                self._allow(end)
+            self._allow(end)
             turn = code(addresses)
             clock.time_ns = progress.time_ns
-            if turn == turns.DONE or turn == turns.DIVERGED:
-                if progress.cycles >= end or self._is_last(end, turn):
-                    break
-                next_ns = -1
-                continue
-            self._take_turn(turn)
-            if world.step is not self._step:
-                self._look_outside()
-            if topics.changes != self._topic_changes:
-                self._look_for_listeners()
-            if turn == turns.STEP_IN_PYTHON and self._is_last(end, turn):
+            to_check = turn == turns.DIVERGED
+            if turn != turns.DONE and not to_check:
+                self._take_turn(turn)
+                if world.step is not self._step:  # somebody has begun to push from outside, or to watch the steps
+                    self._look_outside()
+                if topics.changes != self._topic_changes:
+                    self._look_for_listeners()
+                if turn != turns.STEP_IN_PYTHON:  # in the middle of a cycle
+                    continue
+                # The machine code looks for divergence when it makes the step itself.
+                to_check = progress.cycles % CHECK_EVERY == 0
+            if to_check or progress.cycles >= end or progress.time_ns >= timers.next_ns:
                 break
 
     def _allow(self, end: int) -> None:
-        """Say how many cycles may come before the interpreter must look again."""
-        progress = self._progress
-        progress.left = self._until_timer(end - progress.cycles)
-        if self._graph.clock_topic.publisher.wanted:
+        """Say how many cycles may come before the interpreter must look again: those up to `end`, and up to and with
+        the one after which a timer is due, but at least one. While /clock has listeners each cycle begins here."""
+        progress, graph = self._progress, self._graph
+        is_between_cycles = progress.robot == NEW_CYCLE
+        if graph.clock_topic.publisher.wanted:
             progress.left = 1
-            if progress.robot == NEW_CYCLE:
+            if is_between_cycles:
                 self._begin_cycle()
-
-    def _is_last(self, end: int, turn: int) -> bool:
-        """All done, or a timer is due; or the physics is to be looked at, which the machine code does when it steps."""
-        progress = self._progress
-        to_check = turn == turns.STEP_IN_PYTHON and progress.cycles % CHECK_EVERY == 0
-        is_timely = progress.time_ns >= self._graph.timers.next_ns
-        return is_timely or progress.cycles >= end or turn == turns.DIVERGED or to_check
-
-    def _until_timer(self, count: int) -> int:
-        """Cycles up to and with the one after which a timer is due: at most `count`, and at least one."""
-        progress = self._progress
-        until = -(-(self._graph.timers.next_ns - progress.time_ns) // progress.step_ns)
-        if progress.robot != NEW_CYCLE:
-            until += 1
-        return max(1, min(count, until))
+            return
+        until_timer = -(-(graph.timers.next_ns - progress.time_ns) // progress.step_ns)
+        if not is_between_cycles:  # the time is already that of the cycle that goes on
+            until_timer += 1
+        progress.left = max(1, min(end - progress.cycles, until_timer))
 
     def _begin_cycle(self) -> None:
-        """/clock has listeners: each cycle begins with it."""
         progress, clock = self._progress, self._graph.clock
         progress.time_ns += progress.step_ns
         clock.time_ns = progress.time_ns

@@ -72,25 +72,6 @@ NEW_CYCLE = -1
 class Progress(ctypes.Structure):
     """How far the cycles are: `robot` and `controller` have the next turn, in the cycle at `time_ns`."""
 
-    _fields_ = [
-        (name, ctypes.c_int64)
-        for name in (
-            "time_ns",
-            "step_ns",
-            "cycles",
-            "left",
-            "robot",
-            "controller",
-            "robots",
-            "positions",
-            "dofs",
-            "has_outside",
-            "step",
-            "model",
-            "data",
-            "error_hook",
-        )
-    ]
     time_ns: int
     step_ns: int
     cycles: int
@@ -107,6 +88,9 @@ class Progress(ctypes.Structure):
     data: int
     error_hook: int
     """Address of MuJoCo's variable `mju_user_error`, or 0."""
+
+
+Progress._fields_ = [(name, ctypes.c_int64) for name in Progress.__annotations__]
 
 
 class Tables:

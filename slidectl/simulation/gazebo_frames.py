@@ -2,12 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from slidectl.control.node_handle import Message
 from slidectl.physics.frames import add, compose, relative, rotate, subtract
 from slidectl.physics.observer import Twist
-from slidectl.physics.rotation import Pose, cross
+from slidectl.physics.rotation import ORIGIN, Pose, cross
 from slidectl.rotations import Vector, conjugate, normalized
-from slidectl.simulation.gazebo.entities import Frame
+
+STILL: Twist = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Where something is and how it moves, in the world."""
+
+    pose: Pose
+    twist: Twist = STILL
+
+
+WORLD = Frame(ORIGIN)
 
 
 def vector(message: Message) -> Vector:

@@ -1,0 +1,409 @@
+"""The services and topics of `/gazebo`, as gazebo_ros_api_plugin has them, on this world.
+
+All of them answer `success: false` with the reason where Gazebo does. A link or joint is named `model::link`, or
+without its model as long as only one robot has it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import wraps
+from typing import TYPE_CHECKING, Any, Literal
+
+from slidectl.control.node_handle import Message
+from slidectl.errors import AmbiguousName, Refused, SlidectlError, UnknownName, quoted
+from slidectl.physics import hulls
+from slidectl.physics.frames import add, compose, rotate, subtract
+from slidectl.physics.rotation import cross
+from slidectl.rotations import IDENTITY, Vector, from_rpy
+from slidectl.simulation.clock import SECOND, stamp
+from slidectl.simulation.gazebo_frames import (
+    STILL,
+    WORLD,
+    Frame,
+    into_world,
+    pose,
+    pose_message,
+    seen_from,
+    twist,
+    twist_message,
+    vector,
+    vector_message,
+)
+from slidectl.simulation.graph import WORLD_NODE
+from slidectl.simulation.pending import Pending
+from slidectl.simulation.robots import SpawnedRobot
+from slidectl.simulation.services import Handler
+from slidectl.simulation.topics import PeriodicTopic
+
+if TYPE_CHECKING:
+    from slidectl.simulation.simulation import Simulation
+
+Answer = tuple[str, Message]
+"""What was done, and the other fields of the response."""
+
+WORLD_FRAMES = ("", "world", "map", "/map", "/world")
+JOINT_TYPES = {"revolute": 0, "continuous": 1, "prismatic": 2, "fixed": 3, "floating": 4, "planar": 5}
+"""Of gazebo_msgs/GetJointProperties. Gazebo knows no floating joint, a ball is the nearest; nor a planar one: a
+universal."""
+SHORTEST_S = 1e-6
+LONGEST_S = 1.0
+"""Bounds of a time step, as at the daemon's start. With longer ones the clock soon leaves what a message can hold."""
+_MOST_TAGS = 100_000
+"""Opening and closing tags of a URDF: some thousand links. To read more than these holds up the world."""
+_EVERY_CYCLE_NS = 1
+
+
+class GazeboServices:
+    """The services that look at one simulation, or change it."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        """Advertises all of them."""
+        self._simulation = simulation
+        self._world = simulation.world
+        self._robots = simulation.robots
+        node = simulation.graph.node(WORLD_NODE)
+        answered: dict[str, tuple[str, Callable[[Message], Answer | Pending]]] = {
+            "spawn_urdf_model": ("SpawnModel", self._spawn),
+            "spawn_sdf_model": ("SpawnModel", self._refuse_sdf),
+            "delete_model": ("DeleteModel", self._delete),
+            "get_world_properties": ("GetWorldProperties", self._world_properties),
+            "get_model_properties": ("GetModelProperties", self._model_properties),
+            "get_model_state": ("GetModelState", self._model_state),
+            "set_model_state": ("SetModelState", lambda request: self._set_model_state(request["model_state"])),
+            "set_model_configuration": ("SetModelConfiguration", self._configure),
+            "get_link_state": ("GetLinkState", self._link_state),
+            "set_link_state": ("SetLinkState", lambda request: self._set_link_state(request["link_state"])),
+            "get_link_properties": ("GetLinkProperties", self._link_properties),
+            "get_joint_properties": ("GetJointProperties", self._joint_properties),
+            "apply_joint_effort": ("ApplyJointEffort", self._apply_effort),
+            "apply_body_wrench": ("ApplyBodyWrench", self._apply_wrench),
+            "get_physics_properties": ("GetPhysicsProperties", self._physics),
+            "set_physics_properties": ("SetPhysicsProperties", self._set_physics),
+        }
+        for name, (kind, handler) in answered.items():
+            node.advertise_service(name, f"gazebo_msgs/{kind}", _answering(handler))
+        for name, kind, action in (
+            ("clear_joint_forces", "gazebo_msgs/JointRequest", self._clear_joint),
+            ("clear_joint_efforts", "gazebo_msgs/JointRequest", self._clear_joint),
+            ("clear_body_wrenches", "gazebo_msgs/BodyRequest", self._clear_body),
+            ("pause_physics", "std_srvs/Empty", lambda _: simulation.pause()),
+            ("unpause_physics", "std_srvs/Empty", lambda _: simulation.resume()),
+            ("reset_simulation", "std_srvs/Empty", lambda _: simulation.reset_simulation()),
+            ("reset_world", "std_srvs/Empty", lambda _: simulation.reset_world()),
+        ):
+            node.advertise_service(name, kind, _acting(action))
+
+        def take_model_state(message: Message) -> None:
+            self._set_model_state(message)
+
+        node.subscribe("set_model_state", "gazebo_msgs/ModelState", take_model_state)
+        for topic, kind, build in (
+            ("model_states", "ModelStates", self._model_states),
+            ("link_states", "LinkStates", self._link_states),
+        ):
+            name = f"{WORLD_NODE}/{topic}"
+            PeriodicTopic(simulation.graph, name, f"gazebo_msgs/{kind}", WORLD_NODE, _EVERY_CYCLE_NS, build)
+
+    # Names of entities, and frames of reference
+
+    def _find(self, kind: Literal["link", "joint"], name: str) -> tuple[str, str]:
+        """Robot and link (or joint) that `name` means.
+
+        Raises:
+            UnknownName: there is none. AmbiguousName: several robots have one of that name.
+        """
+        known = [
+            f"{robot.name}::{part}"
+            for robot in self._robots
+            for part in (robot.paper.links if kind == "link" else robot.paper.joints)
+        ]
+        matches = [full for full in known if full == name or ("::" not in name and full.endswith(f"::{name}"))]
+        if not matches:
+            raise UnknownName(kind, name, known)
+        if len(matches) > 1:
+            raise AmbiguousName(kind, name, matches)
+        robot, _, part = matches[0].partition("::")
+        return robot, part
+
+    def _link_frame(self, robot: str, link: str) -> Frame:
+        return Frame(self._world.link_pose(robot, link), self._world.link_twist(robot, link))
+
+    def _model_frame(self, robot: str) -> Frame:
+        """Pose and twist of a robot: that of its root link. Raises UnknownName."""
+        return self._link_frame(robot, self._robots.get(robot).paper.root)
+
+    def _frame(self, name: str) -> Frame:
+        """A frame of reference: the world, a model, or a link. Raises UnknownName, AmbiguousName."""
+        if name in WORLD_FRAMES:
+            return WORLD
+        return self._model_frame(name) if name in self._robots else self._link_frame(*self._find("link", name))
+
+    # Spawning and deleting
+
+    def _spawn(self, request: Message) -> Answer | Pending:
+        """At once, or as soon as its meshes are read: a driver lets the world go on meanwhile."""
+        place = compose(self._frame(request["reference_frame"]).pose, pose(request["initial_pose"]))
+        tags = request["model_xml"].count("<")
+        if tags > _MOST_TAGS:
+            raise Refused(f"the URDF has {tags} tags, and {_MOST_TAGS} is the most")
+        read = self._robots.read(request["model_xml"], request["model_name"], request["robot_namespace"] or None)
+        meshes = hulls.sources(read.paper)
+        if not meshes:
+            return _spawned(self._robots.spawn_read(read, place, {}))
+
+        def go_on(hulls_read: Pending) -> Answer:
+            try:
+                return _spawned(self._robots.spawn_read(read, place, hulls_read.result()))
+            except SlidectlError:
+                raise
+            except Exception as error:  # nobody but the one who asked would hear of it
+                raise Refused(f"{read.name!r} cannot be spawned: {type(error).__name__}: {error}") from error
+
+        return self._simulation.read_meshes(meshes).converted(go_on)
+
+    def _refuse_sdf(self, request: Message) -> Answer:
+        name = quoted(request["model_name"])
+        raise Refused(f"{name} is SDF, and only URDF can be spawned", "describe the robot in URDF or xacro")
+
+    def _delete(self, request: Message) -> Answer:
+        self._simulation.delete(request["model_name"])
+        return f"deleted {request['model_name']!r}", {}
+
+    # The world and its models
+
+    def _world_properties(self, _: Message) -> Answer:
+        fields = {
+            "sim_time": self._simulation.graph.clock.seconds,
+            "model_names": self._robots.names(),
+            "rendering_enabled": False,
+        }
+        return "got the properties of the world", fields
+
+    def _model_properties(self, request: Message) -> Answer:
+        paper = self._robots.get(request["model_name"]).paper
+        shapes = [
+            shape.name or f"{link.name}_collision{f'_{index}' if index else ''}"
+            for link in paper.links.values()
+            for index, shape in enumerate(link.collisions)
+        ]
+        fields = {
+            "parent_model_name": "world",
+            "canonical_body_name": paper.root,
+            "body_names": list(paper.links),
+            "geom_names": shapes,
+            "joint_names": list(paper.joints),
+            "is_static": False,
+        }
+        return f"got the properties of {request['model_name']!r}", fields
+
+    def _model_state(self, request: Message) -> Answer:
+        viewer = self._frame(request["relative_entity_name"])
+        state = seen_from(self._model_frame(request["model_name"]), viewer)
+        frame_id = request["relative_entity_name"] or "world"
+        header = {"stamp": stamp(self._simulation.time_ns), "frame_id": frame_id}
+        fields = {"header": header, "pose": pose_message(state.pose), "twist": twist_message(state.twist)}
+        return f"got the state of {request['model_name']!r}", fields
+
+    def _set_model_state(self, state: Message) -> Answer:
+        """Put a robot's root where gazebo_msgs/ModelState says."""
+        name = state["model_name"]
+        robot = self._robots.get(name)
+        asked = Frame(pose(state["pose"]), twist(state["twist"]))
+        there = into_world(asked, self._frame(state["reference_frame"]))
+        if robot.paper.is_fixed_to_world and asked.twist != STILL:
+            raise Refused(f"{name!r} is fixed to the world and cannot have a twist", "leave the twist out")
+        self._world.set_pose(name, there.pose, there.twist)
+        return f"set the state of {name!r}", {}
+
+    def _configure(self, request: Message) -> Answer:
+        """All joints or none. A joint may be named with its model, as `model::joint`."""
+        names, positions = request["joint_names"], request["joint_positions"]
+        if len(names) != len(positions):
+            raise Refused(f"{len(names)} joint names but {len(positions)} positions")
+        robot = self._robots.get(request["model_name"])
+        asked = [(name.removeprefix(f"{robot.name}::"), at) for name, at in zip(names, positions, strict=True)]
+        for joint, position in asked:
+            self._check_position(robot, joint, position)
+        for joint, position in asked:
+            self._world.set_joint(robot.name, joint, position, 0.0)
+        return f"set {len(names)} joints of {robot.name!r}", {}
+
+    def _check_position(self, robot: SpawnedRobot, name: str, position: float) -> None:
+        known = self._world.body(robot.name).joints
+        if name not in known:
+            raise UnknownName("moving joint", name, list(known), f"on robot {robot.name!r}")
+        if not math.isfinite(position):
+            raise Refused(f"position of {name} must be a finite number, not {position}")
+        joint, limit = known[name].joint, known[name].joint.limit
+        if limit and joint.type in ("revolute", "prismatic") and not limit.lower <= position <= limit.upper:
+            raise Refused(f"{name} goes from {limit.lower:g} to {limit.upper:g}, not to {position:g}")
+
+    # Links and joints
+
+    def _link_state(self, request: Message) -> Answer:
+        robot, link = self._find("link", request["link_name"])
+        state = seen_from(self._link_frame(robot, link), self._frame(request["reference_frame"]))
+        message = {
+            "link_name": f"{robot}::{link}",
+            "pose": pose_message(state.pose),
+            "twist": twist_message(state.twist),
+            "reference_frame": request["reference_frame"] or "world",
+        }
+        return f"got the state of {robot}::{link}", {"link_state": message}
+
+    def _set_link_state(self, state: Message) -> Answer:
+        """A link in the middle of a robot hangs on its joints; only a root can be put somewhere."""
+        robot, link = self._find("link", state["link_name"])
+        root = self._robots.get(robot).paper.root
+        if link != root:
+            raise Refused(
+                f"{robot}::{link} hangs on a joint; only the root link {robot}::{root} can be put somewhere",
+                "move joints with /gazebo/set_model_configuration",
+            )
+        return self._set_model_state({**state, "model_name": robot})
+
+    def _link_properties(self, request: Message) -> Answer:
+        robot, name = self._find("link", request["link_name"])
+        link = self._robots.get(robot).paper.links[name]
+        fields: Message = {"gravity_mode": not link.surface.turn_gravity_off}
+        if link.inertial is not None:
+            inertial = link.inertial
+            fields["com"] = pose_message((inertial.origin.xyz, from_rpy(inertial.origin.rpy)))
+            fields["mass"] = inertial.mass
+            fields.update(zip(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), inertial.inertia, strict=True))
+        return f"got the properties of {robot}::{name}", fields
+
+    def _joint_properties(self, request: Message) -> Answer:
+        robot, name = self._find("joint", request["joint_name"])
+        joint = self._robots.get(robot).paper.joints[name]
+        fields: Message = {"type": JOINT_TYPES[joint.type]}
+        if name in self._world.body(robot).joints:
+            position, velocity, _ = self._world.joint_state(robot, name)
+            fields.update(damping=[joint.damping], position=[position], rate=[velocity])
+        return f"got the properties of {robot}::{name}", fields
+
+    # Forces from outside
+
+    def _apply_effort(self, request: Message) -> Answer:
+        robot, joint = self._find("joint", request["joint_name"])
+        self._world.add_joint_force(robot, joint, request["effort"], *self._span(request))
+        return f"effort on {robot}::{joint} set", {}
+
+    def _apply_wrench(self, request: Message) -> Answer:
+        robot, link = self._find("link", request["body_name"])
+        self._world.add_wrench(robot, link, *self._wrench(robot, link, request), *self._span(request))
+        return f"wrench on {robot}::{link} set", {}
+
+    def _wrench(self, robot: str, link: str, request: Message) -> tuple[Vector, Vector]:
+        """Force and torque on the centre of mass, in the world's axes.
+
+        In the world's frame the reference point is not used and the force acts at the centre of mass, as in
+        gazebo_ros_api_plugin; in the frame of a model or link it acts at the reference point.
+        """
+        force, torque = vector(request["wrench"]["force"]), vector(request["wrench"]["torque"])
+        if request["reference_frame"] in WORLD_FRAMES:
+            return force, torque
+        reference = self._frame(request["reference_frame"]).pose
+        force, torque = rotate(reference[1], force), rotate(reference[1], torque)
+        point = compose(reference, (vector(request["reference_point"]), IDENTITY))[0]
+        inertial = self._robots.get(robot).paper.links[link].inertial
+        local = inertial.origin.xyz if inertial else (0.0, 0.0, 0.0)
+        centre_of_mass = compose(self._world.link_pose(robot, link), (local, IDENTITY))[0]
+        return force, add(torque, cross(subtract(point, centre_of_mass), force))
+
+    def _span(self, request: Message) -> tuple[int, int]:
+        """Start and duration in ns; a start that has passed means now, a negative duration until it is cleared."""
+        start, duration = request["start_time"], request["duration"]
+        start_ns = start["secs"] * SECOND + start["nsecs"]
+        return max(start_ns, self._simulation.time_ns), duration["secs"] * SECOND + duration["nsecs"]
+
+    def _clear_joint(self, request: Message) -> None:
+        self._world.clear_joint_forces(*self._find("joint", request["joint_name"]))
+
+    def _clear_body(self, request: Message) -> None:
+        self._world.clear_wrenches(*self._find("link", request["body_name"]))
+
+    # How the world runs
+
+    def _physics(self, _: Message) -> Answer:
+        timestep, run = self._simulation.timestep_ns * 1e-9, self._simulation.run
+        fields: dict[str, Any] = {
+            "time_step": timestep,
+            "pause": run.paused,
+            "max_update_rate": 0.0 if math.isinf(run.speed) else run.speed / timestep,
+            "gravity": vector_message(self._world.gravity),
+        }
+        return "got the properties of the physics", fields
+
+    def _set_physics(self, request: Message) -> Answer:
+        """Time step (s), rate of cycles (1/s; 0 is as fast as possible), gravity; settings of ODE have no meaning."""
+        timestep, rate = request["time_step"], request["max_update_rate"]
+        if not SHORTEST_S <= timestep <= LONGEST_S:
+            raise Refused(f"time_step is between {SHORTEST_S:g} s and {LONGEST_S:g} s, not {timestep:g}")
+        if not (math.isfinite(rate) and rate >= 0):
+            raise Refused(f"max_update_rate must be 0 or more, not {rate:g}")
+        self._simulation.loop.between_cycles("set the properties of the physics")  # all or nothing
+        self._world.set_gravity(vector(request["gravity"]))
+        self._simulation.set_timestep(timestep)
+        self._simulation.set_speed(rate * timestep)
+        ignored = any(request["ode_config"].values())
+        return "physics properties set" + ("; ode_config has no effect on MuJoCo" if ignored else ""), {}
+
+    # Topics: every cycle, but only while somebody listens
+
+    def _model_states(self) -> Message:
+        return _states({name: self._model_frame(name) for name in self._robots.names()})
+
+    def _link_states(self) -> Message:
+        links = [(robot.name, link) for robot in self._robots for link in robot.paper.links if link != "world"]
+        return _states({f"{robot}::{link}": self._link_frame(robot, link) for robot, link in links})
+
+
+def _answering(handler: Callable[[Message], Answer | Pending]) -> Handler:
+    """The handler with its answer, or its error, in the shape of Gazebo's responses."""
+
+    @wraps(handler)
+    def answer(request: Message) -> Message | Pending:
+        try:
+            given = handler(request)
+        except SlidectlError as error:
+            return _failure(error)
+        if not isinstance(given, Pending):
+            return _success(given)
+        return given.converted(lambda done: _failure(done.error) if done.error else _success(done.result()))
+
+    return answer
+
+
+def _acting(action: Callable[[Message], None]) -> Handler:
+    """The handler of a service with an empty response."""
+
+    def act(request: Message) -> Message:
+        action(request)
+        return {}
+
+    return act
+
+
+def _success(answer: Answer) -> Message:
+    text, fields = answer
+    return {**fields, "success": True, "status_message": text}
+
+
+def _failure(error: SlidectlError) -> Message:
+    return {"success": False, "status_message": str(error)}
+
+
+def _spawned(robot: SpawnedRobot) -> Answer:
+    lines = [f"spawned {robot.name!r} in the namespace {robot.namespace}", *robot.warnings]
+    return "\n".join(lines), {}
+
+
+def _states(frames: dict[str, Frame]) -> Message:
+    return {
+        "name": list(frames),
+        "pose": [pose_message(frame.pose) for frame in frames.values()],
+        "twist": [twist_message(frame.twist) for frame in frames.values()],
+    }
