@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from itertools import product
 
 from slidectl.check.findings import Findings
-from slidectl.check.stand_ins import STAND_IN
 from slidectl.description.inertia import DENSEST, densest_ball, principal_moments
 from slidectl.description.robot import (
     Box,
@@ -45,7 +44,7 @@ def tell(robot: Robot, findings: Findings) -> None:
     """Findings on every link with an inertia, and on meshes that cannot be read."""
     for link in robot.links.values():
         corners = list(_corners(link, findings))
-        if link.inertial is not None and link.inertial.line != STAND_IN and not link.inertial.mended:
+        if link.inertial is not None and not link.inertial.mended:
             _Body(link, link.inertial, corners, findings).tell()
 
 

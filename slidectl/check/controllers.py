@@ -14,8 +14,7 @@ from slidectl import names
 from slidectl.check import gains, hardware
 from slidectl.check.declared import Declared
 from slidectl.check.findings import Findings
-from slidectl.check.joints import driven_joints
-from slidectl.check.model import Model
+from slidectl.check.model import Model, driven_joints
 from slidectl.check.parameter_file import ParameterFile, shown
 from slidectl.control import registry
 from slidectl.control.controller_interface import ControllerBase

@@ -10,8 +10,7 @@ from typing import Any
 
 from slidectl.check import gains
 from slidectl.check.declared import Declared
-from slidectl.check.joints import driven_joints
-from slidectl.check.model import Model
+from slidectl.check.model import Model, driven_joints
 from slidectl.check.parameter_file import ParameterFile
 from slidectl.control.hardware_interface import EffortJointInterface
 from slidectl.control.limits import LIMITS

@@ -136,29 +136,30 @@ class Weigher:
             BadFile: numbers so large that their sums are none; or, when it is strict, anything to be mended.
         """
         for body in rigid_bodies(root, self.joints):
-            if not can_be_simulated(body, self.links):
-                unfit = list(self._unfit(body))
-                if self.strict and unfit:
-                    raise unfit[0].place.error(f"link {unfit[0].link!r} {unfit[0].why}")
-                if not body.moves:
-                    self._leave_out(unfit)
-                elif (written := self._lumped(body)) is not None:
-                    self._mend(body, written, unfit)
-                else:
-                    self._give_least(body)
-            elif len(body.links) > 1 and (whole := self._lumped(body)) is not None:
-                self._refuse_too_large(body, whole)
+            self.report.attempt(self._weigh, self.link_at[body.head], body)
         return self.links
+
+    def _weigh(self, _: Element, body: RigidBody) -> bool:
+        if not can_be_simulated(body, self.links):
+            unfit = list(self._unfit(body))
+            if self.strict and unfit:
+                raise unfit[0].place.error(f"link {unfit[0].link!r} {unfit[0].why}")
+            if not body.moves:
+                for found in unfit:
+                    found.tell(self.report, "it is fixed to the world, where nothing has a weight")
+                    self.links[found.link] = replace(self.links[found.link], inertial=None)
+            elif (written := self._lumped(body)) is not None:
+                self._mend(body, written, unfit)
+            else:
+                self._give_least(body)
+        elif len(body.links) > 1 and (whole := self._lumped(body)) is not None:
+            self._refuse_too_large(body, whole)
+        return True
 
     def _refuse_too_large(self, body: RigidBody, whole: Inertial) -> None:
         """Raises BadFile when links that are each possible come to a body that no arithmetic can turn and shift."""
         if not all(abs(part) <= LARGEST for part in (whole.mass, *whole.inertia, *whole.origin.xyz)):
             raise self.link_at[body.head].error(f"link {body.head!r}: its masses or inertias are too large")
-
-    def _leave_out(self, unfit: Sequence[_Unfit]) -> None:
-        for found in unfit:
-            found.tell(self.report, "it is fixed to the world, where nothing has a weight")
-            self.links[found.link] = replace(self.links[found.link], inertial=None)
 
     def _mend(self, body: RigidBody, written: Inertial, unfit: Sequence[_Unfit]) -> None:
         mass, moments = inertia.nearest_possible(written.mass, written.inertia)

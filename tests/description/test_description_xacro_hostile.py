@@ -11,7 +11,7 @@ from xml.sax.saxutils import quoteattr
 import pytest
 import yaml
 
-from slidectl.description import bounds, load
+from slidectl.description import load, xacro_adapter
 from slidectl.errors import BadFile
 
 Write = Callable[[str, str], Path]
@@ -218,7 +218,7 @@ def test_texts_that_double_in_each_property_come_to_an_end(write: Write) -> None
 
 
 def test_macros_that_make_much_of_little_are_out_of_memory(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bounds, "MOST_MEMORY", 1 << 26)
+    monkeypatch.setattr(xacro_adapter, "MOST_MEMORY", 1 << 26)
     large = f'<y z="{"x" * 1_000_000}${{1}}"/>'
     insert = '<xacro:insert_block name="b{0}"/>'
     blocks = "".join(f'<xacro:property name="b{n}">{insert.format(n - 1) * 2}</xacro:property>' for n in range(1, 40))
