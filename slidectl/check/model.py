@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from slidectl import description
@@ -62,7 +63,11 @@ class Model:
 
     robot: Robot
     namespace: str
-    file: str
+
+    @cached_property
+    def driven(self) -> dict[str, str]:
+        """The joints that simulated hardware drives, with the name of the interface that each takes commands by."""
+        return driven_joints(self.robot)
 
 
 def check(
@@ -139,7 +144,7 @@ def check_text(
         findings.add("used", root.title, text, root.file, root.line)
         return None
     joints.tell(findings)
-    model = Model(robot, _namespace(robot, root, findings), file)
+    model = Model(robot, _namespace(robot, root, findings))
     _tell_whole(robot, root, model.namespace, findings)
     bodies.tell(robot, findings)
     if ask_others:
@@ -185,7 +190,6 @@ def _tell_unused(written: Written, findings: Findings) -> None:
 
 
 def driven_joints(robot: Robot) -> dict[str, str]:
-    """The joints that simulated hardware drives, with the name of the interface that each takes commands by."""
     joints = (transmission.joints[0] for transmission in driving(robot.transmissions))
     return {joint.name: interface_name(joint.hardware_interfaces[0]) for joint in joints}
 
