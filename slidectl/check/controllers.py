@@ -69,10 +69,10 @@ def known_types() -> list[tuple[str, str]]:
     return [(name, registry.BASE_CLASS) for name in registry.types()]
 
 
-def check(path: str | Path, model: Model | None, findings: Findings, text: bytes | None = None) -> None:
+def check(path: str | Path, model: Model | None, findings: Findings, text: bytes | None = None) -> bool:
     """Add what there is to say of a file of controllers, as `slidectl spawn --controllers` would load it for `model`.
 
-    `text` is its content, when that came from elsewhere.
+    `text` is its content, when that came from elsewhere. Returns whether a controller of a known type is in it.
 
     Raises:
         BadFile: there is no such file.
@@ -86,7 +86,7 @@ def check(path: str | Path, model: Model | None, findings: Findings, text: bytes
         places = {name: (str(path), line) for name, line in yaml_tree.places(text, str(path)).items()}
     except BadFile as error:
         findings.fail("parameters", error)
-        return
+        return False
     findings.extend(notices)
     source = ParameterFile(str(path), places, findings)
     checker = ControllerCheck(source, [model] if model is not None else [])
@@ -102,6 +102,7 @@ def check(path: str | Path, model: Model | None, findings: Findings, text: bytes
         elif checker.moved:
             source.namespace = model.namespace
     checker.check(tree)
+    return bool(checker.claims)
 
 
 def unknown(tree: Mapping[str, Any], source: ParameterFile) -> list[Notice]:

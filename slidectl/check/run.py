@@ -71,9 +71,8 @@ def check(
     if text is None and (path := models.shipped().get(source)) is not None:
         read = shown(path)  # the shortest path that leads there
     robot = model.check(read, arguments, packages, findings, ask_others, title, strict)
-    findings.is_drivable = robot is not None
-    for file in parameter_files:
-        controllers.check(file, robot, findings)
+    usable = [controllers.check(file, robot, findings) for file in parameter_files]
+    findings.is_drivable = robot is not None and (any(usable) or not usable)
     findings.tell_missing()
     return findings
 

@@ -226,7 +226,7 @@ class _LinkReader:
         """Report a shape without a size, or refuse it."""
         if self.strict:
             raise element.error(f"{owner}: {why}")
-        self.report.ignored(element, f"{why}; the shape is left out", f"{owner}/{element.title}")
+        self.report.converted(element, f"{why}; the shape is left out", f"{owner}/{element.title}")
 
     def _geometry(self, element: Element, owner: str, *, needed: bool) -> Geometry | None:
         shapes = [child for child in element.children if child.tag in _GEOMETRIES]

@@ -24,7 +24,6 @@ LARGEST = 1e300
 """kg, kg·m² and m. Sums and products of what a whole body weighs stay finite up to here."""
 
 _MOMENTS = "ixx ixy ixz iyy iyz izz"
-_NOTHING: Tensor = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)

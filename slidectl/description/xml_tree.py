@@ -194,12 +194,8 @@ class _Reader:
             self.note = source_note.decode(data)
 
     def entity(self, name: str, *_: object) -> None:
-        raise BadFile(
-            f"declares the XML entity {name!r}: entities are refused",
-            self.file,
-            self.line,
-            "write its text in its place",
-        )
+        text = f"declares the XML entity {name!r}: entities are refused"
+        raise BadFile(text, self.file, self.line, "write its text in its place")
 
     def skipped(self, name: str, _: bool) -> None:
         raise BadFile(f"uses the unknown XML entity {name!r}", self.file, self.line, "write its text in its place")
