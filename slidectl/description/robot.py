@@ -14,7 +14,6 @@ from slidectl import names
 
 Vector = tuple[float, float, float]
 JointType = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]
-Severity = Literal["info", "warning", "error"]
 Verdict = Literal["used", "converted", "ignored", "wrong"]
 
 

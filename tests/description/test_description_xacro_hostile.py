@@ -126,8 +126,14 @@ def refused(write: Write, text: str) -> BadFile:
     return caught.value
 
 
-@pytest.mark.parametrize("form", ["${%s}", "${[%s for i in [0]]}", "$(eval %s)"])
-@pytest.mark.parametrize("expression", ESCAPES)
+@pytest.mark.parametrize(
+    ("form", "expression"),
+    [
+        *(("${%s}", expression) for expression in ESCAPES),
+        *(("${[%s for i in [0]]}", expression) for expression in ESCAPES[::4]),
+        *(("$(eval %s)", expression) for expression in ESCAPES[::4]),
+    ],
+)
 def test_an_expression_runs_no_code(
     write: Write, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, expression: str, form: str
 ) -> None:
