@@ -60,7 +60,9 @@ class _Scene:
         faces: list[NDArray[np.int32]] = []
         vertex_count = face_count = 0
         for geometry, placed in self._instances():
-            surface = self._surface(geometry)
+            surface = self.surfaces.get(id(geometry))
+            if surface is None:
+                surface = self.surfaces[id(geometry)] = self._read_surface(geometry)
             if not len(surface.faces):
                 continue
             face_count += len(surface.faces)
@@ -138,12 +140,6 @@ class _Scene:
             raise BadMesh(f"cannot read the mesh: {where} in line {element.line} names nothing in the file", self.path)
         return found
 
-    def _surface(self, geometry: Element) -> Triangles:
-        known = self.surfaces.get(id(geometry))
-        if known is None:
-            known = self.surfaces[id(geometry)] = self._read_surface(geometry)
-        return known
-
     def _read_surface(self, geometry: Element) -> Triangles:
         mesh = _child(geometry, "mesh")
         vertices: list[NDArray[np.float64]] = []
@@ -157,7 +153,10 @@ class _Scene:
                     starts[id(source)] = total
                     vertices.append(self._points(source))
                     total += len(vertices[-1])
-                    self._count_points(len(vertices[-1]))
+                    # Many geometries may share one long list of points, and each would have a copy of it.
+                    self.points_read += len(vertices[-1])
+                    if self.points_read > 3 * MOST_FACES:
+                        raise BadMesh(f"the mesh has more than {3 * MOST_FACES} vertices", self.path)
                 stride = 1 + max(int(entry.get("offset") or 0) for entry in inputs)
                 corners = _corners(primitive, offset, stride)
                 if len(corners) and not 0 <= corners.min() <= corners.max() < total - starts[id(source)]:
@@ -168,12 +167,6 @@ class _Scene:
             return Triangles(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
         every = np.concatenate(faces).astype(np.int32)
         return used(np.concatenate(vertices), every, self.path) if len(every) else Triangles(np.zeros((0, 3)), every)
-
-    def _count_points(self, count: int) -> None:
-        """Many geometries may share one long list of points, and each would have a copy of it."""
-        self.points_read += count
-        if self.points_read > 3 * MOST_FACES:
-            raise BadMesh(f"the mesh has more than {3 * MOST_FACES} vertices", self.path)
 
     def _positions(self, primitive: Element, inputs: list[Element]) -> tuple[Element, int]:
         """The source of the positions of a primitive's corners, and where their indices are among those of a corner."""

@@ -107,8 +107,10 @@ def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = 
     # A position joint goes to its command, which is bounded by the limits, in the first steps.
     moved = {info.joints[0].name for info in driving(transmissions) if takes_positions(info.joints[0])}
     for joint in joints.values():
-        if joint.name not in moved:
-            _tell_start(joint, joint_at[joint.name], report)
+        limit = joint.limit if joint.type in _WITH_RANGE and joint.name not in moved else None
+        if limit is not None and limit.lower != limit.upper and not limit.lower <= 0 <= limit.upper:
+            text = f"{STARTS_OUTSIDE} {limit.lower:g} to {limit.upper:g}"
+            report.wrong(joint_at[joint.name].find("limit") or joint_at[joint.name], text, place_of_limit(joint.name))
     named = ([part.get("name") or "" for part in root.find_all(tag)] for tag in ("link", "joint"))
     gazebo = GazeboReader(report, *map(dict.fromkeys, named))
     for element in root.find_all("gazebo"):
@@ -142,14 +144,6 @@ def _named(
 def place_of_limit(joint: str) -> str:
     """The subject of notices on a joint's range."""
     return f"joint {joint!r}/<limit>"
-
-
-def _tell_start(joint: Joint, element: Element, report: Report) -> None:
-    limit = joint.limit
-    if limit is None or joint.type not in _WITH_RANGE or limit.lower == limit.upper or limit.lower <= 0 <= limit.upper:
-        return
-    text = f"{STARTS_OUTSIDE} {limit.lower:g} to {limit.upper:g}"
-    report.wrong(element.find("limit") or element, text, place_of_limit(joint.name))
 
 
 def _origin(report: Report, element: Element, owner: str) -> Pose:

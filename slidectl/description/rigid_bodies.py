@@ -7,7 +7,7 @@ What a body can weigh is inertia.py's; joints between bodies are structure.py's.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from slidectl.description import inertia
@@ -56,7 +56,8 @@ def lumped(parts: Sequence[tuple[Inertial, Matrix, Vector]]) -> Inertial:
     if mass < LEAST:
         centre, about = (0.0, 0.0, 0.0), [part.tensor for part in made]
     else:
-        centre = _vector(sum(part.mass * part.centre[i] for part in made) / mass for i in range(3))
+        x, y, z = (sum(part.mass * part.centre[i] for part in made) / mass for i in range(3))
+        centre = (x, y, z)
         about = [part.about(centre) for part in made]
     ixx, ixy, ixz, iyy, iyz, izz = (sum(values) for values in zip(*about, strict=True))
     return Inertial(Pose(centre), mass, (ixx, ixy, ixz, iyy, iyz, izz), parts[0][0].line)
@@ -68,16 +69,14 @@ def rigid_bodies(root: str, joints: Mapping[str, Joint]) -> list[RigidBody]:
     for joint in joints.values():
         if joint.type == "fixed":
             welded.setdefault(joint.parent, []).append(joint.child)
+    bodies = []
     movers = (joint for joint in joints.values() if joint.type != "fixed")
-    heads = [(root, None), *((joint.child, joint) for joint in movers)]
-    return [RigidBody(_held(head, welded), mover) for head, mover in heads]
-
-
-def _held(head: str, welded: Mapping[str, list[str]]) -> tuple[str, ...]:
-    links = [head]
-    for link in links:
-        links.extend(welded.get(link, ()))
-    return tuple(links)
+    for head, mover in [(root, None), *((joint.child, joint) for joint in movers)]:
+        links = [head]
+        for link in links:  # it grows on the way
+            links.extend(welded.get(link, ()))
+        bodies.append(RigidBody(tuple(links), mover))
+    return bodies
 
 
 def why_unfit(inertial: Inertial) -> str | None:
@@ -289,8 +288,3 @@ def _product(a: Matrix, b: Matrix) -> Matrix:
 def _transposed(rows: Matrix) -> Matrix:
     x, y, z = zip(*rows, strict=True)
     return x, y, z
-
-
-def _vector(values: Iterable[float]) -> Vector:
-    x, y, z = values
-    return (x, y, z)
