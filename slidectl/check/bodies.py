@@ -11,22 +11,10 @@ from collections.abc import Iterator
 from itertools import product
 
 from slidectl.check.findings import Findings
-from slidectl.check.stand_ins import STAND_IN
 from slidectl.description.inertia import DENSEST, densest_ball, principal_moments
-from slidectl.description.robot import (
-    Box,
-    Cylinder,
-    Inertial,
-    Link,
-    Mesh,
-    Pose,
-    Robot,
-    Shape,
-    Sphere,
-    Vector,
-    Verdict,
-)
+from slidectl.description.robot import Box, Cylinder, Inertial, Link, Mesh, Robot, Shape, Vector, Verdict
 from slidectl.errors import BadFile
+from slidectl.rotations import from_rpy, matrix
 
 _SLACK = 1.001
 # Sensors of next to no weight are often given more inertia than they can have, for the solver's sake; this is a slip.
@@ -45,7 +33,7 @@ def tell(robot: Robot, findings: Findings) -> None:
     """Findings on every link with an inertia, and on meshes that cannot be read."""
     for link in robot.links.values():
         corners = list(_corners(link, findings))
-        if link.inertial is not None and link.inertial.line != STAND_IN and not link.inertial.mended:
+        if link.inertial is not None and not link.inertial.mended:
             _Body(link, link.inertial, corners, findings).tell()
 
 
@@ -65,14 +53,13 @@ class _Body:
         least = densest_ball(self.mass)
         if self.largest * _SLACK < least:
             text = f"moments of at most {self.largest:.3g} kg·m²: no matter is so dense that {self.mass:g} kg have less"
-            self._add("wrong", f"{text} than {least:.3g}")
+            self._add(f"{text} than {least:.3g}", is_wrong=True)
         if self.corners:
             self._tell_moments()
-            self._tell_density()
-            self._tell_centre()
+            self._tell_density_and_centre()
         elif (reach := math.sqrt(self.largest / self.mass)) > _FAR:
             text = f"{self.mass:g} kg with moments of {self.largest:.3g} kg·m² lie {reach:.3g} m away from their centre"
-            self._add("used", f"note: {text}")
+            self._add(text)
 
     def _tell_moments(self) -> None:
         reach = max(math.dist(self.inertial.origin.xyz, corner) for corner in self.corners)
@@ -82,38 +69,29 @@ class _Body:
         if times > _SLACK:
             text = f"{self.mass:g} kg within its shapes have moments of at most {most:.3g} kg·m²"
             text = f"{text}; the largest here is {self.largest:.3g}, {times:.3g} times as much"
-            self._remark(text, times > _SLIP)
+            self._add(text, is_wrong=times > _SLIP)
 
-    def _tell_density(self) -> None:
-        """Masses in grams, and slips of the decimal point."""
-        volume = math.prod(high - low for low, high in _box_around(self.corners))
+    def _tell_density_and_centre(self) -> None:
+        """Masses in grams, slips of the decimal point, and centres of mass outside of the box around all shapes."""
+        box = [(min(values), max(values)) for values in zip(*self.corners, strict=True)]
+        volume = math.prod(high - low for low, high in box)
         density = self.mass / volume if 0.0 < volume < math.inf else DENSEST
         if density > DENSEST:
             text = f"{self.mass:g} kg in at most {volume:.3g} m³ are {density / DENSEST:.3g} times as dense as osmium"
-            self._remark(text, density > _SLIP * DENSEST)
+            self._add(text, is_wrong=density > _SLIP * DENSEST)
         elif 0.0 < density < _THINNEST:
-            text = f"{self.mass:g} kg in {volume:.3g} m³ are {AIR / density:.3g} times as thin as air"
-            self._add("used", f"note: {text}")
-
-    def _tell_centre(self) -> None:
-        bounds = _box_around(self.corners)
-        slack = 0.1 * math.dist(*zip(*bounds, strict=True))
+            self._add(f"{self.mass:g} kg in {volume:.3g} m³ are {AIR / density:.3g} times as thin as air")
+        slack = 0.1 * math.dist(*zip(*box, strict=True))
         centre = self.inertial.origin.xyz
-        if not all(low - slack <= value <= high + slack for value, (low, high) in zip(centre, bounds, strict=True)):
+        if not all(low - slack <= value <= high + slack for value, (low, high) in zip(centre, box, strict=True)):
             x, y, z = centre
-            self._add("used", f"note: the centre of mass, {x:g} {y:g} {z:g}, lies outside of its shapes")
+            self._add(f"the centre of mass, {x:g} {y:g} {z:g}, lies outside of its shapes")
 
-    def _remark(self, text: str, is_wrong: bool) -> None:
-        self._add("wrong" if is_wrong else "used", text if is_wrong else f"note: {text}")
-
-    def _add(self, verdict: Verdict, text: str) -> None:
+    def _add(self, text: str, is_wrong: bool = False) -> None:
         line = self.inertial.line if self.inertial.line is not None else self.link.line
+        verdict: Verdict = "wrong" if is_wrong else "used"
+        text = text if is_wrong else f"note: {text}"
         self.findings.add(verdict, f"link {self.link.name!r}/<inertial>", text, self.link.file or "", line)
-
-
-def _box_around(corners: list[Vector]) -> list[tuple[float, float]]:
-    """The bounds of the axis-aligned box around the corners, one pair an axis."""
-    return [(min(values), max(values)) for values in zip(*corners, strict=True)]
 
 
 def _corners(link: Link, findings: Findings) -> Iterator[Vector]:
@@ -121,8 +99,13 @@ def _corners(link: Link, findings: Findings) -> Iterator[Vector]:
     for shape in (*link.visuals, *link.collisions):
         bounds = _bounds(link, shape, findings)
         if bounds is not None:
+            turn = matrix(from_rpy(shape.origin.rpy))
             for corner in product(*zip(*bounds, strict=True)):
-                yield _placed(shape.origin, (corner[0], corner[1], corner[2]))
+                x, y, z = (
+                    shift + sum(a * b for a, b in zip(row, corner, strict=True))
+                    for shift, row in zip(shape.origin.xyz, turn, strict=True)
+                )
+                yield x, y, z
 
 
 def _bounds(link: Link, shape: Shape, findings: Findings) -> Bounds | None:
@@ -131,11 +114,9 @@ def _bounds(link: Link, shape: Shape, findings: Findings) -> Bounds | None:
         return _mesh_bounds(link, shape, geometry, findings)
     if isinstance(geometry, Box):
         x, y, z = geometry.size
-    elif isinstance(geometry, Cylinder):
-        x, y, z = 2 * geometry.radius, 2 * geometry.radius, geometry.length
     else:
-        assert isinstance(geometry, Sphere)
         x = y = z = 2 * geometry.radius
+        z = geometry.length if isinstance(geometry, Cylinder) else z
     return (-x / 2, -y / 2, -z / 2), (x / 2, y / 2, z / 2)
 
 
@@ -160,13 +141,3 @@ def _mesh_bounds(link: Link, shape: Shape, mesh: Mesh, findings: Findings) -> Bo
         findings.add("converted", subject, text, shape.file or "", shape.line)
     low, high = triangles.vertices.min(axis=0), triangles.vertices.max(axis=0)
     return (float(low[0]), float(low[1]), float(low[2])), (float(high[0]), float(high[1]), float(high[2]))
-
-
-def _placed(pose: Pose, point: Vector) -> Vector:
-    """A point of a shape in the link's frame: fixed-axis roll, pitch, yaw, then the shift."""
-    roll, pitch, yaw = pose.rpy
-    x, y, z = point
-    y, z = y * math.cos(roll) - z * math.sin(roll), y * math.sin(roll) + z * math.cos(roll)
-    x, z = x * math.cos(pitch) + z * math.sin(pitch), -x * math.sin(pitch) + z * math.cos(pitch)
-    x, y = x * math.cos(yaw) - y * math.sin(yaw), x * math.sin(yaw) + y * math.cos(yaw)
-    return pose.xyz[0] + x, pose.xyz[1] + y, pose.xyz[2] + z

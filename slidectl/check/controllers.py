@@ -1,34 +1,42 @@
 """Checks files of controllers: each parameter against what its controller says that it reads, and against the robot.
 
-Knows parameters from the controllers themselves, through the registry. Nothing is loaded.
+Knows parameters from the controllers themselves, through the registry, and those of the simulated hardware
+(`joint_limits/<joint>` and `gazebo_ros_control/pid_gains/<joint>`) from what it declares. Nothing is loaded.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite, isnan
 from pathlib import Path
 from typing import Any
 
 from slidectl import names
-from slidectl.check import gains, hardware
-from slidectl.check.declared import Declared
 from slidectl.check.findings import Findings
-from slidectl.check.joints import driven_joints
 from slidectl.check.model import Model
-from slidectl.check.parameter_file import ParameterFile, shown
 from slidectl.control import registry
 from slidectl.control.controller_interface import ControllerBase
-from slidectl.control.hardware_interface import JointStateInterface, ResourceManager
-from slidectl.control.params import Parameter
+from slidectl.control.hardware_interface import EffortJointInterface, JointStateInterface, ResourceManager
+from slidectl.control.limits import LIMITS
+from slidectl.control.params import LIST, Parameter, as_boolean, as_number, described
+from slidectl.control.reconfigurable_pid import GAINS
 from slidectl.description.controllers_file import retarget
 from slidectl.description.models import read_file
-from slidectl.description.robot import Notice
-from slidectl.errors import BadFile, closest, listing
+from slidectl.description.robot import Notice, Robot, Verdict
+from slidectl.errors import BadFile, NotThere, closest, listing
 
 Tree = dict[str, Any]
+Judgement = tuple[str, Verdict, str]
+"""The name of a gain or a limit, and what is to be said of it."""
+Reader = Callable[[str], str | None]
+"""Who, other than controllers and hardware, reads the parameter of that full name; None: nobody."""
 
 _UNSPACED = re.compile(r"^\w+:\S")
+_INDEX = re.compile(r"\[\d+\]")
+_ANY = "<joint>"
+_LONGEST = 60
 # MoveIt's planners have a `type`, too.
 _PLANNERS = "planner_configs"
 # What is read by others than controllers, wherever it is.
@@ -36,15 +44,24 @@ _OTHERS = {
     "robot_description": "the robot, for whoever draws or plans",
     "use_sim_time": "time is always simulated here",
 }
-
+_HARDWARE = ("joint_limits", "gazebo_ros_control")
+_GAINS = "pid_gains"
+# How findings on names that nobody knows begin.
 _UNKNOWN = "is unknown to the controller and has no effect"
-
-Reader = Callable[[str], str | None]
-"""Who, other than controllers and hardware, reads the parameter of that full name; None: nobody."""
-
-
-def _nobody(_: str) -> None:
-    return None
+_UNKNOWN_TO_HARDWARE = "simulated hardware does not read it"
+# Flags of joint limits, and the values that each lets count.
+_FLAGS = {
+    "has_position_limits": ("min_position", "max_position"),
+    "has_velocity_limits": ("max_velocity",),
+    "has_acceleration_limits": ("max_acceleration",),
+    "has_jerk_limits": ("max_jerk",),
+    "has_effort_limits": ("max_effort",),
+    "has_soft_limits": ("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity"),
+}
+_UNREAD = {
+    "has_jerk_limits": "simulated hardware bounds no jerk",
+    "has_soft_limits": "simulated hardware takes soft limits from <safety_controller> only",
+}
 
 
 def known_types() -> list[tuple[str, str]]:
@@ -52,10 +69,10 @@ def known_types() -> list[tuple[str, str]]:
     return [(name, registry.BASE_CLASS) for name in registry.types()]
 
 
-def check(path: str | Path, model: Model | None, findings: Findings, text: bytes | None = None) -> None:
+def check(path: str | Path, model: Model | None, findings: Findings, text: bytes | None = None) -> bool:
     """Add what there is to say of a file of controllers, as `slidectl spawn --controllers` would load it for `model`.
 
-    `text` is its content, when that came from elsewhere.
+    `text` is its content, when that came from elsewhere. Returns whether a controller of a known type is in it.
 
     Raises:
         BadFile: there is no such file.
@@ -69,26 +86,23 @@ def check(path: str | Path, model: Model | None, findings: Findings, text: bytes
         places = {name: (str(path), line) for name, line in yaml_tree.places(text, str(path)).items()}
     except BadFile as error:
         findings.fail("parameters", error)
-        return
+        return False
     findings.extend(notices)
     source = ParameterFile(str(path), places, findings)
     checker = ControllerCheck(source, [model] if model is not None else [])
     if model is not None:
-        _tell_namespace(source, tree, model, checker)
+        # A single other namespace is moved to the robot's when it is spawned.
+        placed, remark = retarget(tree, model.namespace)
+        checker.moved = placed is not tree
+        top = f"/{next(iter(tree), '')}"
+        if remark is not None and placed is tree:
+            source.add("wrong", top, f"{remark}; nothing there finds the robot, whose plugin says {model.namespace}")
+        elif remark is not None:
+            source.add("converted", top, f"{remark} by slidectl; rosparam load would leave them, and nothing find them")
+        elif checker.moved:
+            source.namespace = model.namespace
     checker.check(tree)
-
-
-def _tell_namespace(source: ParameterFile, tree: Tree, model: Model, checker: ControllerCheck) -> None:
-    """Whether the file is for the robot's namespace; a single other one is moved there when the robot is spawned."""
-    placed, remark = retarget(tree, model.namespace)
-    top = f"/{next(iter(tree), '')}"
-    if remark is not None and placed is tree:
-        source.add("wrong", top, f"{remark}; nothing there finds the robot, whose plugin says {model.namespace}")
-    elif remark is not None:
-        source.add("converted", top, f"{remark} by slidectl; rosparam load would leave them, and nothing find them")
-    elif placed is not tree:
-        source.namespace = model.namespace
-    checker.moved = placed is not tree
+    return bool(checker.claims)
 
 
 def unknown(tree: Mapping[str, Any], source: ParameterFile) -> list[Notice]:
@@ -97,25 +111,182 @@ def unknown(tree: Mapping[str, Any], source: ParameterFile) -> list[Notice]:
     For those who load parameters: a name with a slip is told at once, as a check tells it.
     """
     ControllerCheck(source, []).check(tree)
-    return [notice for notice in source.findings.sorted() if notice.text.startswith((_UNKNOWN, hardware.UNKNOWN))]
+    return [notice for notice in source.findings.sorted() if notice.text.startswith((_UNKNOWN, _UNKNOWN_TO_HARDWARE))]
+
+
+# --- the file ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class ParameterFile:
+    """Where the parameters of a tree were written; `namespace` is where the root of the tree is loaded.
+
+    A tree comes from one file most often; `file` is that, or the first of several.
+    """
+
+    file: str
+    places: Mapping[str, tuple[str, int | None]]
+    """File and line by the path in the tree, as `/slider/c/pid/p` or `/slider/c/extra_joints[0]/name`."""
+    findings: Findings
+    namespace: str = "/"
+
+    def place(self, path: str) -> tuple[str, int | None]:
+        """Of a path in the tree, or of the nearest one above it, or of the first below it."""
+        above = path
+        while above:
+            if above in self.places:
+                return self.places[above]
+            above = above[: max(above.rfind("/"), above.rfind("["), 0)]
+        below = (place for name, place in self.places.items() if name.startswith(f"{path}/"))
+        return next(below, (self.file, 1))
+
+    def full(self, path: str) -> str:
+        """The parameter's name once it is loaded."""
+        return names.join(self.namespace, path.strip("/")) if path.strip("/") else self.namespace
+
+    def add(self, verdict: Verdict, path: str, text: str) -> None:
+        """A finding on a path."""
+        self.findings.add(verdict, self.full(path), text, *self.place(path))
+
+    def absent(self, path: str, message: str, hint: str, thing: str) -> None:
+        """A finding on a path that names what is not there: wrong, or left out like all else that is not there."""
+        if self.findings.missing.keeps_going:
+            file, line = self.place(path)
+            error = NotThere(f"{self.full(path)}: {message}", file, line, hint, thing)
+            self.findings.missing.note(error, "it is left out")
+        else:
+            self.add("wrong", path, f"{message} {hint}")
+
+    def unread(self, path: str, text: str, value: Any) -> None:
+        """A finding on a parameter that nobody reads, with all that is below it."""
+        below = f" (nor has what is below it: {', '.join(map(str, value))})" if isinstance(value, Mapping) else ""
+        self.add("ignored", path, text + below)
+
+    def value(self, path: str, value: Any, declared: Declared, name: str, unknown: str) -> None:
+        """A finding on a value that has nothing about it but its name and its type."""
+        parameter = declared.find(name)
+        if parameter is None:
+            near = closest("/".join(_parts(name)), declared.names)
+            hint = f"did you mean {near!r}?" if near else f"it knows {listing(declared.names)}"
+            self.unread(path, f"{unknown}; {hint}", value)
+        elif parameter.kind.convert(value) is not None:
+            self.add("used", path, f"{_shown(value)}{parameter.unit and ' '}{parameter.unit}; {parameter.meaning}")
+        else:
+            loss = "it is required" if parameter.required else "it counts as not set"
+            if parameter.default is not None and not parameter.required:
+                loss += f": {_shown(parameter.default)}"
+            loss = "its entry is skipped" if "[]/" in parameter.name else loss
+            self.add("wrong", path, f"must be {parameter.kind.words}, not {described(value)}; {loss}")
+
+
+def _shown(value: Any) -> str:
+    """A value as YAML would have it, cut when it is long."""
+    if isinstance(value, bool):
+        text = "true" if value else "false"
+    elif isinstance(value, Mapping):
+        text = "{" + ", ".join(f"{key}: {_shown(item)}" for key, item in value.items()) + "}"
+    elif isinstance(value, list):
+        text = "[" + ", ".join(map(_shown, value)) + "]"
+    else:
+        text = str(value)
+    return text if len(text) <= _LONGEST else text[:_LONGEST] + " ..."
+
+
+# --- what is declared -------------------------------------------------------------------------------------------------
+
+
+class Declared:
+    """The parameters of one controller, or of one place that hardware reads.
+
+    `extra_joints[2]/name` in a file is the declared `extra_joints[]/name`, and any name may stand for `<joint>`.
+    """
+
+    def __init__(self, parameters: Iterable[Parameter]) -> None:
+        self.all = tuple(parameters)
+        self.names = [parameter.name for parameter in self.all]
+        self._patterns = [(parameter.name.split("/"), parameter) for parameter in self.all]
+
+    def find(self, name: str) -> Parameter | None:
+        """The parameter of that name."""
+        parts = _parts(name)
+        return next((parameter for pattern, parameter in self._patterns if _fits(pattern, parts)), None)
+
+    def has_below(self, name: str) -> bool:
+        """Whether some parameter lies below that name."""
+        parts = _parts(name)
+        return any(len(pattern) > len(parts) and _fits(pattern[: len(parts)], parts) for pattern, _ in self._patterns)
+
+    def is_list(self, name: str, value: Any) -> bool:
+        """Whether a value is a list, of mappings, as is declared for that name."""
+        parameter = self.find(name)
+        return parameter is not None and parameter.kind is LIST and isinstance(value, list)
+
+    def leaves(self, tree: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
+        """The values in a tree, as deep as parameters are declared; what is unknown stays whole."""
+        for key, value in tree.items():
+            name = f"{above}{key}"
+            if isinstance(value, Mapping) and self.has_below(name):
+                yield from self.leaves(value, f"{name}/")
+                continue
+            yield name, value
+            for index, entry in enumerate(value) if self.is_list(name, value) else ():
+                if isinstance(entry, Mapping):
+                    yield from self.leaves(entry, f"{name}[{index}]/")
+
+    def missing(self, tree: Mapping[str, Any]) -> Iterator[tuple[str, Parameter]]:
+        """The required ones that a tree lacks, by the name that they would have; in optional parts that exist only."""
+        given = dict(self.leaves(tree))
+        for parameter in self.all:
+            if parameter.required:
+                yield from ((name, parameter) for name in _expected(parameter.name, tree) if name not in given)
+
+
+def _parts(name: str) -> list[str]:
+    return _INDEX.sub("[]", name).split("/")
+
+
+def _fits(pattern: list[str], parts: list[str]) -> bool:
+    return len(pattern) == len(parts) and all(want in (_ANY, part) for want, part in zip(pattern, parts, strict=True))
+
+
+def _expected(name: str, tree: Mapping[str, Any]) -> Iterator[str]:
+    """Where a required parameter is expected: once, or in each entry of its list, or below each name that is there."""
+    sign = next((sign for sign in ("[]/", f"{_ANY}/") if sign in name), None)
+    if sign is None:
+        yield name
+        return
+    above, _, below = name.partition(sign)
+    branch: Any = tree
+    for part in above.strip("/").split("/"):
+        branch = branch.get(part) if isinstance(branch, Mapping) else None
+    if sign == "[]/" and isinstance(branch, list):
+        yield from (f"{above}[{index}]/{below}" for index, entry in enumerate(branch) if isinstance(entry, Mapping))
+    elif isinstance(branch, Mapping):
+        yield from (f"{above}{key}/{below}" for key, value in branch.items() if isinstance(value, Mapping))
+
+
+# --- the tree ---------------------------------------------------------------------------------------------------------
 
 
 class ControllerCheck:
-    """One tree of parameters, and the robots that may be meant in it."""
+    """One tree of parameters, and the robots that may be meant in it.
+
+    Args:
+        reader: which node reads a parameter that no controller reads.
+        hint: what was meant by one that nobody reads, or nothing.
+    """
 
     def __init__(
         self,
         source: ParameterFile,
         models: Sequence[Model],
-        reader: Reader = _nobody,
+        reader: Reader = lambda _: None,
         hint: Callable[[str], str] = lambda _: "",
     ) -> None:
         self.source = source
         self.models = models
         self.reader = reader
-        """Which node reads a parameter that no controller reads."""
         self.hint = hint
-        """What was meant by one that nobody reads, or nothing."""
         self.moved = False
         """True: whatever the file says, it is for the first robot."""
         self.found: dict[str, str] = {}
@@ -124,44 +295,35 @@ class ControllerCheck:
         """The joints that each controller of a known type has for itself while it runs."""
 
     def check(self, tree: Mapping[str, Any], path: str = "") -> None:
-        """Go through a mapping: controllers, what hardware reads, namespaces with more of them, and strays."""
+        """Go through a mapping: controllers, what hardware reads, namespaces with more of them, and all else."""
         if not tree and not path:
             self.source.add("used", "/", "note: the file holds no parameters")
         for key, value in tree.items():
             below = f"{path}/{key}"
             if key == _PLANNERS:
-                self.source.unknown(below, "MoveIt's planners; nobody reads them here", value)
-            elif isinstance(value, Mapping) and _is_controller(value):
+                self.source.unread(below, "MoveIt's planners; nobody reads them here", value)
+            elif isinstance(value, Mapping) and isinstance(value.get("type"), str):
                 self._controller(below, value)
-            elif isinstance(value, Mapping) and key in hardware.PLACES:
+            elif isinstance(value, Mapping) and key in _HARDWARE:
                 self._hardware(key, below, value)
-            elif key == hardware.GAINS_PLACE:
+            elif key == _GAINS:
                 text = "no controller reads it; simulated hardware looks for gazebo_ros_control/pid_gains"
-                self.source.unknown(below, text, value)
+                self.source.unread(below, text, value)
             elif isinstance(value, Mapping) and value:
                 self._namespace(below, value)
             elif reason := _OTHERS.get(key) or self.reader(self.source.full(below)):
                 self.source.add("used", below, reason)
             elif isinstance(value, str) and _UNSPACED.search(value):
-                text = f"{shown(value)!r} is one text: a blank follows each colon between a name and its value"
+                text = f"{_shown(value)!r} is one text: a blank follows each colon between a name and its value"
                 self.source.add("wrong", below, text)
             else:
                 hint = self.hint(self.source.full(below))
                 text = "no controller reads it, nor does the simulated hardware" + (f"; {hint}" if hint else "")
-                self.source.unknown(below, text, value)
-
-    def _hardware(self, place: str, path: str, tree: Mapping[str, Any]) -> None:
-        """What simulated hardware reads, if there is any in this namespace."""
-        model = self._model(path)
-        if model is None and self.models:
-            homes = listing({names.join(model.namespace, place) for model in self.models})
-            self.source.unknown(path, f"no robot lives here; simulated hardware reads {homes}", tree)
-        else:
-            hardware.check(self.source, place, path, tree, model)
+                self.source.unread(below, text, value)
 
     def _namespace(self, path: str, tree: Mapping[str, Any]) -> None:
-        if candidates := _likely_types(tree):
-            text = f"has no 'type' and cannot be loaded as a controller; its parameters are those of {candidates[0]}"
+        if likely := _likely_type(tree):
+            text = f"has no 'type' and cannot be loaded as a controller; its parameters are those of {likely}"
             self.source.add("wrong", path, text)
             return
         if path.endswith("/ros__parameters"):
@@ -178,6 +340,58 @@ class ControllerCheck:
         around = [model for model in self.models if names.is_under(full, model.namespace)]
         return max(around, key=lambda model: len(model.namespace), default=None)
 
+    # --- simulated hardware -------------------------------------------------------------------------------------------
+
+    def _hardware(self, place: str, path: str, tree: Mapping[str, Any]) -> None:
+        """What simulated hardware reads, if there is any in this namespace."""
+        model = self._model(path)
+        if model is None and self.models:
+            homes = listing({names.join(model.namespace, place) for model in self.models})
+            self.source.unread(path, f"no robot lives here; simulated hardware reads {homes}", tree)
+        elif place == "joint_limits":
+            self._joints(path, tree, Declared(LIMITS), model)
+        else:
+            for key, value in tree.items():
+                if key == _GAINS and isinstance(value, Mapping):
+                    self._joints(f"{path}/{key}", value, Declared(GAINS), model, are_gains=True)
+                else:
+                    self.source.unread(f"{path}/{key}", _UNKNOWN_TO_HARDWARE, value)
+
+    def _joints(
+        self, path: str, tree: Mapping[str, Any], declared: Declared, model: Model | None, are_gains: bool = False
+    ) -> None:
+        """A mapping from joints to their parameters."""
+        for joint, values in tree.items():
+            below = f"{path}/{joint}"
+            absence = _absence(model.robot, joint) if model is not None else None
+            driven = model.driven.get(joint) if model is not None else None
+            if absence:
+                self.source.add("wrong", below, absence)
+            elif model is not None and not driven:
+                text = f"no transmission drives joint {joint!r}, so simulated hardware does not read it"
+                self.source.add("ignored", below, text)
+            elif are_gains and driven == EffortJointInterface.__name__:
+                text = f"joint {joint!r} takes efforts, for which simulated hardware needs no PID"
+                self.source.add("ignored", below, text)
+            elif isinstance(values, Mapping):
+                self._joint(below, values, declared, are_gains)
+            else:
+                self.source.add("wrong", below, "must hold the parameters of a joint")
+
+    def _joint(self, path: str, values: Mapping[str, Any], declared: Declared, are_gains: bool) -> None:
+        judge = judge_gains if are_gains else _judge_limits
+        judged = {name: (verdict, text) for name, verdict, text in judge(values)}
+        for name, value in values.items():
+            if name in judged:
+                self.source.add(judged[name][0], f"{path}/{name}", judged[name][1])
+            else:
+                self.source.value(f"{path}/{name}", value, declared, name, _UNKNOWN_TO_HARDWARE)
+        for name, parameter in declared.missing(values):
+            text = f"is missing: {parameter.kind.words}, {parameter.meaning}; without it the joint has no PID"
+            self.source.add("wrong", f"{path}/{name}", text)
+
+    # --- controllers --------------------------------------------------------------------------------------------------
+
     def _controller(self, path: str, tree: Mapping[str, Any]) -> None:
         type_name = str(tree["type"])
         self.found[self.source.full(path)] = type_name
@@ -187,109 +401,78 @@ class ControllerCheck:
             self.source.absent(f"{path}/type", error.message, error.hint or "", f"controller type {type_name}")
             for name, value in tree.items():
                 if name != "type":
-                    self.source.unknown(f"{path}/{name}", "has no effect, as the controller's type is unknown", value)
+                    self.source.unread(f"{path}/{name}", "has no effect, as the controller's type is unknown", value)
             return
-        self.source.add(
-            "used",
-            f"{path}/type",
-            f"{type_name}; on {' and '.join(i.type_name for i in _interfaces(cls)) or 'no interface'}",
-        )
-        parameters = _Parameters(self.source, path, cls, self._model(path))
-        parameters.check(tree)
-        self.claims[self.source.full(path)] = parameters.claims(tree)
-
-
-class _Parameters:
-    """The parameters of one controller of a known type."""
-
-    def __init__(self, source: ParameterFile, path: str, cls: type[ControllerBase], model: Model | None) -> None:
-        self.source = source
-        self.path = path
-        self.cls = cls
-        self.declared = Declared(cls.parameters)
-        self.robot = model.robot if model is not None else None
-        self.driven = driven_joints(model.robot) if model is not None else {}
-
-    def check(self, tree: Mapping[str, Any]) -> None:
-        values = {name: value for name, value in self.declared.leaves(tree) if name != "type"}
-        said = self._judge_gains(values)
-        for name, value in values.items():
-            if name not in said:
-                self._value(name, value)
-        for name, parameter in self.declared.missing(tree):
-            loss = "its entry is skipped" if "[]/" in parameter.name else "the controller cannot be loaded"
-            text = f"is missing: {parameter.kind.words}, {parameter.meaning}; {loss}"
-            self.source.add("wrong", f"{self.path}/{name}", text)
-
-    def claims(self, tree: Mapping[str, Any]) -> set[str]:
-        """The joints that nobody else may command while the controller runs."""
-        if not any(interface.claims for interface in _interfaces(self.cls)):
-            return set()
-        found: set[str] = set()
-        for name, value in self.declared.leaves(tree):
-            parameter = self.declared.find(name)
-            named = parameter.kind.convert(value) if parameter is not None and parameter.names_joints else None
-            found.update([named] if isinstance(named, str) else named or ())
-        return found
-
-    def _judge_gains(self, values: Mapping[str, Any]) -> set[str]:
-        """Findings on gains without effect; the names that need no others."""
+        kinds = " and ".join(interface.type_name for interface in _interfaces(cls))
+        self.source.add("used", f"{path}/type", f"{type_name}; on {kinds or 'no interface'}")
+        declared = Declared(cls.parameters)
+        values = {name: value for name, value in declared.leaves(tree) if name != "type"}
         said: set[str] = set()
-        spaces = dict.fromkeys(name.rpartition("/")[0] for name in values)
-        for space in spaces:
+        for space in dict.fromkeys(name.rpartition("/")[0] for name in values):
             prefix = f"{space}/" if space else ""
-            if self.declared.find(f"{prefix}i_clamp") is None:
+            if declared.find(f"{prefix}i_clamp") is None:
                 continue
             own = {name.removeprefix(prefix): value for name, value in values.items() if name.startswith(prefix)}
-            for name, verdict, text in gains.judge(own):
-                self.source.add(verdict, f"{self.path}/{prefix}{name}", text)
+            for name, verdict, text in judge_gains(own):
+                self.source.add(verdict, f"{path}/{prefix}{name}", text)
                 said.add(prefix + name)
-        return said
+        model = self._model(path)
+        for name, value in values.items():
+            if name not in said:
+                self._value(f"{path}/{name}", name, value, declared, cls, model)
+        for name, parameter in declared.missing(tree):
+            loss = "its entry is skipped" if "[]/" in parameter.name else "the controller cannot be loaded"
+            text = f"is missing: {parameter.kind.words}, {parameter.meaning}; {loss}"
+            self.source.add("wrong", f"{path}/{name}", text)
+        claiming = any(interface.claims for interface in _interfaces(cls))
+        joints = (_joints_in(declared.find(name), value) for name, value in values.items() if claiming)
+        self.claims[self.source.full(path)] = {joint for some in joints for joint in some}
 
-    def _value(self, name: str, value: Any) -> None:
-        path = f"{self.path}/{name}"
-        parameter = self.declared.find(name)
-        if parameter is None:
-            near = self.declared.closest(name)
-            hint = f"did you mean {near!r}?" if near else f"it knows {listing(self.declared.names())}"
-            self.source.unknown(path, f"{_UNKNOWN}; {hint}", value)
-            return
-        trouble = self._joint_trouble(parameter, value)
-        number = parameter.kind.convert(value) if parameter.unless_positive else None
+    def _value(
+        self, path: str, name: str, value: Any, declared: Declared, cls: type[ControllerBase], model: Model | None
+    ) -> None:
+        parameter = declared.find(name)
+        joints = _joints_in(parameter, value) if model is not None else []
+        troubles = (_trouble(model, joint, cls) for joint in joints) if model is not None else iter(())
+        trouble = next(filter(None, troubles), None)
+        number = parameter.kind.convert(value) if parameter is not None and parameter.unless_positive else None
         if trouble:
             self.source.add("wrong", path, trouble)
-        elif number is not None and not number > 0:
+        elif parameter is not None and number is not None and not number > 0:
             self.source.add("ignored", path, f"{value} is not above 0: {parameter.unless_positive}")
         else:
-            self.source.value(path, value, parameter)
-            for index in self.declared.strays(name, value):
-                self.source.add("wrong", f"{path}[{index}]", "must be a mapping; it is skipped")
+            self.source.value(path, value, declared, name, _UNKNOWN)
+            if declared.is_list(name, value) and declared.has_below(f"{name}[0]"):
+                for index, entry in enumerate(value):
+                    if not isinstance(entry, Mapping):
+                        self.source.add("wrong", f"{path}[{index}]", "must be a mapping; it is skipped")
 
-    def _joint_trouble(self, parameter: Parameter, value: Any) -> str | None:
-        """Why the robot has not what a parameter names; None without a robot, or when it has."""
-        named = parameter.kind.convert(value) if parameter.names_joints else None
-        if self.robot is None or named is None:
-            return None
-        troubles = (self._trouble_with(joint) for joint in ([named] if isinstance(named, str) else named))
-        return next((trouble for trouble in troubles if trouble), None)
 
-    def _trouble_with(self, joint: str) -> str | None:
-        assert self.robot is not None
-        if joint not in self.robot.joints:
-            near = closest(joint, self.robot.joints)
-            hint = f"did you mean {near!r}? " if near else ""
-            return f"the robot has no joint {joint!r}; {hint}joints: {listing(self.robot.joints)}"
-        if joint not in self.driven:
-            return f"no transmission drives joint {joint!r}, so controllers do not know it"
-        wanted = {interface.type_name.rpartition("::")[2] for interface in _interfaces(self.cls)}
-        offered = self.driven[joint]
-        if wanted and not wanted & {offered, JointStateInterface.__name__}:
-            return f"the transmission of joint {joint!r} offers {offered}, the controller needs {' or '.join(wanted)}"
+def _joints_in(parameter: Parameter | None, value: Any) -> list[str]:
+    """The joints that the value of a parameter names."""
+    named = parameter.kind.convert(value) if parameter is not None and parameter.names_joints else None
+    return [named] if isinstance(named, str) else list(named or ())
+
+
+def _absence(robot: Robot, joint: str) -> str | None:
+    if joint in robot.joints:
         return None
+    near = closest(joint, robot.joints)
+    hint = f"did you mean {near!r}? " if near else ""
+    return f"the robot has no joint {joint!r}; {hint}joints: {listing(robot.joints)}"
 
 
-def _is_controller(tree: Mapping[str, Any]) -> bool:
-    return isinstance(tree.get("type"), str)
+def _trouble(model: Model, joint: str, cls: type[ControllerBase]) -> str | None:
+    """Why a robot has not the joint that a controller names; None when it has."""
+    if absence := _absence(model.robot, joint):
+        return absence
+    offered = model.driven.get(joint)
+    if offered is None:
+        return f"no transmission drives joint {joint!r}, so controllers do not know it"
+    wanted = {interface.type_name.rpartition("::")[2] for interface in _interfaces(cls)}
+    if wanted and not wanted & {offered, JointStateInterface.__name__}:
+        return f"the transmission of joint {joint!r} offers {offered}, the controller needs {' or '.join(wanted)}"
+    return None
 
 
 def _interfaces(cls: type[ControllerBase]) -> list[type[ResourceManager[Any]]]:
@@ -298,14 +481,67 @@ def _interfaces(cls: type[ControllerBase]) -> list[type[ResourceManager[Any]]]:
     return [one] if one is not None else list(getattr(cls, "interface_types", ()))
 
 
-def _likely_types(tree: Mapping[str, Any]) -> list[str]:
-    """The types of controllers that have parameters of just these names, those that need most of them first."""
-    values = [(name, cls) for name in registry.types() if (cls := registry.find(name)).parameters]
+def _likely_type(tree: Mapping[str, Any]) -> str | None:
+    """A type of controllers that has parameters of just these names; of several the one that lacks the fewest."""
     fitting = []
-    for name, cls in values:
-        declared = Declared(cls.parameters)
-        required = [parameter.name for parameter in cls.parameters if parameter.required and "<" not in parameter.name]
-        given = [leaf for leaf, _ in declared.leaves(tree)]
-        if all(declared.find(leaf) for leaf in given) and any(leaf in required for leaf in given):
-            fitting.append((len(set(required) - set(given)), name))
-    return [name for _, name in sorted(fitting)]
+    for name in registry.types():
+        declared = Declared(registry.find(name).parameters)
+        required = {each.name for each in declared.all if each.required and "<" not in each.name}
+        given = {leaf for leaf, _ in declared.leaves(tree)}
+        if given & required and all(map(declared.find, given)):
+            fitting.append((len(required - given), name))
+    return min(fitting)[1] if fitting else None
+
+
+# --- gains and limits -------------------------------------------------------------------------------------------------
+
+
+def judge_gains(values: Mapping[str, Any]) -> Iterator[Judgement]:
+    """What is to be said of the gains `p`, `i` and so on in `values`, by the equation that control/pid.py computes.
+
+    Of what is unremarkable, and of values that are no numbers, nothing.
+    """
+    numbers = {name: number for name in values if (number := as_number(values[name])) is not None}
+    for name, number in numbers.items():
+        if isnan(number) or (name in ("p", "i", "d") and not isfinite(number)):
+            yield name, "wrong", f"{number} is no finite number: the gains are refused"
+            return
+    gains = {name: numbers[name] for name in ("p", "i", "d") if name in numbers}
+    if "p" in gains and not any(gains.values()):
+        yield "p", "wrong", "0.0, as are all gains: the controller never pushes"
+    for name, value in gains.items():
+        if value < 0:
+            yield name, "wrong", f"{value:g} is negative: it drives away from the set point"
+    gain, clamp = numbers.get("i", 0.0), numbers.get("i_clamp", 0.0)
+    is_bounded_to_0 = not numbers.get("i_clamp_min", clamp) and not numbers.get("i_clamp_max", clamp)
+    if gain != 0 and is_bounded_to_0:
+        yield "i", "ignored", f"{gain:g} has no effect without i_clamp (or i_clamp_min and i_clamp_max)"
+    if as_boolean(values.get("antiwindup")) and (gain == 0 or is_bounded_to_0):
+        why = "i is 0" if gain == 0 else "the integral is bounded to 0"
+        yield "antiwindup", "ignored", f"true has no effect, as {why}"
+    for name, sign in (("i_clamp", 1), ("i_clamp_min", -1), ("i_clamp_max", 1)):
+        if name not in numbers:
+            continue
+        value = numbers[name]
+        if gain == 0:
+            yield name, "ignored", f"{value:g} bounds nothing, as i is 0"
+        elif name == "i_clamp" and {"i_clamp_min", "i_clamp_max"} <= numbers.keys():
+            yield name, "ignored", f"{value:g} has no effect beside i_clamp_min and i_clamp_max"
+        elif value * sign < 0:
+            yield name, "converted", f"{value:g} is taken as {-value:g}"
+
+
+def _judge_limits(values: Mapping[str, Any]) -> Iterator[Judgement]:
+    """Values without their flag, and flags without their values."""
+    for flag, bounds in _FLAGS.items():
+        there = [name for name in bounds if name in values]
+        lacking = [name for name in bounds if name not in values]
+        if flag in _UNREAD:
+            yield from ((name, "ignored", _UNREAD[flag]) for name in (flag, *there) if name in values)
+        elif values.get(flag) is not True:
+            yield from ((name, "ignored", f"has no effect without {flag}: true") for name in there)
+        elif lacking:
+            yield flag, "ignored", f"true has no effect without {', '.join(lacking)}"
+            yield from ((name, "ignored", f"has no effect without {', '.join(lacking)}") for name in there)
+    if "angle_wraparound" in values and values.get("has_position_limits") is not False:
+        yield "angle_wraparound", "ignored", "counts only with has_position_limits: false"

@@ -28,7 +28,7 @@ class Findings:
         self.missing = Missing() if missing is None else missing
         """What the files name and is not there."""
         self.is_drivable = False
-        """Whether there is a robot, or a controller, or a program, for those who leave out what is not there."""
+        """Whether something is left to drive: a robot, and one at least of its controllers where some are named."""
         self._notices: dict[Notice, None] = {}
         self._files: list[str] = []
         self.broken: list[BadFile] = []

@@ -1,7 +1,4 @@
-"""What a file is: a model, a launch file, or controllers; by its suffix, else by what stands in it.
-
-Nothing is parsed here.
-"""
+"""What a file is: a model, a launch file, or controllers; by its suffix, else by what stands in it."""
 
 from __future__ import annotations
 
@@ -9,19 +6,14 @@ import re
 from pathlib import Path
 from typing import Literal
 
-from slidectl.description import models
 from slidectl.errors import BadFile
 
 Kind = Literal["model", "launch", "controllers"]
 
 _SUFFIXES: dict[str, Kind] = {
-    ".xacro": "model",
-    ".urdf": "model",
-    ".launch": "launch",
-    ".test": "launch",
-    ".yaml": "controllers",
+    ".xacro": "model", ".urdf": "model", ".launch": "launch", ".test": "launch", ".yaml": "controllers",
     ".yml": "controllers",
-}
+}  # fmt: skip
 _ROOT = re.compile(rb"<([A-Za-z_][\w:.-]*)")
 _SKIPPED = re.compile(rb"<!--.*?-->|<\?.*?\?>|<!DOCTYPE[^>]*>", re.DOTALL)
 
@@ -31,18 +23,12 @@ def of_name(name: str) -> Kind | None:
     return _SUFFIXES.get(Path(name).suffix.lower())
 
 
-def of_file(path: Path) -> Kind:
-    """The kind of a file.
+def of_text(text: bytes, file: str) -> Kind:
+    """The kind of a text; `file` is its name in the error. What is no XML is taken for YAML.
 
     Raises:
-        BadFile: no such file, or XML that is neither a robot nor a launch file.
+        BadFile: XML that is neither a robot nor a launch file.
     """
-    known = of_name(path.name)
-    return known if known is not None else of_text(models.read_file(path), str(path))
-
-
-def of_text(text: bytes, file: str) -> Kind:
-    """The kind of a text; `file` is its name in the error. What is no XML is taken for YAML."""
     start = text.removeprefix(b"\xef\xbb\xbf").lstrip()
     if not start.startswith(b"<"):
         return "controllers"

@@ -10,11 +10,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from slidectl.check import launch_nodes
-from slidectl.check.controllers import ControllerCheck
+from slidectl.check.controllers import ControllerCheck, ParameterFile
 from slidectl.check.findings import Findings
 from slidectl.check.launch_parameters import LaunchParameters
 from slidectl.check.launch_tags import LaunchTags
-from slidectl.check.parameter_file import ParameterFile
 from slidectl.description.packages import Packages
 from slidectl.errors import BadFile
 from slidectl.launch import loader

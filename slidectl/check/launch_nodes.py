@@ -15,9 +15,9 @@ from slidectl.check.findings import Findings
 from slidectl.check.launch_parameters import LaunchParameters
 from slidectl.check.launch_tags import LaunchTags
 from slidectl.check.model import Model
-from slidectl.check.traced import plain
-from slidectl.description.joints import STARTS_OUTSIDE, place_of_limit
+from slidectl.check.tags import plain
 from slidectl.description.packages import Packages, is_file
+from slidectl.description.parser import STARTS_OUTSIDE, place_of_limit
 from slidectl.description.robot import Verdict
 from slidectl.errors import BadFile, closest, listing
 from slidectl.launch.files import shown

@@ -12,8 +12,7 @@ from pathlib import Path
 
 from slidectl import paths
 from slidectl.check.findings import Findings
-from slidectl.check.tags import Tags
-from slidectl.check.traced import Trace, TracedElement, plain
+from slidectl.check.tags import Tags, Trace, TracedElement, plain
 from slidectl.description import xml_tree
 from slidectl.description.robot import Notice, Verdict
 from slidectl.description.xml_tree import Element
@@ -67,7 +66,7 @@ class LaunchTags:
         self._take(plan.notices)
         for root in self.roots:
             own = Findings()
-            Tags(self.trace, own, (), self._explain).classify(root)
+            Tags(self.trace, own, self._explain).classify(root)
             is_counterpart = root.file.startswith(shown(_counterparts()))
             findings.extend(n for n in own.sorted() if n.verdict != "used" or not is_counterpart)
         findings.extend(plan.notices)

@@ -1,31 +1,60 @@
 """Checks a model: what became of each tag and attribute, and whether the robot makes sense.
 
-Reads the model as `slidectl spawn` does. A part that makes the file useless is a finding, and the rest is looked at as
-far as it can be.
+Reads the model as `slidectl spawn` does, once. A part that is broken is a finding, and the other parts are read; what
+the robot is as a whole (limits, masses, namespaces) is judged only where no part is broken.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from slidectl import description
-from slidectl.check import bodies, second_opinion, simulated, unused
+from slidectl.check import bodies
 from slidectl.check.findings import Findings
-from slidectl.check.joints import Joints
-from slidectl.check.repair import repair
-from slidectl.check.tags import Tags
-from slidectl.check.traced import Trace, TracedElement, TracedReport, plain
+from slidectl.check.tags import Tags, Trace, TracedElement, TracedReport, plain, walk
+from slidectl.control.hardware_interface import EffortJointInterface, PositionJointInterface, VelocityJointInterface
 from slidectl.description import xml_tree
-from slidectl.description.mesh_files import MeshFiles
+from slidectl.description.document import Written
+from slidectl.description.gazebo_tags import SIM_TYPES
+from slidectl.description.meshes import MeshFiles
 from slidectl.description.packages import Packages, is_file
 from slidectl.description.parser import parse_tree
-from slidectl.description.robot import Robot
-from slidectl.description.xml_tree import Element
+from slidectl.description.report import Report
+from slidectl.description.robot import ControlPlugin, Joint, Link, Notice, Robot, TransmissionInfo, Verdict
+from slidectl.description.transmissions import driving, interface_name, is_simulated
+from slidectl.description.xml_tree import Comment, Element
 from slidectl.errors import BadFile, BadName
 
-_MOST_FAULTS = 50
+_PLUGIN = "libgazebo_ros_control.so"
+_TIMESTEP_S = 0.001  # the daemon's own
+_EXPRESSION = re.compile(r"\$\{(.*?)\}", re.DOTALL)
+_WORD = re.compile(r"[A-Za-z_]\w*")
+
+_MOVING = ("revolute", "continuous", "prismatic")
+_EFFORT, _POSITION, _VELOCITY = (
+    kind.__name__ for kind in (EffortJointInterface, PositionJointInterface, VelocityJointInterface)
+)
+
+# attribute -> (unit of a joint that slides, unit of one that turns, what it does)
+_MEANINGS = {
+    "lower": ("m", "rad", "where the joint stops"),
+    "upper": ("m", "rad", "where the joint stops"),
+    "velocity": ("m/s", "rad/s", "nothing pushes the joint beyond this"),
+    "effort": ("N", "N·m", "bounds what pushes the joint"),
+    "damping": ("N·s/m", "N·m·s/rad", "acts against the velocity"),
+    "friction": ("N", "N·m", "holds the joint at rest, and acts against its motion"),
+    "soft_lower_limit": ("m", "rad", "the velocity is bounded before it"),
+    "soft_upper_limit": ("m", "rad", "the velocity is bounded before it"),
+    "k_position": ("1/s", "1/s", "velocity allowed per distance to the soft limit"),
+    "k_velocity": ("N·s/m", "N·m·s/rad", "effort allowed per velocity left"),
+}
+_RANGES = ("lower", "upper", "soft_lower_limit", "soft_upper_limit")
+_SOFT = ("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity")
 
 
 @dataclass(frozen=True)
@@ -34,7 +63,11 @@ class Model:
 
     robot: Robot
     namespace: str
-    file: str
+
+    @cached_property
+    def driven(self) -> dict[str, str]:
+        """The joints that simulated hardware drives, with the name of the interface that each takes commands by."""
+        return driven_joints(self.robot)
 
 
 def check(
@@ -63,7 +96,13 @@ def check(
         findings.fail("model", error)
         return None
     if not (isinstance(source, str) and (source == "-" or source.lstrip().startswith("<"))):
-        _tell_arguments(source, arguments, packages, findings)
+        written = description.written(source, packages)
+        for name, element in written.arguments.items():
+            default = f"{element.get('default') or ''!r}, by default"
+            text = f"{arguments[name]!r}, as given" if name in arguments else default
+            findings.add("used", f"argument {name}", text, element.file, element.line)
+        if written.is_whole:
+            _tell_unused(written, findings)
     findings.extend(document.report)
     return check_text(document.xml, document.file, findings, ask_others, packages, strict)
 
@@ -82,81 +121,224 @@ def check_text(
     except BadFile as error:
         findings.fail("model", error)
         return None
-    reading = _Reading(root, findings, _meshes(file, packages), strict)
-    robot = reading.robot()
-    if robot is None:
+    base = Path(file).absolute().parent if is_file(Path(file)) else None
+    packages = packages or Packages()
+    meshes = MeshFiles(packages.starting_at(base) if base is not None else packages, base)
+    trace = Trace()
+    report = TracedReport(trace)
+    traced = TracedElement(root, trace)
+    robot, has_stopped = None, False
+    try:
+        robot = parse_tree(traced, meshes, report, strict)
+    except BadFile as error:
+        has_stopped = error not in report.faults
+        report.take(error)
+    for fault in report.faults:
+        findings.refuse(fault)
+    joints = _Joints(robot, trace) if robot is not None else None
+    if robot is not None:
+        _say(robot, traced, report)
+    Tags(trace, findings, joints.explain if joints else lambda *_: None, not has_stopped).classify(traced)
+    if robot is None or joints is None:
+        text = "note: limits, masses and transmissions are not judged together while a part is broken"
+        findings.add("used", root.title, text, root.file, root.line)
         return None
-    model = Model(robot, reading.namespace(robot), file)
-    simulated.tell(robot, root, model.namespace, findings)
+    joints.tell(findings)
+    model = Model(robot, _namespace(robot, root, findings))
+    _tell_whole(robot, root, model.namespace, findings)
     bodies.tell(robot, findings)
-    if ask_others and reading.is_whole:
+    if ask_others:
+        from slidectl.check import second_opinion
+
         second_opinion.tell(xml, robot, root, findings)
     return model
 
 
-def _meshes(file: str, packages: Packages | None) -> MeshFiles:
-    base = Path(file).absolute().parent if is_file(Path(file)) else None
-    packages = packages or Packages()
-    return MeshFiles(packages.starting_at(base) if base is not None else packages, base)
+def _namespace(robot: Robot, root: Element, findings: Findings) -> str:
+    """Where its controllers live when it is spawned under its own name."""
+    try:
+        return description.namespace_of(robot, robot.name)
+    except BadName as error:
+        text = f"{error.message}; spawn it with -n NAME"
+        findings.add("wrong", f"robot {robot.name!r}", text, root.file, root.line)
+        return f"/{robot.name}"
 
 
-class _Reading:
-    """One robot read with a trace; what cannot be read is left out or replaced, if the rest stands then."""
-
-    def __init__(self, root: Element, findings: Findings, meshes: MeshFiles, strict: bool) -> None:
-        self.root = root
-        self.strict = strict
-        self.findings = findings
-        self.meshes = meshes
-        self.is_whole = True
-
-    def robot(self) -> Robot | None:
-        """The robot, after a finding for each of its tags and faults; None when it is beyond repair."""
-        for _ in range(_MOST_FAULTS):
-            trace = Trace()
-            traced, report = TracedElement(self.root, trace), TracedReport(trace)
-            try:
-                robot = parse_tree(traced, self.meshes, report, self.strict)
-            except BadFile as error:
-                self.is_whole = False
-                self.findings.fail(_subject(trace.culprit), error)
-                if not repair(self.root, traced, trace.culprit):
-                    self.findings.extend(notice for said in trace.said.values() for _, notice in said)
-                    return None
-            else:
-                simulated.say(robot, traced, report)
-                self._classify(traced, trace, robot)
-                return robot
-        return None
-
-    def _classify(self, traced: TracedElement, trace: Trace, robot: Robot) -> None:
-        kept = {(info.file, info.line) for info in robot.transmissions}
-        transmissions = [part for part in traced.children if part.tag == "transmission"]
-        dead = {id(part) for part in transmissions if (part.file, part.line) not in kept}
-        joints = Joints(robot, trace)
-        Tags(trace, self.findings, dead, joints.explain).classify(traced)
-        joints.tell(self.findings)
-
-    def namespace(self, robot: Robot) -> str:
-        """Where its controllers live when it is spawned under its own name."""
-        try:
-            return description.namespace_of(robot, robot.name)
-        except BadName as error:
-            text = f"{error.message}; spawn it with -n NAME"
-            self.findings.add("wrong", f"robot {robot.name!r}", text, self.root.file, self.root.line)
-            return f"/{robot.name}"
+def _tell_unused(written: Written, findings: Findings) -> None:
+    """Properties and macros that nobody uses: they leave no trace in the robot. Only those of the model's own file."""
+    used: set[str] = set()
+    for element in written.elements:
+        used.add(element.tag)
+        if element.tag == "xacro:insert_block":
+            used.add(element.get("name") or "")
+        elif element.tag == "xacro:call":
+            used.add(f"xacro:{element.get('macro')}")
+        elif element.tag == "xacro:macro":
+            used.update(_WORD.findall(element.get("params") or ""))
+        texts = (node for node in element.content if isinstance(node, str) and not isinstance(node, Comment))
+        for text in (*element.attributes.values(), *texts):
+            used.update(word for expression in _EXPRESSION.findall(text) for word in _WORD.findall(expression))
+    for element in written.root.walk():
+        name = (element.get("name") or "").removeprefix("xacro:")
+        if element.tag == "xacro:property" and name not in used:
+            findings.add("ignored", element.title, "no expression uses it", element.file, element.line)
+        elif element.tag == "xacro:macro" and f"xacro:{name}" not in used:
+            findings.add("ignored", element.title, "is never called", element.file, element.line)
 
 
-def _subject(culprit: Element | None) -> str:
-    return plain(culprit).title if culprit is not None else "model"
+# --- joints -----------------------------------------------------------------------------------------------------------
 
 
-def _tell_arguments(source: str | Path, arguments: Mapping[str, str], packages: Packages, findings: Findings) -> None:
-    """The xacro arguments that the model declares, with the values that they have now, and what nobody uses."""
-    for name, element in description.declaring_elements(source, packages).items():
-        default = element.get("default") or ""
-        text = f"{arguments[name]!r}, as given" if name in arguments else f"{default!r}, by default"
-        findings.add("used", f"argument {name}", text, element.file, element.line)
-    trees = description.written_trees(source, packages)
-    if trees is not None:
-        unused.tell(trees, findings)
+def driven_joints(robot: Robot) -> dict[str, str]:
+    joints = (transmission.joints[0] for transmission in driving(robot.transmissions))
+    return {joint.name: interface_name(joint.hardware_interfaces[0]) for joint in joints}
+
+
+class _Joints:
+    """What each limit of a joint does, one finding an attribute, and which joints nothing drives or bounds."""
+
+    def __init__(self, robot: Robot, trace: Trace) -> None:
+        self.robot = robot
+        self.trace = trace
+        self.driven = driven_joints(robot)
+
+    def explain(self, element: Element, owner: str) -> Iterator[Notice] | None:
+        """The findings of a `<limit>`, `<safety_controller>` or `<dynamics>` of the joint `owner`; None of others."""
+        joint = self.robot.joints.get(owner)
+        if element.tag not in ("limit", "safety_controller", "dynamics") or joint is None:
+            return None
+        return self._attributes(element, joint)
+
+    def _attributes(self, element: Element, joint: Joint) -> Iterator[Notice]:
+        said = {attribute for attribute, _ in self.trace.said.get(id(element), [])}
+        for name, value in plain(element).attributes.items():
+            # What was said of the whole tag was said of its range.
+            if name not in said and not (None in said and name in _RANGES):
+                subject = f"joint {joint.name!r}/<{element.tag}>, {name}"
+                verdict, effect = self._effect(joint, name)
+                unit = _MEANINGS[name][0 if joint.type == "prismatic" else 1]
+                yield Notice(verdict, subject, f"{value.strip()} {unit}; {effect}", element.file, element.line)
+
+    def _effect(self, joint: Joint, name: str) -> tuple[Verdict, str]:
+        """What a limit does, which is for the interface to say that the joint takes commands by."""
+        interface = self.driven.get(joint.name)
+        if not interface and name in ("velocity", "effort"):
+            return "used", "bounds forces from outside only, as no transmission drives the joint"
+        if not interface and name in _SOFT:
+            return "ignored", "has no effect, as no transmission drives the joint"
+        if joint.type == "continuous" and name in _SOFT and name != "k_velocity":
+            return "ignored", "has no effect without position limits, which a continuous joint has not"
+        if interface == _POSITION and name == "effort":
+            return "used", "counts only with gains in gazebo_ros_control/pid_gains"
+        if interface in (_POSITION, _VELOCITY) and name == "k_velocity":
+            return "ignored", f"only an {_EFFORT} has a use for it, the joint's is a {interface}"
+        return "used", _MEANINGS[name][2]
+
+    def tell(self, findings: Findings) -> None:
+        """What is missing, limits and transmissions, and limits that look like degrees."""
+        for joint in self.robot.joints.values():
+            for text in self._missing(joint) if joint.type in _MOVING else ():
+                findings.add("used", f"joint {joint.name!r}", f"note: {text}", joint.file or "", joint.line)
+
+    def _missing(self, joint: Joint) -> Iterator[str]:
+        limit = joint.limit
+        if joint.type == "revolute" and limit is not None:
+            # Whole numbers of 15 degrees or more, and no more than some turns.
+            bounds = (abs(limit.lower), abs(limit.upper))
+            if all(bound % 5 == 0 and bound <= 720 for bound in bounds) and max(bounds) >= 15:
+                turns = (limit.upper - limit.lower) / math.tau
+                yield f"its limits are {turns:.3g} turns apart; angles are in rad: 90 degrees are 1.5708"
+        if limit is None:
+            yield f"a {joint.type} joint without <limit>: neither its effort nor its velocity is bounded"
+        if joint.mimic is not None and joint.name in self.driven:
+            yield f"it has a transmission, and it follows {joint.mimic.joint!r}: two masters"
+        elif joint.name not in self.driven and joint.mimic is None:
+            yield "no transmission drives it: it moves freely, controllers and joint_states do not know it"
+
+
+# --- what the simulation makes of it ----------------------------------------------------------------------------------
+
+
+def _say(robot: Robot, root: Element, report: Report) -> None:
+    """What the world makes of single tags otherwise than written. Leaves no trace in the traced elements."""
+    plugin = robot.plugin or ControlPlugin()
+    tags = {element.tag: element for element in reversed(list(walk(root)))}
+    if plugin.control_period is not None:
+        steps = max(1, math.ceil(plugin.control_period / _TIMESTEP_S - 1e-6))
+        if not math.isclose(steps * _TIMESTEP_S, plugin.control_period, rel_tol=1e-6):
+            text = f"{plugin.control_period:g} s is no whole number of the simulation's steps of {_TIMESTEP_S:g} s"
+            report.converted(tags["controlPeriod"], f"{text}; controllers run every {steps * _TIMESTEP_S:g} s")
+    if plugin.robot_param != ControlPlugin.robot_param:
+        text = f"{plugin.robot_param} is not looked for: the robot is what is spawned, and NAMESPACE/robot_description"
+        report.converted(tags["robotParam"], text)
+    for transmission in robot.transmissions:
+        _say_actuators(transmission, root, report)
+    for link in robot.links.values():
+        _say_friction(link, root, report)
+
+
+def _say_actuators(transmission: TransmissionInfo, root: Element, report: Report) -> None:
+    """The interface that counts is the joint's; an actuator may say the same, or nothing."""
+    counts = transmission.joints[0].hardware_interfaces[0]
+    whole = (tag for tag in _inside(root, "transmission") if _is_of(tag, transmission))
+    for actuator in (actuator for tag in whole for actuator in _inside(tag, "actuator")):
+        for place in _inside(actuator, "hardwareInterface"):
+            written = plain(place).first_text
+            if written and interface_name(written) != interface_name(counts):
+                text = f"{written} has no effect: the joint's interface counts, {counts}"
+                report.ignored(place, text, f"transmission {transmission.name!r}/{actuator.title}")
+
+
+def _is_of(tag: Element, transmission: TransmissionInfo) -> bool:
+    """Whether a transmission was read from this tag: all those that a macro makes are in the same line."""
+    joint = transmission.joints[0]
+    own = [child for child in _inside(tag, "joint") if (plain(child).get("name") or "").strip() == joint.name]
+    interfaces = [plain(place).first_text for child in own for place in _inside(child, "hardwareInterface")]
+    return (
+        (tag.file, tag.line) == (transmission.file, transmission.line)
+        and (plain(tag).get("name") or "").strip() == transmission.name
+        and joint.hardware_interfaces[0] in interfaces
+    )
+
+
+def _say_friction(link: Link, root: Element, report: Report) -> None:
+    first, second = link.surface.mu1, link.surface.mu2
+    if first is None or second is None or first == second:
+        return
+    tags = [tag for tag in _inside(root, "gazebo") if plain(tag).get("reference") == link.name]
+    for place in [tag for above in tags for tag in _inside(above, "mu2")]:
+        text = f"has no effect: friction is the same in all directions here, and mu1 counts, {first:g}"
+        report.ignored(place, text, f"link {link.name!r}/<mu2>")
+
+
+def _inside(element: Element, tag: str) -> list[Element]:
+    return plain(element).find_all(tag)
+
+
+def _tell_whole(robot: Robot, root: Element, namespace: str, findings: Findings) -> None:
+    """Findings on the root, the plugin, and on what the parser lets pass with a remark and the simulation refuses."""
+    if not robot.is_fixed_to_world:
+        link = robot.links[robot.root]
+        text = "note: the root is free and falls to the ground; a root link called 'world', or --fixed, holds a robot"
+        findings.add("used", f"link {link.name!r}", text, link.file or "", link.line)
+        if not any(link.collisions for link in robot.links.values()):
+            text = "note: no link has a <collision>: it falls through the ground"
+            findings.add("used", f"robot {robot.name!r}", text, root.file, root.line)
+    plugin = robot.plugin
+    is_driven = bool(driven_joints(robot))
+    if plugin is not None:
+        subject, file = f"plugin {_PLUGIN}", plugin.file or ""
+        findings.add("used", subject, f"note: controllers live in the namespace {namespace}", file, plugin.line)
+        if not is_driven:
+            findings.add("used", subject, "note: without a transmission it drives no joint", file, plugin.line)
+        if plugin.robot_sim_type not in SIM_TYPES:
+            text = f"robotSimType {plugin.robot_sim_type} is unknown"
+            findings.refuse(BadFile(text, plugin.file, plugin.line, f"there is {SIM_TYPES[0]}"))
+    elif is_driven:
+        text = f"has transmissions but no {_PLUGIN}; here it is driven all the same, in the namespace {namespace}"
+        findings.add("converted", f"robot {robot.name!r}", text, root.file, root.line)
+    for transmission in robot.transmissions:
+        interface = transmission.joints[0].hardware_interfaces[0]
+        if len(transmission.joints) == 1 and not is_simulated(interface):
+            text = f"transmission {transmission.name!r}: {interface} is no interface of simulated joints"
+            findings.refuse(BadFile(text, transmission.file, transmission.line))

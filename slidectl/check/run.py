@@ -40,9 +40,20 @@ def check(
             arguments that do not go with the file.
     """
     findings = Findings(missing)
-    words = _out_of_package(words, packages)
     source = words[0]
-    kind = _kind(words, text)
+    kind: kinds.Kind = "launch"
+    if len(words) > 1 and source not in models.shipped() and not is_file(Path(source)):
+        # PACKAGE FILE: launch files are found as launch finds them.
+        if kinds.of_name(words[1]) not in ("launch", None):
+            from slidectl.launch import files
+
+            words = [shown(files.find_in_package(source, words[1], packages)), *words[2:]]
+            source = words[0]
+            kind = _kind(source, text)
+    else:
+        kind = _kind(source, text)
+    if kind != "launch" and len(words) > 1:
+        raise UsageError(f"{words[1]!r} is not KEY:=VALUE", "slidectl check --help shows the order of arguments")
     if kind != "model" and parameter_files:
         raise UsageError(f"--controllers goes with a model; {source} is a file of {kind}")
     if kind == "launch":
@@ -51,64 +62,30 @@ def check(
         launch.check(words, arguments, packages, findings, text, ask_others, strict)
         return findings
     if kind == "controllers":
-        _refuse_arguments(source, arguments)
+        for name in arguments:
+            raise UsageError(f"{name}:= has no meaning for {source}, a file of parameters")
         controllers.check(source, None, findings, text)
         return findings
     title = source if text is not None else None
-    robot = model.check(_model(source, text), arguments, packages, findings, ask_others, title, strict)
-    findings.is_drivable = robot is not None
-    for path in parameter_files:
-        controllers.check(path, robot, findings)
+    read = text.decode("utf-8", "replace") if text is not None else source
+    if text is None and (path := models.shipped().get(source)) is not None:
+        read = shown(path)  # the shortest path that leads there
+    robot = model.check(read, arguments, packages, findings, ask_others, title, strict)
+    usable = [controllers.check(file, robot, findings) for file in parameter_files]
+    findings.is_drivable = robot is not None and (any(usable) or not usable)
     findings.tell_missing()
     return findings
 
 
-def _out_of_package(words: Sequence[str], packages: Packages) -> Sequence[str]:
-    """The path instead of package and file, where the file is no launch file; those are found as launch finds them."""
-    if not _begins_with_package(words) or kinds.of_name(words[1]) in ("launch", None):
-        return words
-    from slidectl.launch import files
-
-    return [shown(files.find_in_package(words[0], words[1], packages)), *words[2:]]
-
-
-def _begins_with_package(words: Sequence[str]) -> bool:
-    return len(words) > 1 and words[0] not in models.shipped() and not is_file(Path(words[0]))
-
-
-def _kind(words: Sequence[str], text: bytes | None) -> kinds.Kind:
-    """What the words mean; a name that nothing has is an unknown model.
-
-    Raises:
-        UsageError: words that only launch files can have after them. BadFile: XML of neither kind.
-    """
-    kind = "launch" if _begins_with_package(words) else _kind_of_one(words, text)
-    if kind != "launch" and len(words) > 1:
-        raise UsageError(f"{words[1]!r} is not KEY:=VALUE", "slidectl check --help shows the order of arguments")
-    return kind
-
-
-def _kind_of_one(words: Sequence[str], text: bytes | None) -> kinds.Kind:
+def _kind(source: str, text: bytes | None) -> kinds.Kind:
+    """What one word means; a name that nothing has is an unknown model. Raises BadFile: XML of no kind."""
     if text is not None:
-        return kinds.of_text(text, words[0])
-    path = Path(words[0]).expanduser()
-    if words[0] in models.shipped():
+        return kinds.of_text(text, source)
+    path = Path(source).expanduser()
+    if source in models.shipped():
         return "model"
     if is_file(path) or path.suffix:
-        return kinds.of_file(path)
+        return kinds.of_name(path.name) or kinds.of_text(models.read_file(path), str(path))
     from slidectl.launch import files
 
-    return "launch" if words[0] in files.shipped() else "model"
-
-
-def _model(source: str, text: bytes | None) -> str:
-    """What to read: the text, or a path, which of a shipped model is the shortest that leads there."""
-    if text is not None:
-        return text.decode("utf-8", "replace")
-    path = models.shipped().get(source)
-    return source if path is None else shown(path)
-
-
-def _refuse_arguments(source: str, arguments: Mapping[str, str]) -> None:
-    for name in arguments:
-        raise UsageError(f"{name}:= has no meaning for {source}, a file of parameters")
+    return "launch" if source in files.shipped() else "model"

@@ -10,59 +10,42 @@ import contextlib
 import io
 import logging
 from collections.abc import Iterator
-from typing import Any
 
 from slidectl.check.findings import Findings
 from slidectl.description.robot import Robot
 from slidectl.description.xml_tree import Element
 
-_NAME = "yourdfpy"
-
 
 def tell(xml: str, robot: Robot, root: Element, findings: Findings) -> None:
     """What the other reader reads differently, or that it agrees. `xml` is the text that `root` was read from."""
-    try:
-        with _silence():
-            remarks = list(_differences(robot, _read(xml)))
-    except Exception as error:  # whatever its parsers raise says the same: it cannot read the file
-        remarks = [(f"robot {robot.name!r}", f"cannot read it: {' '.join(str(error).split()) or type(error).__name__}")]
-    for subject, text in remarks or [(f"robot {robot.name!r}", "reads the same tree, masses and limits")]:
-        findings.add("used", subject, f"note: {_NAME} {text}", root.file, root.line)
-
-
-@contextlib.contextmanager
-def _silence() -> Iterator[None]:
-    """It prints, and it logs."""
+    whole = f"robot {robot.name!r}"
     before = logging.root.manager.disable
-    logging.disable(logging.CRITICAL)
+    logging.disable(logging.CRITICAL)  # it logs, and it prints
     try:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-            yield
+            remarks = list(_differences(robot, xml, whole))
+    except Exception as error:  # whatever its parsers raise says the same: it cannot read the file
+        remarks = [(whole, f"cannot read it: {' '.join(str(error).split()) or type(error).__name__}")]
     finally:
         logging.disable(before)
+    for subject, text in remarks or [(whole, "reads the same tree, masses and limits")]:
+        findings.add("used", subject, f"note: yourdfpy {text}", root.file, root.line)
 
 
-def _read(xml: str) -> Any:
+def _differences(robot: Robot, xml: str, whole: str) -> Iterator[tuple[str, str]]:
+    """Subject and text of each thing that the two read differently."""
     import yourdfpy
 
-    return yourdfpy.URDF.load(io.BytesIO(xml.encode()), load_meshes=False)
-
-
-def _differences(robot: Robot, other: Any) -> Iterator[tuple[str, str]]:
-    """Subject and text of each thing that the two read differently."""
+    other = yourdfpy.URDF.load(io.BytesIO(xml.encode()), load_meshes=False)
     if other.base_link != robot.root:
-        yield f"robot {robot.name!r}", f"takes {other.base_link!r} for the root, not {robot.root!r}"
+        yield whole, f"takes {other.base_link!r} for the root, not {robot.root!r}"
     for error in other.errors if not other.validate() else ():
-        yield f"robot {robot.name!r}", f"says: {error}"
+        yield whole, f"says: {error}"
     for link in robot.links.values():
         theirs = other.link_map.get(link.name)
         mass = theirs.inertial.mass if theirs is not None and theirs.inertial is not None else None
         if mass != (link.inertial.mass if link.inertial is not None else None):
             yield f"link {link.name!r}", f"reads a mass of {mass}"
-    yield from _joint_differences(robot, other)
-
-
-def _joint_differences(robot: Robot, other: Any) -> Iterator[tuple[str, str]]:
     for joint in robot.joints.values():
         theirs = other.joint_map.get(joint.name)
         if theirs is None or (theirs.parent, theirs.child, theirs.type) != (joint.parent, joint.child, joint.type):

@@ -41,9 +41,8 @@ def read(ctx: Context, file: str, namespaces: Sequence[str]) -> Tree:
 
 def _warn_unknown(ctx: Context, tree: Tree, path: Path) -> None:
     """Names in a file that no controller knows, such as `kd` for a gain, as `check` tells them."""
-    from slidectl.check.controllers import unknown
+    from slidectl.check.controllers import ParameterFile, unknown
     from slidectl.check.findings import Findings
-    from slidectl.check.parameter_file import ParameterFile
     from slidectl.description import yaml_tree
     from slidectl.description.models import read_file
 
@@ -54,9 +53,8 @@ def _warn_unknown(ctx: Context, tree: Tree, path: Path) -> None:
 
 def warn_unknown(ctx: Context, namespace: str, controllers: Sequence[str]) -> None:
     """The same for the parameters that the daemon has for some controllers of a namespace."""
-    from slidectl.check.controllers import unknown
+    from slidectl.check.controllers import ParameterFile, unknown
     from slidectl.check.findings import Findings
-    from slidectl.check.parameter_file import ParameterFile
 
     for name in dict.fromkeys(controllers):
         request = {"name": names.join(namespace, name), "default": "null"}

@@ -6,12 +6,17 @@ Heavy modules are imported by the functions that need them.
 
 from __future__ import annotations
 
-from slidectl.description.document import Document, declared_arguments, declaring_elements, load, written_trees
-from slidectl.description.namespaces import namespace_of
+from slidectl.description.document import (
+    Document,
+    declared_arguments,
+    load,
+    with_root_fixed,
+    with_root_free,
+    written,
+)
 from slidectl.description.packages import Packages, UnknownPackage
 from slidectl.description.parser import parse
-from slidectl.description.robot import Notice, Robot
-from slidectl.description.root_link import with_root_fixed, with_root_free
+from slidectl.description.robot import Notice, Robot, namespace_of
 
 __all__ = [
     "Document",
@@ -20,11 +25,10 @@ __all__ = [
     "Robot",
     "UnknownPackage",
     "declared_arguments",
-    "declaring_elements",
     "load",
     "namespace_of",
     "parse",
     "with_root_fixed",
     "with_root_free",
-    "written_trees",
+    "written",
 ]

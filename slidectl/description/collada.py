@@ -7,7 +7,7 @@ instanced again and again, so a file of 3 kB can ask for a million million of th
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,6 +26,8 @@ MOST_PARTS = 20_000
 DEEPEST = 100
 """Nodes within nodes."""
 
+_TRANSFORMS = {"matrix": 16, "translate": 3, "rotate": 4, "scale": 3, "lookat": 9}
+"""The transforms of nodes, and how many numbers each has."""
 _PRIMITIVES = ("triangles", "polylist", "polygons", "trifans", "tristrips")
 
 
@@ -58,7 +60,9 @@ class _Scene:
         faces: list[NDArray[np.int32]] = []
         vertex_count = face_count = 0
         for geometry, placed in self._instances():
-            surface = self._surface(geometry)
+            surface = self.surfaces.get(id(geometry))
+            if surface is None:
+                surface = self.surfaces[id(geometry)] = self._read_surface(geometry)
             if not len(surface.faces):
                 continue
             face_count += len(surface.faces)
@@ -94,8 +98,8 @@ class _Scene:
             below: list[tuple[Element, NDArray[np.float64], int]] = []
             for child in node.children:
                 kind = _kind(child)
-                if kind in _TRANSFORMS:
-                    place = place @ _TRANSFORMS[kind](child)
+                if (placed := _transform(child)) is not None:
+                    place = place @ placed
                 elif kind == "node":
                     below.append((child, place, depth + 1))
                 elif kind == "instance_node":
@@ -136,12 +140,6 @@ class _Scene:
             raise BadMesh(f"cannot read the mesh: {where} in line {element.line} names nothing in the file", self.path)
         return found
 
-    def _surface(self, geometry: Element) -> Triangles:
-        known = self.surfaces.get(id(geometry))
-        if known is None:
-            known = self.surfaces[id(geometry)] = self._read_surface(geometry)
-        return known
-
     def _read_surface(self, geometry: Element) -> Triangles:
         mesh = _child(geometry, "mesh")
         vertices: list[NDArray[np.float64]] = []
@@ -155,7 +153,10 @@ class _Scene:
                     starts[id(source)] = total
                     vertices.append(self._points(source))
                     total += len(vertices[-1])
-                    self._count_points(len(vertices[-1]))
+                    # Many geometries may share one long list of points, and each would have a copy of it.
+                    self.points_read += len(vertices[-1])
+                    if self.points_read > 3 * MOST_FACES:
+                        raise BadMesh(f"the mesh has more than {3 * MOST_FACES} vertices", self.path)
                 stride = 1 + max(int(entry.get("offset") or 0) for entry in inputs)
                 corners = _corners(primitive, offset, stride)
                 if len(corners) and not 0 <= corners.min() <= corners.max() < total - starts[id(source)]:
@@ -166,12 +167,6 @@ class _Scene:
             return Triangles(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
         every = np.concatenate(faces).astype(np.int32)
         return used(np.concatenate(vertices), every, self.path) if len(every) else Triangles(np.zeros((0, 3)), every)
-
-    def _count_points(self, count: int) -> None:
-        """Many geometries may share one long list of points, and each would have a copy of it."""
-        self.points_read += count
-        if self.points_read > 3 * MOST_FACES:
-            raise BadMesh(f"the mesh has more than {3 * MOST_FACES} vertices", self.path)
 
     def _positions(self, primitive: Element, inputs: list[Element]) -> tuple[Element, int]:
         """The source of the positions of a primitive's corners, and where their indices are among those of a corner."""
@@ -202,28 +197,24 @@ class _Scene:
 def _corners(primitive: Element, offset: int, stride: int) -> NDArray[np.int64]:
     """Triangles, as indices of positions; polygons are cut into fans, and their holes are filled."""
     kind = _kind(primitive)
-    texts = _children(primitive, "p") + [
-        inner for outer in _children(primitive, "ph") for inner in _children(outer, "p")
-    ]
-    rows = []
-    for text in texts:
+    holed = [inner for outer in _children(primitive, "ph") for inner in _children(outer, "p")]
+    rows = [np.zeros(0, np.int64)]
+    for text in _children(primitive, "p") + holed:
         numbers = _integers(text)
         rows.append(numbers[: len(numbers) // stride * stride].reshape(-1, stride)[:, offset])
     if kind == "triangles":
-        every = np.concatenate([row[: len(row) // 3 * 3] for row in rows]) if rows else np.zeros(0, np.int64)
-        return every.reshape(-1, 3)
-    if kind == "polylist":
-        sizes = _child(primitive, "vcount")
-        every = np.concatenate(rows) if rows else np.zeros(0, np.int64)
-        return _fans(every, _integers(sizes) if sizes is not None else np.zeros(0, np.int64))
+        return np.concatenate([row[: len(row) // 3 * 3] for row in rows]).reshape(-1, 3)
     if kind == "tristrips":
         strips = [np.stack([row[:-2], row[1:-1], row[2:]], axis=1) for row in rows if len(row) > 2]
         for strip in strips:
             strip[1::2] = strip[1::2, ::-1]
-        return np.concatenate(strips) if strips else np.zeros((0, 3), np.int64)
-    if not rows:
-        return np.zeros((0, 3), np.int64)
-    return _fans(np.concatenate(rows), np.array([len(row) for row in rows], np.int64))
+        return np.concatenate([np.zeros((0, 3), np.int64), *strips])
+    counts = _child(primitive, "vcount")
+    if kind != "polylist":
+        sizes = np.array([len(row) for row in rows], np.int64)
+    else:
+        sizes = _integers(counts) if counts is not None else np.zeros(0, np.int64)
+    return _fans(np.concatenate(rows), sizes)
 
 
 def _fans(corners: NDArray[np.int64], sizes: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -261,59 +252,39 @@ def _integers(element: Element) -> NDArray[np.int64]:
     return np.array(_text(element).split(), dtype=np.int64)
 
 
-def _numbers(element: Element, count: int) -> NDArray[np.float64]:
-    """Raises ValueError unless there are so many."""
+def _transform(element: Element) -> NDArray[np.float64] | None:
+    """The 4 x 4 matrix of a node's transform; None of other elements. Raises ValueError for numbers too few or many."""
+    kind = _kind(element)
+    if kind not in _TRANSFORMS:
+        return None
     numbers = _floats(element)
-    if len(numbers) != count:
-        raise ValueError(f"<{element.tag}> in line {element.line} has {len(numbers)} numbers instead of {count}")
-    return numbers
-
-
-def _matrix(element: Element) -> NDArray[np.float64]:
-    return _numbers(element, 16).reshape(4, 4)
-
-
-def _translate(element: Element) -> NDArray[np.float64]:
+    if len(numbers) != _TRANSFORMS[kind]:
+        found = f"{len(numbers)} numbers instead of {_TRANSFORMS[kind]}"
+        raise ValueError(f"<{element.tag}> in line {element.line} has {found}")
+    if kind == "matrix":
+        return numbers.reshape(4, 4)
+    if kind == "scale":
+        return np.diag([*numbers, 1.0])
     placed = np.eye(4)
-    placed[:3, 3] = _numbers(element, 3)
+    if kind == "translate":
+        placed[:3, 3] = numbers
+    elif kind == "rotate":
+        # About an axis by an angle in degrees: the formula of Rodrigues.
+        length = float(np.linalg.norm(numbers[:3]))
+        if length > 0.0:
+            x, y, z = numbers[:3] / length
+            cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+            angle = math.radians(numbers[3])
+            placed[:3, :3] += math.sin(angle) * cross + (1.0 - math.cos(angle)) * (cross @ cross)
+    else:
+        # An eye, where it looks (-z) and what is up (y).
+        eye, interest, up = numbers.reshape(3, 3)
+        back = eye - interest
+        side = np.cross(up, back)
+        axes = np.stack([side, np.cross(back, side), back], axis=1)
+        lengths = np.linalg.norm(axes, axis=0)
+        if lengths.min() == 0.0:
+            raise ValueError(f"<{element.tag}> in line {element.line} has no direction")
+        placed[:3, :3] = axes / lengths
+        placed[:3, 3] = eye
     return placed
-
-
-def _scale(element: Element) -> NDArray[np.float64]:
-    return np.diag([*_numbers(element, 3), 1.0])
-
-
-def _rotate(element: Element) -> NDArray[np.float64]:
-    """About an axis by an angle in degrees: the formula of Rodrigues."""
-    x, y, z, degrees = _numbers(element, 4)
-    length = math.sqrt(x * x + y * y + z * z)
-    placed = np.eye(4)
-    if length > 0.0:
-        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) / length
-        angle = math.radians(degrees)
-        placed[:3, :3] += math.sin(angle) * cross + (1.0 - math.cos(angle)) * (cross @ cross)
-    return placed
-
-
-def _lookat(element: Element) -> NDArray[np.float64]:
-    """An eye, where it looks (-z) and what is up (y)."""
-    eye, interest, up = _numbers(element, 9).reshape(3, 3)
-    back = eye - interest
-    side = np.cross(up, back)
-    axes = [side, np.cross(back, side), back]
-    lengths = [float(np.linalg.norm(axis)) for axis in axes]
-    if min(lengths) == 0.0:
-        raise ValueError(f"<{element.tag}> in line {element.line} has no direction")
-    placed = np.eye(4)
-    placed[:3, :3] = np.stack([axis / length for axis, length in zip(axes, lengths, strict=True)], axis=1)
-    placed[:3, 3] = eye
-    return placed
-
-
-_TRANSFORMS: dict[str, Callable[[Element], NDArray[np.float64]]] = {
-    "matrix": _matrix,
-    "translate": _translate,
-    "rotate": _rotate,
-    "scale": _scale,
-    "lookat": _lookat,
-}

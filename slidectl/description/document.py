@@ -1,30 +1,34 @@
-"""A model made ready for the daemon: expanded by xacro, meshes found, one element per line, sources noted.
+"""A model made ready for the daemon: expanded by xacro, meshes found, its root held or freed, sources noted.
 
 This is the client's side: it reads files, and evaluates what xacro evaluates. The result is plain URDF text.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from slidectl.description import models, source_note, xml_tree, xml_writer
+from slidectl.description import models, source_note, xml_tree
 from slidectl.description.gazebo_tags import leave_out_hardware
-from slidectl.description.mesh_files import MeshFiles
+from slidectl.description.meshes import MeshFiles
 from slidectl.description.missing import Missing
-from slidectl.description.packages import Packages
+from slidectl.description.packages import Packages, shown
+from slidectl.description.rigid_bodies import WORLD
 from slidectl.description.robot import Notice
 from slidectl.description.xml_tree import Element
-from slidectl.errors import NotThere
+from slidectl.errors import NotThere, SlidectlError, listing
+
+_FIND = re.compile(r"\$\(find\s+([^\s)]+)\s*\)")
+_JOINT = "world_to_root"
 
 
 @dataclass(frozen=True)
 class Document:
-    """`xml` is URDF with the note of its sources; `source_map` leads from its lines to where they were written."""
+    """`xml` is URDF with the note of its sources."""
 
     xml: str
-    source_map: xml_writer.SourceMap
     file: str
     """The model's file, or `<stdin>` or `<text>`."""
     report: tuple[Notice, ...] = field(default=())
@@ -56,18 +60,14 @@ def load(
         BadFile: missing, broken, or refused by xacro. UnknownName: no shipped model of that name.
     """
     absences = Missing() if missing is None else missing
-    model = models.read(source)
-    model = replace(model, file=title) if title is not None else model
-    base = model.path.absolute().parent if model.path is not None else Path.cwd()
-    packages = packages.starting_at(base) if packages is not None else Packages(start=base)
-    root = xml_tree.read(model.text, model.file)
-    notices: list[Notice] = []
+    model, root, base, packages = _opened(source, packages, title)
     if _is_xacro(model, root):
-        from slidectl.description import xacro_run
+        from slidectl.description import xacro_adapter
 
-        root, notices = xacro_run.expand(root, model.path, arguments or {}, packages, absences)
+        root, notices = xacro_adapter.expand(root, model.path, arguments or {}, packages, absences)
     else:
-        notices = [_no_xacro(name, model.file) for name in arguments or {}]
+        text = "plain URDF takes no arguments"
+        notices = [Notice("ignored", f"{name}:=", text, model.file, None) for name in arguments or {}]
     if as_written:
         absences.refuse()
     else:
@@ -76,8 +76,18 @@ def load(
             absences.refuse()
         else:
             leave_out_hardware(root, missing)
-    xml, source_map = xml_writer.write(root)
-    return Document(xml, source_map, model.file, tuple(notices))
+    return Document(xml_tree.write(root), model.file, tuple(notices))
+
+
+def _opened(
+    source: str | Path, packages: Packages | None, title: str | None = None
+) -> tuple[models.Source, Element, Path, Packages]:
+    """A model, its tree as it is written, the folder that it is in, and where packages are."""
+    model = models.read(source)
+    model = replace(model, file=title) if title is not None else model
+    base = model.path.absolute().parent if model.path is not None else Path.cwd()
+    packages = packages.starting_at(base) if packages is not None else Packages(start=base)
+    return model, xml_tree.read(model.text, model.file), base, packages
 
 
 def _is_xacro(model: models.Source, root: Element) -> bool:
@@ -85,10 +95,6 @@ def _is_xacro(model: models.Source, root: Element) -> bool:
     if model.path is not None and model.path.suffix.lower() == ".xacro":
         return True
     return any(name.startswith("xacro:") for element in root.walk() for name in (element.tag, *element.attributes))
-
-
-def _no_xacro(name: str, file: str) -> Notice:
-    return Notice("ignored", f"{name}:=", "plain URDF takes no arguments", file, None)
 
 
 def _find_meshes(root: Element, meshes: MeshFiles, missing: Missing | None) -> None:
@@ -116,37 +122,122 @@ def _find_meshes(root: Element, meshes: MeshFiles, missing: Missing | None) -> N
                     element.set_mesh(expected.absolute().as_uri())
 
 
+# --- what is written, with nothing evaluated --------------------------------------------------------------------------
+
+
+@dataclass
+class Written:
+    """A model before xacro. `is_whole` is False when only xacro can tell what it includes."""
+
+    root: Element
+    elements: list[Element] = field(default_factory=list)
+    """Its elements and those of the files that it includes by plain names or `$(find)`, in the order of xacro."""
+    is_whole: bool = True
+
+    @property
+    def arguments(self) -> dict[str, Element]:
+        """The `<xacro:arg>` by name; the first one of a name counts, as for xacro."""
+        found: dict[str, Element] = {}
+        for element in self.elements:
+            if element.tag == "xacro:arg" and (name := element.get("name")):
+                found.setdefault(name, element)
+        return found
+
+
+def written(source: str | Path, packages: Packages | None = None) -> Written:
+    """A model as it is written. Raises BadFile and UnknownName as load does; a fault of an include is left to xacro."""
+    _, root, base, packages = _opened(source, packages)
+    found = Written(root)
+    seen: set[Path] = set()
+
+    def collect(element: Element, folder: Path) -> None:
+        for inner in element.walk():
+            found.elements.append(inner)
+            if inner.tag != "xacro:include":
+                continue
+            try:
+                name = _FIND.sub(lambda match: str(packages.find(match.group(1))), inner.get("filename") or "$")
+                path = folder / name
+                if "$" in name or path in seen:
+                    found.is_whole &= "$" not in name
+                    continue
+                seen.add(path)
+                included = xml_tree.read(models.read_file(path), shown(path))
+            except (OSError, SlidectlError):
+                found.is_whole = False
+            else:
+                collect(included, path.parent)
+
+    collect(root, base)
+    return found
+
+
 def declared_arguments(source: str | Path, packages: Packages | None = None) -> dict[str, str]:
     """The `<xacro:arg>` of a model and of the files that it includes by plain names, with their defaults.
 
     Raises:
         BadFile, UnknownName: as load.
     """
-    found = declaring_elements(source, packages)
-    return {name: element.get("default") or "" for name, element in found.items()}
+    return {name: element.get("default") or "" for name, element in written(source, packages).arguments.items()}
 
 
-def declaring_elements(source: str | Path, packages: Packages | None = None) -> dict[str, Element]:
-    """The same `<xacro:arg>` as elements, which know where they were written."""
-    from slidectl.description import xacro_arguments
-
-    return xacro_arguments.declared(*_unexpanded(source, packages))
+# --- the root link ---------------------------------------------------------------------------------------------------
 
 
-def written_trees(source: str | Path, packages: Packages | None = None) -> list[Element] | None:
-    """A model and all that it includes as they are written; None when only xacro can tell what it includes.
+def with_root_fixed(xml: str, file: str = "robot_description") -> str:
+    """The robot with its root fixed to a link called `world`; one that is so already stays as it is.
 
     Raises:
-        BadFile, UnknownName: as load.
+        BadFile: broken XML, no single root, or a link called `world` that is not the root.
     """
-    from slidectl.description import xacro_arguments
+    robot = xml_tree.read(xml, file)
+    root = _root_name(robot)
+    if root == WORLD:
+        return xml
+    if any(link.get("name") == WORLD for link in robot.find_all("link")):
+        raise robot.error(f"cannot fix the robot: a link {WORLD!r} is there and is not the root")
 
-    return xacro_arguments.trees(*_unexpanded(source, packages))
+    def element(tag: str, attributes: dict[str, str], *content: Element) -> Element:
+        return Element(tag, attributes, robot.file, robot.line, list(content))
+
+    name = _JOINT
+    while any(joint.get("name") == name for joint in robot.find_all("joint")):
+        name += "_"
+    ends = element("parent", {"link": WORLD}), element("child", {"link": root})
+    robot.content += [element("link", {"name": WORLD}), element("joint", {"name": name, "type": "fixed"}, *ends)]
+    return xml_tree.write(robot)
 
 
-def _unexpanded(source: str | Path, packages: Packages | None) -> tuple[Element, Path, Packages]:
-    """The tree of a model, the folder that it is in, and where packages are."""
-    model = models.read(source)
-    base = model.path.absolute().parent if model.path is not None else Path.cwd()
-    packages = packages.starting_at(base) if packages is not None else Packages(start=base)
-    return xml_tree.read(model.text, model.file), base, packages
+def with_root_free(xml: str, file: str = "robot_description") -> str:
+    """The robot without its root link `world` and the fixed joint below it; a free one stays as it is.
+
+    The link below takes the root's place, so the joint's origin is gone: the pose of spawning says where it stands.
+
+    Raises:
+        BadFile: broken XML, no single root, or a `world` that holds the robot by anything but one fixed joint.
+    """
+    robot = xml_tree.read(xml, file)
+    if _root_name(robot) != WORLD:
+        return xml
+    below = [joint for joint in robot.find_all("joint") if _end(joint, "parent") == WORLD]
+    if len(below) != 1 or below[0].get("type") != "fixed":
+        names = listing([joint.get("name") or "?" for joint in below])
+        raise robot.error(
+            f"cannot free the robot: its link {WORLD!r} must hold it by one fixed joint alone; joints there: {names}"
+        )
+    gone = [below[0], *(link for link in robot.find_all("link") if link.get("name") == WORLD)]
+    robot.content[:] = [node for node in robot.content if node not in gone]
+    return xml_tree.write(robot)
+
+
+def _end(joint: Element, tag: str) -> str | None:
+    end = joint.find(tag)
+    return end.get("link") if end is not None else None
+
+
+def _root_name(robot: Element) -> str:
+    children = {_end(joint, "child") for joint in robot.find_all("joint")}
+    roots = [link.get("name") for link in robot.find_all("link") if link.get("name") not in children]
+    if len(roots) != 1 or not roots[0]:
+        raise robot.error(f"the robot needs one root link; it has: {listing([name or '?' for name in roots])}")
+    return roots[0]

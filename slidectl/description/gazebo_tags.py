@@ -48,50 +48,41 @@ class GazeboReader:
             BadFile: a malformed number or an impossible name.
         """
         self.report.unknown(element, {"reference"}, [child.tag for child in element.children])
-        reference = element.get("reference")
-        if not reference:
-            self._of_model(element)
-        elif reference in self.links:
-            for child in element.children:
-                self._of_link(reference, child, element)
-        elif reference in self.joints:
-            self._ignore_all(element, "tags of joints have no effect here")
-        else:
-            self._lost(element, reference)
-
-    def _lost(self, element: Element, reference: str) -> None:
-        near = closest(reference, islice((*self.links, *self.joints), _MOST_COMPARED))
-        hint = f"; did you mean {near!r}?" if near else ""
-        self.report.wrong(element, f"there is no link or joint {reference!r}; the tag has no effect{hint}")
-
-    def _ignore_all(self, element: Element, why: str) -> None:
+        reference = element.get("reference") or ""
+        if reference and reference not in self.links and reference not in self.joints:
+            near = closest(reference, islice((*self.links, *self.joints), _MOST_COMPARED))
+            hint = f"; did you mean {near!r}?" if near else ""
+            self.report.wrong(element, f"there is no link or joint {reference!r}; the tag has no effect{hint}")
+            return
         for child in element.children:
-            self.report.ignored(child, why, f"{element.title}/{child.title}")
-
-    def _of_model(self, element: Element) -> None:
-        for child in element.children:
-            if child.tag == "plugin":
-                self._plugin(child)
+            if reference and reference in self.links:
+                self.report.attempt(self._of_link, child, reference, element)
+            elif reference:
+                place = f"{element.title}/{child.title}"
+                self.report.ignored(child, "tags of joints have no effect here", place)
+            elif child.tag == "plugin":
+                self.report.attempt(self._plugin, child)
             else:
                 hint = "; use --fixed to hold the robot" if child.tag == "static" else ""
                 self.report.ignored(child, f"has no effect here{hint}", f"<gazebo>/{child.title}")
 
-    def _plugin(self, element: Element) -> None:
+    def _plugin(self, element: Element) -> bool:
+        """The control plugin. Others are not loaded; one that is nearly called so was meant to be it."""
         filename = (element.get("filename") or "").strip()
         place = f'<plugin name="{element.get("name") or ""}">'
         if not _is_control(element):
-            self._no_control(element, filename, place)
+            from difflib import get_close_matches
+
+            # All plugins of gazebo_ros are called alike, so this is stricter than usual suggestions.
+            if get_close_matches(filename, [_CONTROL_PLUGIN + ".so"], cutoff=0.85):
+                self.report.wrong(element, f"there is no plugin {filename}; did you mean {_CONTROL_PLUGIN}.so?", place)
+            else:
+                self.report.ignored(element, f"Gazebo plugins are not loaded: {filename or 'no filename'}", place)
         elif self.plugin is not None:
             self.report.ignored(element, f"only the first {_CONTROL_PLUGIN}.so counts, line {self.plugin.line}", place)
         else:
             self.plugin = self._control(element, place)
-
-    def _no_control(self, element: Element, filename: str, place: str) -> None:
-        """Another plugin: most are just not loaded; one that is nearly ours was meant to be."""
-        if _is_nearly_control(filename):
-            self.report.wrong(element, f"there is no plugin {filename}; did you mean {_CONTROL_PLUGIN}.so?", place)
-        else:
-            self.report.ignored(element, f"Gazebo plugins are not loaded: {filename or 'no filename'}", place)
+        return True
 
     def _control(self, element: Element, place: str) -> ControlPlugin:
         self.report.unknown(element, {"name", "filename"}, _PARAMETERS, place)
@@ -113,7 +104,7 @@ class GazeboReader:
             element.file,
         )
 
-    def _of_link(self, link: str, child: Element, element: Element) -> None:
+    def _of_link(self, child: Element, link: str, element: Element) -> bool:
         place = f"{element.title}/{child.title}"
         if child.tag in ("mu1", "mu2"):
             self._set(link, **{child.tag: self._friction(child, f"link {link!r}: <{child.tag}>")})
@@ -128,6 +119,7 @@ class GazeboReader:
             near = closest(child.tag, _OF_LINK)
             hint = f"; did you mean <{near}>?" if near else ""
             self.report.ignored(child, f"has no effect here{hint}", place)
+        return True
 
     def _set(self, link: str, **fields: Any) -> None:
         self.surfaces[link] = replace(self.surfaces.get(link, Surface()), **fields)
@@ -164,13 +156,6 @@ def _is_control(plugin: Element) -> bool:
     """Whether it is gazebo_ros_control's, with or without a folder and its suffix."""
     filename = (plugin.get("filename") or "").strip()
     return filename.rpartition("/")[2].removesuffix(".so") == _CONTROL_PLUGIN
-
-
-def _is_nearly_control(filename: str) -> bool:
-    """All plugins of gazebo_ros are called alike, so this is stricter than usual suggestions."""
-    from difflib import get_close_matches
-
-    return bool(get_close_matches(filename, [_CONTROL_PLUGIN + ".so"], cutoff=0.85))
 
 
 def _text(element: Element) -> str:

@@ -1,7 +1,8 @@
-"""Mesh files as triangles: STL (binary and text), OBJ and DAE, with numpy alone.
+"""Mesh files: where they are (`package://`, `model://`, `file://` and plain paths), and their triangles.
 
-Files of others are read here, so all that a file can ask for has a bound. Nothing is fetched from elsewhere, and no
-material, texture or normal is read. Finding the files is mesh_files.py, the scenes of a DAE are collada.py.
+STL (binary and text), OBJ and DAE, with numpy alone, which is imported when a file is read: trimesh takes a second to
+import, in each process that reads meshes. Files of others are read here, so all that a file can ask for has a bound.
+Nothing is fetched from elsewhere, and no material, texture or normal is read. The scenes of a DAE are collada.py.
 """
 
 from __future__ import annotations
@@ -11,9 +12,10 @@ import re
 import stat
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
+from urllib.parse import unquote
 
 from slidectl.description.inertia import LEAST
-from slidectl.description.mesh_files import SUFFIXES
+from slidectl.description.packages import Packages, UnknownPackage, is_file
 from slidectl.description.robot import Vector
 from slidectl.errors import BadFile
 
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+SUFFIXES = (".stl", ".obj", ".dae")
 MOST_BYTES = 128 * 2**20
 """Of a file in a binary format."""
 MOST_BYTES_OF_TEXT = 64 * 2**20
@@ -32,12 +35,70 @@ _STL_FACET = 50
 _LONGEST_NUMBER = 64
 """Bytes. numpy gives each text of an array the room of the longest."""
 _VERTEX = re.compile(rb"\bvertex\s+(\S{1,64})\s+(\S{1,64})\s+(\S{1,64})(?!\S)", re.IGNORECASE)
+_USABLE = "a path is relative to the robot's file, else it is absolute or begins with package://, model:// or file://"
 _THINNEST = 1e-12
 _FARTHEST = 1e12
 _SMALLEST_BOX = 100 * LEAST
 """m³. MuJoCo refuses hulls of less volume than LEAST."""
 FLAT = "it lies in one plane or is too small, and what is flat cannot collide; a thin <box> can"
 """What is wrong with a mesh that collides and `is_flat`."""
+
+
+class MeshFiles:
+    """Looks mesh files up; `base` is the folder of the robot's file, None when it came without one."""
+
+    def __init__(self, packages: Packages, base: Path | None) -> None:
+        self.packages = packages
+        self.base = base
+
+    def locate(self, uri: str, written_in: str) -> tuple[Path | None, str]:
+        """The file (absolute) or None, and in words why not. `written_in` is the file that names the mesh.
+
+        Relative paths are looked up beside that file, and then beside the robot's own.
+        """
+        try:
+            candidates = self._candidates(uri.strip(), written_in)
+        except UnknownPackage as error:
+            return None, str(error)
+        for path in candidates:
+            if is_file(path):
+                return path.absolute(), ""
+        places = ", ".join(str(path) for path in dict.fromkeys(candidates))
+        return None, f"no such file; looked for {places}" if candidates else f"cannot be found: {_USABLE}"
+
+    def expected(self, uri: str, written_in: str) -> Path | None:
+        """Where a file that is not there was looked for first; None where its package is not there either."""
+        try:
+            return next(iter(self._candidates(uri.strip(), written_in)), None)
+        except UnknownPackage:
+            return None
+
+    def _candidates(self, uri: str, written_in: str) -> list[Path]:
+        scheme, separator, rest = uri.partition("://")
+        if scheme in ("package", "model") and separator:
+            name, _, inside = rest.partition("/")
+            folder = self.packages.find(unquote(name))
+            return [folder / inside, folder / unquote(inside)]
+        if scheme == "file" and separator:
+            path = rest if rest.startswith("/") else "/" + rest.partition("/")[2]
+            return [Path(path), Path(unquote(path))]
+        if separator:
+            return []
+        if Path(uri).is_absolute():
+            return [Path(uri)]
+        folders = [Path(written_in).absolute().parent] if is_file(Path(written_in)) else []
+        folders += [self.base] if self.base is not None else []
+        return [folder / uri for folder in dict.fromkeys(folders)]
+
+
+class UnreadMeshes(MeshFiles):
+    """For whoever reads a robot for its joints alone: every mesh is taken to be there."""
+
+    def __init__(self) -> None:
+        super().__init__(Packages(), None)
+
+    def locate(self, uri: str, written_in: str) -> tuple[Path | None, str]:  # noqa: ARG002 - nothing is looked up
+        return Path(uri), ""
 
 
 class BadMesh(BadFile):

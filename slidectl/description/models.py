@@ -54,7 +54,8 @@ def read_file(path: Path, *, pipes: bool = False) -> bytes:
         is_shipped = path.suffix in SUFFIXES and path.stem in shipped()
         hint = f"a shipped model goes by its name alone: {path.stem}" if is_shipped else None
         kind = NotThere if isinstance(error, FileNotFoundError) else BadFile
-        raise kind(_why(error), str(path), hint=hint) from None
+        reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
+        raise kind(reason[:1].lower() + reason[1:], str(path), hint=hint) from None
 
 
 def read_regular(path: Path, most_bytes: int, *, pipes: bool = False) -> bytes:
@@ -66,37 +67,21 @@ def read_regular(path: Path, most_bytes: int, *, pipes: bool = False) -> bytes:
     Raises:
         BadFile: it is none. OSError, ValueError: it cannot be read.
     """
-    mode = os.stat(path).st_mode
-    is_pipe = pipes and stat.S_ISFIFO(mode)
+    is_pipe = pipes and stat.S_ISFIFO(os.stat(path).st_mode)
+    _check_kind(path, os.stat(path).st_mode, is_pipe)
     # Without O_NONBLOCK the open itself would wait for a writer, if a FIFO has come into the file's place by now.
-    descriptor = -1 if _irregular(mode) else os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
-    if is_pipe:
-        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
-    if descriptor < 0:
-        raise _no_file(path, mode)
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | (0 if is_pipe else os.O_NONBLOCK))
     with open(descriptor, "rb") as stream:
-        mode = os.fstat(descriptor).st_mode
-        if _irregular(mode) and not is_pipe:
-            raise _no_file(path, mode)
+        _check_kind(path, os.fstat(descriptor).st_mode, is_pipe)
         return stream.read(most_bytes + 1)
 
 
-def _irregular(mode: int) -> str | None:
-    """What kind of file it is that cannot be read as one; None for regular files, and folders, which say so."""
-    for is_kind, kind in ((stat.S_ISFIFO, "a pipe"), (stat.S_ISSOCK, "a socket"), (stat.S_ISREG, None)):
-        if is_kind(mode):
-            return kind
-    return None if stat.S_ISDIR(mode) else "a device"
-
-
-def _no_file(path: Path, mode: int) -> BadFile:
-    return BadFile(f"is {_irregular(mode)}, and only regular files are read", str(path))
-
-
-def _why(error: OSError | ValueError) -> str:
-    if isinstance(error, OSError) and error.strerror:
-        return error.strerror[0].lower() + error.strerror[1:]
-    return str(error)
+def _check_kind(path: Path, mode: int, is_pipe: bool) -> None:
+    """Raises BadFile unless it is a regular file, a folder (which says so when it is read), or a pipe that may be."""
+    if stat.S_ISREG(mode) or stat.S_ISDIR(mode) or (is_pipe and stat.S_ISFIFO(mode)):
+        return
+    kind = "a pipe" if stat.S_ISFIFO(mode) else "a socket" if stat.S_ISSOCK(mode) else "a device"
+    raise BadFile(f"is {kind}, and only regular files are read", str(path))
 
 
 def find(source: str | Path) -> Path:

@@ -1,38 +1,62 @@
-"""URDF text into a Robot: reads the parts in order and lets structure.py check how they hang together.
+"""URDF text into a Robot: links, joints, materials, how they hang together, and what they weigh.
 
-Safe for texts from anybody: nothing is evaluated, fetched or written. What has no effect is in the robot's report.
+Rules of urdfdom for what is mandatory, of sdformat for limits the wrong way round. Safe for texts from anybody: nothing
+is evaluated, fetched or written. What has no effect is in the robot's report. `<transmission>` is transmissions.py,
+`<gazebo>` gazebo_tags.py, masses and inertias rigid_bodies.py.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Any, cast, get_args
 
 from slidectl.description import values, xml_tree
 from slidectl.description.gazebo_tags import GazeboReader
-from slidectl.description.joints import JointReader, tell_starts
-from slidectl.description.links import LinkReader
-from slidectl.description.materials import Materials
-from slidectl.description.mesh_files import MeshFiles
+from slidectl.description.meshes import SUFFIXES, MeshFiles
 from slidectl.description.packages import Packages
-from slidectl.description.report import Report
+from slidectl.description.report import Report, one_line
 from slidectl.description.rigid_bodies import WORLD, Weigher
-from slidectl.description.robot import Robot, Surface, TransmissionInfo
-from slidectl.description.structure import Elements, Structure
+from slidectl.description.robot import (
+    Box,
+    Cylinder,
+    Geometry,
+    Inertial,
+    Joint,
+    JointType,
+    Limit,
+    Link,
+    Material,
+    Mesh,
+    Mimic,
+    Pose,
+    Robot,
+    Safety,
+    Shape,
+    Sphere,
+    Surface,
+    Vector,
+)
 from slidectl.description.transmissions import TransmissionReader, driving, takes_positions
 from slidectl.description.xml_tree import Element
+from slidectl.errors import listing
+
+DEEPEST = 1000
+"""Joints between the root and a link. MuJoCo takes a few more, and looks at a longer chain for minutes to refuse it."""
+TOO_DEEP = f"its child hangs more than {DEEPEST} joints below the root"
+STARTS_OUTSIDE = "the joint starts at 0, outside of its limits"
+"""How the notice of such a joint begins: whoever puts it elsewhere at once need not hear of it."""
 
 _CHILDREN = {"link", "joint", "material", "transmission", "gazebo"}
-
-
-class _Named(Protocol):
-    @property
-    def name(self) -> str: ...
-
-
-Part = TypeVar("Part", bound=_Named)
+_GEOMETRIES = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",), "mesh": ("filename", "scale")}
+_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+_TYPES: tuple[str, ...] = get_args(JointType)
+_WITH_AXIS = ("revolute", "continuous", "prismatic", "planar")
+_WITH_RANGE = ("revolute", "prismatic")
+_IMMOBILE = ("fixed", "floating", "planar")
+_OF_JOINT = {"parent", "child", "origin", "axis", "limit", "dynamics", "safety_controller", "mimic", "calibration"}
 
 
 def parse(
@@ -58,66 +82,464 @@ def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = 
     """The robot of a tree of elements; what becomes of them is written into `report` on the way.
 
     Raises:
-        BadFile: as parse; the report then holds what was said before.
+        BadFile: as parse. Where the report takes faults in, they are all in there, and this is the first.
     """
     if root.tag != "robot":
         raise root.error(f"the outermost element is <{root.tag}>, expected <robot>")
-    return _RobotReader(root, meshes, report, strict).read()
+    name = values.required(root, "name", "robot")
+    report.unknown(root, {"name", "version"}, _CHILDREN)
+    link_reader = _LinkReader(report, meshes, strict)
+    for element in root.find_all("material"):
+        report.attempt(link_reader.global_material, element)
+    joint_reader = _JointReader(report)
+    links, link_at = _named(root, "link", link_reader.read, report)
+    joints, joint_at = _named(root, "joint", joint_reader.read, report)
+    # With a part that cannot be read there are gaps: how the rest hangs together would be judged wrongly.
+    is_whole = len(links) == len(root.find_all("link")) and len(joints) == len(root.find_all("joint"))
+    base = _Structure(links, joints, link_at, joint_at, report).check(root) if is_whole else None
+    if not report.faults and base is not None:
+        if base == WORLD and (inertial := link_at[base].find("inertial")) is not None:
+            report.ignored(inertial, "the world does not move", f"link {base!r}/<inertial>")
+        links = Weigher(links, joints, link_at, report, strict).weigh(base)
+    reader = TransmissionReader(report, joints, is_whole)
+    read = (report.attempt(reader.read, element) for element in root.find_all("transmission"))
+    transmissions = tuple(info for info in read if info is not None)
+    # A position joint goes to its command, which is bounded by the limits, in the first steps.
+    moved = {info.joints[0].name for info in driving(transmissions) if takes_positions(info.joints[0])}
+    for joint in joints.values():
+        limit = joint.limit if joint.type in _WITH_RANGE and joint.name not in moved else None
+        if limit is not None and limit.lower != limit.upper and not limit.lower <= 0 <= limit.upper:
+            text = f"{STARTS_OUTSIDE} {limit.lower:g} to {limit.upper:g}"
+            report.wrong(joint_at[joint.name].find("limit") or joint_at[joint.name], text, place_of_limit(joint.name))
+    named = ([part.get("name") or "" for part in root.find_all(tag)] for tag in ("link", "joint"))
+    gazebo = GazeboReader(report, *map(dict.fromkeys, named))
+    for element in root.find_all("gazebo"):
+        gazebo.read(element)
+    if report.faults or base is None:
+        raise report.faults[0]
+    links = {key: replace(link, surface=gazebo.surfaces.get(key, Surface())) for key, link in links.items()}
+    return Robot(name, links, joints, base, transmissions, gazebo.plugin, report.notices(root))
 
 
-class _RobotReader:
-    def __init__(self, root: Element, meshes: MeshFiles, report: Report, strict: bool) -> None:
-        self.root = root
-        self.report = report
-        self.materials = Materials(report)
-        self.meshes = meshes
-        self.strict = strict
-
-    def read(self) -> Robot:
-        root, report = self.root, self.report
-        name = values.required(root, "name", "robot")
-        report.unknown(root, {"name", "version"}, _CHILDREN)
-        self.materials.read_global(root.find_all("material"))
-        reader = LinkReader(report, self.materials, self.meshes, self.strict)
-        links, link_at = _named(root.find_all("link"), reader.read)
-        joints, joint_at = _named(root.find_all("joint"), JointReader(report).read)
-        base = Structure(links, joints, link_at, joint_at).check(root)
-        self._check_world(base, link_at)
-        links = Weigher(links, joints, link_at, report, self.strict).weigh(base)
-        transmissions = self._transmissions(TransmissionReader(report, joints))
-        # A position joint goes to its command, which is bounded by the limits, in the first steps.
-        driven = (info.joints[0] for info in driving(transmissions))
-        tell_starts(joints, joint_at, {joint.name for joint in driven if takes_positions(joint)}, report)
-        gazebo = GazeboReader(report, links, joints)
-        for element in root.find_all("gazebo"):
-            gazebo.read(element)
-        links = {key: replace(link, surface=gazebo.surfaces.get(key, Surface())) for key, link in links.items()}
-        return Robot(name, links, joints, base, transmissions, gazebo.plugin, report.notices(root))
-
-    def _check_world(self, base: str, link_at: Elements) -> None:
-        inertial = link_at[base].find("inertial") if base == WORLD else None
-        if inertial is not None:
-            self.report.ignored(inertial, "the world does not move", f"link {base!r}/<inertial>")
-
-    def _transmissions(self, reader: TransmissionReader) -> tuple[TransmissionInfo, ...]:
-        read = (reader.read(element) for element in self.root.find_all("transmission"))
-        return tuple(info for info in read if info is not None)
-
-
-def _named(elements: Iterable[Element], read: Callable[[Element], Part]) -> tuple[dict[str, Part], dict[str, Element]]:
-    """The parts by name, and their elements by name.
-
-    Raises:
-        BadFile: two of one name.
-    """
-    parts: dict[str, Part] = {}
+def _named(
+    root: Element, tag: str, read: Callable[[Element], Any], report: Report
+) -> tuple[dict[str, Any], dict[str, Element]]:
+    """The parts that can be read by name, and their elements by name."""
+    parts: dict[str, Any] = {}
     places: dict[str, Element] = {}
-    for element in elements:
+
+    def take(element: Element) -> Any:
         part = read(element)
         if part.name in parts:
             first = places[part.name]
-            other = f"{first.file}:{first.line}"
-            raise element.error(f"{element.tag} {part.name!r} is there twice; the other is at {other}")
-        parts[part.name] = part
-        places[part.name] = element
+            raise element.error(f"{tag} {part.name!r} is there twice; the other is at {first.file}:{first.line}")
+        parts[part.name], places[part.name] = part, element
+        return part
+
+    for element in root.find_all(tag):
+        report.attempt(take, element)
     return parts, places
+
+
+def place_of_limit(joint: str) -> str:
+    """The subject of notices on a joint's range."""
+    return f"joint {joint!r}/<limit>"
+
+
+def _origin(report: Report, element: Element, owner: str) -> Pose:
+    origin = report.only(element, "origin")
+    if origin is not None:
+        report.unknown(origin, {"xyz", "rpy"}, (), f"{owner}/<origin>")
+    return values.pose(origin, owner)
+
+
+# --- links ------------------------------------------------------------------------------------------------------------
+
+
+class _LinkReader:
+    """Reads `<link>` and `<material>` elements of one robot. `strict` refuses shapes without a size.
+
+    As in urdfdom, a visual that names a material without defining it means the global one, and a definition inside a
+    visual becomes global when there is none of that name yet.
+    """
+
+    def __init__(self, report: Report, meshes: MeshFiles, strict: bool) -> None:
+        self.report = report
+        self.meshes = meshes
+        self.strict = strict
+        self.materials: dict[str, Material] = {}
+
+    def read(self, element: Element) -> Link:
+        name = values.required(element, "name", "link")
+        owner = f"link {name!r}"
+        self.report.unknown(element, {"name"}, {"inertial", "visual", "collision"})
+        inertial = self.report.only(element, "inertial")
+        return Link(
+            name,
+            self.report.attempt(self._inertial, inertial, owner) if inertial is not None else None,
+            self._shapes(element, "visual", owner),
+            self._shapes(element, "collision", owner),
+            line=element.line,
+            file=element.file,
+        )
+
+    def _inertial(self, element: Element, owner: str) -> Inertial:
+        self.report.unknown(element, (), {"origin", "mass", "inertia"}, f"{owner}/<inertial>")
+        mass = values.number(self._child(element, "mass", owner), "value", owner)
+        tensor = self._child(element, "inertia", owner)
+        self.report.unknown(tensor, _MOMENTS, (), f"{owner}/<inertia>")
+        ixx, ixy, ixz, iyy, iyz, izz = (values.number(tensor, name, owner) for name in _MOMENTS)
+        return Inertial(_origin(self.report, element, owner), mass, (ixx, ixy, ixz, iyy, iyz, izz), element.line)
+
+    def _child(self, element: Element, tag: str, owner: str) -> Element:
+        child = self.report.only(element, tag)
+        if child is None:
+            raise element.error(f"{owner}: <{element.tag}> lacks <{tag}>")
+        return child
+
+    def _shapes(self, link: Element, tag: str, owner: str) -> tuple[Shape, ...]:
+        shapes = (self.report.attempt(self._shape, element, owner) for element in link.find_all(tag))
+        return tuple(shape for shape in shapes if shape is not None)
+
+    def _shape(self, element: Element, owner: str) -> Shape | None:
+        """A visual or a collision; None when it has no size."""
+        is_visual = element.tag == "visual"
+        known = {"origin", "geometry", "material"} if is_visual else {"origin", "geometry"}
+        self.report.unknown(element, {"name"}, known, f"{owner}/<{element.tag}>")
+        inside = self.report.only(element, "geometry")
+        if inside is None:
+            self._leave_out(element, owner, f"<{element.tag}> lacks <geometry>")
+        geometry = self._geometry(inside, owner, needed=not is_visual) if inside is not None else None
+        material = self._material_of(element, owner) if is_visual else None
+        origin = _origin(self.report, element, owner)
+        if geometry is None:
+            return None
+        return Shape(geometry, origin, element.get("name"), material, element.line, element.file)
+
+    def _leave_out(self, element: Element, owner: str, why: str) -> None:
+        """Report a shape without a size, or refuse it."""
+        if self.strict:
+            raise element.error(f"{owner}: {why}")
+        self.report.converted(element, f"{why}; the shape is left out", f"{owner}/{element.title}")
+
+    def _geometry(self, element: Element, owner: str, *, needed: bool) -> Geometry | None:
+        shapes = [child for child in element.children if child.tag in _GEOMETRIES]
+        if not shapes:
+            there = ", ".join(child.tag for child in element.children) or "nothing"
+            why = f"<geometry> holds {there}; known shapes: {', '.join(_GEOMETRIES)}"
+            if element.children:
+                raise element.error(f"{owner}: {why}")
+            self._leave_out(element, owner, why)
+            return None
+        self.report.unknown(element, (), _GEOMETRIES, f"{owner}/<geometry>")
+        for extra in shapes[1:]:
+            self.report.ignored(extra, "only the first shape of a <geometry> counts", f"{owner}/{extra.title}")
+        shape = shapes[0]
+        self.report.unknown(shape, _GEOMETRIES[shape.tag], (), f"{owner}/<{shape.tag}>")
+        return self._mesh(shape, owner, needed) if shape.tag == "mesh" else self._primitive(shape, owner)
+
+    def _primitive(self, shape: Element, owner: str) -> Geometry | None:
+        attributes = _GEOMETRIES[shape.tag]
+        if shape.tag == "box":
+            sizes: tuple[float, ...] = values.vector(shape, "size", owner)
+            if min(sizes) < 0:
+                raise shape.error(f"{owner}: edges of a <box> must be above 0, not {shape.get('size')!r}")
+        else:
+            sizes = tuple(values.not_negative(shape, name, owner) for name in attributes)
+        # The physics takes half lengths, and half of the smallest number is 0.
+        if min(sizes) / 2 == 0.0:
+            written = ", ".join(f"{name} {shape.get(name)!r}" for name in attributes)
+            self._leave_out(shape, owner, f"<{shape.tag}> with {written} has no volume")
+            return None
+        if shape.tag == "box":
+            return Box((sizes[0], sizes[1], sizes[2]))
+        return Sphere(sizes[0]) if shape.tag == "sphere" else Cylinder(sizes[0], sizes[1])
+
+    def _mesh(self, shape: Element, owner: str, needed: bool) -> Mesh | None:
+        """A mesh. One that is only looked at may be missing (it moves nothing); one that collides may not."""
+        filename = shape.get("filename")
+        if filename is not None and not filename.strip():
+            self._leave_out(shape, owner, "attribute 'filename' of <mesh> is empty")
+            return None
+        uri = values.required(shape, "filename", owner)
+        scale = values.vector(shape, "scale", owner) if "scale" in shape.attributes else (1.0, 1.0, 1.0)
+        if 0.0 in scale:
+            self._leave_out(shape, owner, f"<mesh> with scale {shape.get('scale')!r} has no volume")
+            return None
+        path, why = self.meshes.locate(uri, shape.file)
+        if path is not None and not uri.strip().lower().endswith(SUFFIXES):
+            path, why = None, f"is of no known kind; known: {', '.join(SUFFIXES)}"
+        if path is None and needed:
+            raise shape.error(f"{owner}: mesh {uri!r}: {why}")
+        if path is None:
+            self.report.wrong(shape, f"{owner} is not drawn: {one_line(why)}")
+        return Mesh(uri, str(path) if path is not None else None, scale)
+
+    def global_material(self, element: Element) -> Material:
+        """Take in a `<material>` child of `<robot>`."""
+        material = self._material(element, values.required(element, "name", "material"))
+        if material.name in self.materials:
+            self.report.wrong(element, "is defined twice; the first one counts")
+        elif material.rgba is None and material.texture is None:
+            self.report.wrong(element, "has neither <color> nor <texture>")
+        return self.materials.setdefault(material.name, material)
+
+    def _material_of(self, visual: Element, owner: str) -> Material | None:
+        element = self.report.only(visual, "material")
+        if element is None:
+            return None
+        material = self._material(element, element.get("name") or "")
+        if material.rgba is not None or material.texture is not None:
+            self.materials.setdefault(material.name, material)
+            return material
+        if material.name not in self.materials:
+            self.report.wrong(element, f"{owner}: no material of that name is defined")
+        return self.materials.get(material.name, material)
+
+    def _material(self, element: Element, name: str) -> Material:
+        self.report.unknown(element, {"name"}, {"color", "texture"})
+        color = self.report.only(element, "color")
+        texture = self.report.only(element, "texture")
+        if texture is not None:
+            self.report.unknown(texture, {"filename"}, ())
+            self.report.ignored(texture, "textures are not drawn", f"{element.title}/{texture.title}")
+        rgba = None
+        if color is not None:
+            self.report.unknown(color, {"rgba"}, ())
+            red, green, blue, alpha = values.numbers(color, "rgba", 4, f"material {name!r}")
+            rgba = red, green, blue, alpha
+            if not all(0 <= part <= 1 for part in rgba):
+                self.report.wrong(color, f"material {name!r}: parts of a colour lie between 0 and 1")
+        return Material(name, rgba, texture.get("filename") if texture is not None else None)
+
+
+# --- joints -----------------------------------------------------------------------------------------------------------
+
+
+class _JointReader:
+    """Reads `<joint>` elements of one robot."""
+
+    def __init__(self, report: Report) -> None:
+        self.report = report
+
+    def read(self, element: Element) -> Joint:
+        name = values.required(element, "name", "joint")
+        owner = f"joint {name!r}"
+        self.report.unknown(element, {"name", "type"}, _OF_JOINT)
+        written = values.required(element, "type", owner)
+        if written not in _TYPES:
+            raise values.unknown(element, owner, "joint type", written, _TYPES)
+        kind = cast(JointType, written)
+        limit = self._part(element, "limit", self._limit, kind, owner)
+        if limit is None and kind in _WITH_RANGE and element.find("limit") is None:
+            raise element.error(f"{owner} is {kind} and lacks <limit>", "add <limit lower upper effort velocity/>")
+        damping, friction = self._part(element, "dynamics", self._dynamics, kind, owner) or (0.0, 0.0)
+        for calibration in element.find_all("calibration"):
+            self.report.ignored(calibration, "simulated joints need no calibration", f"{owner}/<calibration>")
+        return Joint(
+            name,
+            kind,
+            self._link(element, "parent", owner),
+            self._link(element, "child", owner),
+            _origin(self.report, element, owner),
+            self._part(element, "axis", self._axis, kind, owner) or (1.0, 0.0, 0.0),
+            limit,
+            damping,
+            friction,
+            self._part(element, "safety_controller", self._safety, kind, owner, limit),
+            self._part(element, "mimic", self._mimic, kind, owner),
+            element.line,
+            element.file,
+        )
+
+    def _part(self, element: Element, tag: str, read: Callable[..., Any], *values: Any) -> Any:
+        """What is read of the child of that name; None when there is none."""
+        child = self.report.only(element, tag)
+        return None if child is None else self.report.attempt(read, child, *values)
+
+    def _ignore(self, element: Element, owner: str, why: str) -> None:
+        self.report.ignored(element, why, f"{owner}/<{element.tag}>")
+
+    def _link(self, element: Element, tag: str, owner: str) -> str:
+        child = self.report.only(element, tag)
+        if child is None:
+            raise element.error(f"{owner} lacks <{tag}>")
+        self.report.unknown(child, {"link"}, (), f"{owner}/<{tag}>")
+        return values.required(child, "link", owner)
+
+    def _axis(self, axis: Element, kind: JointType, owner: str) -> Vector | None:
+        if kind not in _WITH_AXIS:
+            self._ignore(axis, owner, f"a {kind} joint has no axis")
+            return None
+        self.report.unknown(axis, {"xyz"}, (), f"{owner}/<axis>")
+        x, y, z = values.vector(axis, "xyz", owner)
+        length = math.hypot(x, y, z)
+        if not 0.0 < length < math.inf:
+            raise axis.error(f"{owner}: <axis> is {axis.get('xyz')!r}, which is no direction")
+        if abs(length - 1.0) <= 1e-9:
+            # Left as written: dividing by a length that is 1 but for its rounding would only move the last digit.
+            return x, y, z
+        self.report.converted(axis, f"made a unit vector; its length is {length:g}", f"{owner}/<axis>")
+        return x / length, y / length, z / length
+
+    def _limit(self, limit: Element, kind: JointType, owner: str) -> Limit | None:
+        if kind not in (*_WITH_RANGE, "continuous"):
+            self._ignore(limit, owner, f"a {kind} joint has no limits")
+            return None
+        self.report.unknown(limit, {"lower", "upper", "effort", "velocity"}, (), f"{owner}/<limit>")
+        effort = values.not_negative(limit, "effort", owner)
+        velocity = values.not_negative(limit, "velocity", owner)
+        lower, upper = self._range(limit, kind, owner)
+        return Limit(lower, upper, velocity, effort, limit.line)
+
+    def _range(self, limit: Element, kind: JointType, owner: str) -> tuple[float, float]:
+        place = f"{owner}/<limit>"
+        if kind == "continuous":
+            for name in ("lower", "upper"):
+                if name in limit.attributes:
+                    self.report.ignored(limit, f"a continuous joint has no {name!r}", place, name)
+            return 0.0, 0.0
+        lower = values.number(limit, "lower", owner, 0.0)
+        upper = values.number(limit, "upper", owner, 0.0)
+        if lower > upper:
+            self.report.converted(limit, f"lower {lower:g} is above upper {upper:g}; they are swapped", place)
+            return upper, lower
+        if lower == upper:
+            self.report.wrong(limit, f"lower and upper are both {lower:g}: the joint cannot move", place)
+        return lower, upper
+
+    def _dynamics(self, dynamics: Element, kind: JointType, owner: str) -> tuple[float, float] | None:
+        if kind == "fixed":
+            self._ignore(dynamics, owner, "a fixed joint does not move")
+            return None
+        self.report.unknown(dynamics, {"damping", "friction"}, (), f"{owner}/<dynamics>")
+        damping = values.not_negative(dynamics, "damping", owner, 0.0)
+        return damping, values.not_negative(dynamics, "friction", owner, 0.0)
+
+    def _safety(self, safety: Element, kind: JointType, owner: str, limit: Limit | None) -> Safety | None:
+        place = f"{owner}/<safety_controller>"
+        known = ("soft_lower_limit", "soft_upper_limit", "k_position")
+        self.report.unknown(safety, {*known, "k_velocity"}, (), place)
+        if limit is None:
+            self._ignore(safety, owner, "the joint has no <limit>")
+            return None
+        lower, upper, k_position = (values.number(safety, name, owner, 0.0) for name in known)
+        if kind in _WITH_RANGE:
+            if lower > upper:
+                self.report.wrong(safety, "soft_lower_limit is above soft_upper_limit", place)
+            if lower < limit.lower or upper > limit.upper:
+                hard = f"the hard ones, {limit.lower:g} to {limit.upper:g}"
+                self.report.wrong(safety, f"soft limits {lower:g} to {upper:g} lie outside of {hard}", place)
+            if k_position == 0.0:
+                text = "with k_position 0 the soft limits allow no velocity at all"
+                self.report.add("wrong", safety, text, place, "k_position")
+        return Safety(lower, upper, k_position, values.number(safety, "k_velocity", owner))
+
+    def _mimic(self, mimic: Element, kind: JointType, owner: str) -> Mimic | None:
+        if kind not in (*_WITH_RANGE, "continuous"):
+            self._ignore(mimic, owner, f"a {kind} joint cannot follow another")
+            return None
+        self.report.unknown(mimic, {"joint", "multiplier", "offset"}, (), f"{owner}/<mimic>")
+        multiplier = values.number(mimic, "multiplier", owner, 1.0)
+        return Mimic(values.required(mimic, "joint", owner), multiplier, values.number(mimic, "offset", owner, 0.0))
+
+
+# --- how they hang together -------------------------------------------------------------------------------------------
+
+
+class _Structure:
+    """The links and joints of one robot, and the elements that they were read from. Linear in the size."""
+
+    def __init__(
+        self,
+        links: Mapping[str, Link],
+        joints: Mapping[str, Joint],
+        link_at: Mapping[str, Element],
+        joint_at: Mapping[str, Element],
+        report: Report,
+    ) -> None:
+        self.links = links
+        self.joints = joints
+        self.link_at = link_at
+        self.joint_at = joint_at
+        self.report = report
+        self.above: dict[str, Joint] = {}
+
+    def check(self, robot: Element) -> str | None:
+        """The name of the root link; None where the report takes it in that there is none.
+
+        Raises:
+            BadFile: the links form no tree, a mimic joint follows nobody, or a chain of joints is too long.
+        """
+        if not self.links:
+            raise robot.error("the robot has no link")
+        elements = [self.joint_at[name] for name in self.joints]
+        placed = [self.report.attempt(self._take, element) for element in elements]
+        root = self.report.attempt(self._root, robot) if all(placed) else None
+        for element in elements:
+            self.report.attempt(self._check_mimic, element)
+        if root is not None and (joint := too_deep(root, self.joints)) is not None:
+            raise self.joint_at[joint.name].error(f"joint {joint.name!r}: {TOO_DEEP}")
+        return root
+
+    def _take(self, element: Element) -> bool:
+        """Put a joint into the tree."""
+        joint = self.joints[element.attributes["name"]]
+        for role, name in (("parent", joint.parent), ("child", joint.child)):
+            if name not in self.links:
+                raise values.unknown(element, f"joint {joint.name!r}: {role}", "link", name, self.links)
+        first = self.above.setdefault(joint.child, joint)
+        if first is not joint:
+            raise element.error(f"link {joint.child!r} is the child of two joints, {first.name!r} and {joint.name!r}")
+        return True
+
+    def _root(self, _: Element) -> str:
+        clear: set[str] = set()
+        for name in self.links:
+            self._check_way_up(name, clear)
+        roots = [name for name in self.links if name not in self.above]
+        if len(roots) > 1:
+            raise self.link_at[roots[1]].error(
+                f"the robot has more than one root link: {listing(roots)}",
+                "join them by joints; every link but one is the child of a joint",
+            )
+        return roots[0]
+
+    def _check_way_up(self, link: str, clear: set[str]) -> None:
+        """From `link` upwards there is an end. `clear` holds the links of which that is known."""
+        way: dict[str, Joint] = {}
+        while link in self.above and link not in clear:
+            if link in way:
+                circle = [link, *reversed(list(way)[list(way).index(link) + 1 :]), link]
+                raise self.joint_at[way[link].name].error(f"links go round in a circle: {' - '.join(circle)}")
+            way[link] = self.above[link]
+            link = self.above[link].parent
+        clear.update(way)
+
+    def _check_mimic(self, element: Element) -> bool:
+        joint = self.joints[element.attributes["name"]]
+        if joint.mimic is None:
+            return True
+        master = self.joints.get(joint.mimic.joint)
+        if master is None:
+            raise values.unknown(element, f"joint {joint.name!r}: <mimic>", "joint", joint.mimic.joint, self.joints)
+        if master.type in _IMMOBILE:
+            raise element.error(f"joint {joint.name!r} cannot mimic {master.name!r}, which is {master.type}")
+        seen = [joint.name]
+        while joint.mimic is not None and joint.mimic.joint in self.joints:
+            joint = self.joints[joint.mimic.joint]
+            if joint.name in seen:
+                raise element.error(f"mimic joints go round in a circle: {' - '.join([*seen, joint.name])}")
+            seen.append(joint.name)
+        return True
+
+
+def too_deep(root: str, joints: Mapping[str, Joint]) -> Joint | None:
+    """A joint whose child hangs too far below the root for the simulation, or None."""
+    below: dict[str, list[Joint]] = {}
+    for joint in joints.values():
+        below.setdefault(joint.parent, []).append(joint)
+    level = [root]
+    for _ in range(DEEPEST):
+        level = [joint.child for link in level for joint in below.get(link, ())]
+    return next((joint for link in level for joint in below.get(link, ())), None)

@@ -5,11 +5,12 @@ Parsers of elements write into a Report while they read. It only collects: what 
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
+from typing import Any
 
 from slidectl.description.robot import Notice, Verdict
 from slidectl.description.xml_tree import Element
-from slidectl.errors import closest
+from slidectl.errors import BadFile, closest
 
 MOST_NOTICES = 1000
 _MOST_COMPARED = 1000
@@ -32,6 +33,8 @@ class Report:
     """Collects notices in the order of reading."""
 
     def __init__(self) -> None:
+        self.faults: list[BadFile] = []
+        """Errors that `attempt` has taken in; here there are none."""
         self._notices: list[Notice] = []
         self._untold = 0
         self._compared = 0
@@ -49,6 +52,10 @@ class Report:
             self._notices.append(Notice(verdict, subject or element.title, text, element.file, element.line))
         else:
             self._untold += 1
+
+    def attempt(self, read: Callable[..., Any], element: Element, *values: Any) -> Any:
+        """What `read` gives for an element. A check takes its BadFile in and gets None; here it is raised."""
+        return read(element, *values)
 
     def notices(self, root: Element) -> tuple[Notice, ...]:
         """All of them; of a hopeless file, the first ones and how many more there are."""

@@ -7,7 +7,7 @@ What a body can weigh is inertia.py's; joints between bodies are structure.py's.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from slidectl.description import inertia
@@ -24,7 +24,6 @@ LARGEST = 1e300
 """kg, kg·m² and m. Sums and products of what a whole body weighs stay finite up to here."""
 
 _MOMENTS = "ixx ixy ixz iyy iyz izz"
-_NOTHING: Tensor = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -57,7 +56,8 @@ def lumped(parts: Sequence[tuple[Inertial, Matrix, Vector]]) -> Inertial:
     if mass < LEAST:
         centre, about = (0.0, 0.0, 0.0), [part.tensor for part in made]
     else:
-        centre = _vector(sum(part.mass * part.centre[i] for part in made) / mass for i in range(3))
+        x, y, z = (sum(part.mass * part.centre[i] for part in made) / mass for i in range(3))
+        centre = (x, y, z)
         about = [part.about(centre) for part in made]
     ixx, ixy, ixz, iyy, iyz, izz = (sum(values) for values in zip(*about, strict=True))
     return Inertial(Pose(centre), mass, (ixx, ixy, ixz, iyy, iyz, izz), parts[0][0].line)
@@ -69,16 +69,14 @@ def rigid_bodies(root: str, joints: Mapping[str, Joint]) -> list[RigidBody]:
     for joint in joints.values():
         if joint.type == "fixed":
             welded.setdefault(joint.parent, []).append(joint.child)
+    bodies = []
     movers = (joint for joint in joints.values() if joint.type != "fixed")
-    heads = [(root, None), *((joint.child, joint) for joint in movers)]
-    return [RigidBody(_held(head, welded), mover) for head, mover in heads]
-
-
-def _held(head: str, welded: Mapping[str, list[str]]) -> tuple[str, ...]:
-    links = [head]
-    for link in links:
-        links.extend(welded.get(link, ()))
-    return tuple(links)
+    for head, mover in [(root, None), *((joint.child, joint) for joint in movers)]:
+        links = [head]
+        for link in links:  # it grows on the way
+            links.extend(welded.get(link, ()))
+        bodies.append(RigidBody(tuple(links), mover))
+    return bodies
 
 
 def why_unfit(inertial: Inertial) -> str | None:
@@ -136,29 +134,30 @@ class Weigher:
             BadFile: numbers so large that their sums are none; or, when it is strict, anything to be mended.
         """
         for body in rigid_bodies(root, self.joints):
-            if not can_be_simulated(body, self.links):
-                unfit = list(self._unfit(body))
-                if self.strict and unfit:
-                    raise unfit[0].place.error(f"link {unfit[0].link!r} {unfit[0].why}")
-                if not body.moves:
-                    self._leave_out(unfit)
-                elif (written := self._lumped(body)) is not None:
-                    self._mend(body, written, unfit)
-                else:
-                    self._give_least(body)
-            elif len(body.links) > 1 and (whole := self._lumped(body)) is not None:
-                self._refuse_too_large(body, whole)
+            self.report.attempt(self._weigh, self.link_at[body.head], body)
         return self.links
+
+    def _weigh(self, _: Element, body: RigidBody) -> bool:
+        if not can_be_simulated(body, self.links):
+            unfit = list(self._unfit(body))
+            if self.strict and unfit:
+                raise unfit[0].place.error(f"link {unfit[0].link!r} {unfit[0].why}")
+            if not body.moves:
+                for found in unfit:
+                    found.tell(self.report, "it is fixed to the world, where nothing has a weight")
+                    self.links[found.link] = replace(self.links[found.link], inertial=None)
+            elif (written := self._lumped(body)) is not None:
+                self._mend(body, written, unfit)
+            else:
+                self._give_least(body)
+        elif len(body.links) > 1 and (whole := self._lumped(body)) is not None:
+            self._refuse_too_large(body, whole)
+        return True
 
     def _refuse_too_large(self, body: RigidBody, whole: Inertial) -> None:
         """Raises BadFile when links that are each possible come to a body that no arithmetic can turn and shift."""
         if not all(abs(part) <= LARGEST for part in (whole.mass, *whole.inertia, *whole.origin.xyz)):
             raise self.link_at[body.head].error(f"link {body.head!r}: its masses or inertias are too large")
-
-    def _leave_out(self, unfit: Sequence[_Unfit]) -> None:
-        for found in unfit:
-            found.tell(self.report, "it is fixed to the world, where nothing has a weight")
-            self.links[found.link] = replace(self.links[found.link], inertial=None)
 
     def _mend(self, body: RigidBody, written: Inertial, unfit: Sequence[_Unfit]) -> None:
         mass, moments = inertia.nearest_possible(written.mass, written.inertia)
@@ -289,8 +288,3 @@ def _product(a: Matrix, b: Matrix) -> Matrix:
 def _transposed(rows: Matrix) -> Matrix:
     x, y, z = zip(*rows, strict=True)
     return x, y, z
-
-
-def _vector(values: Iterable[float]) -> Vector:
-    x, y, z = values
-    return (x, y, z)

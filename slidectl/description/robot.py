@@ -10,9 +10,10 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
 
+from slidectl import names
+
 Vector = tuple[float, float, float]
 JointType = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]
-Severity = Literal["info", "warning", "error"]
 Verdict = Literal["used", "converted", "ignored", "wrong"]
 
 
@@ -248,3 +249,13 @@ class Robot:
     def is_fixed_to_world(self) -> bool:
         """A root link called `world` is the world itself."""
         return self.root == "world"
+
+
+def namespace_of(robot: Robot, name: str) -> str:
+    """The plugin's `robotNamespace` with a leading slash, else `/name`. An empty one is the root, `/`.
+
+    Raises:
+        BadName: a `name` that cannot be a namespace.
+    """
+    written = robot.plugin.robot_namespace if robot.plugin is not None else None
+    return names.check("/" + (name if written is None else written).strip("/"))

@@ -6,7 +6,8 @@ control/, and reported: simulated hardware works on the joint's side of the tran
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from typing import Any
 
 from slidectl.description import values
 from slidectl.description.report import Report
@@ -66,15 +67,19 @@ def driving(transmissions: Iterable[TransmissionInfo]) -> list[TransmissionInfo]
 
 
 class _DroppedError(Exception):
-    """The whole transmission is dropped; the notice is written already."""
+    """The whole transmission is dropped; the text says why."""
 
 
 class TransmissionReader:
-    """Reads the `<transmission>` elements of one robot, in the order of the file."""
+    """Reads the `<transmission>` elements of one robot, in the order of the file.
 
-    def __init__(self, report: Report, joints: dict[str, Joint]) -> None:
+    `knows_all`: whether a joint that is not among `joints` is not there at all.
+    """
+
+    def __init__(self, report: Report, joints: dict[str, Joint], knows_all: bool = True) -> None:
         self.report = report
         self.joints = joints
+        self.knows_all = knows_all
         self.driven: dict[str, tuple[Element, str]] = {}
 
     def read(self, element: Element) -> TransmissionInfo | None:
@@ -85,42 +90,51 @@ class TransmissionReader:
         """
         try:
             info = self._info(element)
-        except _DroppedError:
+        except _DroppedError as error:
+            self.report.wrong(element, f"the transmission is dropped: {error}")
             return None
-        self._check_simulated(element, info)
+        if len(info.joints) > 1:
+            self.report.ignored(element, "simulated hardware takes transmissions with one joint only; this has more")
+        else:
+            self._check_simulated(element, info)
         return info
-
-    def _drop(self, element: Element, why: str) -> _DroppedError:
-        self.report.wrong(element, f"the transmission is dropped: {why}")
-        return _DroppedError()
 
     def _info(self, element: Element) -> TransmissionInfo:
         name = (element.get("name") or "").strip()
         if not name:
-            raise self._drop(element, "it has no name")
+            raise _DroppedError("it has no name")
         self.report.unknown(element, {"name", "type"}, {"type", "joint", "actuator"})
         kind = self.report.only(element, "type")
-        if kind is None or not kind.first_text:
-            raise self._drop(element, _typeless(element, kind))
-        joints = self._joints(element)
-        actuators = self._actuators(element)
+        if kind is None:
+            # The older files of PR2 had it as an attribute.
+            hint = "; an attribute does not do" if "type" in element.attributes else ""
+            text = f"<type> is missing{hint}; add <type>transmission_interface/SimpleTransmission</type>"
+            raise _DroppedError(text)
+        if not kind.first_text:
+            raise _DroppedError(f"<type> is empty{' (a comment before its text hides it)' if kind.content else ''}")
+        joints = tuple(self._children(element, "joint", "a", self._joint))
+        actuators = tuple(self._children(element, "actuator", "an", self._actuator))
         return TransmissionInfo(name, kind.first_text, joints, actuators, element.line, element.file)
 
-    def _joints(self, element: Element) -> tuple[TransmissionJoint, ...]:
-        found = element.find_all("joint")
-        if any("name" not in joint.attributes for joint in found):
-            raise self._drop(element, "a <joint> has no name")
-        joints = tuple(joint for child in found if (joint := self._joint(element, child)) is not None)
-        if not joints:
-            raise self._drop(element, "no valid <joint> is left" if found else "it has no <joint>")
-        return joints
+    def _children(
+        self, element: Element, tag: str, article: str, read: Callable[[Element, str, str], Any]
+    ) -> list[Any]:
+        """What is read of the children of that name that are valid; there is one at least."""
+        found = element.find_all(tag)
+        if any("name" not in child.attributes for child in found):
+            raise _DroppedError(f"{article} <{tag}> has no name")
+        parts = []
+        for child in found:
+            if name := child.attributes["name"].strip():
+                parts.append(read(child, name, f"{element.title}/{child.title}"))
+            else:
+                self.report.wrong(child, "is skipped: its name is empty", f"{element.title}/<{tag}>")
+        valid = [part for part in parts if part is not None]
+        if not valid:
+            raise _DroppedError(f"no valid <{tag}> is left" if found else f"it has no <{tag}>")
+        return valid
 
-    def _joint(self, element: Element, child: Element) -> TransmissionJoint | None:
-        name = child.attributes["name"].strip()
-        if not name:
-            self.report.wrong(child, "is skipped: its name is empty", f"{element.title}/<joint>")
-            return None
-        place = f"{element.title}/{child.title}"
+    def _joint(self, child: Element, name: str, place: str) -> TransmissionJoint | None:
         self.report.unknown(child, {"name"}, _JOINT_CHILDREN, place)
         interfaces = _interfaces(child)
         if not interfaces:
@@ -131,21 +145,7 @@ class TransmissionReader:
         reduction = 1.0 if reduction is None else reduction
         return TransmissionJoint(name, interfaces, _role(child), offset or 0.0, reduction)
 
-    def _actuators(self, element: Element) -> tuple[TransmissionActuator, ...]:
-        found = element.find_all("actuator")
-        if any("name" not in actuator.attributes for actuator in found):
-            raise self._drop(element, "an <actuator> has no name")
-        actuators = tuple(actuator for child in found if (actuator := self._actuator(element, child)) is not None)
-        if not actuators:
-            raise self._drop(element, "no valid <actuator> is left" if found else "it has no <actuator>")
-        return actuators
-
-    def _actuator(self, element: Element, child: Element) -> TransmissionActuator | None:
-        name = child.attributes["name"].strip()
-        if not name:
-            self.report.wrong(child, "is skipped: its name is empty", f"{element.title}/<actuator>")
-            return None
-        place = f"{element.title}/{child.title}"
+    def _actuator(self, child: Element, name: str, place: str) -> TransmissionActuator:
         self.report.unknown(child, {"name"}, _ACTUATOR_CHILDREN, place)
         reduction = self._number(child, "mechanicalReduction", place)
         return TransmissionActuator(name, _interfaces(child), reduction, _role(child))
@@ -165,51 +165,44 @@ class TransmissionReader:
             self.report.ignored(found, text, f"{place}/<{tag}>")
         return value
 
-    def _check_exists(self, element: Element, name: str) -> None:
-        place = f"transmission {element.attributes['name']!r}"
-        child = next(child for child in element.find_all("joint") if child.attributes["name"].strip() == name)
-        joint = self.joints.get(name)
-        if joint is None:
-            raise values.unknown(child, place, "joint", name, self.joints)
-        if joint.type in ("fixed", "floating", "planar"):
-            raise child.error(f"{place}: joint {name!r} is {joint.type} and cannot be driven")
-
     def _check_simulated(self, element: Element, info: TransmissionInfo) -> None:
-        """What gazebo_ros_control makes of a transmission that its parser has accepted."""
-        if len(info.joints) > 1:
-            self.report.ignored(element, "simulated hardware takes transmissions with one joint only; this has more")
+        """What gazebo_ros_control makes of a transmission of one joint that its parser has accepted."""
+        (joint,) = info.joints
+        place = f"transmission {element.attributes['name']!r}"
+        child = next(child for child in element.find_all("joint") if child.attributes["name"].strip() == joint.name)
+        on_paper = self.joints.get(joint.name)
+        if on_paper is None:
+            if self.knows_all:
+                raise values.unknown(child, place, "joint", joint.name, self.joints)
             return
-        joint = info.joints[0]
-        self._check_exists(element, joint.name)
-        before, counts = self.driven.setdefault(joint.name, (element, joint.hardware_interfaces[0]))
+        if on_paper.type in ("fixed", "floating", "planar"):
+            raise child.error(f"{place}: joint {joint.name!r} is {on_paper.type} and cannot be driven")
+        first = joint.hardware_interfaces[0]
+        before, counts = self.driven.setdefault(joint.name, (element, first))
         if before is not element:
             text = f"joint {joint.name!r} is driven by {before.title} already (line {before.line})"
-            if not is_same_interface(counts, joint.hardware_interfaces[0]):
+            if not is_same_interface(counts, first):
                 text = f"{text}, by {counts}: this one is dropped, and no controller finds its interface"
             self.report.wrong(element, text)
-        self._check_type(element, info.type)
+        if info.type.rpartition("/")[2] != "SimpleTransmission":
+            text = (
+                f"{info.type} has no effect: simulated hardware takes every transmission of one joint as a simple one"
+            )
+            self.report.ignored(element.find("type") or element, text, f"{element.title}/<type>")
         self._check_interface(element, joint)
-        self._check_limit(element, joint)
-
-    def _check_type(self, element: Element, name: str) -> None:
-        if name.rpartition("/")[2] != "SimpleTransmission":
-            kind = element.find("type")
-            text = f"{name} has no effect: simulated hardware takes every transmission of one joint as a simple one"
-            self.report.ignored(kind or element, text, f"{element.title}/<type>")
-
-    def _check_limit(self, element: Element, joint: TransmissionJoint) -> None:
-        """A position joint is moved without an effort, unless it has gains: these are in other files."""
-        limit = self.joints[joint.name].limit
-        is_position = takes_positions(joint)
-        for value, what in ((limit.effort, "effort"), (limit.velocity, "velocity")) if limit is not None else ():
-            if value == 0 and not (is_position and what == "effort"):
-                self.report.wrong(
-                    element, f"the {what} limit of joint {joint.name!r} is 0, which is a limit: it cannot be driven"
-                )
+        # A position joint is moved without an effort, unless it has gains: these are in other files.
+        limits = {"effort": on_paper.limit.effort, "velocity": on_paper.limit.velocity} if on_paper.limit else {}
+        for what, value in limits.items():
+            if value == 0 and not (what == "effort" and takes_positions(joint)):
+                text = f"the {what} limit of joint {joint.name!r} is 0, which is a limit: it cannot be driven"
+                self.report.wrong(element, text)
 
     def _check_interface(self, element: Element, joint: TransmissionJoint) -> None:
         place = f'{element.title}/<joint name="{joint.name}">'
-        written, *others = _interface_elements(element, joint.name)
+        # The tags of the one joint that was not skipped.
+        joints = [child for child in element.find_all("joint") if (child.get("name") or "").strip() == joint.name]
+        tags = ([tag for tag in child.find_all("hardwareInterface") if tag.first_text] for child in joints)
+        written, *others = next(filter(None, tags))
         first = joint.hardware_interfaces[0]
         for other in others:
             self.report.ignored(other, f"of several hardware interfaces only the first counts, {first}", place)
@@ -224,26 +217,6 @@ def _interfaces(element: Element) -> tuple[str, ...]:
     return tuple(text for child in element.find_all("hardwareInterface") if (text := child.first_text))
 
 
-def _interface_elements(transmission: Element, joint: str) -> list[Element]:
-    """The tags that name the interfaces of the one joint that was not skipped."""
-    joints = [child for child in transmission.find_all("joint") if (child.get("name") or "").strip() == joint]
-    return next(
-        found for child in joints if (found := [e for e in child.find_all("hardwareInterface") if e.first_text])
-    )
-
-
 def _role(element: Element) -> str:
     role = element.find("role")
     return role.first_text if role is not None else ""
-
-
-def _typeless(transmission: Element, kind: Element | None) -> str:
-    """Why a transmission has no type; the older files of PR2 had it as an attribute."""
-    if kind is not None:
-        return f"<type> is {_emptiness(kind)}"
-    hint = "; an attribute does not do" if "type" in transmission.attributes else ""
-    return f"<type> is missing{hint}; add <type>transmission_interface/SimpleTransmission</type>"
-
-
-def _emptiness(element: Element) -> str:
-    return "empty (a comment before its text hides it)" if element.content else "empty"

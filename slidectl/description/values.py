@@ -72,14 +72,6 @@ def not_negative(element: Element, name: str, owner: str, default: float | None 
     return value
 
 
-def positive(element: Element, name: str, owner: str) -> float:
-    """A mandatory number attribute above zero."""
-    value = number(element, name, owner)
-    if value <= 0:
-        raise element.error(f"{owner}: {name!r} of <{element.tag}> is {value:g}; it must be above 0")
-    return value
-
-
 def numbers(element: Element, name: str, count: int, owner: str) -> tuple[float, ...]:
     """A mandatory attribute of `count` numbers parted by blanks."""
     text = required(element, name, owner)

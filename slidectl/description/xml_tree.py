@@ -1,7 +1,8 @@
-"""XML into a small tree in which every element knows its file and line, and nothing dangerous is let in.
+"""XML into a small tree in which every element knows its file and line, nothing dangerous is let in, and back.
 
 Entity declarations, huge and absurdly deep inputs are refused; nothing is ever fetched. On expat, because it gives
-the line on which a tag begins and lets entities be refused where they are declared. No meaning of tags here.
+the line on which a tag begins and lets entities be refused where they are declared. In a text that is written each tag
+begins a line of its own, so that a line of it names one element. No meaning of tags here.
 """
 
 from __future__ import annotations
@@ -193,12 +194,8 @@ class _Reader:
             self.note = source_note.decode(data)
 
     def entity(self, name: str, *_: object) -> None:
-        raise BadFile(
-            f"declares the XML entity {name!r}: entities are refused",
-            self.file,
-            self.line,
-            "write its text in its place",
-        )
+        text = f"declares the XML entity {name!r}: entities are refused"
+        raise BadFile(text, self.file, self.line, "write its text in its place")
 
     def skipped(self, name: str, _: bool) -> None:
         raise BadFile(f"uses the unknown XML entity {name!r}", self.file, self.line, "write its text in its place")
@@ -238,3 +235,52 @@ def _place(root: Element, note: source_note.Note) -> None:
         element.file, element.line = file, line
         if number in note.meshes and element.tag == "mesh" and "filename" in element.attributes:
             element.set_mesh(note.meshes[number])
+
+
+# --- writing ----------------------------------------------------------------------------------------------------------
+
+# The standard library's own escaping lives in a module that imports the whole of HTTP.
+_IN_TEXTS = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", "\r": "&#13;"})
+_IN_ATTRIBUTES = {**_IN_TEXTS, **str.maketrans({'"': "&quot;", "\n": "&#10;", "\t": "&#9;"})}
+
+
+def write(root: Element) -> str:
+    """The text, with the note of sources at its end.
+
+    Comments are dropped except beside a text, where they have a meaning (see Element.first_text).
+    """
+    pieces = ['<?xml version="1.0" encoding="utf-8"?>\n']
+    places: list[source_note.Place] = []
+    meshes: dict[int, str] = {}
+
+    def put(element: Element, indent: str) -> None:
+        attributes = element.attributes
+        if element.mesh_name is not None:
+            meshes[len(places)] = attributes["filename"]
+            attributes = {**attributes, "filename": element.mesh_name}
+        places.append((element.file, element.line))
+        written = "".join(f' {name}="{value.translate(_IN_ATTRIBUTES)}"' for name, value in attributes.items())
+        pieces.append(f"{indent}<{element.tag}{written}")
+        if element.children:
+            pieces.append(">\n")
+            for node in element.content:
+                if isinstance(node, Element):
+                    put(node, indent + "  ")
+                elif not isinstance(node, Comment) and node.strip():
+                    pieces.append(f"{indent}  {node.strip().translate(_IN_TEXTS)}\n")
+            pieces.append(f"{indent}</{element.tag}>\n")
+        elif text := _text(element):
+            pieces.append(f">{text}</{element.tag}>\n")
+        else:
+            pieces.append("/>\n")
+
+    put(root, "")
+    return "".join(pieces) + source_note.encode(places, meshes) + "\n"
+
+
+def _text(element: Element) -> str:
+    """The text of an element without children; comments stay where a text stands beside them."""
+    texts = [node for node in element.content if isinstance(node, str)]
+    if not any(text.strip() for text in texts if not isinstance(text, Comment)):
+        return ""
+    return "".join(f"<!--{text}-->" if isinstance(text, Comment) else text.translate(_IN_TEXTS) for text in texts)

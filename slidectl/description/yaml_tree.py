@@ -60,10 +60,10 @@ def read_rosparam(text: str, file: str, notices: list[Notice]) -> Any:
     Of a name that begins with a slash the slash is kept, as it leaves the namespace; `_ns` is a name like any other.
     """
     reader = _Reader(file, notices, rooted=True)
-    documents = reader.documents(text)
-    if len(documents) > 1:
-        raise reader.error(documents[1], "a second document, where there can be only one")
-    return reader.value(documents[0], 1) if documents and not _is_empty(documents[0]) else None
+    nodes = documents(text, file)
+    if len(nodes) > 1:
+        raise reader.error(nodes[1], "a second document, where there can be only one")
+    return reader.value(nodes[0], 1) if nodes and not _is_empty(nodes[0]) else None
 
 
 def places(text: str | bytes, file: str) -> dict[str, int]:
@@ -79,6 +79,22 @@ def places(text: str | bytes, file: str) -> dict[str, int]:
     for node in reader.nodes(text):
         reader.place(node, _namespace(node), found, 1)
     return found
+
+
+def documents(text: str | bytes, file: str, loader: type[yaml.SafeLoader] = _Loader) -> list[yaml.Node]:
+    """The nodes of all documents. Reading takes seconds for each MiB, so there is an end to it. Raises BadFile."""
+    if len(text) > MOST_BYTES:
+        raise BadFile(f"is larger than {MOST_BYTES // 2**20} MiB", file)
+    try:
+        return [node for node in yaml.compose_all(text, loader) if node is not None]
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        problem = " ".join(part for part in (error.context, error.problem) if part)
+        raise BadFile(f"not YAML: {problem}", file, mark.line + 1 if mark else None, _advice(error)) from None
+    except (yaml.YAMLError, ValueError) as error:
+        raise BadFile(f"not YAML: {_problem(error)}", file) from None
+    except RecursionError:
+        raise BadFile("is nested too deeply", file) from None
 
 
 def _namespace(document: yaml.Node) -> str:
@@ -116,24 +132,8 @@ class _Reader:
         return self.value(nodes[0], 1) if nodes else None
 
     def nodes(self, text: str | bytes) -> list[yaml.Node]:
-        """The documents that are not empty. Reading takes seconds for each MiB, so there is an end to it."""
-        if len(text) > MOST_BYTES:
-            raise BadFile(f"is larger than {MOST_BYTES // 2**20} MiB", self.file)
-        return [node for node in self.documents(text) if not _is_empty(node)]
-
-    def documents(self, text: str | bytes) -> list[yaml.Node]:
-        """All of them."""
-        try:
-            documents = list(yaml.compose_all(text, type(self.loader)))
-        except yaml.MarkedYAMLError as error:
-            mark = error.problem_mark or error.context_mark
-            problem = " ".join(part for part in (error.context, error.problem) if part)
-            raise BadFile(f"not YAML: {problem}", self.file, mark.line + 1 if mark else None, _advice(error)) from None
-        except (yaml.YAMLError, ValueError) as error:
-            raise BadFile(f"not YAML: {_problem(error)}", self.file) from None
-        except RecursionError:
-            raise BadFile("is nested too deeply", self.file) from None
-        return [node for node in documents if node is not None]
+        """The documents that are not empty."""
+        return [node for node in documents(text, self.file, type(self.loader)) if not _is_empty(node)]
 
     def error(self, node: yaml.Node, message: str, hint: str | None = None) -> BadFile:
         return BadFile(message, self.file, _line(node), hint)

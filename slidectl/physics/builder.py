@@ -12,9 +12,9 @@ from typing import Any
 import mujoco
 
 from slidectl.description.inertia import LEAST, can_move
+from slidectl.description.parser import TOO_DEEP, too_deep
 from slidectl.description.rigid_bodies import rigid_bodies
 from slidectl.description.robot import Joint, Robot
-from slidectl.description.structure import TOO_DEEP, too_deep
 from slidectl.physics.frames import compose
 from slidectl.physics.hulls import Hulls
 from slidectl.physics.inertia import BadInertia, put_inertia

@@ -227,7 +227,7 @@ EXTREMES = [
 ]
 
 
-@settings(max_examples=120, deadline=None, derandomize=True)
+@settings(max_examples=60, deadline=None, derandomize=True)
 @given(
     changes=st.dictionaries(
         st.integers(0, len(NUMBERS) // 2 - 1).map(lambda index: 2 * index + 1), st.sampled_from(EXTREMES), max_size=4

@@ -39,7 +39,7 @@ TREES: st.SearchStrategy[Any] = st.recursive(
 )
 
 
-@settings(max_examples=150, deadline=None, derandomize=True)
+@settings(max_examples=80, deadline=None, derandomize=True)
 @given(tree=st.dictionaries(NAMES, TREES, max_size=4), with_robot=st.booleans())
 def test_any_tree_of_parameters_can_be_checked(tree: dict[str, Any], with_robot: bool) -> None:
     text = yaml.safe_dump(tree, allow_unicode=True).encode()
@@ -73,7 +73,7 @@ PIECES = [
 ]
 
 
-@settings(max_examples=200, deadline=None, derandomize=True)
+@settings(max_examples=100, deadline=None, derandomize=True)
 @given(start=st.integers(0, 900), length=st.integers(0, 30), put=st.sampled_from(PIECES))
 def test_any_slip_of_the_pen_in_a_model_can_be_checked(start: int, length: int, put: str) -> None:
     text = driven_cart('<gazebo reference="cart"><mu1>1</mu1><mu2>2</mu2></gazebo>')
@@ -95,7 +95,7 @@ def is_refused(text: str) -> bool:
     return False
 
 
-@settings(max_examples=150, deadline=None, derandomize=True)
+@settings(max_examples=80, deadline=None, derandomize=True)
 @given(start=st.sampled_from([b"", b"<robot>", b"<launch>", b"bot: ", b"\xef\xbb\xbf"]), text=st.binary(max_size=60))
 def test_any_bytes_can_be_checked(start: bytes, text: bytes) -> None:
     with contextlib.suppress(SlidectlError):
@@ -133,7 +133,7 @@ LAUNCH_PIECES = [
 ]
 
 
-@settings(max_examples=150, deadline=None, derandomize=True)
+@settings(max_examples=80, deadline=None, derandomize=True)
 @given(start=st.integers(0, len(LAUNCH)), length=st.integers(0, 12), put=st.sampled_from(LAUNCH_PIECES))
 def test_any_slip_of_the_pen_in_a_launch_file_can_be_checked(start: int, length: int, put: str) -> None:
     text = (LAUNCH[:start] + put + LAUNCH[start + length :]).encode()

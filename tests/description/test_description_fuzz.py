@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from slidectl.description import load, parse, root_link, yaml_tree
+from slidectl.description import load, parse, with_root_fixed, with_root_free, yaml_tree
 from slidectl.errors import BadFile, SlidectlError
 
 RRBOT = load("rrbot").xml
@@ -47,7 +47,7 @@ def errors_of_ours_only() -> Iterator[None]:
 def parse_any(xml: str | bytes) -> None:
     with errors_of_ours_only():
         parse(xml)
-    for change in (root_link.with_root_fixed, root_link.with_root_free):
+    for change in (with_root_fixed, with_root_free):
         with errors_of_ours_only():
             change(xml if isinstance(xml, str) else xml.decode("latin-1"))
 

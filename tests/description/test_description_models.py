@@ -64,45 +64,6 @@ def test_a_second_robot_gets_another_namespace_by_argument(name: str) -> None:
     assert not document.report
 
 
-def slide(robot: Robot, *targets: float, seconds: float = 12.0) -> list[tuple[float, float, float]]:
-    """Position reached, speed over the middle of the way, and how far beyond, for each target in turn.
-
-    The tutorial's law, effort = 100 e + 10 de/dt, limited as EffortJointSaturation does, on a damped mass, at 1 kHz.
-    """
-    joint = robot.joints["joint1"]
-    inertial, limit = robot.links["link2"].inertial, joint.limit
-    assert inertial is not None
-    assert limit is not None
-    period, x, v, last_error = 0.001, 0.0, 0.0, 0.0
-    results = []
-    for target in targets:
-        start, way = x, []
-        for _ in range(round(seconds / period)):
-            error = target - x
-            effort = 100.0 * error + 10.0 * (error - last_error) / period
-            last_error = error
-            low = 0.0 if x < limit.lower or v < -limit.velocity else -limit.effort
-            high = 0.0 if x > limit.upper or v > limit.velocity else limit.effort
-            v = (v + period * min(max(effort, low), high) / inertial.mass) / (
-                1 + period * joint.damping / inertial.mass
-            )
-            x += period * v
-            way.append((x - start) / (target - start))
-        first, last = (next(k for k, part in enumerate(way) if part > share) for share in (0.2, 0.8))
-        speed = 0.6 * (target - start) / ((last - first) * period)
-        results.append((x, speed, (max(way) - 1) * abs(target - start)))
-    return results
-
-
-def test_the_slider_travels_at_its_pace_and_comes_to_rest_without_overshoot(slider: Robot) -> None:
-    targets = (1.0, 0.0, -1.0)
-    for target, (reached, speed, beyond) in zip(targets, slide(slider, *targets), strict=True):
-        assert reached == pytest.approx(target, abs=0.001)
-        assert 0.08 < abs(speed) < 0.13
-        assert beyond < 0.001
-    assert slider.links["link2"].surface.turn_gravity_off
-
-
 def test_rrbots_links_and_joints_are_those_of_the_tutorial(rrbot: Robot) -> None:
     assert rrbot.is_fixed_to_world
     assert bar(rrbot, "link1") == ((0.1, 0.1, 2.0), (0.0, 0.0, 1.0))

@@ -150,7 +150,7 @@ def test_a_shape_without_a_size_is_left_out_and_the_robot_is_not(notices: Notice
     ball = '<collision><geometry><sphere radius="1"/></geometry></collision>'
     xml = cart(link_inside=f"{INERTIAL}<{tag}>{inside}</{tag}>{ball}")
     (notice,) = notices(xml)
-    assert notice.startswith("ignored bot.urdf:3: link 'cart'/<")
+    assert notice.startswith("converted bot.urdf:3: link 'cart'/<")
     assert notice.endswith("the shape is left out")
     found = parse(xml).links["cart"]
     assert (len(found.visuals), len(found.collisions)) == (0, 1)

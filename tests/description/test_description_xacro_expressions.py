@@ -124,6 +124,8 @@ def test_names_that_are_deprecated_still_work_and_are_reported(write: Write) -> 
 def test_a_warning_of_the_file_is_a_notice_and_steers_no_terminal(
     write: Write, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    document = load(write("bot.xacro", model(r"${xacro.warning('a\x1b[2J\nb', 1)}${xacro.message('\x1b[0m')}")))
-    assert [(notice.text, notice.line) for notice in document.report] == [("a [2J b 1", 3)]
+    document = load(
+        write("bot.xacro", model(r"${xacro.warning('a\x1b[2J\nb', 1)}${xacro.message('\x1b[0m')}${xacro.error('c')}"))
+    )
+    assert [(notice.text, notice.line) for notice in document.report] == [("a [2J b 1", 3), ("c", 3)]
     assert "\x1b" not in capsys.readouterr().err

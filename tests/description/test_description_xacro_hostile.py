@@ -11,7 +11,7 @@ from xml.sax.saxutils import quoteattr
 import pytest
 import yaml
 
-from slidectl.description import bounds, load
+from slidectl.description import load, xacro_adapter
 from slidectl.errors import BadFile
 
 Write = Callable[[str, str], Path]
@@ -126,8 +126,14 @@ def refused(write: Write, text: str) -> BadFile:
     return caught.value
 
 
-@pytest.mark.parametrize("form", ["${%s}", "${[%s for i in [0]]}", "$(eval %s)"])
-@pytest.mark.parametrize("expression", ESCAPES)
+@pytest.mark.parametrize(
+    ("form", "expression"),
+    [
+        *(("${%s}", expression) for expression in ESCAPES),
+        *(("${[%s for i in [0]]}", expression) for expression in ESCAPES[::4]),
+        *(("$(eval %s)", expression) for expression in ESCAPES[::4]),
+    ],
+)
 def test_an_expression_runs_no_code(
     write: Write, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, expression: str, form: str
 ) -> None:
@@ -218,7 +224,7 @@ def test_texts_that_double_in_each_property_come_to_an_end(write: Write) -> None
 
 
 def test_macros_that_make_much_of_little_are_out_of_memory(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bounds, "MOST_MEMORY", 1 << 26)
+    monkeypatch.setattr(xacro_adapter, "MOST_MEMORY", 1 << 26)
     large = f'<y z="{"x" * 1_000_000}${{1}}"/>'
     insert = '<xacro:insert_block name="b{0}"/>'
     blocks = "".join(f'<xacro:property name="b{n}">{insert.format(n - 1) * 2}</xacro:property>' for n in range(1, 40))

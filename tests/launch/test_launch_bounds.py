@@ -11,7 +11,7 @@ import pytest
 from launch_files import Workspace
 
 from slidectl import description
-from slidectl.description import bounds, controllers_file
+from slidectl.description import controllers_file, xacro_adapter
 from slidectl.errors import BadFile
 from slidectl.launch import scope, substitution
 
@@ -35,7 +35,7 @@ def arguments(levels: int) -> str:
 
 def test_macros_that_unfold_without_end_are_refused(workspace: Workspace) -> None:
     path = workspace.write("urdf/bomb.xacro", macros(40))
-    with pytest.raises(BadFile, match=r"bomb.xacro:\d+: unfolds to more than 50000 elements \(in macro 'm"):
+    with pytest.raises(BadFile, match=r"bomb.xacro:\d+: unfolds to more than 30000 elements \(in macro 'm"):
         description.load(path, {}, workspace.packages)
 
 
@@ -44,11 +44,11 @@ def test_the_bounds_of_xacro_are_those_of_steps_and_of_time(
 ) -> None:
     path = workspace.write("urdf/bomb.xacro", macros(5))
     description.load(path, {}, workspace.packages)
-    monkeypatch.setattr(bounds, "MOST_STEPS", 30)
+    monkeypatch.setattr(xacro_adapter, "MOST_STEPS", 30)
     with pytest.raises(BadFile, match=r"bomb.xacro:\d+: unfolds to more than 30 elements"):
         description.load(path, {}, workspace.packages)
     monkeypatch.undo()
-    monkeypatch.setattr(bounds, "MOST_SECONDS", -1.0)
+    monkeypatch.setattr(xacro_adapter, "MOST_SECONDS", -1.0)
     with pytest.raises(BadFile, match=r"bomb.xacro:\d+: takes more than -1 s to expand"):
         description.load(path, {}, workspace.packages)
 

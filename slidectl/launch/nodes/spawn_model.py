@@ -10,8 +10,8 @@ from typing import Any
 
 from slidectl import description, names, rotations
 from slidectl.description import source_note
-from slidectl.description.joints import STARTS_OUTSIDE, place_of_limit
 from slidectl.description.packages import Packages, is_file
+from slidectl.description.parser import STARTS_OUTSIDE, place_of_limit
 from slidectl.description.report import needs_telling
 from slidectl.errors import BadFile, BadName, Refused, SlidectlError
 from slidectl.launch.files import shown

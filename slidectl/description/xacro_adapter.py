@@ -1,0 +1,489 @@
+"""Runs xacro on a tree of elements. All that touches the insides of the xacro package stands in this file.
+
+xacro 2.1 has no public way to place errors by line, to look packages up without ament, to compute expressions without
+Python's `eval`, or to end. So these names of its modules are replaced while a model is expanded, and put back after it:
+
+* `eval_all`, `check_attrs`, `handle_macro_call`, `process_include` are wrapped: they tell which element xacro looks at
+  (for file and line of an error), count the steps, and leave out what is not there;
+* `parse` reads included files within bounds, into nodes that know their lines;
+* `warning`, `error`, `message`, `print_location` print; here a warning is a notice, and nothing steers the terminal;
+* `safe_eval`, and `eval` in `substitution_args`, let Python compute; here our evaluator does, which runs nobody's code;
+* `__builtins__`, `math`, `load_yaml` and `tokenize` are what `create_global_symbols` gives to expressions: ours end;
+* `_global_symbols`, `all_includes`, `substitution_args_context`, and `_eval_dict` and `_eval_find` of
+  `substitution_args`, are the state of a run, which xacro keeps in modules: each run has its own.
+
+`resolve_macro`, `replace_node`, `init_stacks`, `filestack`, `XacroException`, `NameSpace`, the wrappers of YAML values
+and `ConstructUnits` are used as they are. pyproject.toml names the versions for which this holds, and a test compares
+xacro's functions with those that were read for it.
+"""
+
+from __future__ import annotations
+
+import builtins
+import contextlib
+import math
+import re
+import resource
+import sys
+import time
+from collections import ChainMap
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+from xml.dom import minidom
+
+import xacro
+from xacro import substitution_args
+
+from slidectl.description import models, xml_tree
+from slidectl.description.missing import Missing
+from slidectl.description.packages import Packages, UnknownPackage, shown
+from slidectl.description.robot import Notice
+from slidectl.description.xml_tree import Comment, Element
+from slidectl.errors import BadFile, NotThere, Refused, SlidectlError, listing
+from slidectl.expressions import FUNCTIONS, MATH, compute
+
+MOST_MEMORY = 1 << 30
+"""Bytes that a run may take on top of what the process has."""
+MOST_STEPS = 30_000
+"""Elements that xacro looks at; a humanoid takes some ten thousand."""
+MOST_SECONDS = 30.0
+"""Of the processor's time, so that a busy machine refuses no more than an idle one."""
+MOST_YAML_VALUES = 50_000
+_MOST_DIGITS = 400
+
+_PREFIX = "xacro:"
+_NOWHERE = "/no-such-package/"
+"""Stands for the folder of a package that is not there, so that the rest of the file is read, too."""
+_WRAPPED = ("eval_all", "check_attrs", "handle_macro_call", "process_include")
+_PLAIN = (bool, int, float, complex, str, bytes, list, tuple, dict, set, frozenset, type(None))
+_DOTTED = (xacro.NameSpace, xacro.YamlDictWrapper)
+_NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+
+# The tags that xacro took without their prefix until ROS Kinetic, each with an attribute that it must have: tags of
+# other languages with the same names are left alone.
+_BARE = {
+    "macro": "name", "property": "name", "include": "filename", "if": "value", "unless": "value",
+    "insert_block": "name",
+}  # fmt: skip
+
+
+def expand(
+    root: Element, path: Path | None, arguments: Mapping[str, str], packages: Packages, missing: Missing
+) -> tuple[Element, list[Notice]]:
+    """The expanded tree and xacro's warnings. `path` is the file, for relative includes; None for a text without one.
+
+    Packages and included files that are not there are noted in `missing`, and left out, with the macros that they
+    would have brought.
+
+    Raises:
+        BadFile: whatever xacro does not accept, with file and line; what is not there, where xacro needs it.
+    """
+    return _Run(root, path, arguments, packages, missing).expand()
+
+
+class _Arguments(dict[str, str]):
+    """xacro's arguments; remembers which names were asked for or declared."""
+
+    def __init__(self, given: Mapping[str, str]) -> None:
+        super().__init__(given)
+        self.asked: set[str] = set()
+
+    def __contains__(self, name: object) -> bool:
+        self.asked.add(str(name))
+        return super().__contains__(name)
+
+    def __getitem__(self, name: str) -> str:
+        self.asked.add(name)
+        return super().__getitem__(name)
+
+
+class _Run:
+    """One run. `here` is the node that xacro looks at, `calls` the macro calls that it is in."""
+
+    def __init__(
+        self, root: Element, path: Path | None, arguments: Mapping[str, str], packages: Packages, missing: Missing
+    ) -> None:
+        self.root = root
+        self.path = path
+        self.given = arguments
+        self.packages = packages
+        self.missing = missing
+        self.arguments = _Arguments(arguments)
+        self.unknown: dict[str, NotThere] = {}
+        """The packages that are not there."""
+        self.lacks_macros = False
+        """Whether an include is left out, so that macros may be unknown for it."""
+        self.bare_macros: set[str] = set()
+        self.notices: list[Notice] = []
+        self.calls: list[_Node] = []
+        self.steps = 0
+        self.began_s = time.process_time()
+        self.document = self.prefixed(root)
+        self.top: Any = self.document.documentElement
+        self.here: Any = self.top
+
+    def expand(self) -> tuple[Element, list[Notice]]:
+        try:
+            with self.replaced_insides(), contextlib.redirect_stdout(sys.stderr), _bounded_memory():
+                xacro.init_stacks(str(self.path.absolute()) if self.path is not None else None)
+                xacro.process_doc(self.document, mappings=self.arguments)
+        except Exception as error:  # expressions of the file may raise anything at all
+            self.missing.refuse()  # what xacro stumbles over is most often the lack of it
+            raise self.explained(error) from (None if isinstance(error, SlidectlError) else error)
+        declared = listing(self.arguments.asked)
+        for name in self.given.keys() - self.arguments.asked:
+            text = f"the file has no such argument and it has no effect; arguments: {declared}"
+            self.notices.append(Notice("ignored", f"{name}:=", text, self.root.file, None))
+        return _to_element(self.top), self.notices
+
+    # --- what stands in the place of xacro's own ----------------------------------------------------------------------
+
+    @contextlib.contextmanager
+    def replaced_insides(self) -> Iterator[None]:
+        """xacro with our functions in the place of its own, until the end of the block."""
+        self.original = {name: getattr(xacro, name) for name in _WRAPPED}
+        own = (*_WRAPPED, "parse", "warning", "error", "message", "print_location", "safe_eval", "load_yaml")
+        state = {
+            "tokenize": _tokenize,
+            "all_includes": [],
+            "substitution_args_context": {"filename": str(self.path) if self.path is not None else None},
+        }
+        # Of Python's mathematics some functions never end.
+        names = {name: value for name, value in substitution_args._eval_dict.items() if name not in vars(math)}
+        evaluation = {
+            "eval": self.eval_argument,
+            "_eval_find": self.find,
+            "_eval_dict": {**names, **MATH, "find": self.find},
+        }
+        with (
+            _replaced(xacro, {**state, **{name: getattr(self, name) for name in own}}),
+            _replaced(substitution_args, evaluation),
+        ):
+            # What xacro takes from here it gives to expressions; they are not what its own functions call.
+            taken = {**vars(builtins), **FUNCTIONS, "type": _type}
+            with _replaced(xacro, {"__builtins__": taken, "math": SimpleNamespace(**MATH)}):
+                self.symbols = xacro.create_global_symbols()
+            del self.symbols["python"]["vars"]
+            xacro._global_symbols = self.symbols
+            yield
+
+    def eval_all(self, node: Any, macros: Any, symbols: Any) -> None:
+        before, self.here = self.here, node
+        self.steps += 1
+        too_much = f"unfolds to more than {MOST_STEPS} elements" if self.steps > MOST_STEPS else None
+        if time.process_time() - self.began_s > MOST_SECONDS:
+            too_much = f"takes more than {MOST_SECONDS:g} s to expand"
+        if too_much:
+            raise Refused(too_much, "do macros call each other many times over?")
+        self.original["eval_all"](node, macros, symbols)
+        self.here = before
+
+    def check_attrs(self, node: Any, required: list[str], optional: list[str]) -> Any:
+        self.here = node
+        return self.original["check_attrs"](node, required, optional)
+
+    def handle_macro_call(self, node: Any, macros: Any, symbols: Any) -> Any:
+        if node.tagName in self.bare_macros:
+            node.tagName = node.nodeName = f"{_PREFIX}{node.tagName}"
+        if not node.tagName.startswith(_PREFIX):
+            return False
+        before, self.here = self.here, node
+        name = node.tagName.removeprefix(_PREFIX)
+        if self.lacks_macros and name != "call" and _is_unknown(name, macros, symbols):
+            if self.missing.keeps_going:
+                error = NotThere(f"no macro {name!r}", node.file, node.line, thing=f"macro {name}")
+                self.missing.note(error, f"<{node.tagName}> is left out")
+            xacro.replace_node(node, by=None)
+            result: Any = True
+        else:
+            self.calls.append(node)
+            result = self.original["handle_macro_call"](node, macros, symbols)
+            self.calls.pop()
+        self.here = before
+        return result
+
+    def process_include(self, node: Any, macros: Any, symbols: Any, function: Any) -> None:
+        """An include; one whose file is not there is noted and left out."""
+        before, depth = self.here, len(xacro.filestack)
+        try:
+            self.original["process_include"](node, macros, symbols, function)
+        except xacro.XacroException as error:
+            file = error.exc.filename if isinstance(error.exc, FileNotFoundError) else None
+            if file is None or self.here is not node:
+                raise
+            del xacro.filestack[depth:]
+            text = f"no such file or directory: {file}"
+            absent = NotThere(text + self.called(), node.file, node.line, thing=text)
+            if file.startswith(_NOWHERE):
+                absent = self.unknown[file.removeprefix(_NOWHERE).partition("/")[0]]
+            self.missing.note(absent, "what it includes is left out")
+            self.lacks_macros = True
+            xacro.replace_node(node, by=None)
+        self.here = before
+
+    def parse(self, text: Any, filename: str) -> minidom.Document:
+        """Reads an included file; a missing one is xacro's own exception, which optional includes catch."""
+        assert text is None
+        try:
+            content = models.read_regular(Path(filename), xml_tree.MOST_BYTES)
+        except OSError as error:
+            xacro.filestack.pop()
+            raise xacro.XacroException(f"{error.strerror}: {filename}", exc=error) from None
+        return self.prefixed(xml_tree.read(content, shown(Path(filename))))
+
+    def warning(self, *words: object, **_: object) -> None:
+        self.notices.append(Notice("wrong", "xacro", _printable(words), self.here.file, self.here.line))
+
+    def error(self, *words: object, **_: object) -> None:
+        self.warning(*words)  # a function of its own, as xacro tells expressions of it by its name
+
+    def message(self, *words: object, **_: object) -> None:
+        print(_printable(words), file=sys.stderr)
+
+    def print_location(self) -> None:
+        """The place of a warning is in its notice."""
+
+    def safe_eval(self, expression: str, names: Mapping[str, Any], _locals: object = None) -> Any:
+        return compute(expression, names, _DOTTED)
+
+    def eval_argument(self, expression: str, _globals: object, names: Any) -> Any:
+        """A `$(eval ...)`. `names` gives arguments and functions, and behind them are Python's own functions."""
+        return compute(expression, ChainMap(names, FUNCTIONS), _DOTTED)
+
+    def find(self, package: str) -> str:
+        try:
+            return str(self.packages.find(package))
+        except UnknownPackage as error:
+            place = self.here.file, self.here.line
+            self.unknown[package] = NotThere(error.message + self.called(), *place, error.hint, f"package {package}")
+            self.missing.note(self.unknown[package])
+            return f"{_NOWHERE}{package}"
+
+    def load_yaml(self, filename: str) -> Any:
+        """The values of a YAML file, with dotted access and units (`!degrees 90`). `filename` may be a relative one.
+
+        PyYAML follows aliases of aliases, and merges of merges, until memory is gone: they are counted first.
+        """
+        import yaml
+
+        from slidectl.description import yaml_tree
+
+        path = Path(xacro.abs_filename_spec(filename))
+
+        class Loader(yaml.SafeLoader):
+            """Of one file: xacro adds the units to the class that others use, too."""
+
+        for unit in xacro.ConstructUnits:
+            Loader.add_constructor(unit.value.tag, self.unit_reader(unit.value.conversion_constant))
+        nodes = yaml_tree.documents(models.read_regular(path, yaml_tree.MOST_BYTES), shown(path), Loader)
+        if not nodes:
+            return None
+        if len(nodes) > 1:
+            raise BadFile("a second document, where there can be only one", shown(path), nodes[1].start_mark.line + 1)
+        _check_size(nodes[0], shown(path))
+        try:
+            return xacro.YamlListWrapper.wrap(Loader("").construct_document(nodes[0]))
+        except yaml.YAMLError as error:
+            raise BadFile(f"not YAML: {' '.join(str(error).split())}", shown(path)) from None
+        except RecursionError:
+            raise BadFile("is nested too deeply", shown(path)) from None
+
+    def unit_reader(self, factor: float) -> Any:
+        return lambda loader, node: factor * float(compute(str(loader.construct_scalar(node)), self.symbols, _DOTTED))
+
+    # --- nodes and errors ---------------------------------------------------------------------------------------------
+
+    def prefixed(self, root: Element) -> minidom.Document:
+        """The nodes of a file, in which tags without the prefix have one, with one notice."""
+        bare = list(_bare(root))
+        if bare:
+            names = ", ".join(f"<{name}>" for name in sorted({element.tag for element in bare}))
+            text = (
+                f"{names} without the prefix are taken as <{_PREFIX}...>; xacro itself does so only until ROS Kinetic"
+            )
+            self.notices.append(Notice("wrong", "xacro", text, root.file, bare[0].line))
+        for element in bare:
+            if element.tag == "macro":
+                self.bare_macros.add(element.attributes["name"].removeprefix(_PREFIX))
+            element.tag = _PREFIX + element.tag
+        document = minidom.Document()
+        document.appendChild(_to_node(root, document))
+        return document
+
+    def explained(self, error: Exception) -> BadFile:
+        """Why xacro stopped: what was raised first, and in which expressions; at the place that xacro looked at."""
+        expressions: list[str] = []
+        cause: BaseException = error
+        while isinstance(cause, xacro.XacroException) and isinstance(cause.exc, BaseException):
+            expressions.extend([str(cause.suffix).strip()] if cause.suffix else [])
+            cause = cause.exc
+        if isinstance(cause, BadFile) and cause.line is not None:
+            return cause
+        place = self.here.file, self.here.line
+        if isinstance(cause, SlidectlError):
+            return BadFile(cause.message + self.called(), *place, cause.hint)
+        text = ", ".join([_clause(cause), *dict.fromkeys(expressions[::-1])]).replace("\n", " ")
+        return BadFile(text + self.called(), *place)
+
+    def called(self) -> str:
+        """Where the innermost macro that fails was called."""
+        outer = [call for call in self.calls if call is not self.here]
+        if not outer:
+            return ""
+        call = outer[-1]
+        return f" (in macro {call.tagName.removeprefix(_PREFIX)!r}, called at {call.file}:{call.line})"
+
+
+class _Node(minidom.Element):
+    """A minidom element with the file and line of its tag, which its clones have too: macros are made by cloning."""
+
+    def __init__(self, tag: str, file: str, line: int) -> None:
+        super().__init__(tag)
+        self.file = file
+        self.line = line
+
+    def cloneNode(self, deep: bool) -> _Node:  # noqa: N802 (the DOM's name)
+        clone = _Node(self.tagName, self.file, self.line)
+        clone.ownerDocument = self.ownerDocument
+        for name, value in self.attributes.items():
+            _set(clone, name, value)
+        for child in self.childNodes if deep else ():
+            _append(clone, child.cloneNode(deep))
+        return clone
+
+
+def _append(parent: minidom.Element, child: Any) -> None:
+    parent.appendChild(child)
+
+
+def _set(node: minidom.Element, name: str, value: str) -> None:
+    """Set an attribute; without a namespace of its own, minidom takes `xacro:name` and `name` for one."""
+    prefix, colon, _ = name.partition(":")
+    if colon:
+        node.setAttributeNS(prefix, name, value)
+    else:
+        node.setAttribute(name, value)
+
+
+def _to_node(element: Element, document: minidom.Document) -> _Node:
+    node = _Node(element.tag, element.file, element.line)
+    node.ownerDocument = document
+    for name, value in element.attributes.items():
+        _set(node, name, value)
+    for part in element.content:
+        if isinstance(part, Element):
+            _append(node, _to_node(part, document))
+        else:
+            _append(node, (document.createComment if isinstance(part, Comment) else document.createTextNode)(part))
+    return node
+
+
+def _to_element(node: _Node) -> Element:
+    element = Element(node.tagName, dict(node.attributes.items()), node.file, node.line)
+    for child in node.childNodes:
+        if isinstance(child, _Node):
+            element.content.append(_to_element(child))
+        elif isinstance(child, minidom.Comment):
+            element.content.append(Comment(child.data))
+        elif isinstance(child, minidom.Text):
+            element.content.append(child.data)
+    return element
+
+
+def _bare(element: Element) -> Iterator[Element]:
+    """Tags without a prefix. What is inside `<gazebo>` is another language, and may have the same names."""
+    if _BARE.get(element.tag, "") in element.attributes:
+        yield element
+    for child in element.children if element.tag != "gazebo" else ():
+        yield from _bare(child)
+
+
+def _is_unknown(name: str, macros: Any, symbols: Any) -> bool:
+    try:
+        xacro.resolve_macro(name, macros, symbols)
+    except KeyError:
+        return True
+    return False
+
+
+@contextlib.contextmanager
+def _replaced(module: ModuleType, names: Mapping[str, Any]) -> Iterator[None]:
+    """A module with other values of some names; at the end of the block all its names are as they were."""
+    before = dict(vars(module))
+    vars(module).update(names)
+    try:
+        yield
+    finally:
+        for name in vars(module).keys() - before.keys():
+            delattr(module, name)
+        vars(module).update(before)
+
+
+@contextlib.contextmanager
+def _bounded_memory() -> Iterator[None]:
+    """Inside, more than MOST_MEMORY is a MemoryError. For the whole process: nothing else must run meanwhile."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    with open("/proc/self/statm", encoding="ascii") as statm:
+        limit = int(statm.read().split()[0]) * resource.getpagesize() + MOST_MEMORY
+    if soft != resource.RLIM_INFINITY:
+        limit = min(limit, soft)
+    resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+
+
+def _check_size(root: Any, file: str) -> None:
+    """Raises BadFile for more values than anybody needs, counted as often as aliases repeat them, and long numbers."""
+    count = 0
+    pending = [root]
+    while pending:
+        node = pending.pop()
+        count += 1
+        if count > MOST_YAML_VALUES:
+            text = f"more than {MOST_YAML_VALUES} values, counting what aliases repeat"
+            raise BadFile(text, file, node.start_mark.line + 1)
+        if node.id == "mapping":
+            pending += [each for pair in node.value for each in pair]
+        elif node.id == "sequence":
+            pending += node.value
+        elif node.tag in _NUMBERS and len(node.value) > _MOST_DIGITS:
+            raise BadFile(f"a number of more than {_MOST_DIGITS} digits", file, node.start_mark.line + 1)
+
+
+def _type(value: Any) -> type:
+    """The type of a plain value: that of a function could make others."""
+    if not issubclass(type(value), _PLAIN):
+        raise TypeError("python.type() here is for numbers, texts, lists and mappings")
+    return type(value)
+
+
+def _tokenize(text: str, sep: str = ",; ", skip_empty: bool = True) -> list[str]:
+    """xacro's function of this name. `sep` is what stands between the brackets of a regular expression, and no more."""
+    if "]" in sep[1:]:
+        raise ValueError("']' can only be the first of the letters to part a text at")
+    items = re.split(f"[{sep}]", text)
+    return [item for item in items if item] if skip_empty else items
+
+
+def _printable(words: tuple[object, ...]) -> str:
+    return "".join(letter if letter.isprintable() else " " for letter in " ".join(map(str, words)))
+
+
+def _clause(error: BaseException) -> str:
+    if isinstance(error, RecursionError):
+        return "macros, includes or expressions call themselves without end"
+    if isinstance(error, MemoryError):
+        return f"it takes more than {MOST_MEMORY >> 30} GiB of memory"
+    if isinstance(error, substitution_args.ArgException):
+        return f"argument {error.args[0]!r} has no value; give {error.args[0]}:=VALUE"
+    if isinstance(error, OSError):
+        return f"{str(error.strerror).lower()}: {error.filename}"
+    if isinstance(error, SyntaxError):
+        return str(error.msg)
+    if isinstance(error, KeyError):
+        return f"unknown key {error}"
+    return str(error).strip() or type(error).__name__
