@@ -11,10 +11,12 @@ from typing import Any
 
 import mujoco
 
+from slidectl.control.hardware_interface import EffortJointInterface, command_interface
 from slidectl.description.inertia import LEAST, can_move
 from slidectl.description.rigid_bodies import rigid_bodies
 from slidectl.description.robot import Joint, Robot
 from slidectl.description.structure import TOO_DEEP, too_deep
+from slidectl.description.transmissions import driving
 from slidectl.physics.frames import compose
 from slidectl.physics.hulls import Hulls
 from slidectl.physics.inertia import BadInertia, put_inertia
@@ -55,6 +57,12 @@ class RobotBuilder:
         self.name = name
         self._self_colliding = self_colliding(robot)
         self.hulls = hulls
+        self._motors = {
+            transmission.joints[0].name
+            for transmission in driving(robot.transmissions)
+            if command_interface(transmission.joints[0].hardware_interfaces[0]) is not EffortJointInterface
+        }
+        """Joints that may get one."""
 
     def build(self, pose: Pose) -> None:
         """Add everything, the root at `pose`: welded there when the root link is called `world`, free otherwise.
@@ -136,7 +144,11 @@ class RobotBuilder:
             if not 0.0 <= value < math.inf:
                 raise BadJoint(self.name, joint, f"{what} {value:g} must be 0 or more")
         set_damping(made, joint.damping or UNDAMPED)
-        made.frictionloss = joint.friction
+        if joint.name not in self._motors:
+            made.frictionloss = joint.friction
+        elif joint.friction > 0.0:  # a motor needs the joint's own; see motors.py
+            tendon = self.spec.add_tendon(name=made.name, frictionloss=joint.friction)
+            tendon.wrap_joint(made.name, 1.0)
 
     def _mimic(self, joint: Joint) -> None:
         """position = offset + multiplier * leader's position, as a constraint on the two."""

@@ -19,7 +19,13 @@ _OF_DATA = {
     "xfrc_applied": "body",
     "eq_active": "tie",
 }
-_OF_MODEL = {"body_pos": "body", "body_quat": "body", "body_invweight0": "body", "dof_invweight0": "dof"}
+_OF_MODEL = {
+    "body_pos": "body",
+    "body_quat": "body",
+    "body_invweight0": "body",
+    "dof_invweight0": "dof",
+    "tendon_invweight0": "tendon",
+}
 """Arrays by the kind of their rows, as `Body.part` names it. Of the model: where roots were put, and each robot's own
 weights."""
 

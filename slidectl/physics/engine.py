@@ -64,10 +64,35 @@ def prepare() -> None:
     _remove_clock()
 
 
-def step_address() -> int:
-    """Where `mj_step` is, for code that calls it without Python; 0 when the library is not found."""
+def address_of(function: str) -> int:
+    """Where a function of MuJoCo's is, for code that calls it without Python; 0 when the library is not found."""
     library = _library()
-    return ctypes.cast(library.mj_step, ctypes.c_void_p).value or 0 if library is not None else 0
+    return ctypes.cast(getattr(library, function), ctypes.c_void_p).value or 0 if library is not None else 0
+
+
+_MOST_OF_DATA = 1 << 17
+"""Words of MjData that are looked through for a variable."""
+
+
+@cache
+def variable_of_data(array: str) -> int:
+    """How far from the beginning of MjData its variable for an array is, in bytes; 0 when it is not found.
+
+    MuJoCo's Python layer does not tell. What lies in MjData is looked through for the address of the array, in a world
+    that has it, twice: the two have it in different places.
+    """
+    spec = mujoco.MjSpec()
+    body = spec.worldbody.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0), explicitinertial=True)
+    body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, frictionloss=1.0)
+    model = spec.compile()
+    found = []
+    for _ in range(2):
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        wanted = getattr(data, array).ctypes.data
+        words = (ctypes.c_uint64 * _MOST_OF_DATA).from_address(data._address)
+        found.append(next((8 * place for place, word in enumerate(words) if word == wanted), 0))
+    return found[0] if found[0] == found[1] else 0
 
 
 def error_hook_address() -> int:
