@@ -29,10 +29,13 @@ _ORIGINS = (
     ("0 0 0.09465", "0 0 0"),
 )
 _AXES = ("0 0 1", "0 1 0", "0 1 0", "0 1 0", "0 0 1", "0 1 0")
+_GAINS = ((800.0, 80.0), (800.0, 80.0), (400.0, 20.0), (50.0, 1.0), (50.0, 0.5), (5.0, 0.02))
+ARM_POSE = (0.4, -1.2, 1.0, -0.5, 0.5, 0.5)
+"""rad, above the ground."""
 _EFFORTS = (150.0, 150.0, 150.0, 28.0, 28.0, 28.0)
 
 
-def cart(interface: str = "VelocityJointInterface") -> str:
+def cart() -> str:
     """A box of 46 kg on four wheels of 2.6 kg, which stand on the ground when its root is at `CART_HEIGHT`."""
     wheels = "".join(
         f"""
@@ -40,7 +43,7 @@ def cart(interface: str = "VelocityJointInterface") -> str:
     <gazebo reference='{name}_wheel'><mu1>1.0</mu1><mu2>1.0</mu2></gazebo>
     <joint name='{name}' type='continuous'><parent link='base'/><child link='{name}_wheel'/>
       <origin xyz='{x} {y} 0.03282'/><axis xyz='0 1 0'/><limit effort='20' velocity='30'/></joint>
-    {_transmission(name, interface)}"""
+    {_transmission(name, "VelocityJointInterface")}"""
         for name, x, y in zip(WHEELS, (0.256, 0.256, -0.256, -0.256), (0.2854, -0.2854) * 2, strict=True)
     )
     return f"""<robot name='cart'>
@@ -68,9 +71,25 @@ def arm(interface: str) -> str:
     return f"<robot name='arm'><link name='world'/>{links}</robot>"
 
 
-def controllers(kind: str, joints: tuple[str, ...], **gains: dict[str, float]) -> dict[str, Any]:
-    """Parameters of a joint state controller, and of a controller of that type for each joint."""
-    return {"states": _STATES, **{f"of_{joint}": {"type": kind, "joint": joint, **gains} for joint in joints}}
+def cart_parameters(with_gains: bool) -> dict[str, Any]:
+    """A velocity controller for each wheel; with gains the hardware has a PID for it, else a motor."""
+    gains = {wheel: {"p": 5.0, "i": 0.0, "d": 0.0} for wheel in WHEELS}
+    own = {"gazebo_ros_control": {"pid_gains": gains}} if with_gains else {}
+    return _controllers("velocity_controllers/JointVelocityController", WHEELS) | own
+
+
+def arm_parameters(interface: str) -> dict[str, Any]:
+    """A position controller for each joint, which has gains when it commands efforts."""
+    if interface == "PositionJointInterface":
+        return _controllers("position_controllers/JointPositionController", ARM_JOINTS)
+    made = _controllers("effort_controllers/JointPositionController", ARM_JOINTS)
+    for joint, (p, d) in zip(ARM_JOINTS, _GAINS, strict=True):
+        made[f"of_{joint}"]["pid"] = {"p": p, "i": 0.0, "d": d}
+    return made
+
+
+def _controllers(kind: str, joints: tuple[str, ...]) -> dict[str, Any]:
+    return {"states": _STATES, **{f"of_{joint}": {"type": kind, "joint": joint} for joint in joints}}
 
 
 def _cylinder(mass: float, radius: float, length: float, rpy: str, height: float = 0.0) -> str:

@@ -14,10 +14,9 @@ import numpy as np
 
 from slidectl.description.robot import Joint, Link, Robot
 from slidectl.errors import UnknownName
-from slidectl.physics.builder import SCALAR_TYPES
+from slidectl.physics.builder import SCALAR_TYPES, lumps
 from slidectl.physics.frames import compose, subtract
 from slidectl.physics.hulls import Hulls
-from slidectl.physics.lumping import lumps
 from slidectl.physics.rotation import Pose, wxyz
 from slidectl.rotations import IDENTITY, Vector
 

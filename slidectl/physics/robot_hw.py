@@ -42,8 +42,8 @@ from slidectl.description.robot import Joint, Robot, TransmissionInfo, Transmiss
 from slidectl.description.transmissions import SIMULATED_INTERFACES, driving
 from slidectl.errors import Refused, SlidectlError, listing
 from slidectl.physics.body import Body, JointPlace
+from slidectl.physics.builder import BadPart
 from slidectl.physics.loads import EffortTruncation, truncated
-from slidectl.physics.parts import BadPart
 from slidectl.physics.world import World
 
 INITIAL_POSITION = 1.0

@@ -7,7 +7,7 @@ carried over every rebuild of the model, to the last bit. SI units; quaternions 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -17,12 +17,10 @@ import mujoco
 import numpy as np
 
 from slidectl.description.robot import Robot
-from slidectl.errors import Refused, UnknownName, listing
+from slidectl.errors import Refused, SlidectlError, UnknownName, listing
 from slidectl.physics import engine, hulls
 from slidectl.physics.body import Body, RobotState
-from slidectl.physics.carrying import carry_over
 from slidectl.physics.compiler import Settings, WorldSpec
-from slidectl.physics.divergence import check_divergence
 from slidectl.physics.hulls import Hulls
 from slidectl.physics.loads import JointForce, Loads, LoadsState, Wrench
 from slidectl.physics.observer import Observer, Twist
@@ -32,6 +30,37 @@ from slidectl.rotations import Vector, normalized
 
 GRAVITY: Vector = (0.0, 0.0, -9.8)
 """m/s², the default of SDF and so of Gazebo."""
+
+
+HUGE = 1e10
+"""A position or velocity beyond this is nonsense; MuJoCo's own bound."""
+
+_OF_DATA = {
+    "qpos": "qpos",
+    "qvel": "dof",
+    "qacc_warmstart": "dof",
+    "qfrc_applied": "dof",
+    "xfrc_applied": "body",
+    "eq_active": "tie",
+}
+_OF_MODEL = {
+    "body_pos": "body",
+    "body_quat": "body",
+    "body_invweight0": "body",
+    "dof_invweight0": "dof",
+    "tendon_invweight0": "tendon",
+}
+"""Arrays by the kind of their rows, as `Body.part` names it. Of the model: where roots were put, and each robot's own
+weights."""
+
+
+class Diverged(SlidectlError):
+    """The state of a robot is no longer a number, or huge."""
+
+    def __init__(self, robot: str) -> None:
+        text = f"the simulation of robot {robot!r} diverged: its state is not finite or huge"
+        super().__init__(text, "reset it (slidectl sim reset) or delete the robot; check masses, damping and gains")
+        self.robot = robot
 
 
 class Memory(NamedTuple):
@@ -479,3 +508,23 @@ def positive(timestep: float) -> float:
     if not (math.isfinite(timestep) and timestep > 0.0):
         raise Refused(f"a time step of {timestep} s is not possible", "give a number above 0, such as 0.001")
     return float(timestep)
+
+
+def check_divergence(data: Any, bodies: Iterable[Body]) -> None:
+    """Raises Diverged, naming the first robot of which a position or velocity is not finite or huge."""
+    positions, velocities = np.abs(data.qpos) < HUGE, np.abs(data.qvel) < HUGE
+    if positions.all() and velocities.all():
+        return
+    for body in bodies:
+        if not (positions[body.coordinates].all() and velocities[body.dofs].all()):
+            raise Diverged(body.name)
+
+
+def carry_over(model: Any, data: Any, new_model: Any, new_data: Any, gone: Body | None) -> None:
+    """Copy all that the robots' future depends on besides their specification; `gone` is in the old world only."""
+    for old, new, arrays in ((data, new_data, _OF_DATA), (model, new_model, _OF_MODEL)):
+        for name, kind in arrays.items():
+            values = getattr(old, name)
+            if gone is not None:
+                values = np.delete(values, gone.part(kind), axis=0)
+            getattr(new, name)[: len(values)] = values

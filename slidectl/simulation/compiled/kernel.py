@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 from slidectl.control.angular_distance import unwrapped
 from slidectl.control.laws import law
 from slidectl.control.limits import enforce
-from slidectl.physics.divergence import HUGE
 from slidectl.physics.loads import truncated
 from slidectl.physics.motors import (
     ACTUATION,
@@ -35,6 +34,7 @@ from slidectl.physics.motors import (
     WEIGHT,
 )
 from slidectl.physics.robot_hw import VELOCITY_MOTOR, drive_effort, motor_velocity
+from slidectl.physics.world import HUGE
 from slidectl.simulation.compiled.tables import (
     CONTROLLER_IN_PYTHON,
     DIVERGED,

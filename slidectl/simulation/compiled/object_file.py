@@ -21,9 +21,7 @@ from slidectl.simulation.compiled import cache, guard
 
 _SOURCES = (
     "control",
-    "physics/effort.py",
-    "physics/drives.py",
-    "physics/divergence.py",
+    "physics",
     "simulation/cycle.py",
     "simulation/runner.py",
     "simulation/compiled",
