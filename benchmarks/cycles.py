@@ -14,6 +14,7 @@ from typing import Any
 
 import mujoco
 
+from benchmarks import robots
 from benchmarks.harness import RRBOT_CONTROLLERS, SLIDER_CONTROLLERS, Row
 from slidectl.control.controller_interface import Controller
 from slidectl.control.hardware_interface import JointStateInterface
@@ -32,6 +33,10 @@ JOINTS = (1, 6, 30)
 COMPILED_GOAL, CROWD_GOAL, PLAIN_GOAL = 0.90, 0.85, 0.25
 OWN_IMPORT_GOALS = (("rrbot", RRBOT_CONTROLLERS, 1.2), ("slider", SLIDER_CONTROLLERS, 1.45))
 SPACING_M = 5.0
+ORIGIN = (0.0, 0.0, 0.0)
+MOTORS_GOALS = {"cart": 30.0, "arm": 100.0}
+"""Times real time."""
+SETTLING_CYCLES = 1500
 
 
 def measure() -> list[Row]:
@@ -42,6 +47,7 @@ def measure() -> list[Row]:
         for model, controllers in (("slider", SLIDER_CONTROLLERS), ("rrbot", RRBOT_CONTROLLERS)):
             rows += compared(f"{model}, {engine}", build(model, controllers, engine), goal)
             rows += compared(f"{model}, its state topics heard, {engine}", heard(model, controllers, engine), None)
+        rows += beside_real_time(engine)
         rows += compared(f"rrbot and a watcher in Python, {engine}", watched(engine), None)
     if object_file.is_possible():
         for model, controllers, own_goal in OWN_IMPORT_GOALS:
@@ -131,6 +137,38 @@ def _hinge(name: str) -> str:
     <transmission name='of_{name}'><type>transmission_interface/SimpleTransmission</type>
       <joint name='{name}'><hardwareInterface>hardware_interface/EffortJointInterface</hardwareInterface></joint>
       <actuator name='motor_{name}'><mechanicalReduction>1</mechanicalReduction></actuator></transmission>"""
+
+
+def beside_real_time(engine: str) -> list[Row]:
+    """A cart on four wheels and an arm of six joints, with and without motors: how many times real time they run."""
+    wheels, place = dict.fromkeys(robots.WHEELS, 5.0), (0.0, 0.0, robots.CART_HEIGHT)
+    pose = dict(zip(robots.ARM_JOINTS, robots.ARM_POSE, strict=True))
+    position, effort = "PositionJointInterface", "EffortJointInterface"
+    scenes = (
+        ("cart", "cart, velocities by motors", robots.cart(), robots.cart_parameters(False), wheels, place),
+        ("cart", "cart, velocities by PIDs", robots.cart(), robots.cart_parameters(True), wheels, place),
+        ("arm", "arm, positions by motors", robots.arm(position), robots.arm_parameters(position), pose, ORIGIN),
+        ("arm", "arm, efforts", robots.arm(effort), robots.arm_parameters(effort), pose, ORIGIN),
+    )
+    rows = []
+    for kind, name, xml, parameters, commands, at in scenes:
+        simulation = Simulation(engine=engine)
+        if engine == "compiled":
+            simulation.engine.complete()
+        simulation.parameters.set(f"/{kind}", parameters)
+        simulation.spawn(xml, kind, f"/{kind}", (at, (0.0, 0.0, 0.0, 1.0)))
+        start(simulation, kind, ("states", *(f"of_{joint}" for joint in commands)))
+        for joint, command in commands.items():
+            simulation.publish(f"/{kind}/of_{joint}/command", {"data": command})
+        simulation.driven = True
+        simulation.step(SETTLING_CYCLES)
+        cycles = _cycles_of_a_round(simulation)
+        taken = min(_cpu_s(lambda simulation=simulation, n=cycles: simulation.step(n)) for _ in range(5)) / cycles
+        goal = MOTORS_GOALS[kind] if engine == "compiled" and "motors" in name else None
+        factor = simulation.world.timestep / taken
+        note = f"{1e6 * taken:.3g} us a cycle"
+        rows.append(Row(f"{name}, {engine}: times real time", factor, "", goal, better="higher", note=note))
+    return rows
 
 
 def compared(

@@ -120,7 +120,7 @@ class JointStateInterface(ResourceManager[JointStateHandle]):
 class JointCommandInterface(ResourceManager[JointHandle]):
     """Joints that take one command. Not registered itself: its children say what the command is.
 
-    What limits make of the command is in `limits.LIMIT_HANDLES`, what drives a joint by it in `physics/drives.py`.
+    What limits make of the command is in `limits.LIMIT_HANDLES`, what drives a joint by it in `physics/robot_hw.py`.
     """
 
     claims = True

@@ -4,10 +4,9 @@ Knows no topics, no clients and no wall time.
 """
 
 from slidectl.physics.body import Body
-from slidectl.physics.divergence import Diverged
 from slidectl.physics.engine import EngineError, take_warnings
 from slidectl.physics.robot_hw import MujocoRobotHW
-from slidectl.physics.world import GRAVITY, Overlap, Snapshot, World
+from slidectl.physics.world import GRAVITY, Diverged, Overlap, Snapshot, World
 
 __all__ = [
     "GRAVITY",

@@ -7,17 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
 from slidectl.description.robot import Joint, Link, Robot
 from slidectl.errors import UnknownName
-from slidectl.physics.builder import SCALAR_TYPES
+from slidectl.physics.builder import SCALAR_TYPES, lumps
 from slidectl.physics.frames import compose, subtract
 from slidectl.physics.hulls import Hulls
-from slidectl.physics.lumping import lumps
 from slidectl.physics.rotation import Pose, wxyz
 from slidectl.rotations import IDENTITY, Vector
 
@@ -43,15 +42,15 @@ class JointPlace:
     dof: int
 
 
-@dataclass(frozen=True, slots=True)
-class Weights:
-    """Inverse weights of a robot's bodies and dofs, by which MuJoCo scales its constraints.
+class Weights(NamedTuple):
+    """Inverse weights of a robot's bodies, dofs and tendons, by which MuJoCo scales its constraints.
 
     They are taken from the robot compiled alone: compiled among others they come out a rounding error apart.
     """
 
     bodies: Array
     dofs: Array
+    tendons: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +114,7 @@ class Body:
         return self._slices["qpos"]
 
     def part(self, kind: str) -> slice:
-        """The robot's part of arrays over all `qpos`, `dof`, `body` or `tie` (equality constraints)."""
+        """The robot's part of arrays over all `qpos`, `dof`, `body`, `tie` (equality constraints) or `tendon`."""
         return self._slices[kind]
 
     def link(self, link: str) -> LinkPlace:
@@ -152,8 +151,9 @@ class Body:
                 self.joints[made.name] = JointPlace(made, int(model.jnt_qposadr[index]), int(model.jnt_dofadr[index]))
         self._slices = _slices(model, self.root_id, len(ids))
         if self.weights is None:
-            self.weights = Weights(model.body_invweight0[self._slices["body"]].copy(), self._dof_weights().copy())
-        self._put_weights(self.weights)
+            self.weights = Weights(*(weights.copy() for weights in self._weights_of(model)))
+        for weights, own in zip(self._weights_of(model), self.weights, strict=True):
+            weights[:] = own
 
     def _link_place(self, link: Link, body: int, frame: Pose) -> LinkPlace:
         centre = link.inertial.origin.xyz if link.inertial is not None else (0.0, 0.0, 0.0)
@@ -165,13 +165,15 @@ class Body:
         """Go on in a model in which others came or went behind this robot only: its places are the same."""
         self._model, self._data = model, data
 
-    def _put_weights(self, weights: Weights) -> None:
-        self._model.body_invweight0[self._slices["body"]] = weights.bodies
-        self._dof_weights()[:] = weights.dofs
+    def _weights_of(self, model: Any) -> tuple[Array, Array, Array]:
+        kinds = {"body": model.body_invweight0, "dof": model.dof_invweight0, "tendon": model.tendon_invweight0}
+        bodies, dofs, tendons = (array[self._slices[kind]] for kind, array in kinds.items())
+        return bodies, dofs, tendons
 
-    def _dof_weights(self) -> Array:
-        weights: Array = self._model.dof_invweight0[self.dofs]
-        return weights
+    def weight_of(self, place: JointPlace) -> float:
+        """Inverse weight of a joint's dof."""
+        assert self.weights is not None
+        return float(self.weights.dofs[place.dof - self.root_dof])
 
     def announce(self) -> None:
         """Tell those who hold indices or views that `bind` has moved them."""
@@ -244,10 +246,11 @@ def _slices(model: Any, root: int, bodies: int) -> dict[str, slice]:
     joints = np.searchsorted(model.jnt_bodyid, ends)
     starts = np.append(model.jnt_qposadr, model.nq)
     dofs = np.searchsorted(model.dof_bodyid, ends)
-    ties = np.flatnonzero((model.eq_obj1id >= joints[0]) & (model.eq_obj1id < joints[1]))
+    ties, tendons = model.eq_obj1id, model.wrap_objid[model.tendon_adr]
     return {
         "body": slice(root, root + bodies),
         "dof": slice(int(dofs[0]), int(dofs[1])),
         "qpos": slice(int(starts[joints[0]]), int(starts[joints[1]])),
-        "tie": slice(int(ties[0]), int(ties[-1]) + 1) if len(ties) else slice(0, 0),
+        "tie": slice(*np.searchsorted(ties, joints).tolist()),
+        "tendon": slice(*np.searchsorted(tendons, joints).tolist()),
     }

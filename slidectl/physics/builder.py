@@ -1,29 +1,46 @@
 """A robot on paper becomes bodies, joints and geoms of a MuJoCo specification, named `ROBOT/LINK` and `ROBOT/JOINT`.
 
-Links on fixed joints are part of their parent's body (see lumping.py), which has the name of its first link. Builds
-only; it compiles nothing and knows no state. Units and frames are URDF's: the child's frame is the joint's.
+Links on fixed joints are part of their parent's body, which has the name of its first link. First the errors, then
+which links are one body, its inertia, its collision shapes, and last the robot. Builds only; it compiles no world and
+knows no state. Units and frames are URDF's: the child's frame is the joint's.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol
 
 import mujoco
+import numpy as np
 
-from slidectl.description.inertia import LEAST, can_move
+from slidectl.control.hardware_interface import EffortJointInterface, command_interface
+from slidectl.description.inertia import LEAST, can_move, is_mass, why_impossible
 from slidectl.description.parser import TOO_DEEP, too_deep
-from slidectl.description.rigid_bodies import rigid_bodies
-from slidectl.description.robot import Joint, Robot
+from slidectl.description.rigid_bodies import lumped, rigid_bodies
+from slidectl.description.robot import (
+    Box,
+    Cylinder,
+    Inertial,
+    Joint,
+    Link,
+    Mesh,
+    Robot,
+    Shape,
+    Sphere,
+    Surface,
+)
+from slidectl.description.transmissions import driving
+from slidectl.errors import SlidectlError
 from slidectl.physics.frames import compose
-from slidectl.physics.hulls import Hulls
-from slidectl.physics.inertia import BadInertia, put_inertia
-from slidectl.physics.lumping import Lump, lumps
-from slidectl.physics.parts import BadPart
-from slidectl.physics.rotation import Pose, perpendicular, unit, wxyz
-from slidectl.physics.solids import put_shapes
+from slidectl.physics.hulls import Hull, Hulls, source_of
+from slidectl.physics.rotation import ORIGIN, Pose, perpendicular, unit, wxyz
 from slidectl.physics.touching import ORDINARY, self_colliding
-from slidectl.rotations import Vector, from_rpy
+from slidectl.rotations import Quaternion, Vector, from_rpy, matrix
+
+Array = np.ndarray[Any, np.dtype[Any]]
 
 UNDAMPED = 1e-200
 """Damping of a joint that has none, N·s/m or N·m·s/rad. It vanishes in every sum, but with any damping at all MuJoCo's
@@ -39,11 +56,319 @@ _BALL = mujoco.mjtJoint.mjJNT_BALL
 SCALAR_TYPES = {"revolute": _HINGE, "continuous": _HINGE, "prismatic": _SLIDE}
 """The joints that have one position, with MuJoCo's type."""
 
+GAZEBO_FRICTION = 1.0
+"""Gazebo's mu of a surface that says nothing, and MuJoCo's sliding friction too."""
+
+LARGEST_FRICTION = 1e6
+"""What every larger coefficient counts as, `Inf` included: nothing slides at it, and its square is an exact number."""
+
+
+class Part(Protocol):
+    """A link, joint or transmission on paper."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def file(self) -> str | None: ...
+    @property
+    def line(self) -> int | None: ...
+
+
+class BadPart(SlidectlError):
+    """A part that cannot be simulated."""
+
+    kind: ClassVar[str] = "part"
+
+    def __init__(self, robot: str, part: Part, trouble: str, hint: str | None = None) -> None:
+        super().__init__(f"{self.kind} {part.name!r} of robot {robot!r}{place(part.file, part.line)}: {trouble}", hint)
+        self.part = part.name
+
+
+def place(file: str | None, line: int | None) -> str:
+    """` (file:line)`, or what is known of it; empty when nothing is."""
+    if line is None:
+        return "" if file is None else f" ({file})"
+    return f" (line {line})" if file is None else f" ({file}:{line})"
+
+
+class BadInertia(BadPart):
+    """A link that cannot be simulated as it is weighed."""
+
+    kind = "link"
+
+
+class BadShape(BadPart):
+    """A collision shape that MuJoCo cannot take. `part` is the link's name."""
+
+    kind = "link"
+
+    def __init__(self, robot: str, link: Link, shape: Shape, trouble: str) -> None:
+        super().__init__(robot, link, f"collision shape{place(shape.file, shape.line)}: {trouble}")
+
 
 class BadJoint(BadPart):
     """A joint that cannot be simulated."""
 
     kind = "joint"
+
+
+@dataclass(slots=True)
+class Lump:
+    """Links that are one body. Its frame is that of its first link, the head."""
+
+    head: str
+    joint: Joint | None
+    """Between the head and its parent; None at the root."""
+    moves: bool
+    """False for what is fixed to the world."""
+    frames: dict[str, Pose]
+    """By link, each behind its parent: its constant pose in the head's frame."""
+    has_gravity: bool | None = None
+    """None until a link of the lump weighs something."""
+
+    def takes(self, link: Link) -> bool:
+        """Whether the link can be part of this body. MuJoCo knows gravity by body, not by link."""
+        has_gravity = _has_gravity(link)
+        return not self.moves or None in (has_gravity, self.has_gravity) or has_gravity == self.has_gravity
+
+    def add(self, link: Link, pose: Pose) -> None:
+        """Make the link, with its pose in the head's frame, part of this body."""
+        self.frames[link.name] = pose
+        if self.has_gravity is None:
+            self.has_gravity = _has_gravity(link)
+
+
+def lumps(robot: Robot) -> list[Lump]:
+    """The bodies of a robot, the root's first and each behind its parent.
+
+    Links that a fixed joint holds are one body, unless both weigh something and only one of them feels gravity.
+    """
+    moves = {link: body.moves for body in rigid_bodies(robot.root, robot.joints) for link in body.links}
+    made = [Lump(robot.root, None, moves[robot.root], {})]
+    made[0].add(robot.links[robot.root], ORIGIN)
+    lump_of = {robot.root: made[0]}
+    waiting = [robot.root]
+    for parent in waiting:
+        for joint in robot.children_of(parent):
+            link, lump, pose = robot.links[joint.child], lump_of[parent], ORIGIN
+            if joint.type == "fixed" and lump.takes(link):
+                pose = compose(lump.frames[parent], (joint.origin.xyz, from_rpy(joint.origin.rpy)))
+            else:
+                lump = Lump(joint.child, joint, moves[joint.child], {})
+                made.append(lump)
+            lump.add(link, pose)
+            lump_of[joint.child] = lump
+            waiting.append(joint.child)
+    return made
+
+
+def _has_gravity(link: Link) -> bool | None:
+    return None if link.inertial is None else not link.surface.turn_gravity_off
+
+
+def put_inertia(body: Any, robot: str, links: Sequence[tuple[Link, Pose]]) -> None:
+    """Give the MjsBody the mass, centre of mass and inertia of its links, each with its frame in the body.
+
+    A link without `<inertial>` weighs nothing.
+
+    Raises:
+        BadInertia: mass not positive, or moments that no body can have.
+    """
+    body.explicitinertial = True
+    body.mass = 0.0
+    weighing = [(inertial, frame) for link, frame in links if (inertial := _checked(robot, link)) is not None]
+    if not weighing:
+        return
+    if len(weighing) == 1:
+        inertial, frame = weighing[0]
+    else:
+        inertial, frame = lumped([(inertial, matrix(frame[1]), frame[0]) for inertial, frame in weighing]), ORIGIN
+    body.mass = inertial.mass
+    body.ipos, attitude = compose(frame, (inertial.origin.xyz, from_rpy(inertial.origin.rpy)))
+    ixx, ixy, ixz, iyy, iyz, izz = inertial.inertia
+    if ixy == ixz == iyz == 0.0:
+        body.inertia = _within_triangle(ixx, iyy, izz)
+        body.iquat = wxyz(attitude)
+        return
+    tensor = _turned(inertial, attitude)
+    if _is_on_the_edge(tensor) and not _is_taken(tensor):
+        body.inertia, body.iquat = _principal(tensor)
+    else:
+        body.fullinertia = _row(tensor)
+
+
+def _checked(robot: str, link: Link) -> Inertial | None:
+    """What the link weighs. Raises BadInertia."""
+    if link.inertial is None:
+        return None
+    mass = link.inertial.mass
+    if not is_mass(mass):
+        raise BadInertia(robot, link, f"mass {mass:g} kg is not positive", 'give it <mass value="..."/> above 0')
+    check_moments(robot, link, link.inertial)
+    return link.inertial
+
+
+def check_moments(robot: str, link: Link, inertial: Inertial) -> None:
+    """Raises BadInertia unless the principal moments are positive and each is at most the sum of the others."""
+    if not all(map(math.isfinite, (*inertial.inertia, *inertial.origin.xyz, *inertial.origin.rpy))):
+        raise BadInertia(robot, link, "its inertia is not finite", "give numbers for ixx ... izz")
+    why = why_impossible(inertial.inertia)
+    if why is not None:
+        hint = "for a box of sides x, y, z: ixx = m (y² + z²) / 12"
+        raise BadInertia(robot, link, f"no body has its inertia: {why}", hint)
+
+
+def _tensor(inertial: Inertial) -> Array:
+    ixx, ixy, ixz, iyy, iyz, izz = inertial.inertia
+    return np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
+
+
+def _turned(inertial: Inertial, attitude: Quaternion) -> Array:
+    """The tensor about the body's axes: R I Rᵀ with R of its attitude in the body."""
+    turn = np.array(matrix(attitude))
+    return np.asarray(turn @ _within_triangle_tensor(_tensor(inertial)) @ turn.T)
+
+
+def _row(tensor: Array) -> list[float]:
+    """MuJoCo's order, xx yy zz xy xz yz."""
+    return [float(tensor[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+
+
+def _within_triangle(ixx: float, iyy: float, izz: float) -> list[float]:
+    """The three moments, the largest cut to the sum of the others when it exceeds it by digits lost in the file."""
+    moments = [ixx, iyy, izz]
+    largest = max(range(3), key=moments.__getitem__)
+    # MuJoCo compares with the sum of the two, without any margin; the difference may be rounded to more than that.
+    rest = sum(moments[:largest] + moments[largest + 1 :])
+    moments[largest] = min(moments[largest], sum(moments) - moments[largest], rest)
+    return moments
+
+
+def _within_triangle_tensor(tensor: Array) -> Array:
+    moments, axes = np.linalg.eigh(tensor)
+    if moments[0] + moments[1] >= moments[2]:
+        return tensor
+    moments[2] = moments[0] + moments[1]
+    return np.asarray((axes * moments) @ axes.T)
+
+
+def _is_on_the_edge(tensor: Array) -> bool:
+    """Whether MuJoCo, which finds the principal moments of a tensor itself, may refuse it for its rounding: the body is
+    flat, or thin as a needle. Its moments are off by no more than 1e-12 of the largest or of 1 kg·m²."""
+    small, middle, large = np.linalg.eigvalsh(tensor)
+    return bool(small + middle - large < 1e-6 * large + 1e-11 or small < 1e-6 * large + 1e-13)
+
+
+def _is_taken(tensor: Array) -> bool:
+    """Whether MuJoCo takes the tensor of a body on the edge: asked of MuJoCo itself, whose rounding nobody can tell.
+
+    What it takes is left to it, so that a robot which could be spawned before moves as it did, to the last bit.
+    """
+    spec = mujoco.MjSpec()
+    body = spec.worldbody.add_body(mass=1.0, explicitinertial=True, ipos=(0.0, 0.0, 0.0), fullinertia=_row(tensor))
+    body.add_freejoint()
+    try:
+        spec.compile()
+    except (ValueError, mujoco.FatalError):
+        return False
+    return True
+
+
+def _principal(tensor: Array) -> tuple[list[float], tuple[float, float, float, float]]:
+    """Principal moments that keep the triangle rule to the last bit, and MuJoCo's quaternion of their axes."""
+    moments, axes = np.linalg.eigh(tensor)
+    if np.linalg.det(axes) < 0.0:
+        axes[:, 2] = -axes[:, 2]
+    attitude = np.zeros(4)
+    mujoco.mju_mat2Quat(attitude, axes.ravel())
+    small, middle, large = (float(max(moment, LEAST)) for moment in moments)
+    w, x, y, z = (float(part) for part in attitude)
+    return _within_triangle(small, middle, large), (w, x, y, z)
+
+
+def put_shapes(spec: Any, body: Any, robot: str, link: Link, frame: Pose, bits: tuple[int, int], hulls: Hulls) -> None:
+    """Add one geom per collision of the link, with these bits (contype, conaffinity) of what it may touch.
+
+    `frame` is the link's in the body, `hulls` has what its meshes collide as.
+
+    Raises:
+        BadShape: a size that is not positive, or a mesh that could not be read.
+    """
+    for number, shape in enumerate(link.collisions):
+        position, attitude = compose(frame, (shape.origin.xyz, from_rpy(shape.origin.rpy)))
+        geom = body.add_geom(name=_geom_name(robot, link, number), pos=position, quat=wxyz(attitude))
+        geom.contype, geom.conaffinity = bits
+        put_friction(geom, sliding_friction(link.surface))
+        if isinstance(shape.geometry, Mesh):
+            _put_mesh(spec, geom, robot, link, shape, hulls)
+        else:
+            geom.type, geom.size = _primitive(robot, link, shape)
+
+
+def mesh_names(robot: Robot, name: str) -> list[str]:
+    """The meshes that `put_shapes` adds to the specification itself, for a robot of this name."""
+    shapes = ((link, number, shape) for link in robot.links.values() for number, shape in enumerate(link.collisions))
+    return [_geom_name(name, link, number) for link, number, shape in shapes if isinstance(shape.geometry, Mesh)]
+
+
+def _geom_name(robot: str, link: Link, number: int) -> str:
+    return f"{robot}/{link.name}/{number}"
+
+
+def put_friction(geom: Any, mu: float) -> None:
+    """Between two geoms the smaller coefficient counts, as in Gazebo.
+
+    MuJoCo takes the larger one, unless one geom has priority: so the lower the friction, the higher the priority. The
+    bits of positive single-precision numbers, read as integers, are in the order of the numbers.
+    """
+    geom.friction[0] = mu = min(mu, LARGEST_FRICTION)
+    geom.priority = -struct.unpack("<i", struct.pack("<f", mu))[0]
+
+
+def sliding_friction(surface: Surface) -> float:
+    """The one coefficient that MuJoCo has for both directions: mu1, else mu2, else Gazebo's default."""
+    for mu in (surface.mu1, surface.mu2):
+        if mu is not None:
+            return mu
+    return GAZEBO_FRICTION
+
+
+def _primitive(robot: str, link: Link, shape: Shape) -> tuple[Any, list[float]]:
+    """MuJoCo's type, and its size: half lengths, and radius before half length."""
+    geometry = shape.geometry
+    if isinstance(geometry, Box):
+        kind, size = mujoco.mjtGeom.mjGEOM_BOX, [edge / 2 for edge in geometry.size]
+    elif isinstance(geometry, Cylinder):
+        kind, size = mujoco.mjtGeom.mjGEOM_CYLINDER, [geometry.radius, geometry.length / 2, 0.0]
+    elif isinstance(geometry, Sphere):
+        kind, size = mujoco.mjtGeom.mjGEOM_SPHERE, [geometry.radius, 0.0, 0.0]
+    else:
+        raise TypeError(f"not a primitive: {geometry!r}")
+    needed = {Box: 3, Cylinder: 2, Sphere: 1}[type(geometry)]
+    if not all(0.0 < length < float("inf") for length in size[:needed]):
+        raise BadShape(robot, link, shape, f"{geometry} needs sizes above 0")
+    return kind, size
+
+
+def _put_mesh(spec: Any, geom: Any, robot: str, link: Link, shape: Shape, hulls: Hulls) -> None:
+    """A mesh collides as its convex hull, which is a file in the specification's memory.
+
+    Of a file MuJoCo keeps what it has computed for the next compilation, of vertices in the specification it does not;
+    the file's name says its content, so equal meshes are one.
+    """
+    source = shape.geometry
+    assert isinstance(source, Mesh)
+    if source.path is None:
+        raise BadShape(robot, link, shape, f"mesh {source.uri!r} was not found")
+    hull = hulls.get(source_of(source))
+    if not isinstance(hull, Hull):
+        raise BadShape(
+            robot, link, shape, f"mesh {hull.message if hull is not None else source.path + ' was not read'}"
+        )
+    spec.assets[hull.name] = hull.stl
+    mesh = spec.add_mesh(name=geom.name, file=hull.name)
+    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+    geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_MESH, mesh.name
 
 
 class RobotBuilder:
@@ -55,6 +380,12 @@ class RobotBuilder:
         self.name = name
         self._self_colliding = self_colliding(robot)
         self.hulls = hulls
+        self._motors = {
+            transmission.joints[0].name
+            for transmission in driving(robot.transmissions)
+            if command_interface(transmission.joints[0].hardware_interfaces[0]) is not EffortJointInterface
+        }
+        """Joints that may get one."""
 
     def build(self, pose: Pose) -> None:
         """Add everything, the root at `pose`: welded there when the root link is called `world`, free otherwise.
@@ -136,7 +467,11 @@ class RobotBuilder:
             if not 0.0 <= value < math.inf:
                 raise BadJoint(self.name, joint, f"{what} {value:g} must be 0 or more")
         set_damping(made, joint.damping or UNDAMPED)
-        made.frictionloss = joint.friction
+        if joint.name not in self._motors:
+            made.frictionloss = joint.friction
+        elif joint.friction > 0.0:  # a motor needs the joint's own; see motors.py
+            tendon = self.spec.add_tendon(name=made.name, frictionloss=joint.friction)
+            tendon.wrap_joint(made.name, 1.0)
 
     def _mimic(self, joint: Joint) -> None:
         """position = offset + multiplier * leader's position, as a constraint on the two."""

@@ -15,8 +15,7 @@ import mujoco
 from slidectl.errors import SlidectlError
 from slidectl.physics import engine
 from slidectl.physics.body import Body
-from slidectl.physics.builder import RobotBuilder
-from slidectl.physics.solids import mesh_names, put_friction
+from slidectl.physics.builder import RobotBuilder, mesh_names, put_friction
 from slidectl.physics.touching import put_robots
 from slidectl.rotations import Vector
 

@@ -7,6 +7,7 @@ world or a robot.
 from __future__ import annotations
 
 import ctypes
+import sys
 import warnings
 from collections import deque
 from collections.abc import Iterator
@@ -64,10 +65,45 @@ def prepare() -> None:
     _remove_clock()
 
 
-def step_address() -> int:
-    """Where `mj_step` is, for code that calls it without Python; 0 when the library is not found."""
+def address_of(function: str) -> int:
+    """Where a function of MuJoCo's is, for code that calls it without Python; 0 when the library is not found."""
     library = _library()
-    return ctypes.cast(library.mj_step, ctypes.c_void_p).value or 0 if library is not None else 0
+    return ctypes.cast(getattr(library, function), ctypes.c_void_p).value or 0 if library is not None else 0
+
+
+_PAGE, _MOST_OF_DATA = 4096, 1 << 20
+"""Bytes: of memory that is there as a whole or not at all, and of MjData that is looked through."""
+
+
+@cache
+def variable_of_data(array: str) -> int:
+    """How far from the beginning of MjData its variable for an array is, in bytes; 0 when it is not found.
+
+    MuJoCo's Python layer does not tell. Two MjData that have the array, in different places, are looked through for
+    its address, page by page: so nothing is read that is not theirs.
+    """
+    spec = mujoco.MjSpec()
+    body = spec.worldbody.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0), explicitinertial=True)
+    body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, frictionloss=1.0)
+    model = spec.compile()
+    places = []
+    for _ in range(2):
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        places.append(_find(getattr(data, array).ctypes.data.to_bytes(8, sys.byteorder), data._address) - data._address)
+    return max(places[0], 0) if places[0] == places[1] else 0
+
+
+def _find(wanted: bytes, begin: int) -> int:
+    """Where the bytes are in memory from `begin` on; 0 when they are nowhere near."""
+    place = begin
+    while place < begin + _MOST_OF_DATA:
+        end = (place // _PAGE + 1) * _PAGE
+        found = ctypes.string_at(place, end - place).find(wanted)
+        if found >= 0:
+            return place + found
+        place = end
+    return 0
 
 
 def error_hook_address() -> int:

@@ -1,49 +1,194 @@
 """All that acts in a step besides what the robots' hardware pushes: forces from outside, and motors.
 
-Put on before the step and taken off after it, so that qfrc_applied belongs to the hardware alone.
+Forces from outside are put on before the step and taken off after it, so that qfrc_applied belongs to the hardware
+alone. Nothing here knows clocks or services.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
-from slidectl.physics.body import Body
-from slidectl.physics.forces import ExternalForces
-from slidectl.physics.motors import Motors
+import mujoco
+import numpy as np
+
+from slidectl.control.laws import law
+from slidectl.description.robot import Joint
+from slidectl.physics.body import Array, Body
+from slidectl.physics.frames import add
+from slidectl.physics.motors import Motors, MotorsState
+from slidectl.physics.rotation import cross
+from slidectl.rotations import Vector
+
+
+@law
+def truncated(effort: float, velocity: float, max_effort: float, max_velocity: float) -> float:
+    """The effort that acts at this velocity: none that pushes further beyond the velocity limit, then the clamp."""
+    if effort > 0.0:
+        if velocity > max_velocity:
+            return 0.0
+        return max_effort if effort > max_effort else effort
+    if effort < 0.0:
+        if velocity < -max_velocity:
+            return 0.0
+        return -max_effort if effort < -max_effort else effort
+    return effort
+
+
+@dataclass(frozen=True, slots=True)
+class EffortTruncation:
+    """Bounds of a joint: `effort` in N or N·m, `velocity` in m/s or rad/s; infinite when there is none."""
+
+    effort: float = math.inf
+    velocity: float = math.inf
+
+    @staticmethod
+    def of(joint: Joint) -> EffortTruncation:
+        """The bounds of the joint's `<limit>`; a negative value means no bound, as in Gazebo."""
+        if joint.limit is None:
+            return EffortTruncation()
+        return EffortTruncation(_bound(joint.limit.effort), _bound(joint.limit.velocity))
+
+    def cut(self, effort: float, velocity: float) -> float:
+        """The effort that acts at this velocity: none that pushes further beyond the velocity limit, then the clamp."""
+        return truncated(effort, velocity, self.effort, self.velocity)
+
+
+def _bound(value: float) -> float:
+    return value if value >= 0.0 else math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class JointForce:
+    """N or N·m on one joint, cut like every effort by the limits of the joint.
+
+    It acts from `start_ns` up to and including `start_ns + duration_ns`; a negative duration never ends.
+    """
+
+    body: Body
+    joint: str
+    effort: float
+    start_ns: int
+    duration_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Wrench:
+    """Force (N) and torque (N·m), in the world's axes, on the centre of mass of one link, as long as a JointForce."""
+
+    body: Body
+    link: str
+    force: Vector
+    torque: Vector
+    start_ns: int
+    duration_ns: int
+
+
+def _is_over(force: JointForce | Wrench, now_ns: int) -> bool:
+    return force.duration_ns >= 0 and now_ns > force.start_ns + force.duration_ns
+
+
+class LoadsState(NamedTuple):
+    """All that acts at one moment, and what it came to in the last step."""
+
+    joint_forces: list[JointForce]
+    wrenches: list[Wrench]
+    motors: MotorsState
+    efforts: Array
 
 
 class Loads:
-    """Forces from outside, motors, and the efforts on joints that they came to in the last step."""
+    """Forces from outside that are not over, motors, and the efforts on joints that they came to in the last step."""
 
     def __init__(self) -> None:
-        self.forces = ExternalForces()
+        self.joint_forces: list[JointForce] = []
+        self.wrenches: list[Wrench] = []
         self.motors = Motors()
-        self.efforts: dict[int, float] = {}
-        """N or N·m by dof; always the same dict."""
+        self.efforts: Array = np.zeros(0)
+        """N or N·m by dof. Another array when the model was rebuilt."""
+        self.has_efforts = False
+        """False while all of them are 0."""
+
+    @property
+    def has_forces(self) -> bool:
+        """True when a force from outside acts, or waits."""
+        return bool(self.joint_forces or self.wrenches)
 
     @property
     def is_empty(self) -> bool:
         """True when steps need nothing of this."""
-        return self.forces.is_empty and self.motors.is_empty
+        return not self.has_forces and self.motors.is_empty
 
-    def step(self, model: Any, data: Any, now_ns: int, advance: Callable[[], None]) -> None:
-        """One step with everything that acts at `now_ns`; what the hardware applies is put back exactly afterwards.
-
-        Raises:
-            Diverged: a robot with motors has no state to compute forces from.
-        """
-        joint_forces, link_forces = data.qfrc_applied.copy(), data.xfrc_applied.copy()
-        self.efforts.clear()
-        try:
-            self.forces.apply(model, data, now_ns, self.efforts)
-            if not self.motors.is_empty:
-                self.motors.apply(model, data, self.efforts)
-            advance()
-        finally:
-            data.qfrc_applied[:], data.xfrc_applied[:] = joint_forces, link_forces
+    def keep(self, keep: Callable[[JointForce | Wrench], bool]) -> None:
+        """Forget all forces from outside but those that `keep` says yes to."""
+        self.joint_forces = [force for force in self.joint_forces if keep(force)]
+        self.wrenches = [wrench for wrench in self.wrenches if keep(wrench)]
 
     def forget(self, body: Body) -> None:
-        """Drop all that acts on one robot."""
-        self.forces.drop(lambda force: force.body is not body)
+        """Drop all that acts on a robot which leaves. `bind` is to follow."""
+        self.keep(lambda force: force.body is not body)
         self.motors.drop(body)
+        self.efforts = np.delete(self.efforts, body.dofs)
+
+    def bind(self, model: Any, data: Any) -> None:
+        """Go on with this model, which all robots are bound to."""
+        self.has_efforts |= not self.motors.is_empty
+        if len(self.efforts) < model.nv:
+            self.efforts = np.append(self.efforts, np.zeros(model.nv - len(self.efforts)))
+        self.motors.bind(model, data)
+
+    def captured(self) -> LoadsState:
+        """A copy of all this, for `put`."""
+        return LoadsState(list(self.joint_forces), list(self.wrenches), self.motors.captured(), self.efforts.copy())
+
+    def put(self, state: LoadsState) -> None:
+        """As it was. `bind` is to follow."""
+        self.joint_forces, self.wrenches = list(state.joint_forces), list(state.wrenches)
+        self.motors.put(state.motors)
+        self.efforts = state.efforts.copy()
+
+    def clear_efforts(self) -> None:
+        """Nothing acts any more, or nothing yet."""
+        self.efforts[:] = 0.0
+        self.has_efforts = not self.motors.is_empty
+
+    def step(self, model: Any, data: Any, now_ns: int) -> None:
+        """One step with everything that acts at `now_ns`; what the hardware applies is put back exactly afterwards."""
+        self.has_efforts = True
+        if not self.has_forces:
+            self.motors.step(model, data, self.efforts)
+            return
+        hardware, link_forces, outside = data.qfrc_applied.copy(), data.xfrc_applied.copy(), np.zeros(model.nv)
+        try:
+            self._apply_forces(model, data, now_ns, outside)
+            self.efforts[:] = 0.0
+            if self.motors.is_empty:
+                mujoco.mj_step(model, data)
+            else:
+                self.motors.step(model, data, self.efforts)
+            self.efforts += outside
+        finally:
+            data.qfrc_applied[:], data.xfrc_applied[:] = hardware, link_forces
+
+    def _apply_forces(self, model: Any, data: Any, now_ns: int, efforts: Array) -> None:
+        """Add what holds at `now_ns` to qfrc_applied, xfrc_applied and, by dof, `efforts`; forget what is over."""
+        self.keep(lambda force: not _is_over(force, now_ns))
+        for force in self.joint_forces:
+            if now_ns >= force.start_ns:
+                place = force.body.joints[force.joint]
+                effort = EffortTruncation.of(place.joint).cut(force.effort, float(data.qvel[place.dof]))
+                data.qfrc_applied[place.dof] += effort
+                efforts[place.dof] += effort
+        acting = [(wrench, wrench.body.links[wrench.link]) for wrench in self.wrenches if now_ns >= wrench.start_ns]
+        if any(link.arm is not None for _, link in acting):
+            mujoco.mj_kinematics(model, data)  # the attitudes of now; the step computes them again
+        for wrench, link in acting:
+            torque = wrench.torque
+            if link.arm is not None:
+                arm = np.zeros(3)
+                mujoco.mju_rotVecQuat(arm, np.array(link.arm), data.xquat[link.body])
+                x, y, z = arm.tolist()
+                torque = add(torque, cross((x, y, z), wrench.force))
+            data.xfrc_applied[link.body] += (*wrench.force, *torque)

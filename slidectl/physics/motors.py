@@ -1,7 +1,14 @@
-"""Joint motors: forces found anew each step, such that joints reach asked velocities, within bounds of effort.
+"""Joint motors: constraints that bring joints to given velocities within a step, with no more than a given effort.
 
-What ODE's joint motor does as a constraint is done here by inverse dynamics, since MuJoCo's constraints take no
-target velocity. The forces are a function of the state alone, so snapshots need nothing more.
+MuJoCo's dry friction of a joint is a constraint with a largest force, which brings the joint to rest. A motor is one
+whose reference acceleration is set between the two halves of a step: to what leads to the velocity. So MuJoCo's solver
+finds motors, contacts and joint stops at once, as ODE does for Gazebo's joint motors.
+
+A step is solved with motors without bounds first, which takes the solver one iteration. Those that exceed their bound
+get it, those that need it no longer lose it, and the step is solved again.
+
+The solver knows nothing of the implicit damping of the step: while a damped joint changes its velocity, the effort is
+that of explicit damping. The velocity is reached nevertheless.
 """
 
 from __future__ import annotations
@@ -9,62 +16,151 @@ from __future__ import annotations
 from typing import Any
 
 import mujoco
+import numpy as np
 
-from slidectl.physics.body import Body
-from slidectl.physics.motor_forces import Moment, RobotMotors
+from slidectl.physics import engine
+from slidectl.physics.body import Array, Body
 
-PASSES = 3
-"""How often the forces of a robot under constraints (contacts, limits) are found: each time they may change which
-constraints push back. Without constraints the first time is exact."""
+UNBOUNDED = 1e15
+"""N or N·m. With a larger bound, rounding would show in the solver."""
 
-Asked = dict[Body, dict[str, tuple[float, float]]]
-"""By robot and joint: velocity, and most effort."""
+SOFTNESS = 1e-5
+"""Of a motor without a bound, relative to the softest that MuJoCo's own parameters allow. One at its bound may have no
+less than that: the solver would miss the narrow range of velocities in which its force is less than the bound."""
+
+RELEASES = 3
+"""In so many solutions of a step a motor may lose its bound again; then the number of those that have one only grows,
+so that the solutions end."""
+
+HEADER, MOTOR = 9, 5
+COUNT, STEP_S, REFERENCES, FORCES, STEP1, ACTUATION, ACCELERATION, CONSTRAINT, EULER = range(HEADER)
+DOF, QPOS, ROW, BOUND, WEIGHT = range(MOTOR)
+"""What is where in a table of motors for code that runs without the interpreter: first a header, then each motor.
+
+The header: the number of motors, the time step (s), the addresses of the variables `efc_aref` and `efc_force`, and of
+the stages of a step. A motor: indices into qvel, qpos and the constraints, its bound, and the inverse weight of its
+dof. Whole numbers are exact in it: addresses have 48 bits.
+"""
+_STAGES = ("mj_step1", "mj_fwdActuation", "mj_fwdAcceleration", "mj_fwdConstraint", "mj_Euler")
+
+_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
+
+
+MotorsState = tuple[dict[Body, dict[str, float]], Array]
+"""Bounds of efforts by robot and joint, and velocities by dof."""
 
 
 class Motors:
-    """What each driven joint was last asked for: a velocity (m/s or rad/s), and at most how much effort for it."""
+    """The motors of all robots in one world.
+
+    `velocities` has what each is to reach, by dof (m/s or rad/s).
+    """
 
     def __init__(self) -> None:
-        self._asked: Asked = {}
+        self._bounds: dict[Body, dict[str, float]] = {}
+        self.velocities: Array = np.zeros(0)
+        self._dofs: Array = np.zeros(0, dtype=int)
+        self._coordinates = self._rows = self._dofs
+        """Indices into qpos, and into MuJoCo's arrays over all constraints."""
+        self._bounds_of_dofs = self._weights = self.velocities
+        self.table: Array = np.zeros(HEADER)
+        """For code that runs without the interpreter."""
 
     @property
     def is_empty(self) -> bool:
         """True when no joint has a motor."""
-        return not self._asked
+        return not self._bounds
 
-    def ask(self, body: Body, joint: str, velocity: float, max_effort: float) -> None:
-        """From the next step on. Holds until something else is asked."""
-        self._asked.setdefault(body, {})[joint] = (velocity, max_effort)
+    def add(self, body: Body, most_efforts: dict[str, float]) -> None:
+        """Hold these joints from now on. A motor without any effort is none. `bind` is to follow."""
+        bounds = {joint: min(effort, UNBOUNDED) for joint, effort in most_efforts.items() if effort > 0.0}
+        if bounds:
+            self._bounds[body] = bounds
 
-    def asked(self) -> Asked:
-        """A copy of all that is asked, for `put`."""
-        return {body: dict(joints) for body, joints in self._asked.items()}
+    def drop(self, body: Body) -> None:
+        """The robot leaves; its places are those that it had. `bind` is to follow, with a model without it."""
+        self._bounds.pop(body, None)
+        self.velocities = np.delete(self.velocities, body.dofs)
 
-    def put(self, asked: Asked) -> None:
-        """Ask for exactly this."""
-        self._asked = {body: dict(joints) for body, joints in asked.items()}
+    def captured(self) -> MotorsState:
+        """All motors and their velocities, for `put`."""
+        return {body: dict(bounds) for body, bounds in self._bounds.items()}, self.velocities.copy()
 
-    def drop(self, body: Body | None = None) -> None:
-        """Forget the motors of one robot, or all."""
-        if body is None:
-            self._asked.clear()
-        else:
-            self._asked.pop(body, None)
+    def put(self, captured: MotorsState) -> None:
+        """Have these motors, and no others. `bind` is to follow."""
+        bounds, velocities = captured
+        self._bounds, self.velocities = {body: dict(joints) for body, joints in bounds.items()}, velocities.copy()
 
-    def apply(self, model: Any, data: Any, efforts: dict[int, float]) -> None:
-        """Add the motors' forces to qfrc_applied and, by dof, to `efforts`. The warm start used up here is put back."""
-        warmstart = data.qacc_warmstart.copy()
-        motors = [RobotMotors(body, asked) for body, asked in self._asked.items()]
-        waiting = motors
-        for _ in range(PASSES):
-            mujoco.mj_forward(model, data)
-            moment = Moment(model, data)
-            for robot in waiting:
-                robot.improve(moment)
-            waiting = [robot for robot in waiting if robot.is_constrained]
-            if not waiting:
+    def bind(self, model: Any, data: Any) -> None:
+        """Go on with this model, which all robots are bound to. Robots that are new have velocities of 0."""
+        if len(self.velocities) < model.nv:
+            self.velocities = np.append(self.velocities, np.zeros(model.nv - len(self.velocities)))
+        motors = sorted(
+            (
+                (body, body.joints[joint], bound)
+                for body, joints in self._bounds.items()
+                for joint, bound in joints.items()
+            ),
+            key=lambda motor: motor[1].dof,
+        )
+        self._dofs = np.array([place.dof for _, place, _ in motors], dtype=int)
+        self._coordinates = np.array([place.qpos for _, place, _ in motors], dtype=int)
+        self._bounds_of_dofs = np.array([bound for _, _, bound in motors])
+        self._weights = np.array([body.weight_of(place) for body, place, _ in motors])
+        model.dof_solimp[self._dofs] = _IMPEDANCE
+        self._set_bounds(model, np.zeros(len(motors), dtype=bool))
+        # Rows: equalities, then the friction of dofs in their order.
+        frictional = np.flatnonzero(model.dof_frictionloss > 0.0)
+        self._rows = np.count_nonzero(data.eq_active) + np.searchsorted(frictional, self._dofs)
+        self.table = np.zeros(HEADER + len(motors) * MOTOR)
+        if motors:
+            self._fill_table(model, data)
+
+    def _fill_table(self, model: Any, data: Any) -> None:
+        variables = [data._address + engine.variable_of_data(name) for name in ("efc_aref", "efc_force")]
+        stages = [engine.address_of(stage) for stage in _STAGES]
+        self.table[:HEADER] = len(self._dofs), model.opt.timestep, *variables, *stages
+        columns = (self._dofs, self._coordinates, self._rows, self._bounds_of_dofs, self._weights)
+        self.table[HEADER:] = np.column_stack(columns).ravel()
+
+    @property
+    def is_compilable(self) -> bool:
+        """True when all is known that code without the interpreter needs."""
+        return all(engine.variable_of_data(name) for name in ("efc_aref", "efc_force"))
+
+    def _set_bounds(self, model: Any, bounded: Array) -> None:
+        """Let the solver keep to the bounds of these motors, and of no others."""
+        model.dof_frictionloss[self._dofs] = np.where(bounded, self._bounds_of_dofs, UNBOUNDED)
+        model.dof_invweight0[self._dofs] = np.where(bounded, self._weights, SOFTNESS * self._weights)
+
+    def step(self, model: Any, data: Any, efforts: Array) -> None:
+        """Advance by one time step. `efforts` gets those of the motors (N or N·m), by dof."""
+        dofs, rows, bounds, step = self._dofs, self._rows, self._bounds_of_dofs, model.opt.timestep
+        wanted = self.velocities[dofs]
+        accelerations = (wanted - data.qvel[dofs]) / step
+        bounded = np.zeros(len(dofs), dtype=bool)
+        releases = RELEASES
+        while True:
+            mujoco.mj_step1(model, data)
+            data.efc_aref[rows] = accelerations
+            mujoco.mj_fwdActuation(model, data)
+            mujoco.mj_fwdAcceleration(model, data)
+            mujoco.mj_fwdConstraint(model, data)
+            forces = data.efc_force[rows]
+            sizes = np.abs(forces)
+            wrong = sizes > bounds
+            if releases > 0:
+                wrong |= bounded & (sizes < bounds)
+            if not wrong.any():
                 break
-        data.qacc_warmstart[:] = warmstart
-        for robot in motors:
-            for dof, force in zip(robot.dofs, robot.forces.tolist(), strict=True):
-                efforts[dof] = efforts.get(dof, 0.0) + force
+            releases -= 1
+            bounded ^= wrong
+            self._set_bounds(model, bounded)
+        mujoco.mj_Euler(model, data)
+        efforts[dofs] = forces
+        # The constraints leave a rounding error of the velocities, which would add up in the positions.
+        free = sizes < bounds
+        data.qpos[self._coordinates[free]] += step * (wanted - data.qvel[dofs])[free]
+        data.qvel[dofs[free]] = wanted[free]
+        if bounded.any():
+            self._set_bounds(model, np.zeros_like(bounded))

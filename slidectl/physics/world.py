@@ -7,7 +7,7 @@ carried over every rebuild of the model, to the last bit. SI units; quaternions 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -17,36 +17,76 @@ import mujoco
 import numpy as np
 
 from slidectl.description.robot import Robot
-from slidectl.errors import Refused, UnknownName, listing
+from slidectl.errors import Refused, SlidectlError, UnknownName, listing
 from slidectl.physics import engine, hulls
 from slidectl.physics.body import Body, RobotState
-from slidectl.physics.carrying import carry_over
 from slidectl.physics.compiler import Settings, WorldSpec
-from slidectl.physics.divergence import check_divergence
-from slidectl.physics.forces import JointForce, Wrench
 from slidectl.physics.hulls import Hulls
-from slidectl.physics.loads import Loads
-from slidectl.physics.motors import Asked
+from slidectl.physics.loads import JointForce, Loads, LoadsState, Wrench
 from slidectl.physics.observer import Observer, Twist
 from slidectl.physics.rotation import ORIGIN, Pose
 from slidectl.physics.touching import depths, link_of
-from slidectl.physics.views import Views
 from slidectl.rotations import Vector, normalized
 
 GRAVITY: Vector = (0.0, 0.0, -9.8)
 """m/s², the default of SDF and so of Gazebo."""
 
 
+HUGE = 1e10
+"""A position or velocity beyond this is nonsense; MuJoCo's own bound."""
+
+_OF_DATA = {
+    "qpos": "qpos",
+    "qvel": "dof",
+    "qacc_warmstart": "dof",
+    "qfrc_applied": "dof",
+    "xfrc_applied": "body",
+    "eq_active": "tie",
+}
+_OF_MODEL = {
+    "body_pos": "body",
+    "body_quat": "body",
+    "body_invweight0": "body",
+    "dof_invweight0": "dof",
+    "tendon_invweight0": "tendon",
+}
+"""Arrays by the kind of their rows, as `Body.part` names it. Of the model: where roots were put, and each robot's own
+weights."""
+
+
+class Diverged(SlidectlError):
+    """The state of a robot is no longer a number, or huge."""
+
+    def __init__(self, robot: str) -> None:
+        text = f"the simulation of robot {robot!r} diverged: its state is not finite or huge"
+        super().__init__(text, "reset it (slidectl sim reset) or delete the robot; check masses, damping and gains")
+        self.robot = robot
+
+
 class Memory(NamedTuple):
-    """Addresses of MjModel and MjData, and of three arrays of its state; and the lengths of these."""
+    """Addresses of MjModel and MjData, and of arrays of numbers; and the lengths of qpos and qvel."""
 
     model: int
     data: int
-    qpos: int
-    qvel: int
-    forces: int
     positions: int
     dofs: int
+    arrays: list[int]
+    """qpos, qvel, qfrc_applied, efforts of the loads, velocities and table of the motors, and dof_frictionloss and
+    dof_invweight0, which the motors change."""
+
+
+class Views(NamedTuple):
+    """Arrays of the state as memoryviews, for the hot path: indexing one costs a third of what a numpy scalar costs.
+
+    `qpos`, `qvel` and `forces` (qfrc_applied) of MuJoCo, `efforts` of the loads and `velocities` of the motors. Others
+    when the model was rebuilt.
+    """
+
+    qpos: memoryview[float]
+    qvel: memoryview[float]
+    forces: memoryview[float]
+    efforts: memoryview[float]
+    velocities: memoryview[float]
 
 
 class _State(NamedTuple):
@@ -55,6 +95,7 @@ class _State(NamedTuple):
     bodies: dict[str, Body]
     model: Any
     data: Any
+    loads: LoadsState
 
 
 @dataclass(frozen=True)
@@ -76,9 +117,7 @@ class Snapshot:
 
     time: float
     robots: dict[Body, RobotState]
-    joint_forces: tuple[JointForce, ...]
-    wrenches: tuple[Wrench, ...]
-    motors: Asked
+    loads: LoadsState
 
 
 class World:
@@ -97,6 +136,7 @@ class World:
         """Time in ns of the cycle that is stepped, for forces with a start and an end; the simulation puts its own."""
         self._spec: WorldSpec | None = WorldSpec(self._settings)
         self._install(self._spec.compile(), 0.0)
+        self._bind_loads()
 
     # -- robots ----------------------------------------------------------------------------------------------------
 
@@ -133,7 +173,6 @@ class World:
         try:
             yield body
         except BaseException:
-            self.loads.forget(body)
             self._go_back(before)
             raise
 
@@ -147,8 +186,6 @@ class World:
         else:
             spec = WorldSpec(self._settings, bodies.values())
         self._rebuild(bodies, spec.compile(), spec, gone)
-        self.loads.forget(gone)
-        self._loads_changed()
 
     def names(self) -> list[str]:
         """The robots in the order of their coming."""
@@ -175,6 +212,8 @@ class World:
             self._bodies = bodies
             self._install(model, self.data.time)
             carry_over(before.model, before.data, model, self.data, gone)
+            if gone is not None:
+                self.loads.forget(gone)
             unmoved = list(before.bodies).index(gone.name) if gone is not None else len(before.bodies)
             for place, (name, body) in enumerate(bodies.items()):
                 if place < unmoved:
@@ -183,6 +222,7 @@ class World:
                     body.bind(model, self.data)
                 if name not in before.bodies:
                     body.put_at_spawn()
+            self._bind_loads()
             self._announce_all()
         except BaseException:
             self._go_back(before)
@@ -190,7 +230,7 @@ class World:
         self._spec = spec
 
     def _state(self) -> _State:
-        return _State(self._bodies, self.model, self.data)
+        return _State(self._bodies, self.model, self.data, self.loads.captured())
 
     def _go_back(self, before: _State) -> None:
         """Be again what the world was before a robot came or went; no step has been made since.
@@ -202,6 +242,8 @@ class World:
         self._use(before.model, before.data)
         for body in before.bodies.values():
             body.bind(before.model, before.data)
+        self.loads.put(before.loads)
+        self._bind_loads()
         self._announce_all()
 
     def _announce_all(self) -> None:
@@ -221,10 +263,18 @@ class World:
 
     def _use(self, model: Any, data: Any) -> None:
         self.model, self.data = model, data
-        self.views = Views.of(data)
         self._observer = Observer(model, data)
         self._advance = partial(mujoco.mj_step, model, data)
         self.step = self._advance if self.loads.is_empty else self._step_with_loads
+
+    def _bind_loads(self) -> None:
+        """Go on with what acts on the robots, which are bound to the model."""
+        self.loads.bind(self.model, self.data)
+        data, loads = self.data, self.loads
+        arrays: list[Any] = [data.qpos, data.qvel, data.qfrc_applied, loads.efforts, loads.motors.velocities]
+        views: list[Any] = [memoryview(array) for array in arrays]
+        self.views = Views(*views)
+        self._choose_step()
 
     def _announce(self) -> None:
         for callback in self._listeners:
@@ -234,8 +284,9 @@ class World:
 
     @property
     def steps_alone(self) -> bool:
-        """True while `step` is MuJoCo's own and nothing else."""
-        return self.step is self._advance
+        """True while a step needs nothing but MuJoCo, and what is in `memory` of motors."""
+        loads = self.loads
+        return not loads.has_forces and (loads.motors.is_empty or loads.motors.is_compilable)
 
     def step_n(self, cycles: int) -> None:
         """Advance by many steps without a pause, at the speed of C where no outside force acts."""
@@ -248,24 +299,29 @@ class World:
     def memory(self) -> Memory:
         """Where the model and its state lie, until the next rebuild."""
         model, data = self.model, self.data
-        qpos, qvel, forces = (array.ctypes.data for array in (data.qpos, data.qvel, data.qfrc_applied))
-        return Memory(model._address, data._address, qpos, qvel, forces, model.nq, model.nv)
+        loads, motors = self.loads, self.loads.motors
+        state = (data.qpos, data.qvel, data.qfrc_applied, loads.efforts)
+        arrays = (*state, motors.velocities, motors.table, model.dof_frictionloss, model.dof_invweight0)
+        return Memory(model._address, data._address, model.nq, model.nv, [array.ctypes.data for array in arrays])
 
     def check(self) -> None:
         """Raises Diverged when a robot's state is not finite or huge. A few microseconds: meant for once per slice."""
         check_divergence(self.data, self._bodies.values())
 
     def _step_with_loads(self) -> None:
-        self.loads.step(self.model, self.data, self.clock(), self._advance)
+        self.loads.step(self.model, self.data, self.clock())
         if self.loads.is_empty:
             self._loads_changed()
 
-    def _loads_changed(self) -> None:
+    def _choose_step(self) -> None:
         if self.loads.is_empty:
-            self.loads.efforts.clear()
-        step = self._advance if self.loads.is_empty else self._step_with_loads
-        if step != self.step:
-            self.step = step
+            self.loads.clear_efforts()
+        self.step = self._advance if self.loads.is_empty else self._step_with_loads
+
+    def _loads_changed(self) -> None:
+        before = self.step
+        self._choose_step()
+        if before != self.step:
             self._announce()
 
     def _own_clock(self) -> int:
@@ -279,6 +335,8 @@ class World:
     def set_timestep(self, timestep: float) -> None:
         """Raises Refused unless it is above 0."""
         self._settings.timestep = self.model.opt.timestep = positive(timestep)
+        self._bind_loads()
+        self._announce()
 
     @property
     def gravity(self) -> Vector:
@@ -295,7 +353,8 @@ class World:
     def reset(self) -> None:
         """All robots back to how they were attached, without forces from outside."""
         self._replace_broken_data()
-        self.loads.motors.drop()
+        self.loads.motors.velocities[:] = 0.0
+        self.loads.clear_efforts()
         self.clear_forces()
         for body in self._bodies.values():
             body.put_at_spawn()
@@ -304,8 +363,7 @@ class World:
     def snapshot(self) -> Snapshot:
         """The state of this moment, for `restore`."""
         robots = {body: body.capture() for body in self._bodies.values()}
-        forces, motors = self.loads.forces, self.loads.motors.asked()
-        return Snapshot(self.data.time, robots, tuple(forces.joint_forces), tuple(forces.wrenches), motors)
+        return Snapshot(self.data.time, robots, self.loads.captured())
 
     def restore(self, snapshot: Snapshot) -> None:
         """Back to the moment of the snapshot, exactly. Raises Refused when other robots are in the world now."""
@@ -315,11 +373,9 @@ class World:
         for body, state in snapshot.robots.items():
             body.put(state)
         self.data.time = snapshot.time
-        self.loads.forces.joint_forces, self.loads.forces.wrenches = (
-            list(snapshot.joint_forces),
-            list(snapshot.wrenches),
-        )
-        self._loads_changed()
+        self.loads.put(snapshot.loads)
+        self._bind_loads()
+        self._announce_all()
         self._observer.invalidate()
 
     def link_pose(self, name: str, link: str) -> Pose:
@@ -333,7 +389,7 @@ class World:
     def joint_state(self, name: str, joint: str) -> tuple[float, float, float]:
         """Position, velocity and applied effort of any moving joint, actuated or not. Raises UnknownName."""
         place = self.body(name).place(joint)
-        effort = float(self.data.qfrc_applied[place.dof]) + self.loads.efforts.get(place.dof, 0.0)
+        effort = float(self.data.qfrc_applied[place.dof] + self.loads.efforts[place.dof])
         return float(self.data.qpos[place.qpos]), float(self.data.qvel[place.dof]), effort
 
     def set_pose(self, name: str, pose: Pose, twist: Twist | None = None) -> None:
@@ -385,7 +441,9 @@ class World:
         Raises:
             UnknownName: no such robot or moving joint. Refused: not finite.
         """
-        self.loads.forces.add_joint(self.body(name), joint, number(effort), start_ns, duration_ns)
+        body = self.body(name)
+        body.place(joint)
+        self.loads.joint_forces.append(JointForce(body, joint, number(effort), start_ns, duration_ns))
         self._loads_changed()
 
     def add_wrench(
@@ -396,38 +454,38 @@ class World:
         Raises:
             UnknownName: no such robot or link. Refused: not finite.
         """
-        self.loads.forces.add_wrench(self.body(name), link, finite(force), finite(torque), start_ns, duration_ns)
+        body = self.body(name)
+        body.link(link)
+        self.loads.wrenches.append(Wrench(body, link, finite(force), finite(torque), start_ns, duration_ns))
         self._loads_changed()
 
     def clear_joint_forces(self, name: str, joint: str) -> None:
         """End all efforts on a joint that came from outside. Raises UnknownName."""
         body = self.body(name)
         body.place(joint)
-        self.loads.forces.drop(
-            lambda force: isinstance(force, Wrench) or force.body is not body or force.joint != joint
-        )
+        self.loads.keep(lambda force: isinstance(force, Wrench) or force.body is not body or force.joint != joint)
         self._loads_changed()
 
     def clear_wrenches(self, name: str, link: str) -> None:
         """End all wrenches on a link. Raises UnknownName."""
         body = self.body(name)
         body.link(link)
-        self.loads.forces.drop(
-            lambda force: isinstance(force, JointForce) or force.body is not body or force.link != link
-        )
+        self.loads.keep(lambda force: isinstance(force, JointForce) or force.body is not body or force.link != link)
         self._loads_changed()
 
     def clear_forces(self) -> None:
         """End all forces from outside."""
-        self.loads.forces.drop(lambda _: False)
+        self.loads.keep(lambda _: False)
         self._loads_changed()
 
-    def ask_motor(self, body: Body, joint: str, velocity: float, max_effort: float) -> None:
-        """Let a motor bring a joint to this velocity (m/s or rad/s), with at most so much effort, in every step."""
-        was_empty = self.loads.is_empty
-        self.loads.motors.ask(body, joint, velocity, max_effort)
-        if was_empty:
-            self._loads_changed()
+    def add_motors(self, body: Body, most_efforts: dict[str, float]) -> None:
+        """Hold joints by motors, each with at most this effort (N or N·m), as long as the robot is in the world.
+
+        `loads.motors.velocities` has what they are to reach.
+        """
+        self.loads.motors.add(body, most_efforts)
+        self._bind_loads()
+        self._announce()
 
 
 def number(value: float) -> float:
@@ -450,3 +508,23 @@ def positive(timestep: float) -> float:
     if not (math.isfinite(timestep) and timestep > 0.0):
         raise Refused(f"a time step of {timestep} s is not possible", "give a number above 0, such as 0.001")
     return float(timestep)
+
+
+def check_divergence(data: Any, bodies: Iterable[Body]) -> None:
+    """Raises Diverged, naming the first robot of which a position or velocity is not finite or huge."""
+    positions, velocities = np.abs(data.qpos) < HUGE, np.abs(data.qvel) < HUGE
+    if positions.all() and velocities.all():
+        return
+    for body in bodies:
+        if not (positions[body.coordinates].all() and velocities[body.dofs].all()):
+            raise Diverged(body.name)
+
+
+def carry_over(model: Any, data: Any, new_model: Any, new_data: Any, gone: Body | None) -> None:
+    """Copy all that the robots' future depends on besides their specification; `gone` is in the old world only."""
+    for old, new, arrays in ((data, new_data, _OF_DATA), (model, new_model, _OF_MODEL)):
+        for name, kind in arrays.items():
+            values = getattr(old, name)
+            if gone is not None:
+                values = np.delete(values, gone.part(kind), axis=0)
+            getattr(new, name)[: len(values)] = values

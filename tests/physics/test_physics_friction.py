@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-import mujoco
-import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -13,7 +11,7 @@ from physics_robots import at, block, box_inertial, tree
 
 from slidectl.description import parse
 from slidectl.description.robot import Cylinder, Geometry, Link, Robot, Shape, Sphere, Surface
-from slidectl.physics import World, motor_forces
+from slidectl.physics import World
 from slidectl.rotations import matrix, normalized
 
 Quaternion = tuple[float, float, float, float]
@@ -134,29 +132,3 @@ def test_the_largest_friction_can_be_written_in_many_ways(text: str) -> None:
     world.attach(robot, "box", at(0.0, 0.0, 0.05))
     world.step_n(1000)
     assert world.link_pose("box", "base")[0][0] < 1e-3, "5 m is how far it would slide with a friction of 1"
-
-
-@pytest.mark.parametrize(("friction", "kind"), [(0.1, "slides"), (1.0, "holds")])
-def test_what_motors_know_of_contacts_is_what_the_solver_does(friction: float, kind: str) -> None:
-    """The second derivatives of contacts are compared with differences of the forces that MuJoCo finds."""
-    world = World(gravity=(2.0, 0.3, -9.0))
-    world.attach(block(surface=Surface(mu1=friction)), "box", at(0.0, 0.0, 0.2))
-    world.step_n(300)
-    model, data = world.model, world.data
-    mujoco.mj_forward(model, data)
-    rows, hessians = motor_forces._contacts(model, data)
-    pushing = hessians[hessians.any(axis=(1, 2))]
-    assert len(pushing) >= 2
-    assert (pushing[:, 0, 1:].any(axis=1) == (kind == "slides")).all()
-    violation = np.zeros(data.nefc)
-    mujoco.mj_mulJacVec(model, data, violation, data.qacc)
-    violation -= data.efc_aref
-    for contact, hessian in zip(rows, hessians, strict=True):
-        found = np.zeros((3, 3))
-        for column, row in enumerate(contact):
-            for change in (1e-5, -1e-5):
-                changed = violation.copy()
-                changed[row] += change
-                mujoco.mj_constraintUpdate(model, data, changed, np.zeros(1), 0)
-                found[:, column] -= data.efc_force[contact] / (2 * change)
-        assert found == pytest.approx(hessian, rel=1e-4, abs=1e-4 * float(abs(hessian).max()))

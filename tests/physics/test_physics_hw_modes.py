@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from physics_hardware import Bench
-from physics_robots import POSITION, VELOCITY, arm, at, block, driven, one_joint
+from physics_robots import POSITION, VELOCITY, arm, at, block, driven, one_joint, state_of
 
 from slidectl.control.pid import Pid
 from slidectl.description.robot import Limit, Surface
@@ -225,3 +225,51 @@ def test_one_robot_with_motors_leaves_the_others_to_themselves() -> None:
     bench.cycle(100, joint1=0.5)
     alone.step_n(100)
     assert bench.world.joint_state("other", "joint1") == alone.joint_state("other", "joint1")
+
+
+def test_what_motors_say_that_they_push_is_what_they_push(bench: Bench) -> None:
+    """The same efforts, without motors, move the arm in the same way; some motors are at their limits on the way."""
+    bench = falling(bench)
+    robot = arm(4, damping=0.0, reach=2.0)
+    bench.take(driven(robot, VELOCITY))
+    other = World(ground=False)
+    other.attach(robot, "robot")
+    at_limit = 0
+    for cycle in range(400):
+        bench.cycle(joint0=1.5, joint1=-1.0, joint2=1.0 if cycle < 200 else -1.5, joint3=0.5)
+        efforts = {joint: bench.handle(joint).effort for joint in robot.joints}
+        for joint, effort in efforts.items():
+            other.data.qfrc_applied[other.body("robot").joints[joint].dof] = effort
+        other.step()
+        at_limit += sum(abs(effort) == 10.0 for effort in efforts.values())
+    assert at_limit > 20
+    for joint in robot.joints:
+        assert bench.handle(joint).position == pytest.approx(other.joint_state("robot", joint)[0], abs=1e-7)
+
+
+@pytest.mark.parametrize(("effort", "velocity"), [(0.5, 0.0), (3.0, 0.4)])
+def test_a_motor_must_overcome_the_friction_of_its_joint(bench: Bench, effort: float, velocity: float) -> None:
+    limit = Limit(-2.0, 2.0, velocity=1.0, effort=effort)
+    bench.take(driven(one_joint(limit=limit, friction=1.0), VELOCITY))
+    bench.cycle(1000, joint1=0.4)
+    assert bench.handle().velocity == pytest.approx(velocity, abs=1e-3)
+    assert bench.handle().effort == pytest.approx(min(effort, 1.0), rel=1e-3)
+
+
+def test_robots_elsewhere_change_not_one_bit_of_motors_at_their_limits_on_the_ground() -> None:
+    def run(crowd: bool) -> bytes:
+        bench = Bench()
+        bench.world = World()
+        robot = arm(3, free=True, reach=1.0, friction=0.3)
+        if crowd:
+            bench.world.attach(block(), "early", at(5.0, 0.0, 1.0))
+        bench.take(driven(robot, VELOCITY))
+        for cycle in range(300):
+            if crowd and cycle == 100:
+                bench.world.attach(arm(4, free=True, friction=0.3), "late", at(9.0, 0.0, 1.0))
+            if crowd and cycle == 200:
+                bench.world.detach("early")
+            bench.cycle(joint0=1.0, joint1=-1.0, joint2=1.0)
+        return state_of(bench.world, "robot")
+
+    assert run(crowd=True) == run(crowd=False)

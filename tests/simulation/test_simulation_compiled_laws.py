@@ -24,9 +24,9 @@ from slidectl.control.hardware_interface import JointHandle  # noqa: E402
 from slidectl.control.laws import Columns  # noqa: E402
 from slidectl.control.limits import JointLimits, LimitHandle, SoftJointLimits  # noqa: E402
 from slidectl.control.pid import Pid, next_command, next_command_from, pid_law  # noqa: E402
-from slidectl.physics import drives  # noqa: E402
-from slidectl.physics.drives import Drive  # noqa: E402
-from slidectl.physics.effort import truncated  # noqa: E402
+from slidectl.physics import robot_hw  # noqa: E402
+from slidectl.physics.loads import truncated  # noqa: E402
+from slidectl.physics.robot_hw import Drive  # noqa: E402
 from slidectl.simulation.compiled import tables  # noqa: E402
 from slidectl.simulation.compiled.compiler import column_type, teach_laws  # noqa: E402
 
@@ -171,18 +171,20 @@ def test_what_a_limit_makes_of_a_command_is_the_same_to_the_bit(kind: int) -> No
         assert bits((joint.command, limit.previous)) == expected
 
 
-@pytest.mark.parametrize("kind", [drives.EFFORT, drives.VELOCITY, drives.LENGTH, drives.REVOLVING, drives.TURNING])
+@pytest.mark.parametrize(
+    "kind", [robot_hw.EFFORT, robot_hw.VELOCITY, robot_hw.LENGTH, robot_hw.REVOLVING, robot_hw.TURNING]
+)
 def test_what_a_drive_makes_of_a_command_is_the_same_to_the_bit(kind: int) -> None:
-    machine = numba.njit(lambda drive, pid, joint, dt: drives.drive_effort(drive[0], pid[0], joint[0], dt))
+    machine = numba.njit(lambda drive, pid, joint, dt: robot_hw.drive_effort(drive[0], pid[0], joint[0], dt))
     dice = random.Random(kind)
-    drive: Any = SimpleNamespace(kind=kind, lower=-2.0, upper=1.5, limit=7.0)
+    drive: Any = SimpleNamespace(kind=kind, lower=-2.0, upper=1.5, limit=7.0, fastest=1.0)
     pid, joint = Pid(p=5.0, i=2.0, d=0.5, i_max=3.0, i_min=-1.0), JointHandle("joint")
     drive_row, pid_row, joint_row = Rows(Drive.columns, drive), Rows(Pid.columns, pid), Rows(tables.JOINT, joint)
     for _ in range(500):
         joint.position, joint.velocity, joint.command = (dice.uniform(-4, 4) for _ in range(3))
         joint_row.fill()
         computed = machine(drive_row.array, pid_row.array, joint_row.array, 0.001)
-        assert bits(computed) == bits(drives.drive_effort(drive, pid, joint, 0.001))
+        assert bits(computed) == bits(robot_hw.drive_effort(drive, pid, joint, 0.001))
 
 
 @pytest.mark.parametrize("law", SCALAR_LAWS, ids=lambda law: law.__name__)

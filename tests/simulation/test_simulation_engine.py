@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -276,27 +277,27 @@ def test_a_switch_asked_for_within_a_cycle_happens_at_its_end() -> None:
 
 
 @needs_numba
-def test_robots_that_cannot_be_compiled_run_beside_the_others() -> None:
-    gains = {"p": 50.0, "d": 5.0}
-
+@pytest.mark.parametrize("effort", [5.0, 1000.0])
+def test_motors_run_compiled_within_their_efforts_and_beside_robots_without(effort: float) -> None:
     def scene(simulation: Simulation) -> None:
-        driven = arm(("prismatic",)).replace("EffortJointInterface", "VelocityJointInterface")
+        driven = arm().replace("EffortJointInterface", "VelocityJointInterface")
+        driven = re.sub(r'effort="[^"]*"', f'effort="{effort}"', driven)
+        go = {f"go{k}": {"type": "velocity_controllers/JointVelocityController", "joint": f"joint{k}"} for k in (1, 2)}
         add(simulation, "a", arm(), usual())
-        add(
-            simulation, "v", driven, {"go": {"type": "velocity_controllers/JointVelocityController", "joint": "joint1"}}
-        )
-        add(simulation, "b", arm(), usual())
-        simulation.parameters.set("/p/gazebo_ros_control/pid_gains/joint1", gains)
+        add(simulation, "v", driven, go)
         held = driven.replace("VelocityJointInterface", "PositionJointInterface")
         add(simulation, "p", held, {"go": {"type": "position_controllers/JointPositionController", "joint": "joint1"}})
-        simulation.publish("/v/go/command", {"data": 0.4})
+        simulation.publish("/v/go1/command", {"data": 0.4})
+        simulation.publish("/v/go2/command", {"data": -0.6})
         simulation.publish("/p/go/command", {"data": 0.7})
-        simulation.step(1500)
+        simulation.step(700)
+        simulation.world.add_wrench("v", "part1", (5.0, 0.0, 0.0), (0.0, 0.1, 0.0), 800_000_000, 100_000_000)
+        simulation.step(700)
 
     simulation = assert_same(scene)
-    times = count_plain_cycles(simulation, "b")
+    times = [count_plain_cycles(simulation, name) for name in "avp"]
     simulation.step(100)
-    assert times == []
+    assert times == [[], [], []]
 
 
 @needs_numba

@@ -66,8 +66,20 @@ def compile_cycle() -> bytes:
     def _update_controller(kind: Any, row: Any, tables: Any, time_ns: Any, period_s: Any) -> Any:  # noqa: ARG001
         return _dispatch()
 
+    get = types.ExternalFunction(guard.GET, types.float64(types.int64, types.int64))
+    put = types.ExternalFunction(guard.PUT, types.void(types.int64, types.int64, types.float64))
+
+    @overload(kernel.element, strict=False)
+    def _element(variable: Any, index: Any) -> Any:  # noqa: ARG001
+        return lambda variable, index: get(variable, index)
+
+    @overload(kernel.put_element, strict=False)
+    def _put_element(variable: Any, index: Any, value: Any) -> Any:  # noqa: ARG001
+        return lambda variable, index, value: put(variable, index, value)
+
     # numba links what it compiled at once, though it is never called here.
-    llvm.add_symbol(guard.STEP, ctypes.cast(ctypes.CDLL(None).abort, ctypes.c_void_p).value)
+    for name in (guard.STEP, guard.GET, guard.PUT):
+        llvm.add_symbol(name, ctypes.cast(ctypes.CDLL(None).abort, ctypes.c_void_p).value)
     function = numba.cfunc(types.int64(*_arguments()))(_on_pointers())
     return _object_file(function.inspect_llvm(), function.native_name.removeprefix("cfunc."))
 

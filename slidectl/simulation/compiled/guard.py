@@ -7,6 +7,8 @@ only. Nothing here is Python but the text.
 CYCLE = "slidectl_cycle"
 """What numba made: where the result goes, where it would tell of an exception (it has none here), and the tables."""
 STEP = "slidectl_physics_step"
+GET, PUT = "slidectl_get", "slidectl_put"
+"""An element of the array that a variable of MuJoCo points to: it moves from step to step."""
 ERROR_TEXT = "slidectl_error_text"
 DOOR = "slidectl_run"
 """The cycle with one argument: the address of the addresses of its tables. Returns what the cycle returns."""
@@ -50,6 +52,22 @@ bare:
   %bare_step = inttoptr i64 %step to ptr
   call void %bare_step(i64 %model, i64 %data)
   ret i64 0
+}
+
+define double @slidectl_get(i64 %variable, i64 %index) {
+  %place = inttoptr i64 %variable to ptr
+  %array = load ptr, ptr %place
+  %element = getelementptr double, ptr %array, i64 %index
+  %value = load double, ptr %element
+  ret double %value
+}
+
+define void @slidectl_put(i64 %variable, i64 %index, double %value) {
+  %place = inttoptr i64 %variable to ptr
+  %array = load ptr, ptr %place
+  %element = getelementptr double, ptr %array, i64 %index
+  store double %value, ptr %element
+  ret void
 }
 
 attributes #0 = { returns_twice nounwind }

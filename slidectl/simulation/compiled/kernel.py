@@ -6,14 +6,35 @@ interpreter has its turn and goes on from there when it is called again. Nothing
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 from slidectl.control.angular_distance import unwrapped
 from slidectl.control.laws import law
 from slidectl.control.limits import enforce
-from slidectl.physics.divergence import HUGE
-from slidectl.physics.drives import drive_effort
-from slidectl.physics.effort import truncated
+from slidectl.physics.loads import truncated
+from slidectl.physics.motors import (
+    ACTUATION,
+    BOUND,
+    CONSTRAINT,
+    COUNT,
+    DOF,
+    EULER,
+    FORCES,
+    HEADER,
+    MOTOR,
+    QPOS,
+    REFERENCES,
+    RELEASES,
+    ROW,
+    SOFTNESS,
+    STEP1,
+    STEP_S,
+    UNBOUNDED,
+    WEIGHT,
+)
+from slidectl.physics.robot_hw import VELOCITY_MOTOR, drive_effort, motor_velocity
+from slidectl.physics.world import HUGE
 from slidectl.simulation.compiled.tables import (
     CONTROLLER_IN_PYTHON,
     DIVERGED,
@@ -44,6 +65,10 @@ class CycleTables(NamedTuple):
     qvel: Any
     forces: Any
     outside: Any
+    velocities: Any
+    motors: Any
+    bounds: Any
+    weights: Any
 
 
 def physics_step(step: int, model: int, data: int, error_hook: int) -> int:
@@ -53,6 +78,16 @@ def physics_step(step: int, model: int, data: int, error_hook: int) -> int:
 
 def update_controller(kind: int, row: int, tables: CycleTables, time_ns: int, period_s: float) -> bool:
     """The law of a compiled form on its row: True when `publish` is due. One branch a registered form."""
+    raise NotImplementedError
+
+
+def element(variable: int, index: int) -> float:
+    """Of the array that the variable at this address points to. Machine code; see `guard.py`."""
+    raise NotImplementedError
+
+
+def put_element(variable: int, index: int, value: float) -> None:
+    """Into the array that the variable at this address points to. Machine code; see `guard.py`."""
     raise NotImplementedError
 
 
@@ -88,8 +123,57 @@ def write(robot: Any, period_s: float, tables: CycleTables) -> None:
             forces[joint.dof] = truncated(joint.command, qvel[joint.dof], joint.max_effort, joint.max_velocity)
     for k in range(robot.first_drive, robot.first_drive + robot.drives):
         joint = joints[drives[k].joint]
+        if drives[k].kind >= VELOCITY_MOTOR:
+            velocity = motor_velocity(drives[k], joint, tables.qpos[joint.qpos], tables.motors[STEP_S])
+            if math.isnan(velocity):
+                tables.qpos[joint.qpos] = joint.command
+                qvel[joint.dof] = velocity = 0.0
+            tables.velocities[joint.dof] = velocity
+            continue
         effort = drive_effort(drives[k], tables.pids[drives[k].pid], joint, period_s)
         forces[joint.dof] += truncated(effort, qvel[joint.dof], joint.max_effort, joint.max_velocity)
+
+
+@law
+def motor_step(progress: Any, tables: CycleTables) -> int:
+    """Motors.step; not 0 for an error of MuJoCo."""
+    motors, qpos, qvel = tables.motors, tables.qpos, tables.qvel
+    step_s, references, forces = motors[STEP_S], int(motors[REFERENCES]), int(motors[FORCES])
+    last = HEADER + int(motors[COUNT]) * MOTOR
+    is_bounded, is_wrong, releases = False, True, RELEASES
+    while is_wrong:
+        if physics_step(int(motors[STEP1]), progress.model, progress.data, progress.error_hook) != 0:
+            return 1
+        for k in range(HEADER, last, MOTOR):
+            dof = int(motors[k + DOF])
+            put_element(references, int(motors[k + ROW]), (tables.velocities[dof] - qvel[dof]) / step_s)
+        for stage in range(ACTUATION, CONSTRAINT + 1):
+            if physics_step(int(motors[stage]), progress.model, progress.data, progress.error_hook) != 0:
+                return 1
+        is_wrong = False
+        for k in range(HEADER, last, MOTOR):
+            dof, size = int(motors[k + DOF]), abs(element(forces, int(motors[k + ROW])))
+            if size > motors[k + BOUND]:
+                is_bounded = is_wrong = True
+                tables.bounds[dof] = motors[k + BOUND]
+                tables.weights[dof] = motors[k + WEIGHT]
+            elif releases > 0 and tables.bounds[dof] < UNBOUNDED and size < motors[k + BOUND]:
+                is_wrong = True
+                tables.bounds[dof] = UNBOUNDED
+                tables.weights[dof] = SOFTNESS * motors[k + WEIGHT]
+        releases -= 1
+    if physics_step(int(motors[EULER]), progress.model, progress.data, progress.error_hook) != 0:
+        return 1
+    for k in range(HEADER, last, MOTOR):
+        dof = int(motors[k + DOF])
+        tables.outside[dof] = effort = element(forces, int(motors[k + ROW]))
+        if abs(effort) < motors[k + BOUND]:
+            qpos[int(motors[k + QPOS])] += step_s * (tables.velocities[dof] - qvel[dof])
+            qvel[dof] = tables.velocities[dof]
+        if is_bounded:
+            tables.bounds[dof] = UNBOUNDED
+            tables.weights[dof] = SOFTNESS * motors[k + WEIGHT]
+    return 0
 
 
 @law
@@ -132,7 +216,10 @@ def run(progress: Any, tables: CycleTables) -> int:
             progress.robot += 1
         if progress.step == 0:
             return STEP_IN_PYTHON
-        if physics_step(progress.step, progress.model, progress.data, progress.error_hook) != 0:
+        if tables.motors[COUNT] > 0.0:
+            if motor_step(progress, tables) != 0:
+                return FAILED
+        elif physics_step(progress.step, progress.model, progress.data, progress.error_hook) != 0:
             return FAILED
         progress.robot = NEW_CYCLE
         progress.left -= 1

@@ -31,9 +31,7 @@ KEPT = 8
 _SEAL_BYTES = 32
 _SOURCES = (
     "control",
-    "physics/effort.py",
-    "physics/drives.py",
-    "physics/divergence.py",
+    "physics",
     "simulation/cycle.py",
     "simulation/compiled",
 )

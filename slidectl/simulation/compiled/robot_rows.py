@@ -17,7 +17,7 @@ from slidectl.control.hardware_interface import JointStateHandle
 from slidectl.control.laws import Columns
 from slidectl.control.pid import Pid
 from slidectl.physics import MujocoRobotHW
-from slidectl.physics.drives import MOTOR, Drive
+from slidectl.physics.robot_hw import Drive
 from slidectl.simulation.compiled.tables import (
     CONSTANT,
     FORMS,
@@ -259,8 +259,8 @@ def _show(joints: bytearray, offset: int, handle: Any) -> None:
 
 
 def _is_compiled(drive: Drive) -> bool:
-    """Motors have no law, and a PID that publishes each step does so in the interpreter."""
-    return drive.kind != MOTOR and (drive.pid is None or drive.pid.observer is None)
+    """A PID that publishes each step does so in the interpreter."""
+    return drive.pid is None or drive.pid.observer is None
 
 
 class CompiledController(NamedTuple):

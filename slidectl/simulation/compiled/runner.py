@@ -12,7 +12,7 @@ from array import array
 from typing import TYPE_CHECKING
 
 from slidectl.physics import EngineError
-from slidectl.physics.engine import error_hook_address, step_address
+from slidectl.physics.engine import address_of, error_hook_address
 from slidectl.simulation.compiled import tables as turns
 from slidectl.simulation.compiled.object_file import Cycle
 from slidectl.simulation.compiled.robot_rows import InterpretedUpdate, RobotRows
@@ -42,7 +42,7 @@ class CompiledRunner(Runner):
         self._world = loop.world
         self._code = code
         self._progress = Progress(robot=NEW_CYCLE, error_hook=error_hook_address())
-        self._step_address = step_address()
+        self._step_address = address_of("mj_step")
         self._tables = Tables()
         self._robots: Sequence[SpawnedRobot] = ()
         self._rows: list[RobotRows] = []
@@ -58,9 +58,6 @@ class CompiledRunner(Runner):
         """The controller without a row that has its turn."""
         self._topic_changes = -1
         self._addresses = array("Q")
-        self._outside = array("d")
-        """Efforts from outside by dof."""
-        self._has_outside = False
         self._step: Callable[[], None] | None = None
         """What made a step of the physics when that was last looked at."""
 
@@ -138,9 +135,7 @@ class CompiledRunner(Runner):
         progress.robots = len(self._rows)
         progress.model, progress.data = memory.model, memory.data
         progress.positions, progress.dofs = memory.positions, memory.dofs
-        self._outside = array("d", bytes(8 * max(memory.dofs, 1)))
-        state = [memory.qpos, memory.qvel, memory.forces, self._outside.buffer_info()[0]]
-        self._addresses = array("Q", [ctypes.addressof(progress), *self._tables.addresses(), *state])
+        self._addresses = array("Q", [ctypes.addressof(progress), *self._tables.addresses(), *memory.arrays])
 
     def _look_for_listeners(self) -> None:
         """Which publishers are wanted now?"""
@@ -150,14 +145,10 @@ class CompiledRunner(Runner):
                 publication.update_wanted()
 
     def _look_outside(self) -> None:
-        """Who makes the steps, and what pushes from outside."""
-        progress, loads = self._progress, self._world.loads
+        """Who makes the steps, and whether there are efforts besides those of the hardware."""
         self._step = self._world.step
-        progress.step = self._step_address if self._world.steps_alone else 0
-        if self._has_outside or loads.efforts:
-            for dof in range(len(self._outside)):
-                self._outside[dof] = loads.efforts.get(dof, 0.0)
-        progress.has_outside = self._has_outside = bool(loads.efforts)
+        self._progress.step = self._step_address if self._world.steps_alone else 0
+        self._progress.has_outside = self._world.loads.has_efforts
 
     # -- the cycles ------------------------------------------------------------------------------------------------
 
@@ -169,7 +160,7 @@ class CompiledRunner(Runner):
         # At real time this is called for every cycle, with cold caches: what has not changed is not looked at again.
         if self._is_new or self._given_back or self._topic_changes != self._graph.topics.changes:
             self._prepare()
-        if self._step is not world.step or self._has_outside or world.loads.efforts:
+        if self._step is not world.step or self._progress.has_outside != world.loads.has_efforts:
             self._look_outside()
         loop.in_cycle = True
         try:

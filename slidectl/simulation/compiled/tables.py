@@ -12,7 +12,7 @@ from slidectl.control.laws import Columns
 from slidectl.control.limits import LimitHandle
 from slidectl.control.pid import Pid
 from slidectl.control.registry import compiled_forms
-from slidectl.physics.drives import Drive
+from slidectl.physics.robot_hw import Drive
 
 JOINT = Columns(
     changing="position velocity effort command",
@@ -61,7 +61,8 @@ CONSTANT = {"controllers", "drives"}
 """Tables of what never changes while it exists."""
 RANGES = ("joints", "controllers", "limits", "drives")
 """Tables of which each robot has a range of rows, as ROBOT has it."""
-ARRAYS = ("qpos", "qvel", "forces", "outside")
+ARRAYS = ("qpos", "qvel", "forces", "outside", "velocities", "motors", "bounds", "weights")
+"""Of numbers: those of `slidectl.physics.world.Memory`."""
 
 DONE, ROBOT_IN_PYTHON, CONTROLLER_IN_PYTHON, PUBLICATION, STEP_IN_PYTHON, DIVERGED, FAILED = range(7)
 """What the compiled cycle returns for: all cycles are done, the interpreter has its turn, or there is trouble."""
