@@ -134,6 +134,11 @@ def needed_text(node: NodeHandle, name: str) -> str:
     return _needed(node, name, TEXT)
 
 
+def needed_texts(node: NodeHandle, name: str) -> list[str]:
+    """The parameter as a list of strings. Raises BadParameter when it is not one."""
+    return _needed(node, name, TEXTS)
+
+
 def _read(node: NodeHandle, name: str, kind: Kind[T]) -> T | None:
     value = node.get_param(name, None)
     if value is None:
@@ -294,3 +299,4 @@ class Guard:
 TYPE = Parameter("type", TEXT, "the controller's type", required=True)
 """What the manager reads of every controller."""
 JOINT = Parameter("joint", TEXT, "the joint that it drives", required=True, names_joints=True)
+JOINTS = Parameter("joints", TEXTS, "the joints that it drives, in this order", required=True, names_joints=True)

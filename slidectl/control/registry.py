@@ -19,8 +19,7 @@ C = TypeVar("C", bound=type[ControllerBase])
 BASE_CLASS = "controller_interface::ControllerBase"
 _ELSEWHERE = {
     "AckermannSteeringController", "DiffDriveController", "ForceTorqueSensorController", "FourWheelSteeringController",
-    "GripperActionController", "ImuSensorController", "JointGroupEffortController", "JointGroupPositionController",
-    "JointGroupVelocityController", "JointTrajectoryController",
+    "GripperActionController", "ImuSensorController",
 }  # fmt: skip
 _known: dict[str, type[ControllerBase]] = {}
 

@@ -10,8 +10,17 @@ from contextlib import AbstractContextManager, ExitStack
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from slidectl import names
-from slidectl.control.node_handle import MISSING, MessageCallback, ParameterJudge, Publisher, Reasons
+from slidectl.control.node_handle import (
+    MISSING,
+    GoalCallback,
+    MessageCallback,
+    ParameterJudge,
+    Publisher,
+    Reasons,
+)
+from slidectl.simulation.actions import ActionServer
 from slidectl.simulation.services import Handler
+from slidectl.simulation.timers import Timers
 from slidectl.simulation.topics import NodePublisher
 
 if TYPE_CHECKING:
@@ -32,6 +41,7 @@ class GraphNode:
         self._parent: GraphNode | None = None
         self._children: list[GraphNode] = []
         self._taken: list[Callable[[], None]] = []
+        self._calls: set[RepeatedCall] = set()
         self.before_entry: Callable[[], None] = _nothing
         """Called before every callback that was given to this handle or a child of it."""
 
@@ -86,6 +96,16 @@ class GraphNode:
         )
         self._taken.append(provided.close)
 
+    def advertise_action(self, action: str, type_name: str, on_goal: GoalCallback, on_cancel: GoalCallback) -> None:
+        """Serve `action`. Raises BadName, TypeConflict, UnknownName (no such type)."""
+        ActionServer(self.child(action), type_name, on_goal, on_cancel)
+
+    def call_every(self, period_ns: int, callback: Callable[[], None]) -> RepeatedCall:
+        """Call back each period of simulated time, counted from now, at the end of a cycle."""
+        call = RepeatedCall(self._graph.timers, period_ns, callback, self._calls)
+        self._calls.add(call)
+        return call
+
     def log(self, severity: str, text: str) -> None:
         """One line on /rosout, and from `warn` on a reason in the answer to the request under way.
 
@@ -113,6 +133,8 @@ class GraphNode:
         """
         if self._parent is not None and self in self._parent._children:
             self._parent._children.remove(self)
+        for call in tuple(self._calls):
+            call.cancel()
         taken, self._taken = self._taken, []
         with ExitStack() as closing:  # the last is the first
             for close in taken:
@@ -136,6 +158,34 @@ class GraphNode:
 
     def _absolute(self, name: str) -> str:
         return names.join(self.namespace, name)
+
+
+class RepeatedCall:
+    """Calls back each period from now on, at the end of the first cycle whose time is that or later."""
+
+    def __init__(
+        self, timers: Timers, period_ns: int, callback: Callable[[], None], running: set[RepeatedCall]
+    ) -> None:
+        """`running` are all calls of one node handle; this one leaves them when it is cancelled."""
+        if period_ns <= 0:
+            raise ValueError(f"a period is above 0 ns, not {period_ns}")
+        self._timers = timers
+        self._period_ns = period_ns
+        self._callback = callback
+        self._running = running
+        self._timer = timers.after(period_ns, self._call)
+
+    def cancel(self) -> None:
+        """It is not called any more."""
+        self._timer.cancel()
+        self._running.discard(self)
+
+    def _call(self) -> None:
+        # The timer's own due time counts: it moves with the clock when that is set. Missed periods are left out.
+        due_ns = self._timer.due_ns
+        missed = (self._timers.now_ns() - due_ns) // self._period_ns
+        self._timer = self._timers.at(due_ns + (missed + 1) * self._period_ns, self._call)
+        self._callback()
 
 
 def _nothing() -> None:

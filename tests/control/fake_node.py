@@ -13,6 +13,7 @@ from typing import Any
 from slidectl import names
 from slidectl.control.node_handle import (
     MISSING,
+    GoalCallback,
     Message,
     MessageCallback,
     ParameterChange,
@@ -20,6 +21,9 @@ from slidectl.control.node_handle import (
     Reasons,
     ServiceHandler,
 )
+from slidectl.simulation.actions import ActionServer
+from slidectl.simulation.node import RepeatedCall
+from slidectl.simulation.timers import Timers
 
 
 class FakePublisher:
@@ -40,6 +44,8 @@ class FakeGraph:
 
     def __init__(self, parameters: dict[str, Any] | None = None) -> None:
         self.time_ns = 0
+        self.timers = Timers(lambda: self.time_ns)
+        """They fire when a test says so."""
         self.parameters: dict[str, Any] = {}
         self.publishers: dict[str, FakePublisher] = {}
         self.subscribers: dict[str, MessageCallback] = {}
@@ -179,6 +185,14 @@ class FakeNode:
         self.graph.services[full] = handler
         self.graph.types[full] = type_name
         self._taken.append(lambda: self.graph.services.pop(full))
+
+    def advertise_action(self, action: str, type_name: str, on_goal: GoalCallback, on_cancel: GoalCallback) -> None:
+        ActionServer(self.child(action), type_name, on_goal, on_cancel)
+
+    def call_every(self, period_ns: int, callback: Callable[[], None]) -> RepeatedCall:
+        call = RepeatedCall(self.graph.timers, period_ns, callback, set())
+        self._taken.append(call.cancel)
+        return call
 
     def log(self, severity: str, text: str) -> None:
         self.graph.log.append((severity, text))

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from fake_node import FakeGraph
-from fake_robot import FakeRobot
+from fake_robot import COMMAND_INTERFACES, FakeRobot
 
 from slidectl.control import params, registry
 from slidectl.control.limits import LIMITS, limits_from_parameters, soft_limits_from_parameters
@@ -59,7 +59,7 @@ def test_a_controller_reads_what_it_says_and_says_what_it_reads(type_name: str) 
     declared = own(registry.find(type_name).parameters)
     values = {f"/bot/c/{name}": VALUES[parameter.kind] for name, parameter in declared.items()}
     graph = WatchedGraph({"/bot/robot_description": URDF, **values})
-    robot = FakeRobot(commands=("effort", "velocity", "position"))
+    robot = FakeRobot(commands=COMMAND_INTERFACES)
     registry.create(type_name).init_request(robot, graph.node("/bot"), graph.node("/bot/c"))
     asked = {name for name in graph.asked_below("/bot/c") if not name.endswith("robot_description")}
     assert asked == set(declared)
@@ -90,6 +90,6 @@ def test_an_unknown_type_is_refused_with_the_closest_known_one() -> None:
 
 def test_a_type_of_ros_controllers_that_is_not_here_is_no_slip_of_the_pen() -> None:
     with pytest.raises(registry.UnknownType) as caught:
-        registry.create("effort_controllers/JointTrajectoryController")
+        registry.create("imu_sensor_controller/ImuSensorController")
     assert "is not among those of slidectl\ncontroller types: effort_controllers/" in str(caught.value)
     assert "Did you mean" not in str(caught.value)
