@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from math import isfinite
+from operator import attrgetter
 from typing import Any
 
 from slidectl.control.controller_interface import ControllerBase
@@ -288,7 +289,10 @@ JOINT_COLUMNS: dict[str, Callable[[Any], list[float]]] = {
     "err_vel": lambda controller: controller.error.velocities,
 }
 """The members of a controller that rows show for each joint."""
-COLUMNS: dict[str, Callable[[Any], float]] = {}
+COLUMNS: dict[str, Callable[[Any], float]] = {
+    **{f"odom.{name}": attrgetter(f"odometry.{name}") for name in ("x", "y", "heading", "linear", "angular")},
+    **{f"limited.{name}": attrgetter(f"limited.{name}") for name in ("linear", "angular")},
+}
 """The other members that rows show."""
 
 

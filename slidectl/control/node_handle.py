@@ -148,6 +148,9 @@ class NodeHandle(Protocol):
     def subscribe(self, topic: str, type_name: str, callback: MessageCallback) -> None:
         """Call back for each message on `topic`, between two cycles."""
 
+    def count_publishers(self, topic: str) -> int:
+        """How many nodes publish `topic`."""
+
     def advertise_service(self, service: str, type_name: str, handler: ServiceHandler) -> None:
         """Answer calls of `service`, between two cycles. The handler raises SlidectlError to fail the call."""
 

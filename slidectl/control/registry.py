@@ -18,7 +18,7 @@ C = TypeVar("C", bound=type[ControllerBase])
 
 BASE_CLASS = "controller_interface::ControllerBase"
 _ELSEWHERE = {
-    "AckermannSteeringController", "DiffDriveController", "ForceTorqueSensorController", "FourWheelSteeringController",
+    "AckermannSteeringController", "ForceTorqueSensorController", "FourWheelSteeringController",
     "GripperActionController", "ImuSensorController",
 }  # fmt: skip
 _known: dict[str, type[ControllerBase]] = {}

@@ -89,6 +89,10 @@ class GraphNode:
         )
         self._taken.append(subscription.close)
 
+    def count_publishers(self, topic: str) -> int:
+        """How many nodes publish `topic`."""
+        return len(self._graph.topics.publishers(self._absolute(topic)))
+
     def advertise_service(self, service: str, type_name: str, handler: Handler) -> None:
         """Answer calls of `service`, at once or with a Pending. Raises BadName, Refused (taken), UnknownName."""
         provided = self._graph.services.advertise(

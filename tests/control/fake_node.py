@@ -49,6 +49,7 @@ class FakeGraph:
         self.parameters: dict[str, Any] = {}
         self.publishers: dict[str, FakePublisher] = {}
         self.subscribers: dict[str, MessageCallback] = {}
+        self.publisher_counts: dict[str, int] = {}
         self.services: dict[str, ServiceHandler] = {}
         self.types: dict[str, str] = {}
         self.watches: list[tuple[str, Callable[[], None]]] = []
@@ -179,6 +180,9 @@ class FakeNode:
         self.graph.subscribers[full] = callback
         self.graph.types[full] = type_name
         self._taken.append(lambda: self.graph.subscribers.pop(full))
+
+    def count_publishers(self, topic: str) -> int:
+        return self.graph.publisher_counts.get(self._full(topic), 0)
 
     def advertise_service(self, service: str, type_name: str, handler: ServiceHandler) -> None:
         full = self._full(service)
