@@ -39,7 +39,6 @@ ROOT = "/robot"
 CONTROLLER = f"{ROOT}/ctrl"
 HOST = "/host"
 ACTIONS = {"GripperActionController": "gripper_cmd", "JointTrajectoryController": "follow_joint_trajectory"}
-ACTION_TYPES = {"gripper_cmd": "control_msgs/GripperCommand"}
 IGNORES_NON_FINITE = {"geometry_msgs/Twist", "four_wheel_steering_msgs/FourWheelSteering"}
 """Messages of which upstream ignores such ones too."""
 INTERFACES: dict[str, tuple[type[Any], type[Any]]] = {
@@ -291,6 +290,9 @@ JOINT_COLUMNS: dict[str, Callable[[Any], list[float]]] = {
 """The members of a controller that rows show for each joint."""
 COLUMNS: dict[str, Callable[[Any], float]] = {
     **{f"odom.{name}": attrgetter(f"odometry.{name}") for name in ("x", "y", "heading", "linear", "angular")},
+    "command.position": attrgetter("position"),
+    "command.max_effort": attrgetter("max_effort"),
+    "computed_command": attrgetter("command"),
     **{f"limited.{name}": attrgetter(f"limited.{name}") for name in ("linear", "angular")},
 }
 """The other members that rows show."""

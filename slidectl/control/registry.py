@@ -19,7 +19,7 @@ C = TypeVar("C", bound=type[ControllerBase])
 BASE_CLASS = "controller_interface::ControllerBase"
 _ELSEWHERE = {
     "AckermannSteeringController", "ForceTorqueSensorController", "FourWheelSteeringController",
-    "GripperActionController", "ImuSensorController",
+    "ImuSensorController",
 }  # fmt: skip
 _known: dict[str, type[ControllerBase]] = {}
 
