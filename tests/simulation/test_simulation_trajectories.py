@@ -1,19 +1,22 @@
-"""Trajectory and group controllers on robots in the world, by their topics and actions, on both engines."""
+"""Trajectory, group and base controllers on robots in the world, by their topics and actions, on both engines."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from engine_scenes import STATES, Scene, add, arm, play
 from sim_robots import cart
 
-from slidectl import msgs
+from slidectl import description, msgs
 from slidectl.simulation import Simulation
 from slidectl.simulation.compiled import object_file
 
 needs_numba = pytest.mark.skipif(not object_file.is_possible(), reason="numba is not installed")
 
+ROOT = Path(__file__).parent.parent.parent
 GAINS = {"p": 400.0, "d": 60.0}
 FOLLOWER = {
     "type": "effort_controllers/JointTrajectoryController",
@@ -112,6 +115,23 @@ def test_a_latched_command_from_before_the_load_does_no_harm() -> None:
     for name, (_, _, parameters) in commands.items():
         simulation.parameters.set(f"/cart/{name}", parameters)
         assert simulation.call("/cart/controller_manager/load_controller", {"name": name})["ok"]
+
+
+def test_the_cart_goes_where_its_odometry_says() -> None:
+    simulation = Simulation(engine="plain")
+    own = yaml.safe_load((ROOT / "config" / "cart_control.yaml").read_text(encoding="utf-8"))["cart"]
+    add(simulation, "cart", description.load("cart").xml, own)
+    simulation.step(1)
+    told: list[dict[str, Any]] = []
+    simulation.graph.topics.subscribe("/cart/base_controller/odom", None, "/client", told.append)
+    simulation.publish("/cart/base_controller/cmd_vel", {"linear": {"x": 0.5}, "angular": {"z": 0.3}})
+    simulation.step(460)
+    place = told[-1]["pose"]["pose"]["position"]
+    assert told[-1]["twist"]["twist"]["angular"]["z"] == pytest.approx(0.3, abs=0.01)
+    pose = simulation.call("/gazebo/get_model_state", {"model_name": "cart"})["pose"]["position"]
+    assert place["x"] > 0.06
+    assert (place["x"], place["y"]) == pytest.approx((pose["x"], pose["y"]), abs=0.02)
+    assert pose["z"] == pytest.approx(0.0, abs=0.001)
 
 
 @needs_numba

@@ -2,6 +2,9 @@
 
 Commands are velocities of the base (geometry_msgs/Twist on `cmd_vel`); they are limited, and end after a time-out. The
 way that the wheels have made is told as odometry on `odom` and `/tf`. Lengths are in m, angles in rad.
+
+Topics `cmd_vel`, `odom`, `/tf`, and when asked for `cmd_vel_out` and `wheel_joint_controller_state`; service
+`set_parameters`.
 """
 
 from __future__ import annotations

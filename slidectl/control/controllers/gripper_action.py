@@ -1,7 +1,7 @@
 """Closes and opens a gripper of one joint by an action, after ros_controllers' gripper_action_controller.
 
 A goal is a position and the largest effort. It succeeds near the position, and is aborted when the joint stands still
-elsewhere for a while. There is no feedback, and no state topic.
+elsewhere for a while. Action `gripper_cmd`, without feedback; no other topics.
 """
 
 from __future__ import annotations

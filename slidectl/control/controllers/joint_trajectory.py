@@ -3,6 +3,9 @@
 A trajectory is a list of segments for each joint: a segment is a line, or a cubic or quintic polynomial of time,
 between two points. Its times are seconds of the controller's uptime, which counts from its start. New trajectories are
 blended with the present one when they arrive, between two cycles; an update only samples.
+
+Topics `command` and `state`, service `query_state`, action `follow_joint_trajectory`. The types of the joints come from
+`robot_description`.
 """
 
 from __future__ import annotations
