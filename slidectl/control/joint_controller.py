@@ -132,6 +132,15 @@ def joint_names(node: NodeHandle) -> list[str]:
     return found
 
 
+def warn_of_other_joints(node: NodeHandle, place: str, known: Sequence[str]) -> None:
+    """Say which names in the namespace `place` are none of these, so that nobody reads what is there."""
+    tree = node.get_param(place, None)
+    for name in tree if isinstance(tree, dict) else ():
+        if name not in known:
+            where = names.join(node.namespace, f"{place}/{name}")
+            node.log("warn", f"{where} has no effect: {name!r} is no joint of this controller")
+
+
 UPDATES_PER_STATE = 10
 
 

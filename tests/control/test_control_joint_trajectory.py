@@ -230,6 +230,15 @@ def test_a_negative_tolerance_is_pointed_out() -> None:
     assert "/bot/arm/constraints/j1/goal is below 0: it is not checked" in arm.graph.lines("warn")
 
 
+def test_parameters_of_other_joints_are_pointed_out() -> None:
+    gains = {**GAINS["gains"], "j8": {"p": 1.0}}
+    arm = Arm("effort", constraints={"j7": {"goal": 0.1}, "goal_time": 1.0}, gains=gains)
+    arm.load("arm")
+    assert "/bot/arm/constraints/j7 has no effect: 'j7' is no joint of this controller" in arm.graph.lines("warn")
+    assert "/bot/arm/gains/j8 has no effect" in arm.graph.lines("warn")
+    assert "goal_time" not in arm.graph.lines("warn")
+
+
 class TestCommands:
     def test_the_joints_go_from_point_to_point(self, arm: Arm) -> None:
         arm.command(point(0.1, 0.5, -0.5), point(0.2, 1.0, 0.0))

@@ -14,6 +14,7 @@ from slidectl.control.controller_interface import Controller, State
 from slidectl.control.duration import to_seconds
 from slidectl.control.goals import MONITOR_RATE, GoalMonitor, MonitoredGoal, period_of
 from slidectl.control.hardware_interface import EffortJointInterface, JointCommandInterface, PositionJointInterface
+from slidectl.control.joint_controller import warn_of_other_joints
 from slidectl.control.node_handle import GoalHandle, GoalStatus, Message, NodeHandle
 from slidectl.control.params import JOINT, NUMBER, Parameter, within
 from slidectl.control.pid import Pid, next_command_from
@@ -167,6 +168,7 @@ class EffortGripperActionController(GripperActionController):
     )
 
     def _get_commands(self, node: NodeHandle) -> None:
+        warn_of_other_joints(node, "gains", [self._joint.name])
         self._pid = self._gains(node.child(f"gains/{self._joint.name}"))
 
     def _gains(self, node: NodeHandle) -> Pid:

@@ -36,7 +36,7 @@ from slidectl.control.hardware_interface import (
     ResourceManager,
     VelocityJointInterface,
 )
-from slidectl.control.joint_controller import joint_names
+from slidectl.control.joint_controller import joint_names, warn_of_other_joints
 from slidectl.control.node_handle import GoalHandle, GoalStatus, Message, NodeHandle
 from slidectl.control.params import BOOLEAN, JOINTS, NUMBER, Parameter, within
 from slidectl.control.pid import next_command_from
@@ -69,7 +69,7 @@ class StateTolerances(NamedTuple):
     velocity: float = 0.0
     acceleration: float = 0.0
 
-    def hold(self, position_error: float, velocity_error: float) -> bool:
+    def allow(self, position_error: float, velocity_error: float) -> bool:
         """Are these errors within the tolerances? There is no error of acceleration: nobody measures it."""
         return not (0.0 < self.position < abs(position_error) or 0.0 < self.velocity < abs(velocity_error))
 
@@ -275,6 +275,7 @@ class JointTrajectoryController(Controller[Any]):
         self._names = joint_names(node)
         self._turns = [joint_on_paper(node, name).type == "continuous" for name in self._names]
         self._joints = tuple(interface.get_handle(name) for name in self._names)
+        warn_of_other_joints(node, "constraints", [*self._names, "goal_time", "stopped_velocity_tolerance"])
         self._tolerances = self._default_tolerances()
         self._get_commands(node)
         nothing = [0.0] * len(self._names)
@@ -395,10 +396,10 @@ class JointTrajectoryController(Controller[Any]):
             error, error_dot = self.error.positions[k], self.error.velocities[k]
             tolerances = segment.tolerances
             if uptime_s < segment.end_s:
-                if not tolerances.path.hold(error, error_dot):
+                if not tolerances.path.allow(error, error_dot):
                     self._abort(PATH_TOLERANCE_VIOLATED, f"{self._names[k]} path error {error:f}")
             elif segment is self._trajectory[k][-1]:
-                if tolerances.goal.hold(error, error_dot):
+                if tolerances.goal.allow(error, error_dot):
                     self._reached[k] = True
                 elif not uptime_s < segment.end_s + tolerances.goal_time_s:
                     self._abort(GOAL_TOLERANCE_VIOLATED, f"{self._names[k]} goal error {error:f}")
@@ -678,6 +679,8 @@ class PidJointTrajectoryController(JointTrajectoryController):
     _joints: tuple[JointHandle, ...]
 
     def _get_commands(self, node: NodeHandle) -> None:
+        for place in ("gains", "velocity_ff"):
+            warn_of_other_joints(node, place, self._names)
         self._pids = [ReconfigurablePid(node.child(f"gains/{name}")).pid for name in self._names]
         self._velocity_ff = [params.number(node, f"velocity_ff/{name}") or 0.0 for name in self._names]
 
