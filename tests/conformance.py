@@ -1,7 +1,8 @@
-"""Run files of recorded vectors through the public control classes and compare to the bit.
+"""Run files of recorded vectors through the public control classes and compare.
 
 Usage: python tests/conformance.py FILE.json ...   Prints the worst deviation of each file. Exit code: 0 all equal,
-1 a mismatch, 2 a file that cannot be read. Formats: PID, joint limits and transmission vectors.
+1 a mismatch, 2 a file that cannot be read. Formats: PID, joint limits and transmission vectors, which are to agree to
+the bit, and whole runs of controllers (recorded_run.py), which are to agree within 1e-9.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ from typing import Any
 # A checkout runs as it stands, installed or not.
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
+from recorded_run import TOLERANCE, replay
+
 from slidectl.control import limits as limit_handles
 from slidectl.control import transmission_interface as transmissions
 from slidectl.control.duration import from_seconds, to_seconds
@@ -29,7 +32,7 @@ from slidectl.control.pid import Gains, Pid, next_command_from
 from slidectl.errors import SlidectlError
 
 Case = dict[str, Any]
-Comparison = tuple[str, float, float]
+Comparison = tuple[str, Any, Any]
 """Where, what was recorded, what came out."""
 
 
@@ -46,14 +49,18 @@ class Outcome:
     worst: float = 0.0
     mismatches: list[str] = field(default_factory=list)
 
-    def compare(self, where: str, recorded: float, computed: float) -> None:
-        """Count one value; unequal bits are a mismatch (every nan is like another)."""
+    def compare(self, where: str, recorded: Any, computed: Any, tolerance: float | None = None) -> None:
+        """Count one value; unequal bits (every nan is like another), or more than the tolerance, are a mismatch."""
         self.values += 1
-        if same_bits(recorded, computed):
+        if tolerance is not None and recorded in ("nan", "inf", "-inf"):
+            recorded = float(recorded)
+        are_numbers = isinstance(recorded, int | float) and isinstance(computed, int | float)
+        if same_bits(recorded, computed) if are_numbers else recorded == computed:
             return
-        self.mismatches.append(f"{where}: recorded {recorded!r}, computed {computed!r}")
-        deviation = abs(recorded - computed)
+        deviation = abs(recorded - computed) if are_numbers else inf
         self.worst = max(self.worst, deviation if isfinite(deviation) else inf)
+        if tolerance is None or not deviation <= tolerance:
+            self.mismatches.append(f"{where}: recorded {recorded!r}, computed {computed!r}")
 
 
 def same_bits(one: float, other: float) -> bool:
@@ -202,12 +209,15 @@ class Format:
     key: str
     run: Callable[[Case], Iterator[Comparison]]
     refusal: Callable[[str], bool] | None = None
+    tolerance: float | None = None
+    """None: to the bit."""
 
 
 FORMATS = (
     Format("mode", pid_case),
     Format("handle", limits_case, limits_refusal),
     Format("actuator_reduction", transmission_case, transmission_refusal),
+    Format("events", replay, tolerance=TOLERANCE),
 )
 
 
@@ -226,8 +236,9 @@ def run_vectors(vectors: Case) -> Outcome:
     outcome = Outcome()
     for k, case in enumerate(vectors["cases"]):
         outcome.cases += 1
-        for where, recorded, computed in _format_of(case).run(case):
-            outcome.compare(f"case {k}, {where}", recorded, computed)
+        form = _format_of(case)
+        for where, recorded, computed in form.run(case):
+            outcome.compare(f"case {case.get('name', k)}, {where}", recorded, computed, form.tolerance)
     for refusal in vectors.get("constructor_errors", ()):
         outcome.cases += 1
         refused = _format_of(vectors["cases"][0]).refusal

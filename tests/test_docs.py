@@ -22,10 +22,9 @@ def read(name: str) -> str:
     return (ROOT / name).read_text(encoding="utf-8")
 
 
-def test_the_command_reference_is_what_the_commands_say() -> None:
-    done = subprocess.run(
-        [sys.executable, "scripts/command_reference.py", "--check"], cwd=ROOT, capture_output=True, text=True
-    )
+@pytest.mark.parametrize("script", ["command_reference.py", "controller_reference.py"])
+def test_a_reference_is_what_the_program_says(script: str) -> None:
+    done = subprocess.run([sys.executable, f"scripts/{script}", "--check"], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 
 

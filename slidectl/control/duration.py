@@ -46,6 +46,11 @@ def to_stamp(ns: int) -> dict[str, int]:
     return {"secs": seconds, "nsecs": nanoseconds}
 
 
+def from_stamp(stamp: dict[str, int]) -> int:
+    """Nanoseconds of a time or duration on a message."""
+    return stamp["secs"] * NANOSECONDS + stamp["nsecs"]
+
+
 def _round_half_up(value: float) -> int:
     """Nearest whole number of a value >= 0. Not floor(value + 0.5): that sum may round up by itself."""
     above = ceil(value)

@@ -46,6 +46,27 @@ class JointHandle(JointStateHandle):
         self.highest = inf
 
 
+class PosVelJointHandle(JointStateHandle):
+    """State of one joint, and commands of its position and its velocity at once."""
+
+    __slots__ = ("command_position", "command_velocity")
+
+    def __init__(self, name: str, position: float = 0.0, velocity: float = 0.0, effort: float = 0.0) -> None:
+        super().__init__(name, position, velocity, effort)
+        self.command_position = 0.0
+        self.command_velocity = 0.0
+
+
+class PosVelAccJointHandle(PosVelJointHandle):
+    """The same with a command of the acceleration."""
+
+    __slots__ = ("command_acceleration",)
+
+    def __init__(self, name: str, position: float = 0.0, velocity: float = 0.0, effort: float = 0.0) -> None:
+        super().__init__(name, position, velocity, effort)
+        self.command_acceleration = 0.0
+
+
 class Handle(Protocol):
     """Anything with a name can be a resource."""
 
@@ -142,6 +163,20 @@ class PositionJointInterface(JointCommandInterface):
     """Commands in m or rad."""
 
     type_name = "hardware_interface::PositionJointInterface"
+
+
+class PosVelJointInterface(ResourceManager[PosVelJointHandle]):
+    """Commands of position and velocity. Simulated hardware has it not."""
+
+    type_name = "hardware_interface::PosVelJointInterface"
+    claims = True
+
+
+class PosVelAccJointInterface(ResourceManager[PosVelAccJointHandle]):
+    """Commands of position, velocity and acceleration. Simulated hardware has it not."""
+
+    type_name = "hardware_interface::PosVelAccJointInterface"
+    claims = True
 
 
 COMMAND_INTERFACES: tuple[type[JointCommandInterface], ...] = (

@@ -1,30 +1,85 @@
-"""Bases of the controllers of one joint: those that take one number as their command, and those of them with a PID.
+"""Bases of the controllers that take one number a joint as their command: of one joint, with a PID, of several joints.
 
-What the number does, the error and what becomes of it are the children's part.
+What the numbers do, the error and what becomes of it are the children's part.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import isfinite
 from typing import ClassVar
 
+from slidectl import names
+from slidectl.control import params
 from slidectl.control.controller_interface import Controller, Parts, State
 from slidectl.control.duration import to_stamp
 from slidectl.control.hardware_interface import JointCommandInterface, JointHandle
 from slidectl.control.laws import law
-from slidectl.control.node_handle import Message, NodeHandle, Publisher
-from slidectl.control.params import JOINT, Parameter, within
+from slidectl.control.node_handle import Message, MessageCallback, NodeHandle, Publisher
+from slidectl.control.params import JOINT, JOINTS, Parameter, within
 from slidectl.control.pid import Gains, Pid
 from slidectl.control.reconfigurable_pid import GAINS, ReconfigurablePid
-from slidectl.errors import MessageRefused
+from slidectl.errors import MessageRefused, Refused
 
 _TOLD_EVERY_NS = 1_000_000_000
 
 
-class ScalarController(Controller[JointCommandInterface]):
-    """One joint, one command on `~command` (std_msgs/Float64)."""
+class CommandController(Controller[JointCommandInterface]):
+    """Takes commands on `~command` and says what becomes of those that are not followed as they are."""
 
     _node: NodeHandle
+
+    def _listen(self, node: NodeHandle, type_name: str, receive: MessageCallback) -> None:
+        """Subscribe. This is the last step of an init: a latched command arrives at once."""
+        self._node = node
+        self._told = ""
+        self._told_ns = 0
+        node.subscribe("command", type_name, receive)
+
+    def _check(self, commands: Sequence[tuple[JointHandle, float, tuple[float, float]]]) -> None:
+        """Judge a command: each joint, its value, and the lowest and the highest value that is followed as it is.
+
+        ros_control would take nan and infinities too, and run with them.
+
+        Raises:
+            MessageRefused: a value is not finite.
+        """
+        name = self._node.namespace
+        if not all(isfinite(value) for _, value, _ in commands):
+            text = f"{name} takes no command of nan or infinity: it must be a finite number"
+            self._node.log("error", text)
+            raise MessageRefused(text)
+        if self.state is not State.RUNNING:  # starting will set a command of its own
+            self._tell(f"{name} is not running: the command has no effect", "idle")
+            return
+        beyond = [
+            (joint.name, value, "lower" if value < lowest else "upper", lowest if value < lowest else highest)
+            for joint, value, (lowest, highest) in commands
+            if not lowest <= value <= highest
+        ]
+        if not beyond:
+            self._told = ""
+            return
+        parts = [
+            f"{value:g} is beyond the {side} limit of joint {joint!r}; it gets {limit:g}"
+            for joint, value, side, limit in beyond
+        ]
+        self._tell(f"{name}: {', '.join(parts)}", " ".join(f"{side} {joint}" for joint, _, side, _ in beyond))
+
+    def _tell(self, text: str, what: str) -> None:
+        """Say it to whoever sent the command; on the log not a hundred times a second."""
+        now_ns = self._node.now_ns()
+        if what != self._told or not 0 <= now_ns - self._told_ns < _TOLD_EVERY_NS:
+            self._told = what
+            self._told_ns = now_ns
+            self._node.log("warn", text)
+        elif self._node.reasons is not None:
+            self._node.reasons.append(text)
+
+
+class ScalarController(CommandController):
+    """One joint, one command on `~command` (std_msgs/Float64)."""
+
     _joint: JointHandle
 
     def bounds(self) -> tuple[float, float]:
@@ -35,41 +90,55 @@ class ScalarController(Controller[JointCommandInterface]):
         """Follow this value from the next update on, in units of the command."""
         raise NotImplementedError
 
-    def _listen(self, node: NodeHandle) -> None:
-        self._node = node
-        self._told = ""
-        self._told_ns = 0
-        node.subscribe("command", "std_msgs/Float64", self._receive)
-
     def _receive(self, message: Message) -> None:
-        """Take a command. ros_control would take nan and infinities too, and run with them."""
         value: float = message["data"]
-        if not isfinite(value):
-            text = f"{self._node.namespace} takes no command of nan or infinity: it must be a finite number"
-            self._node.log("error", text)
-            raise MessageRefused(text)
-        lowest, highest = self.bounds()
-        if self.state is not State.RUNNING:  # starting will set a command of its own
-            self._tell("idle", f"{self._node.namespace} is not running: the command has no effect")
-        elif not lowest <= value <= highest:
-            side, limit = ("lower", lowest) if value < lowest else ("upper", highest)
-            joint = f"joint {self._joint.name!r}"
-            self._tell(
-                side, f"{self._node.namespace}: {value:g} is beyond the {side} limit of {joint}; it gets {limit:g}"
-            )
-        else:
-            self._told = ""
+        self._check([(self._joint, value, self.bounds())])
         self.set_command(value)
 
-    def _tell(self, what: str, text: str) -> None:
-        """Say it to whoever sent the command; on the log not a hundred times a second."""
-        now_ns = self._node.now_ns()
-        if what != self._told or not 0 <= now_ns - self._told_ns < _TOLD_EVERY_NS:
-            self._told = what
-            self._told_ns = now_ns
-            self._node.log("warn", text)
-        elif self._node.reasons is not None:
-            self._node.reasons.append(text)
+
+class GroupController(CommandController):
+    """Several joints, one command for all of them on `~command` (std_msgs/Float64MultiArray), in their order."""
+
+    parameters: ClassVar[tuple[Parameter, ...]] = (JOINTS,)
+    _joints: tuple[JointHandle, ...]
+
+    def bounds(self) -> list[tuple[float, float]]:
+        """For each joint the lowest and the highest command that is followed as it is; the others are cut to these."""
+        return [(joint.lowest, joint.highest) for joint in self._joints]
+
+    def set_commands(self, values: list[float]) -> None:
+        """Follow these values from the next update on, in units of the command."""
+        raise NotImplementedError
+
+    def _get_joints(self, interface: JointCommandInterface, node: NodeHandle) -> None:
+        """Raises SlidectlError: `joints` is missing or empty, or the robot has not one of them."""
+        self._joints = tuple(interface.get_handle(name) for name in joint_names(node))
+
+    def _receive(self, message: Message) -> None:
+        values: list[float] = list(message["data"])
+        if len(values) != len(self._joints):
+            text = f"{self._node.namespace} drives {len(self._joints)} joints, and the command has {len(values)} values"
+            self._node.log("error", text)
+            raise MessageRefused(text)
+        self._check(list(zip(self._joints, values, self.bounds(), strict=True)))
+        self.set_commands(values)
+
+
+def joint_names(node: NodeHandle) -> list[str]:
+    """The value of `joints`. Raises SlidectlError: it is missing, of another type, or empty."""
+    found = params.needed_texts(node, JOINTS.name)
+    if not found:
+        raise Refused(f"parameter {names.join(node.namespace, JOINTS.name)} must name at least one joint")
+    return found
+
+
+def warn_of_other_joints(node: NodeHandle, place: str, known: Sequence[str]) -> None:
+    """Say which names in the namespace `place` are none of these, so that nobody reads what is there."""
+    tree = node.get_param(place, None)
+    for name in tree if isinstance(tree, dict) else ():
+        if name not in known:
+            where = names.join(node.namespace, f"{place}/{name}")
+            node.log("warn", f"{where} has no effect: {name!r} is no joint of this controller")
 
 
 UPDATES_PER_STATE = 10

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from enum import IntEnum
 from typing import Any, NamedTuple, Protocol
 
 Message = dict[str, Any]
@@ -56,6 +57,65 @@ class Publisher(Protocol):
         """Hand the message on. The publisher writes `header.seq`; the dict must not be changed afterwards."""
 
 
+class GoalStatus(IntEnum):
+    """The states of a goal, with the numbers of actionlib_msgs/GoalStatus."""
+
+    PENDING = 0
+    ACTIVE = 1
+    PREEMPTED = 2
+    SUCCEEDED = 3
+    ABORTED = 4
+    REJECTED = 5
+    PREEMPTING = 6
+    RECALLING = 7
+    RECALLED = 8
+
+
+class GoalHandle(Protocol):
+    """One goal of an action server. Results are messages of the action's `Result` type, None for its defaults.
+
+    A change of state that actionlib does not know is an error on the log and changes nothing.
+    """
+
+    goal: Message
+    """As the action's `Goal` type."""
+
+    @property
+    def status(self) -> GoalStatus:
+        """The present state."""
+
+    def accept(self) -> None:
+        """PENDING becomes ACTIVE, RECALLING becomes PREEMPTING."""
+
+    def reject(self, result: Message | None = None) -> None:
+        """PENDING and RECALLING become REJECTED, and the result goes out; so it does below."""
+
+    def cancel(self, result: Message | None = None) -> None:
+        """PENDING and RECALLING become RECALLED, ACTIVE and PREEMPTING become PREEMPTED."""
+
+    def abort(self, result: Message | None = None) -> None:
+        """ACTIVE and PREEMPTING become ABORTED."""
+
+    def succeed(self, result: Message | None = None) -> None:
+        """ACTIVE and PREEMPTING become SUCCEEDED."""
+
+    def publish_feedback(self, feedback: Message) -> None:
+        """Send a message of the action's `Feedback` type."""
+
+    def release(self) -> None:
+        """Nobody works on this goal any more: it leaves the list of states after a while, whatever its state."""
+
+
+GoalCallback = Callable[[GoalHandle], None]
+
+
+class Timer(Protocol):
+    """A callback at simulated times."""
+
+    def cancel(self) -> None:
+        """It is not called any more."""
+
+
 class NodeHandle(Protocol):
     """A namespace of the graph. Relative names are resolved in it; absolute ones stay as they are."""
 
@@ -88,8 +148,20 @@ class NodeHandle(Protocol):
     def subscribe(self, topic: str, type_name: str, callback: MessageCallback) -> None:
         """Call back for each message on `topic`, between two cycles."""
 
+    def count_publishers(self, topic: str) -> int:
+        """How many nodes publish `topic`."""
+
     def advertise_service(self, service: str, type_name: str, handler: ServiceHandler) -> None:
         """Answer calls of `service`, between two cycles. The handler raises SlidectlError to fail the call."""
+
+    def advertise_action(self, action: str, type_name: str, on_goal: GoalCallback, on_cancel: GoalCallback) -> None:
+        """Serve `action`, whose goals are `pkg/TypeGoal`, by the five topics of actionlib.
+
+        `on_goal` gets each new goal, which is PENDING, and `on_cancel` one that a client wants cancelled.
+        """
+
+    def call_every(self, period_ns: int, callback: Callable[[], None]) -> Timer:
+        """Call back each period of simulated time, counted from now, at the end of a cycle."""
 
     def log(self, severity: str, text: str) -> None:
         """One line on /rosout; severity is `debug`, `info`, `warn`, `error` or `fatal`.

@@ -96,45 +96,51 @@ FLOAT = Kind("a float, as 0.0", lambda value: value if isinstance(value, float) 
 
 def number(node: NodeHandle, name: str) -> float | None:
     """The parameter as a number, None when it is not one."""
-    return _read(node, name, NUMBER)
+    return read(node, name, NUMBER)
 
 
 def integer(node: NodeHandle, name: str) -> int | None:
     """The parameter as an integer, None when it is not one."""
-    return _read(node, name, INTEGER)
+    return read(node, name, INTEGER)
 
 
 def boolean(node: NodeHandle, name: str) -> bool | None:
     """The parameter as a boolean, None when it is not one."""
-    return _read(node, name, BOOLEAN)
+    return read(node, name, BOOLEAN)
 
 
 def text(node: NodeHandle, name: str) -> str | None:
     """The parameter as a string, None when it is not one."""
-    return _read(node, name, TEXT)
+    return read(node, name, TEXT)
 
 
 def texts(node: NodeHandle, name: str) -> list[str] | None:
     """The parameter as a list of strings, None when it is not one."""
-    return _read(node, name, TEXTS)
+    return read(node, name, TEXTS)
 
 
 def numbers(node: NodeHandle, name: str) -> list[float] | None:
     """The parameter as a list of numbers, None when it is not one."""
-    return _read(node, name, NUMBERS)
+    return read(node, name, NUMBERS)
 
 
 def needed_number(node: NodeHandle, name: str) -> float:
     """The parameter as a number. Raises BadParameter when it is not one."""
-    return _needed(node, name, NUMBER)
+    return needed(node, name, NUMBER)
 
 
 def needed_text(node: NodeHandle, name: str) -> str:
     """The parameter as a string. Raises BadParameter when it is not one."""
-    return _needed(node, name, TEXT)
+    return needed(node, name, TEXT)
 
 
-def _read(node: NodeHandle, name: str, kind: Kind[T]) -> T | None:
+def needed_texts(node: NodeHandle, name: str) -> list[str]:
+    """The parameter as a list of strings. Raises BadParameter when it is not one."""
+    return needed(node, name, TEXTS)
+
+
+def read(node: NodeHandle, name: str, kind: Kind[T]) -> T | None:
+    """The parameter as that kind, None when it is not one; a value that is passed over is a warning."""
     value = node.get_param(name, None)
     if value is None:
         return None
@@ -145,7 +151,8 @@ def _read(node: NodeHandle, name: str, kind: Kind[T]) -> T | None:
     return converted
 
 
-def _needed(node: NodeHandle, name: str, kind: Kind[T]) -> T:
+def needed(node: NodeHandle, name: str, kind: Kind[T]) -> T:
+    """The parameter as that kind. Raises BadParameter when it is not one."""
     converted = kind.convert(node.get_param(name, None))
     if converted is None:
         raise BadParameter(node, name, kind.words)
@@ -294,3 +301,4 @@ class Guard:
 TYPE = Parameter("type", TEXT, "the controller's type", required=True)
 """What the manager reads of every controller."""
 JOINT = Parameter("joint", TEXT, "the joint that it drives", required=True, names_joints=True)
+JOINTS = Parameter("joints", TEXTS, "the joints that it drives, in this order", required=True, names_joints=True)

@@ -8,14 +8,15 @@ and what it takes in another form (a clamp's sign) is written back.
 from __future__ import annotations
 
 from math import isfinite, isnan
-from typing import Any, NamedTuple
+from typing import Any
 
 from slidectl.control import params
 from slidectl.control.duration import from_seconds, to_stamp
-from slidectl.control.node_handle import Message, NodeHandle, ParameterChange, Publisher
+from slidectl.control.node_handle import Message, NodeHandle, ParameterChange
 from slidectl.control.params import BOOLEAN, NUMBER, Parameter, check_values
 from slidectl.control.pid import Gains, Pid
-from slidectl.errors import Refused, UnknownName
+from slidectl.control.reconfigure import Option, ReconfigureServer, Values
+from slidectl.errors import Refused
 
 GAINS = (
     Parameter("p", NUMBER, "proportional gain", required=True, live=True),
@@ -46,7 +47,9 @@ class ReconfigurablePid:
         self.pid = Pid(*gains)
         if params.boolean(node, "publish_state"):
             self.pid.observer = _StatePublisher(self.pid, node).publish
-        self._updates = self._offer()
+        self._server = ReconfigureServer(
+            node, OPTIONS, lambda: to_parameters(self.pid.gains), lambda values: self.set_gains(gains_of(values))
+        )
         i_clamp = params.number(node, "i_clamp")
         self.set_gains(gains)
         # What the file says, though it be hidden by the other two: the same file again changes nothing.
@@ -67,18 +70,7 @@ class ReconfigurablePid:
             self._node.log("warn", f"{self._node.namespace}: i = {gains.i} has no effect without i_clamp")
         self._is_idle = is_idle
         self._write_back(gains)
-        self._updates.publish(to_config(gains))
-
-    def _offer(self) -> Publisher:
-        node = self._node
-        node.advertise_service("set_parameters", "dynamic_reconfigure/Reconfigure", self._reconfigure)
-        descriptions = node.advertise("parameter_descriptions", "dynamic_reconfigure/ConfigDescription", latch=True)
-        descriptions.publish(description())
-        return node.advertise("parameter_updates", "dynamic_reconfigure/Config", latch=True)
-
-    def _reconfigure(self, request: Message) -> Message:
-        self.set_gains(merged(self.pid.gains, request["config"]))
-        return {"config": to_config(self.pid.gains)}
+        self._server.publish()
 
     def _write_back(self, gains: Gains) -> None:
         """The six, and i_clamp where it is set, which is the upper bound as in the controller's state."""
@@ -211,102 +203,25 @@ class _StatePublisher:
         }
 
 
-# The gains as dynamic_reconfigure messages, and back. The ranges hold for what comes in so, not for what a file says.
-
-
-class Ranged(NamedTuple):
-    """A gain that is a number. `field` is its name in Gains."""
-
-    name: str
-    field: str
-    description: str
-    default: float
-    minimum: float
-    maximum: float
-
-
-RANGES = (
-    Ranged("p", "p", "Proportional gain", 10.0, -100000.0, 100000.0),
-    Ranged("i", "i", "Integral gain", 0.1, -100000.0, 100000.0),
-    Ranged("d", "d", "Derivative gain", 1.0, -1000.0, 1000.0),
-    Ranged("i_clamp_min", "i_min", "Least integral term", -10.0, -100000.0, 0.0),
-    Ranged("i_clamp_max", "i_max", "Largest integral term", 10.0, 0.0, 100000.0),
+OPTIONS = (
+    Option("p", "Proportional gain", 10.0, -100000.0, 100000.0),
+    Option("i", "Integral gain", 0.1, -100000.0, 100000.0),
+    Option("d", "Derivative gain", 1.0, -1000.0, 1000.0),
+    Option("i_clamp_min", "Least integral term", -10.0, -100000.0, 0.0),
+    Option("i_clamp_max", "Largest integral term", 10.0, 0.0, 100000.0),
+    Option("antiwindup", "Bound the integral itself, not only its contribution", False),
 )
-ANTIWINDUP = "antiwindup"
-_GROUP = {"name": "Default", "id": 0, "parent": 0}
+"""The gains as dynamic_reconfigure has them."""
+_FIELDS = {option.name: option.name.replace("i_clamp", "i") for option in OPTIONS}
+"""Their names in Gains."""
 
 
-def to_parameters(gains: Gains) -> dict[str, float | bool]:
+def to_parameters(gains: Gains) -> Values:
     """The six parameters that hold these gains."""
-    values: dict[str, float | bool] = {entry.name: getattr(gains, entry.field) for entry in RANGES}
-    return values | {ANTIWINDUP: gains.antiwindup}
+    return {name: getattr(gains, field) for name, field in _FIELDS.items()}
 
 
-def to_config(gains: Gains) -> Message:
-    """As dynamic_reconfigure/Config."""
-    return _config({entry.name: getattr(gains, entry.field) for entry in RANGES}, gains.antiwindup)
-
-
-def description() -> Message:
-    """The six gains with their ranges, as dynamic_reconfigure/ConfigDescription."""
-    parameters = [_parameter(entry.name, "double", entry.description) for entry in RANGES]
-    parameters.append(_parameter(ANTIWINDUP, "bool", "Bound the integral itself, not only its contribution"))
-    return {
-        "groups": [{**_GROUP, "type": "", "parameters": parameters}],
-        "max": _config({entry.name: entry.maximum for entry in RANGES}, True),
-        "min": _config({entry.name: entry.minimum for entry in RANGES}, False),
-        "dflt": _config({entry.name: entry.default for entry in RANGES}, False),
-    }
-
-
-def merged(gains: Gains, config: Message) -> Gains:
-    """`gains` with what a Config message changes, all of it brought into the ranges.
-
-    Raises:
-        UnknownName: an entry that is none of the six. Refused: a value that is no number.
-    """
-    changes: dict[str, Any] = {}
-    for entry in config["doubles"]:
-        changes[_known(entry["name"]).field] = _number(entry)
-    for entry in config["bools"]:
-        if entry["name"] != ANTIWINDUP:
-            raise UnknownName("boolean gain", entry["name"], [ANTIWINDUP])
-        changes[ANTIWINDUP] = entry["value"]
-    if config["ints"] or config["strs"]:
-        raise Refused("gains are doubles, and antiwindup is a bool; there are no ints and strs")
-    return _in_range(gains._replace(**changes))
-
-
-def _in_range(gains: Gains) -> Gains:
-    inside: dict[str, Any] = {
-        entry.field: min(max(getattr(gains, entry.field), entry.minimum), entry.maximum) for entry in RANGES
-    }
-    return gains._replace(**inside)
-
-
-def _known(name: str) -> Ranged:
-    for entry in RANGES:
-        if entry.name == name:
-            return entry
-    raise UnknownName("gain", name, [entry.name for entry in RANGES])
-
-
-def _number(entry: Message) -> float:
-    value: float = entry["value"]
-    if isnan(value):
-        raise Refused(f"gain {entry['name']} must be a number, not nan")
-    return value
-
-
-def _parameter(name: str, type_name: str, text: str) -> Message:
-    return {"name": name, "type": type_name, "level": 1, "description": text, "edit_method": ""}
-
-
-def _config(numbers: dict[str, float], antiwindup: bool) -> Message:
-    return {
-        "bools": [{"name": ANTIWINDUP, "value": antiwindup}],
-        "ints": [],
-        "strs": [],
-        "doubles": [{"name": name, "value": value} for name, value in numbers.items()],
-        "groups": [{**_GROUP, "state": True}],
-    }
+def gains_of(values: Values) -> Gains:
+    """The gains that six parameters hold."""
+    found: dict[str, Any] = {_FIELDS[name]: value for name, value in values.items()}
+    return Gains(**found)

@@ -18,9 +18,8 @@ C = TypeVar("C", bound=type[ControllerBase])
 
 BASE_CLASS = "controller_interface::ControllerBase"
 _ELSEWHERE = {
-    "AckermannSteeringController", "DiffDriveController", "ForceTorqueSensorController", "FourWheelSteeringController",
-    "GripperActionController", "ImuSensorController", "JointGroupEffortController", "JointGroupPositionController",
-    "JointGroupVelocityController", "JointTrajectoryController",
+    "AckermannSteeringController", "ForceTorqueSensorController", "FourWheelSteeringController",
+    "ImuSensorController",
 }  # fmt: skip
 _known: dict[str, type[ControllerBase]] = {}
 

@@ -1,12 +1,13 @@
-"""The joint that a controller drives, as the robot's description on the parameter server has it.
+"""The robot, and the joint, that a controller drives, as the description on the parameter server has them.
 
-Looks for `robot_description` from the controller's namespace upwards. Reads and parses, nothing else.
+Reads and parses, nothing else.
 """
 
 from __future__ import annotations
 
 from functools import lru_cache
 
+from slidectl import names
 from slidectl.control.node_handle import NodeHandle
 from slidectl.description import xml_tree
 from slidectl.description.meshes import UnreadMeshes
@@ -27,13 +28,29 @@ def joint_on_paper(node: NodeHandle, name: str) -> Joint:
     where = node.search_param(PARAMETER)
     if where is None:
         raise Refused(f"no parameter {PARAMETER} in {node.namespace} or above it")
-    xml = node.get_param(where)
+    return find_joint(robot_on_paper(node, where), name, where)
+
+
+def robot_on_paper(node: NodeHandle, where: str = PARAMETER) -> Robot:
+    """The robot that the parameter `where` of `node` describes.
+
+    Raises:
+        Refused: there is no description, or it is no text. BadFile: it is no URDF.
+    """
+    xml = node.get_param(where, None)
+    full = names.join(node.namespace, where)
+    if xml is None:
+        raise Refused(f"parameter {full} is not set")
     if not isinstance(xml, str):
-        raise Refused(f"parameter {where} is no robot description: it is not a text")
-    joints = _robot(xml).joints
-    if name not in joints:
-        raise UnknownName("joint", name, list(joints), f"in {where}")
-    return joints[name]
+        raise Refused(f"parameter {full} is no robot description: it is not a text")
+    return _robot(xml)
+
+
+def find_joint(robot: Robot, name: str, where: str = PARAMETER) -> Joint:
+    """The joint of that name. Raises UnknownName, which says that the robot is described in `where`."""
+    if name not in robot.joints:
+        raise UnknownName("joint", name, list(robot.joints), f"in {where}")
+    return robot.joints[name]
 
 
 @lru_cache(maxsize=8)

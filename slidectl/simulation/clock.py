@@ -154,3 +154,31 @@ class Timers:
 
 def _next_multiple(now_ns: int, period_ns: int) -> int:
     return (now_ns // period_ns + 1) * period_ns
+
+
+class RepeatedCall:
+    """Calls back each period from now on, at the end of the first cycle whose time is that or later."""
+
+    def __init__(
+        self, timers: Timers, period_ns: int, callback: Callable[[], None], running: set[RepeatedCall]
+    ) -> None:
+        """`running` are all calls of one node handle; this one leaves them when it is cancelled."""
+        if period_ns <= 0:
+            raise ValueError(f"a period is above 0 ns, not {period_ns}")
+        self._timers = timers
+        self._period_ns = period_ns
+        self._callback = callback
+        self._running = running
+        self._timer = timers.after(period_ns, self._call)
+
+    def cancel(self) -> None:
+        """It is not called any more."""
+        self._timer.cancel()
+        self._running.discard(self)
+
+    def _call(self) -> None:
+        # The timer's own due time counts: it moves with the clock when that is set. Missed periods are left out.
+        due_ns = self._timer.due_ns
+        missed = (self._timers.now_ns() - due_ns) // self._period_ns
+        self._timer = self._timers.at(due_ns + (missed + 1) * self._period_ns, self._call)
+        self._callback()

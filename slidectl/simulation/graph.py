@@ -10,9 +10,18 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 from typing import Any, ParamSpec, TypeVar
 
 from slidectl import names
-from slidectl.control.node_handle import MISSING, Message, MessageCallback, ParameterJudge, Publisher, Reasons
+from slidectl.control.node_handle import (
+    MISSING,
+    GoalCallback,
+    Message,
+    MessageCallback,
+    ParameterJudge,
+    Publisher,
+    Reasons,
+)
 from slidectl.errors import cut
-from slidectl.simulation.clock import Clock, ClockTopic, Timers, stamp
+from slidectl.simulation.actions import ActionServer
+from slidectl.simulation.clock import Clock, ClockTopic, RepeatedCall, Timers, stamp
 from slidectl.simulation.parameters import Parameters
 from slidectl.simulation.services import Handler, Services
 from slidectl.simulation.topics import NodePublisher, Topics
@@ -114,6 +123,7 @@ class GraphNode:
         self._parent: GraphNode | None = None
         self._children: list[GraphNode] = []
         self._taken: list[Callable[[], None]] = []
+        self._calls: set[RepeatedCall] = set()
         self.before_entry: Callable[[], None] = lambda: None
         """Called before every callback that was given to this handle or a child of it."""
 
@@ -151,9 +161,20 @@ class GraphNode:
         name, entering = self._absolute(topic), self._entering(callback)
         self._taken.append(self._graph.topics.subscribe(name, type_name, self.name, entering).close)
 
+    def count_publishers(self, topic: str) -> int:
+        return len(self._graph.topics.publishers(self._absolute(topic)))
+
     def advertise_service(self, service: str, type_name: str, handler: Handler) -> None:
         name, entering = self._absolute(service), self._entering(handler)
         self._taken.append(self._graph.services.advertise(name, type_name, self.name, entering).close)
+
+    def advertise_action(self, action: str, type_name: str, on_goal: GoalCallback, on_cancel: GoalCallback) -> None:
+        ActionServer(self.child(action), type_name, on_goal, on_cancel)
+
+    def call_every(self, period_ns: int, callback: Callable[[], None]) -> RepeatedCall:
+        call = RepeatedCall(self._graph.timers, period_ns, callback, self._calls)
+        self._calls.add(call)
+        return call
 
     def log(self, severity: str, text: str) -> None:
         self._graph.log(severity, self.name, text)
@@ -175,6 +196,8 @@ class GraphNode:
         """
         if self._parent is not None and self in self._parent._children:
             self._parent._children.remove(self)
+        for call in tuple(self._calls):
+            call.cancel()
         taken, self._taken = self._taken, []
         with ExitStack() as closing:  # the last is the first
             for close in taken:

@@ -13,6 +13,7 @@ from typing import Any
 from slidectl import names
 from slidectl.control.node_handle import (
     MISSING,
+    GoalCallback,
     Message,
     MessageCallback,
     ParameterChange,
@@ -20,6 +21,8 @@ from slidectl.control.node_handle import (
     Reasons,
     ServiceHandler,
 )
+from slidectl.simulation.actions import ActionServer
+from slidectl.simulation.clock import RepeatedCall, Timers
 
 
 class FakePublisher:
@@ -40,9 +43,12 @@ class FakeGraph:
 
     def __init__(self, parameters: dict[str, Any] | None = None) -> None:
         self.time_ns = 0
+        self.timers = Timers(lambda: self.time_ns)
+        """They fire when a test says so."""
         self.parameters: dict[str, Any] = {}
         self.publishers: dict[str, FakePublisher] = {}
         self.subscribers: dict[str, MessageCallback] = {}
+        self.publisher_counts: dict[str, int] = {}
         self.services: dict[str, ServiceHandler] = {}
         self.types: dict[str, str] = {}
         self.watches: list[tuple[str, Callable[[], None]]] = []
@@ -174,11 +180,22 @@ class FakeNode:
         self.graph.types[full] = type_name
         self._taken.append(lambda: self.graph.subscribers.pop(full))
 
+    def count_publishers(self, topic: str) -> int:
+        return self.graph.publisher_counts.get(self._full(topic), 0)
+
     def advertise_service(self, service: str, type_name: str, handler: ServiceHandler) -> None:
         full = self._full(service)
         self.graph.services[full] = handler
         self.graph.types[full] = type_name
         self._taken.append(lambda: self.graph.services.pop(full))
+
+    def advertise_action(self, action: str, type_name: str, on_goal: GoalCallback, on_cancel: GoalCallback) -> None:
+        ActionServer(self.child(action), type_name, on_goal, on_cancel)
+
+    def call_every(self, period_ns: int, callback: Callable[[], None]) -> RepeatedCall:
+        call = RepeatedCall(self.graph.timers, period_ns, callback, set())
+        self._taken.append(call.cancel)
+        return call
 
     def log(self, severity: str, text: str) -> None:
         self.graph.log.append((severity, text))

@@ -16,6 +16,10 @@ from slidectl.control.hardware_interface import (
     JointHandle,
     JointStateInterface,
     PositionJointInterface,
+    PosVelAccJointHandle,
+    PosVelAccJointInterface,
+    PosVelJointHandle,
+    PosVelJointInterface,
     RobotHW,
     SwitchState,
     VelocityJointInterface,
@@ -25,10 +29,12 @@ from slidectl.control.registry import BASE_CLASS, ControllerLoader
 
 STEP_NS = 1_000_000
 STEP_S = 0.001
-COMMAND_INTERFACES = {
-    "effort": EffortJointInterface,
-    "velocity": VelocityJointInterface,
-    "position": PositionJointInterface,
+COMMAND_INTERFACES: dict[str, tuple[Any, Any]] = {
+    "effort": (EffortJointInterface, JointHandle),
+    "velocity": (VelocityJointInterface, JointHandle),
+    "position": (PositionJointInterface, JointHandle),
+    "pos_vel": (PosVelJointInterface, PosVelJointHandle),
+    "pos_vel_acc": (PosVelAccJointInterface, PosVelAccJointHandle),
 }
 
 
@@ -40,10 +46,14 @@ class FakeRobot(RobotHW):
 
     def __init__(self, joints: Iterable[str] = ("joint1",), commands: Iterable[str] = ("effort",)) -> None:
         super().__init__()
-        self.joints = {name: JointHandle(name) for name in joints}
+        kinds = {COMMAND_INTERFACES[name][1] for name in commands}
+        kind = kinds.pop() if len(kinds) == 1 else JointHandle
+        self.joints = {name: kind(name) for name in joints}
         self.register_interface(JointStateInterface(self.joints.values()))
         for name in commands:
-            self.register_interface(COMMAND_INTERFACES[name](self.joints.values()))
+            interface, handle = COMMAND_INTERFACES[name]
+            own = self.joints if handle is kind else {joint: handle(joint) for joint in self.joints}
+            self.register_interface(interface(own.values()))
         self.results = [SwitchState.DONE]
         self.asked: list[str | None] = []
         self.switches: list[tuple[list[str], list[str]]] = []
@@ -145,6 +155,7 @@ class Bench:
         for _ in range(cycles):
             self.graph.time_ns += STEP_NS
             self.manager.update(self.graph.time_ns, STEP_S, **more)
+            self.graph.timers.fire()
 
     def states(self) -> dict[str, str]:
         return {entry["name"]: entry["state"] for entry in self.manager.list()}

@@ -10,6 +10,7 @@ import pytest
 TESTS = Path(__file__).resolve().parent.parent
 DATA = TESTS / "data"
 FILES = ["pid_vectors.json", "joint_limits_vectors.json", "transmission_vectors.json"]
+RUNS = sorted((DATA / "controllers").glob("*.json"))
 
 
 def run(*paths):
@@ -22,7 +23,7 @@ def changed(tmp_path, name, change):
     """A copy of a file in which `change` was made to its vectors."""
     vectors = json.loads((DATA / name).read_text())
     change(vectors)
-    path = tmp_path / name
+    path = tmp_path / Path(name).name
     path.write_text(json.dumps(vectors))
     return path
 
@@ -31,6 +32,13 @@ def test_all_vectors_agree_to_the_bit():
     result = run(*(DATA / name for name in FILES))
     assert result.returncode == 0, result.stdout + result.stderr
     assert result.stdout.count("0 mismatches, worst deviation 0.0") == len(FILES)
+
+
+@pytest.mark.parametrize("path", RUNS, ids=lambda path: path.stem)
+def test_recorded_runs_of_controllers_agree_to_the_bit(path):
+    result = run(path)
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert "0 mismatches, worst deviation 0.0" in result.stdout
 
 
 def nudge_pid(vectors):
@@ -63,9 +71,27 @@ def refuse_a_good_reduction(vectors):
     vectors["constructor_errors"][0]["case"] = "simple reduction 2"
 
 
+def nudge_row(vectors):
+    vectors["cases"][0]["rows"][10][3] += 2e-9
+
+
+def nudge_result(vectors):
+    vectors["cases"][0]["results"][0]["error_string"] = "j1 goal error 0.000115"
+
+
+def delay_state(vectors):
+    vectors["cases"][0]["published"]["/ctrl/state"]["cycles"][0] += 1
+
+
+ACTIONS = "controllers/joint_trajectory_position_actions.json"
+
+
 @pytest.mark.parametrize(
     ("name", "change"),
     [
+        ("controllers/simple_controllers.json", nudge_row),
+        (ACTIONS, nudge_result),
+        (ACTIONS, delay_state),
         ("pid_vectors.json", nudge_pid),
         ("pid_vectors.json", nudge_state),
         ("joint_limits_vectors.json", nudge_limits),

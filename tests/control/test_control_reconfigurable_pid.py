@@ -172,10 +172,10 @@ class TestService:
     @pytest.mark.parametrize(
         ("changes", "reason"),
         [
-            ({"doubles": doubles(kp=1.0)}, "no gain 'kp'"),
-            ({"bools": [{"name": "windup", "value": True}]}, "no boolean gain 'windup'"),
-            ({"ints": [{"name": "p", "value": 1}]}, "gains are doubles"),
-            ({"doubles": doubles(d=1.0, p=float("nan"))}, "gain p must be a number"),
+            ({"doubles": doubles(kp=1.0)}, "no double 'kp'"),
+            ({"bools": [{"name": "windup", "value": True}]}, "no bool 'windup'"),
+            ({"ints": [{"name": "p", "value": 1}]}, "the values are doubles and bools"),
+            ({"doubles": doubles(d=1.0, p=float("nan"))}, "p must be a number"),
         ],
     )
     def test_a_bad_entry_refuses_the_call_and_changes_nothing(self, graph, live, changes, reason):

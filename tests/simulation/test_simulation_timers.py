@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from slidectl.simulation.clock import NEVER, Clock, Timers, stamp
-from slidectl.simulation.graph import Graph
+from slidectl.simulation.graph import Graph, GraphNode
 
 MS = 1_000_000
 
@@ -127,3 +127,51 @@ def test_the_log_goes_to_rosout_and_to_who_keeps_it(graph: Graph) -> None:
     assert [(m["level"], m["name"], m["msg"], m["header"]["stamp"]["nsecs"]) for m in heard] == [
         (8, "/gazebo", "broken", 2 * MS)
     ]
+
+
+class TestRepeatedCalls:
+    """Calls each period, counted from the moment that they were asked for."""
+
+    @pytest.fixture
+    def node(self, graph: Graph) -> GraphNode:
+        graph.clock.time_ns = 1_003
+        return graph.node("/arm")
+
+    def pass_time(self, graph: Graph, to_ns: int, step_ns: int = 1) -> None:
+        while graph.clock.time_ns < to_ns:
+            graph.clock.time_ns += step_ns
+            graph.timers.fire()
+
+    def test_they_count_from_now(self, graph: Graph, node: GraphNode) -> None:
+        times: list[int] = []
+        node.call_every(50, lambda: times.append(graph.clock.time_ns))
+        self.pass_time(graph, 1_200)
+        assert times == [1_053, 1_103, 1_153]
+
+    def test_missed_periods_are_left_out(self, graph: Graph, node: GraphNode) -> None:
+        times: list[int] = []
+        node.call_every(50, lambda: times.append(graph.clock.time_ns))
+        self.pass_time(graph, 1_500, step_ns=120)
+        assert times == [1_123, 1_243, 1_363, 1_483, 1_603]
+
+    def test_they_go_on_after_the_clock_was_set(self, graph: Graph, node: GraphNode) -> None:
+        times: list[int] = []
+        node.call_every(50, lambda: times.append(graph.clock.time_ns))
+        self.pass_time(graph, 1_060)
+        graph.clock.time_ns = 0
+        graph.timers.rebase(1_060, 0)
+        self.pass_time(graph, 100)
+        assert times == [1_053, 43, 93]
+
+    def test_they_end_when_cancelled_and_with_their_node(self, graph: Graph, node: GraphNode) -> None:
+        times: list[int] = []
+        node.call_every(50, lambda: times.append(1)).cancel()
+        node.child("below").call_every(50, lambda: times.append(2))
+        node.shutdown()
+        self.pass_time(graph, 1_200)
+        assert times == []
+        assert graph.timers.next_ns == NEVER
+
+    def test_one_without_a_period_is_refused(self, node: GraphNode) -> None:
+        with pytest.raises(ValueError, match="above 0 ns"):
+            node.call_every(0, lambda: None)

@@ -1,6 +1,6 @@
-"""Controllers that hand a command on as it is, after ros_controllers' forward_command_controller.
+"""Controllers that hand commands on as they are, after ros_controllers' forward_command_controller.
 
-Parameter `joint`. No PID, no limits, no state topic.
+Parameter `joint`, or `joints` for a group. No PID, no limits, no state topic.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from slidectl.control.hardware_interface import (
     PositionJointInterface,
     VelocityJointInterface,
 )
-from slidectl.control.joint_controller import ScalarController
+from slidectl.control.joint_controller import GroupController, ScalarController
 from slidectl.control.laws import Columns, law
 from slidectl.control.node_handle import NodeHandle
 from slidectl.control.params import JOINT, Parameter
@@ -46,7 +46,7 @@ class ForwardController(ScalarController):
         """Raises SlidectlError: the parameter or the joint is missing."""
         self._joint = interface.get_handle(params.needed_text(node, JOINT.name))
         self.set_point = 0.0
-        self._listen(node)
+        self._listen(node, "std_msgs/Float64", self._receive)
 
     def starting(self, time_ns: int) -> None:  # noqa: ARG002
         self.set_point = self.first_command()
@@ -89,3 +89,52 @@ class ForwardPositionController(ForwardController):
 
     def first_command(self) -> float:
         return self._joint.position
+
+
+class ForwardGroupController(GroupController):
+    """command of each joint = its value in the last command, 0 until there is one."""
+
+    def init(self, interface: JointCommandInterface, node: NodeHandle) -> None:
+        """Raises SlidectlError: `joints` is missing or empty, or the robot has not one of them."""
+        self._get_joints(interface, node)
+        self.set_points = [0.0] * len(self._joints)
+        self._listen(node, "std_msgs/Float64MultiArray", self._receive)
+
+    def starting(self, time_ns: int) -> None:  # noqa: ARG002
+        self.set_points = [self.first_command(joint) for joint in self._joints]
+
+    def first_command(self, joint: JointHandle) -> float:  # noqa: ARG002
+        """What to command until somebody says otherwise."""
+        return 0.0
+
+    def set_commands(self, values: list[float]) -> None:
+        """Hand these on from the next update on."""
+        self.set_points = values
+
+    def update(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
+        for joint, value in zip(self._joints, self.set_points, strict=True):
+            joint.command = value
+
+
+@controller("effort_controllers/JointGroupEffortController")
+class ForwardGroupEffortController(ForwardGroupController):
+    """Commands are efforts, N or N·m."""
+
+    interface_type = EffortJointInterface
+
+
+@controller("velocity_controllers/JointGroupVelocityController")
+class ForwardGroupVelocityController(ForwardGroupController):
+    """Commands are velocities, m/s or rad/s."""
+
+    interface_type = VelocityJointInterface
+
+
+@controller("position_controllers/JointGroupPositionController")
+class ForwardGroupPositionController(ForwardGroupController):
+    """Commands are positions, m or rad. It starts by holding the measured ones."""
+
+    interface_type = PositionJointInterface
+
+    def first_command(self, joint: JointHandle) -> float:
+        return joint.position

@@ -1,13 +1,13 @@
-"""Position of one joint by a PID, on efforts or on velocities, after ros_controllers' JointPositionController.
+"""Positions of joints by PIDs, after ros_controllers' JointPositionController and JointGroupPositionController.
 
-Parameters `joint`, `pid/*`; limits and type of the joint from `robot_description`. The hardware bounds the
-command, not this law.
+Parameters `joint` and `pid/*`, or `joints` and `<joint>/pid/*`; limits and types of the joints
+from `robot_description`. The hardware bounds the command, not this law.
 """
 
 from __future__ import annotations
 
 from math import inf
-from typing import Any
+from typing import Any, ClassVar
 
 from slidectl.control import params
 from slidectl.control.angular_distance import distance_with_large_limits, shortest_angular_distance
@@ -18,11 +18,12 @@ from slidectl.control.hardware_interface import (
     JointHandle,
     VelocityJointInterface,
 )
-from slidectl.control.joint_controller import PidController, state_is_due
+from slidectl.control.joint_controller import GroupController, PidController, state_is_due
 from slidectl.control.laws import Columns, law
 from slidectl.control.node_handle import NodeHandle
-from slidectl.control.params import JOINT
+from slidectl.control.params import JOINT, JOINTS, Parameter, within
 from slidectl.control.pid import Pid, next_command, next_command_from
+from slidectl.control.reconfigurable_pid import GAINS, ReconfigurablePid
 from slidectl.control.registry import controller
 from slidectl.control.robot_description import joint_on_paper
 from slidectl.description.robot import Joint
@@ -31,8 +32,31 @@ SLIDES, REVOLVES, TURNS = 0, 1, 2
 """How the difference of two positions is taken: of lengths, of angles with limits, on the circle."""
 
 
+class PositionGoal:
+    """Where one joint of a group is to be, and how its positions are subtracted."""
+
+    __slots__ = ("error", "has_set_velocity", "lower", "set_point", "set_velocity", "turns", "upper")
+
+    def __init__(self, joint: Joint) -> None:
+        self.lower, self.upper, self.turns = range_of(joint)
+        self.set_point = self.set_velocity = self.error = 0.0
+        self.has_set_velocity = False
+
+
+def range_of(joint: Joint) -> tuple[float, float, int]:
+    """The lowest and the highest position of a joint, and how its positions are subtracted."""
+    limit = joint.limit if joint.type in ("revolute", "prismatic") else None
+    lower, upper = (-inf, inf) if limit is None else (limit.lower, limit.upper)
+    return lower, upper, {"revolute": REVOLVES, "continuous": TURNS}.get(joint.type, SLIDES)
+
+
+def within_limits(goal: JointPositionController | PositionGoal, position: float) -> float:
+    """The position, brought within the limits of the joint."""
+    return goal.upper if position > goal.upper else goal.lower if position < goal.lower else position
+
+
 @law
-def track_position(goal: JointPositionController, pid: Pid, joint: JointHandle, period_s: float) -> None:
+def track_position(goal: JointPositionController | PositionGoal, pid: Pid, joint: JointHandle, period_s: float) -> None:
     """command = pid(set point - position), with the derivative of a set velocity when there is one."""
     if goal.turns == REVOLVES:
         goal.error = distance_with_large_limits(joint.position, goal.set_point, goal.lower, goal.upper)
@@ -71,17 +95,11 @@ class JointPositionController(PidController):
         name = params.needed_text(node, JOINT.name)
         self._offer_pid(node)
         self._offer_state(node)
-        self._listen(node)
         self._joint = interface.get_handle(name)
-        self._take_limits(joint_on_paper(node, name))
+        self.lower, self.upper, self.turns = range_of(joint_on_paper(node, name))
         self.set_velocity = 0.0
         self.has_set_velocity = False
-
-    def _take_limits(self, joint: Joint) -> None:
-        limit = joint.limit if joint.type in ("revolute", "prismatic") else None
-        self.lower = -inf if limit is None else limit.lower
-        self.upper = inf if limit is None else limit.upper
-        self.turns = {"revolute": REVOLVES, "continuous": TURNS}.get(joint.type, SLIDES)
+        self._listen(node, "std_msgs/Float64", self._receive)
 
     def starting(self, time_ns: int) -> None:  # noqa: ARG002
         """Stay where the joint is."""
@@ -94,7 +112,7 @@ class JointPositionController(PidController):
 
     def set_command(self, value: float, velocity: float | None = None) -> None:
         """Go to this position (m or rad), brought within the limits; with this velocity when one is given."""
-        self.set_point = self.upper if value > self.upper else self.lower if value < self.lower else value
+        self.set_point = within_limits(self, value)
         self.has_set_velocity = velocity is not None
         self.set_velocity = 0.0 if velocity is None else velocity
 
@@ -123,3 +141,39 @@ class VelocityJointPositionController(JointPositionController):
     """The command is a velocity."""
 
     interface_type = VelocityJointInterface
+
+
+@controller("effort_controllers/JointGroupPositionController")
+class EffortJointGroupPositionController(GroupController):
+    """effort of each joint = its pid(set point - position), as JointPositionController has it. No state topic."""
+
+    interface_type = EffortJointInterface
+    parameters: ClassVar[tuple[Parameter, ...]] = (JOINTS, *within("<joint>/pid", GAINS))
+
+    def init(self, interface: JointCommandInterface, node: NodeHandle) -> None:
+        """Raises SlidectlError: a parameter, a joint, or the robot description is missing."""
+        self._get_joints(interface, node)
+        self._goals = [PositionGoal(joint_on_paper(node, joint.name)) for joint in self._joints]
+        self._pids = [ReconfigurablePid(node.child(f"{joint.name}/pid")).pid for joint in self._joints]
+        self._listen(node, "std_msgs/Float64MultiArray", self._receive)
+
+    def starting(self, time_ns: int) -> None:  # noqa: ARG002
+        """Stay where the joints are."""
+        self.set_commands([joint.position for joint in self._joints])
+        for pid in self._pids:
+            pid.reset()
+
+    def bounds(self) -> list[tuple[float, float]]:
+        """Those of the joints' positions."""
+        return [(goal.lower, goal.upper) for goal in self._goals]
+
+    def set_commands(self, values: list[float]) -> None:
+        """Go to these positions (m or rad), brought within the limits."""
+        for goal, value in zip(self._goals, values, strict=True):
+            goal.set_point = within_limits(goal, value)
+
+    def update(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
+        for goal, pid, joint in zip(self._goals, self._pids, self._joints, strict=True):
+            track_position(goal, pid, joint, period_s)
+            if pid.observer is not None:
+                pid.tell(goal.error, period_s)

@@ -53,7 +53,7 @@ class JointVelocityController(PidController):
         self._joint = interface.get_handle(params.needed_text(node, JOINT.name))
         self._offer_pid(node)
         self._offer_state(node)
-        self._listen(node)
+        self._listen(node, "std_msgs/Float64", self._receive)
 
     def starting(self, time_ns: int) -> None:  # noqa: ARG002
         """Stand still."""

@@ -1,0 +1,111 @@
+"""Writes docs/controllers.md from what the controllers say of themselves. `--check` only compares.
+
+python scripts/controller_reference.py [--check]
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from slidectl.control import registry
+from slidectl.control.controller_interface import ControllerBase
+from slidectl.control.params import Parameter
+
+PAGE = Path(__file__).parent.parent / "docs" / "controllers.md"
+
+HEAD = """# Controllers
+
+What `slidectl controller types` lists, with the parameters below a controller's own name. Written by
+`python scripts/controller_reference.py`. They behave as those of ros_controllers; [deviations](deviations.md) has what
+differs.
+
+A trajectory controller for two joints, and a goal for it:
+
+```yaml
+arm:
+  arm_controller:
+    type: effort_controllers/JointTrajectoryController
+    joints: [joint1, joint2]
+    gains:
+      joint1: {p: 400.0, d: 60.0}
+      joint2: {p: 400.0, d: 60.0}
+    constraints:
+      goal_time: 0.5
+      joint1: {trajectory: 0.5, goal: 0.02}
+```
+
+```text
+slidectl echo /arm/arm_controller/follow_joint_trajectory/result -n 1 &
+slidectl pub /arm/arm_controller/follow_joint_trajectory/goal '{goal: {trajectory: {joint_names: [joint1, joint2],
+  points: [{positions: [1.0, -0.5], velocities: [0.0, 0.0], time_from_start: {secs: 2}}]}}}'
+```
+
+An action has five topics: `goal` and `cancel` for the client; `status` (five times a second, and at each change),
+`feedback` and `result` for the server. A goal without an id gets one, an empty `cancel` is for all goals, and a new
+goal preempts the one before.
+
+The shipped cart, driven by velocities of its base:
+
+```text
+slidectl spawn cart --controllers config/cart_control.yaml --start joint_state_controller base_controller
+slidectl pub /cart/base_controller/cmd_vel '{linear: {x: 0.5}, angular: {z: 0.3}}' -r 10
+slidectl echo /cart/base_controller/odom -n 1
+```
+"""
+
+
+def page() -> str:
+    """The whole page."""
+    families: dict[str, dict[str, type[ControllerBase]]] = {}
+    for name in registry.types():
+        cls = registry.find(name)
+        families.setdefault(cls.__module__, {})[name] = cls
+    return HEAD + "".join(line + "\n" for module, classes in families.items() for line in family(module, classes))
+
+
+def family(module: str, classes: dict[str, type[ControllerBase]]) -> Iterator[str]:
+    """The controllers of one file: what they are, their types, their parameters."""
+    title, _, text = (sys.modules[module].__doc__ or "").partition("\n\n")
+    word = module.rpartition(".")[2].replace("_", " ")
+    yield from ("", f"## {word.capitalize()}", "", title.rstrip("."), "")
+    yield from (text.strip(), "")
+    yield from ("| type | |", "| --- | --- |")
+    for name, cls in classes.items():
+        yield f"| `{name}` | {(cls.__doc__ or '').splitlines()[0]} |"
+    yield from ("", "| parameter | of type | default | |", "| --- | --- | --- | --- |")
+    kinds: dict[Parameter, list[str]] = {}
+    for name, cls in classes.items():
+        for parameter in cls.parameters:
+            kinds.setdefault(parameter, []).append(name)
+    for parameter, names in kinds.items():
+        of = "" if len(names) == len(classes) else f" ({', '.join(f'`{name}`' for name in names)})"
+        yield f"| `{parameter.name}` | {parameter.kind.words} | {default(parameter)} | {parameter.meaning}{of} |"
+
+
+def default(parameter: Parameter) -> str:
+    """What counts when it is not set, with its unit."""
+    if parameter.required:
+        return "required"
+    value = parameter.default
+    if value is None:
+        return ""
+    shown = str(value).lower() if isinstance(value, bool) else str(value)
+    return f"{shown} {parameter.unit}".strip()
+
+
+def main(arguments: list[str]) -> int:
+    """Write the page, or compare it. The exit code."""
+    text = page()
+    if "--check" not in arguments:
+        PAGE.write_text(text, encoding="utf-8")
+        return 0
+    if PAGE.read_text(encoding="utf-8") == text:
+        return 0
+    print(f"{PAGE} is out of date: python scripts/controller_reference.py", file=sys.stderr)
+    return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,191 @@
+"""Closes and opens a gripper of one joint by an action, after ros_controllers' gripper_action_controller.
+
+A goal is a position and the largest effort. It succeeds near the position, and is aborted when the joint stands still
+elsewhere for a while. Action `gripper_cmd`, without feedback; no other topics.
+"""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import ClassVar
+
+from slidectl.control import params
+from slidectl.control.controller_interface import Controller, State
+from slidectl.control.duration import to_seconds
+from slidectl.control.goals import MONITOR_RATE, GoalMonitor, MonitoredGoal, period_of
+from slidectl.control.hardware_interface import EffortJointInterface, JointCommandInterface, PositionJointInterface
+from slidectl.control.joint_controller import warn_of_other_joints
+from slidectl.control.node_handle import GoalHandle, GoalStatus, Message, NodeHandle
+from slidectl.control.params import JOINT, NUMBER, Parameter, within
+from slidectl.control.pid import Pid, next_command_from
+from slidectl.control.reconfigurable_pid import GAINS, ReconfigurablePid
+from slidectl.control.registry import controller
+from slidectl.control.robot_description import joint_on_paper
+
+
+class GripperActionController(Controller[JointCommandInterface]):
+    """Follows the position of the goal; how is the part of the children."""
+
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        JOINT,
+        MONITOR_RATE,
+        Parameter("goal_tolerance", NUMBER, "a goal succeeds nearer than this", "m or rad", default=0.01),
+        Parameter("max_effort", NUMBER, "largest effort while there is no goal", "N or N·m", default=0.0),
+        Parameter("stall_velocity_threshold", NUMBER, "a slower joint stands still", "m/s or rad/s", default=0.001),
+        Parameter("stall_timeout", NUMBER, "a joint that stands still longer aborts the goal", "s", default=1.0),
+    )
+
+    def init(self, interface: JointCommandInterface, node: NodeHandle) -> None:
+        """Raises SlidectlError: a parameter, the joint, or the robot description is missing or wrong."""
+        self._node = node
+        monitor_period_ns = period_of(node, MONITOR_RATE)
+        name = params.needed_text(node, JOINT.name)
+        joint_on_paper(node, name)
+        self._joint = interface.get_handle(name)
+        self._tolerance = abs(self._number("goal_tolerance", 0.01))
+        self._default_effort = abs(self._number("max_effort", 0.0))
+        self._stall_velocity = self._number("stall_velocity_threshold", 0.001)
+        self._stall_timeout_s = self._number("stall_timeout", 1.0)
+        self._get_commands(node)
+        self.position = self._joint.position
+        """Where the joint is to be."""
+        self.max_effort = self._default_effort
+        self.command = 0.0
+        """The effort of the last update: of position joints, the largest one of the goal."""
+        self._moved_ns = 0
+        self._goal: MonitoredGoal | None = None
+        # One result for all goals, as upstream: an ended goal has the values of the tick that sends it.
+        self._result: Message = {"position": self.position, "effort": 0.0, "stalled": False, "reached_goal": False}
+        self._monitor = GoalMonitor(node, monitor_period_ns)
+        node.advertise_action("gripper_cmd", "control_msgs/GripperCommand", self._take_goal, self._take_cancel)
+
+    def _number(self, name: str, default: float) -> float:
+        value = params.number(self._node, name)
+        return default if value is None else value
+
+    def _get_commands(self, node: NodeHandle) -> None:
+        """Get what the commands need besides the joint."""
+
+    def _start_commands(self) -> None:
+        """The first command, at the start."""
+
+    def _command(self, error: float, period_s: float) -> float:
+        """Command the joint, which is off by `error`. Returns the effort that results tell."""
+        raise NotImplementedError
+
+    def starting(self, time_ns: int) -> None:
+        """Stay where the joint is."""
+        self._hold()
+        self._start_commands()
+        self._moved_ns = time_ns
+
+    def stopping(self, time_ns: int) -> None:  # noqa: ARG002
+        """Nobody works on the goal any more."""
+        self._preempt()
+
+    def aborting(self, time_ns: int) -> None:  # noqa: ARG002
+        self._preempt()
+
+    def update(self, time_ns: int, period_s: float) -> None:
+        error = self.position - self._joint.position
+        if self._goal is not None and self._goal.is_active:
+            self._judge(self._goal, error, time_ns)
+        self.command = self._command(error, period_s)
+
+    def _judge(self, goal: MonitoredGoal, error: float, time_ns: int) -> None:
+        """Has the joint arrived, or does it stand still? It is judged until the tick that sends the result."""
+        if abs(error) < self._tolerance:
+            self._decide(goal, GoalStatus.SUCCEEDED)
+        elif abs(self._joint.velocity) > self._stall_velocity:
+            self._moved_ns = time_ns
+        elif to_seconds(time_ns - self._moved_ns) > self._stall_timeout_s:
+            self._decide(goal, GoalStatus.ABORTED)
+
+    def _decide(self, goal: MonitoredGoal, status: GoalStatus) -> None:
+        self._result.update(
+            position=self._joint.position,
+            effort=self.command,
+            stalled=status is GoalStatus.ABORTED,
+            reached_goal=status is GoalStatus.SUCCEEDED,
+        )
+        goal.decide(status, self._result)
+
+    def _take_goal(self, handle: GoalHandle) -> None:
+        command = handle.goal["command"]
+        if self.state is not State.RUNNING:
+            self._reject(handle, "Can't accept new action goals. Controller is not running.")
+        elif not isfinite(command["position"]) or not isfinite(command["max_effort"]):
+            self._reject(handle, "a goal of nan or infinity is not taken: it must have finite numbers")
+        else:
+            self._preempt()
+            handle.accept()
+            self.position, self.max_effort = command["position"], command["max_effort"]
+            self._result.update(reached_goal=False, stalled=False)
+            self._moved_ns = self._node.now_ns()
+            self._goal = MonitoredGoal(handle)
+            self._monitor.watch(self._goal)
+
+    def _reject(self, handle: GoalHandle, text: str) -> None:
+        self._node.log("error", f"{self._node.namespace}: {text}")
+        handle.reject()
+
+    def _take_cancel(self, handle: GoalHandle) -> None:
+        if self._goal is not None and self._goal.handle is handle:
+            self._goal = None
+            self._hold()
+            handle.cancel()
+
+    def _preempt(self) -> None:
+        goal, self._goal = self._goal, None
+        if goal is not None and goal.is_active:
+            goal.handle.cancel()
+
+    def _hold(self) -> None:
+        """Stay at the measured position, with the effort for no goal."""
+        self.position = self._joint.position
+        self.max_effort = self._default_effort
+
+
+@controller("position_controllers/GripperActionController")
+class PositionGripperActionController(GripperActionController):
+    """The command is the position. The effort of a goal bounds nothing; results tell it as it is."""
+
+    interface_type = PositionJointInterface
+
+    def _command(self, error: float, period_s: float) -> float:  # noqa: ARG002
+        self._joint.command = self.position
+        return self.max_effort
+
+
+@controller("effort_controllers/GripperActionController")
+class EffortGripperActionController(GripperActionController):
+    """effort = pid(error), within the effort of the goal: a goal without one pushes nothing."""
+
+    interface_type = EffortJointInterface
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        *GripperActionController.parameters,
+        *within("gains/<joint>", GAINS),
+    )
+
+    def _get_commands(self, node: NodeHandle) -> None:
+        warn_of_other_joints(node, "gains", [self._joint.name])
+        self._pid = self._gains(node.child(f"gains/{self._joint.name}"))
+
+    def _gains(self, node: NodeHandle) -> Pid:
+        """As upstream, it runs without gains too, and pushes nothing then."""
+        if params.number(node, "p") is None:
+            node.log("warn", f"parameter {node.namespace}/p is not set: the gripper pushes nothing")
+            return Pid()
+        return ReconfigurablePid(node).pid
+
+    def _start_commands(self) -> None:
+        self._pid.reset()
+        self._joint.command = 0.0
+
+    def _command(self, error: float, period_s: float) -> float:
+        wanted = next_command_from(self._pid, error, -self._joint.velocity, period_s)
+        if self._pid.observer is not None:
+            self._pid.tell(error, period_s)
+        most = abs(self.max_effort)
+        self._joint.command = min(most, max(-most, wanted))
+        return self._joint.command

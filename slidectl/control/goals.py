@@ -1,0 +1,98 @@
+"""A goal of an action that a controller works on: what updates decide reaches the client at the ticks of a monitor.
+
+After realtime_tools' RealtimeServerGoalHandle and the timer that ros_controllers put beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import inf
+
+from slidectl.control import params
+from slidectl.control.duration import BadDuration, from_seconds
+from slidectl.control.node_handle import GoalHandle, GoalStatus, Message, NodeHandle, Timer
+from slidectl.control.params import NUMBER, Parameter
+from slidectl.errors import Refused
+
+MONITOR_RATE = Parameter(
+    "action_monitor_rate", NUMBER, "how often the goal's feedback and result are sent", "1/s", default=20.0
+)
+
+
+def period_of(node: NodeHandle, rate: Parameter) -> int:
+    """The period, in nanoseconds, of a rate in 1/s that is a parameter with a default.
+
+    Raises:
+        Refused: it is not above 0, or no clock can count its period.
+    """
+    value = params.number(node, rate.name)
+    value = rate.default if value is None else value
+    try:
+        period_ns = from_seconds(1.0 / value if value > 0.0 else inf)
+    except BadDuration:
+        period_ns = 0
+    if period_ns <= 0:
+        raise Refused(f"parameter {node.namespace}/{rate.name} must be a rate above 0, not {value:g}")
+    return period_ns
+
+
+class MonitoredGoal:
+    """One goal. An update decides at most once what becomes of it; `tick` carries that out."""
+
+    def __init__(self, handle: GoalHandle) -> None:
+        self.handle = handle
+        self.feedback: Callable[[], Message] | None = None
+        """Makes the feedback of the last update; None before the first one, or where there is none at all."""
+        self._decision: GoalStatus | None = None
+        self._result: Message = {}
+
+    @property
+    def is_active(self) -> bool:
+        """Accepted, not ended, and no client wants it cancelled."""
+        return self.handle.status is GoalStatus.ACTIVE
+
+    def decide(self, status: GoalStatus, result: Message) -> None:
+        """It is to end as SUCCEEDED or ABORTED, with the result as it is at the tick. The first decision counts."""
+        if self._decision is None:
+            self._decision = status
+            self._result = result
+
+    def tick(self) -> None:
+        """Send what there is: the result of a decision, and the feedback if the goal was active until now."""
+        was_active = self.is_active
+        if self.handle.status in (GoalStatus.ACTIVE, GoalStatus.PREEMPTING):
+            if self._decision is GoalStatus.ABORTED:
+                self.handle.abort(dict(self._result))
+            elif self._decision is GoalStatus.SUCCEEDED:
+                self.handle.succeed(dict(self._result))
+        if was_active and self.feedback is not None:
+            self.handle.publish_feedback(self.feedback())
+
+
+class GoalMonitor:
+    """Ticks the goal that was accepted last.
+
+    As in ros_controllers, a goal that was decided but not ticked when the next one is accepted never gets a result.
+    """
+
+    def __init__(self, node: NodeHandle, period_ns: int) -> None:
+        self._node = node
+        self._period_ns = period_ns
+        self._timer: Timer | None = None
+        self._goal: MonitoredGoal | None = None
+
+    def watch(self, goal: MonitoredGoal) -> None:
+        """Tick this goal from now on, and no other."""
+        if self._timer is not None:
+            self._timer.cancel()
+        if self._goal is not None:
+            self._goal.handle.release()
+        self._goal = goal
+        self._timer = self._node.call_every(self._period_ns, self._tick)
+
+    def _tick(self) -> None:
+        assert self._goal is not None
+        assert self._timer is not None
+        self._goal.tick()
+        if self._goal.handle.status not in (GoalStatus.ACTIVE, GoalStatus.PREEMPTING):
+            self._timer.cancel()
