@@ -217,18 +217,14 @@ class Weigher:
         first = weighing[0][1]
         if len(weighing) == 1:
             return replace(first, mended=True)
-        parts = [(inertial, *self._seen_from(body.head, link)) for link, inertial in weighing]
-        return replace(lumped(parts), mended=True)
-
-    def _seen_from(self, head: str, link: str) -> tuple[Matrix, Vector]:
-        """Attitude and place of a link in the frame of the head, to which fixed joints lead."""
-        turn, shift = matrix(from_rpy((0.0, 0.0, 0.0))), (0.0, 0.0, 0.0)
-        while link != head:
-            origin = self._above[link].origin
-            above = matrix(from_rpy(origin.rpy))
-            shift = _moved(above, shift, origin.xyz)
-            turn, link = _product(above, turn), self._above[link].parent
-        return turn, shift
+        # Attitude and place of each link in the frame of the head; each link stands behind its parent.
+        seen: dict[str, tuple[Matrix, Vector]] = {body.head: (matrix(from_rpy((0.0, 0.0, 0.0))), (0.0, 0.0, 0.0))}
+        for link in body.links[1:]:
+            joint = self._above[link]
+            turn, shift = seen[joint.parent]
+            placed = _moved(turn, joint.origin.xyz, shift)
+            seen[link] = _product(turn, matrix(from_rpy(joint.origin.rpy))), placed
+        return replace(lumped([(inertial, *seen[link]) for link, inertial in weighing]), mended=True)
 
 
 class _Part:
