@@ -76,32 +76,33 @@ _PAGE, _MOST_OF_DATA = 4096, 1 << 20
 
 
 @cache
-def variable_of_data(array: str) -> int:
-    """How far from the beginning of MjData its variable for an array is, in bytes; 0 when it is not found.
+def constraint_variables() -> tuple[int, int]:
+    """How far from the beginning of MjData its variables for `efc_aref` and `efc_force` are, in bytes; 0: not found.
 
-    MuJoCo's Python layer does not tell. Two MjData that have the array, in different places, are looked through for
-    its address, page by page: so nothing is read that is not theirs.
+    MuJoCo's Python layer does not tell. Two MjData that have these arrays, in different places, are looked through for
+    the addresses, page by page: so nothing is read that is not theirs.
     """
     spec = mujoco.MjSpec()
     body = spec.worldbody.add_body(mass=1.0, inertia=(1.0, 1.0, 1.0), explicitinertial=True)
     body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, frictionloss=1.0)
     model = spec.compile()
-    places = []
+    found = []
     for _ in range(2):
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
-        places.append(_find(getattr(data, array).ctypes.data.to_bytes(8, sys.byteorder), data._address) - data._address)
-    return max(places[0], 0) if places[0] == places[1] else 0
+        found.append([_find(array.ctypes.data, data._address) for array in (data.efc_aref, data.efc_force)])
+    references, forces = found[0]
+    return (references, forces) if found[0] == found[1] else (0, 0)
 
 
-def _find(wanted: bytes, begin: int) -> int:
-    """Where the bytes are in memory from `begin` on; 0 when they are nowhere near."""
-    place = begin
+def _find(address: int, begin: int) -> int:
+    """Where the address is in memory, counted from `begin`; 0 when it is nowhere near."""
+    place, wanted = begin, address.to_bytes(8, sys.byteorder)
     while place < begin + _MOST_OF_DATA:
         end = (place // _PAGE + 1) * _PAGE
         found = ctypes.string_at(place, end - place).find(wanted)
         if found >= 0:
-            return place + found
+            return place + found - begin
         place = end
     return 0
 

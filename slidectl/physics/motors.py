@@ -117,7 +117,7 @@ class Motors:
             self._fill_table(model, data)
 
     def _fill_table(self, model: Any, data: Any) -> None:
-        variables = [data._address + engine.variable_of_data(name) for name in ("efc_aref", "efc_force")]
+        variables = [data._address + place for place in engine.constraint_variables()]
         stages = [engine.address_of(stage) for stage in _STAGES]
         self.table[:HEADER] = len(self._dofs), model.opt.timestep, *variables, *stages
         columns = (self._dofs, self._coordinates, self._rows, self._bounds_of_dofs, self._weights)
@@ -126,7 +126,7 @@ class Motors:
     @property
     def is_compilable(self) -> bool:
         """True when all is known that code without the interpreter needs."""
-        return all(engine.variable_of_data(name) for name in ("efc_aref", "efc_force"))
+        return all(engine.constraint_variables())
 
     def _set_bounds(self, model: Any, bounded: Array) -> None:
         """Let the solver keep to the bounds of these motors, and of no others."""
