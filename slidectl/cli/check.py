@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slidectl.cli import live, output
+from slidectl.cli import completion, output
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
 from slidectl.cli.spawn import package_lookup, pairs, parameter_text, tell_own_packages
@@ -38,13 +38,13 @@ _COLOURS = {"used": "green", "converted": "cyan", "ignored": "yellow", "wrong": 
         "slidectl check config/slider_control.yaml --only ignored --only wrong",
     ]
 )
-@click.argument("source", metavar="MODEL|LAUNCH|CONTROLLERS", shell_complete=live.models)
+@click.argument("source", metavar="MODEL|LAUNCH|CONTROLLERS", shell_complete=completion.models)
 @click.argument("arguments", nargs=-1, metavar="[KEY:=VALUE]...")
 @click.option(
     "--controllers",
     multiple=True,
     metavar="FILE",
-    shell_complete=live.files,
+    shell_complete=completion.files,
     help="Controllers of the model; may repeat.",
 )
 @click.option("--strict", is_flag=True, help="Exit 1 when anything is ignored, too, and refuse what spawn mends.")

@@ -8,9 +8,8 @@ from typing import Any
 
 import click
 
-from slidectl.cli.commands import group
+from slidectl.cli.commands import group, wait_for_world_s
 from slidectl.cli.context import Context
-from slidectl.cli.options import wait_for_world_s
 from slidectl.errors import Refused, TimedOut, UsageError
 
 _STEPS = r"\d+"

@@ -5,20 +5,16 @@ from __future__ import annotations
 import json
 import sys
 from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from slidectl.cli import live, output
-from slidectl.cli.commands import command
+from slidectl.cli import completion, output
+from slidectl.cli.commands import command, simulated_seconds, wait_for_world_s
 from slidectl.cli.context import Context
-from slidectl.cli.options import simulated_seconds, wait_for_world_s
-from slidectl.cli.stream import nanoseconds, paused
-from slidectl.cli.topics import PUBLISHERS, look_up
+from slidectl.cli.topics import PUBLISHERS, look_up, nanoseconds, paused
 from slidectl.errors import Refused, SlidectlError, TimedOut, UsageError
-
-if TYPE_CHECKING:
-    from slidectl.cli.fieldpath import Selection
+from slidectl.field_path import Selection
 
 
 @command(
@@ -27,7 +23,7 @@ if TYPE_CHECKING:
         "slidectl wait 'joint_states/velocity[0]' --below -0.05 --within 5 --json",
     ]
 )
-@click.argument("target", metavar="TOPIC/FIELD[I]", shell_complete=live.topics)
+@click.argument("target", metavar="TOPIC/FIELD[I]", shell_complete=completion.topics)
 @click.option("--near", type=float, metavar="X", help="Within --tol of X.")
 @click.option("--above", type=float, metavar="X", help="Greater than X.")
 @click.option("--below", type=float, metavar="X", help="Less than X.")
@@ -77,9 +73,11 @@ def wait(
     deadline = monotonic() + limit
     try:
         if output.is_terminal(sys.stderr) and not ctx.quiet and not ctx.client.is_answered(call):
-            from slidectl.cli.fieldpath import select
+            from slidectl.field_path import select
 
-            _Progress(ctx, request, select(found.schema, found.field)).show(call, deadline, status["time"])
+            _Progress(ctx, request, select(found.schema.fields, found.type, found.field)).show(
+                call, deadline, status["time"]
+            )
         answer = ctx.client.answer(call, timeout=max(0.0, deadline - monotonic()))
     except TimedOut as error:
         text = f"{_where(request)} was not {_expected(request)} within {limit:g} s of wall time"

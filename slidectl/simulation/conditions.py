@@ -11,7 +11,6 @@ from collections.abc import Callable
 from typing import Any
 
 from slidectl.errors import BadMessage, UnknownName
-from slidectl.simulation.message_path import as_number
 
 _NUMERIC = ("near", "above", "below")
 KINDS = (*_NUMERIC, "equals")
@@ -97,3 +96,21 @@ _DISTANCES: dict[str, Callable[[float, float, float], float]] = {
     "above": lambda value, wanted, _: _more_than_0(wanted - value),
     "below": lambda value, wanted, _: _more_than_0(value - wanted),
 }
+
+
+def as_number(value: Any) -> float | None:
+    """The value as a number (a time in seconds), or None when it is none."""
+    if isinstance(value, bool):
+        return None
+    if isinstance(value, int | float):
+        return _as_float(value)
+    if isinstance(value, dict) and value.keys() == {"secs", "nsecs"}:
+        return float(value["secs"] + 1e-9 * value["nsecs"])
+    return None
+
+
+def _as_float(value: int | float) -> float:
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf

@@ -9,12 +9,13 @@ import json
 import math
 from typing import Any
 
+from slidectl import msgs
 from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message
-from slidectl.errors import Refused
+from slidectl.errors import Refused, UnknownName
+from slidectl.field_path import NoElement, Selection, select
 from slidectl.simulation.conditions import Condition, show
 from slidectl.simulation.graph import Graph
-from slidectl.simulation.message_path import MessagePath, NoElement, parse
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.timers import Timer
 from slidectl.simulation.topics import Subscription
@@ -36,23 +37,40 @@ def wait(graph: Graph, request: Message) -> Pending:
         UnknownName: no such topic, field or condition. BadMessage: value, condition and field do not go together.
     """
     type_name = graph.topics.type_of(request["topic"])
-    path = parse(type_name, request["field"])
+    field = request["field"] or _only_field(type_name)
+    selection = select(lambda owner: msgs.fields(owner) if "/" in owner else (), type_name, field)
     condition = Condition(request["condition"], request["value"], request["tolerance"])
-    condition.check_type(f"{request['topic']}/{path.text}", path.type)
+    condition.check_type(f"{request['topic']}/{field}", selection.type + "[]" * selection.depth)
     hold_s, within_s = _duration("hold", request["hold"]), _duration("within", request["within"])
-    return Wait(graph, request["topic"], path, condition, hold_s, within_s).pending
+    return Wait(graph, request["topic"], field, selection, condition, hold_s, within_s).pending
+
+
+def _only_field(type_name: str) -> str:
+    """The name of the one field of a type. Raises UnknownName."""
+    fields = [field.name for field in msgs.fields(type_name)]
+    if len(fields) != 1:
+        raise UnknownName("field", "", fields, f"in {type_name}: say which")
+    return fields[0]
 
 
 class Wait:
     """One who waits. `hold_s` 0: the first message that fulfils the condition is enough; `within_s` 0: no limit."""
 
     def __init__(
-        self, graph: Graph, topic: str, path: MessagePath, condition: Condition, hold_s: float, within_s: float
+        self,
+        graph: Graph,
+        topic: str,
+        field: str,
+        selection: Selection,
+        condition: Condition,
+        hold_s: float,
+        within_s: float,
     ) -> None:
         self.pending = Pending(on_cancel=self._close)
         self._graph = graph
         self._topic = topic
-        self._path = path
+        self._path = f"{topic}/{field}"
+        self._take_value = selection.take
         self._condition = condition
         self._hold_s = hold_s
         self._within_s = within_s
@@ -70,7 +88,7 @@ class Wait:
         if self.pending.done:
             return
         try:
-            value = self._path.take(message)
+            value = self._take_value(message)
         except NoElement as error:
             self._close()
             self.pending.reject(error)
@@ -103,7 +121,7 @@ class Wait:
         self.pending.resolve(
             {
                 "success": success,
-                "message": f"{self._path_text()} {self._outcome()}" if success else f"expected {self._failure()}",
+                "message": f"{self._path} {self._outcome()}" if success else f"expected {self._failure()}",
                 "last": _as_json(self._last),
                 "closest": _as_json(self._closest),
                 "time": self._graph.clock.seconds,
@@ -114,7 +132,7 @@ class Wait:
         return f"is {show(self._last)} ({self._condition}{self._for()})"
 
     def _failure(self) -> str:
-        what = f"{self._path_text()} {self._condition}{self._for()} within {self._within_s:g} s"
+        what = f"{self._path} {self._condition}{self._for()} within {self._within_s:g} s"
         alone = "" if self._graph.topics.publishers(self._topic) else "; nobody publishes it"
         if self._last is _NOTHING:
             return what + (alone or "; no message came")
@@ -122,9 +140,6 @@ class Wait:
 
     def _for(self) -> str:
         return f" for {self._hold_s:g} s" if self._hold_s else ""
-
-    def _path_text(self) -> str:
-        return f"{self._topic}/{self._path.text}"
 
     def _close(self) -> None:
         for part in (self._holding, self._deadline):

@@ -13,7 +13,7 @@ from command_line import CommandLine
 from fake_daemon import DIE, NEVER, FakeDaemon
 
 from slidectl.cli.context import Context
-from slidectl.cli.failure import guard
+from slidectl.cli.main import guard
 
 
 def test_an_unknown_command_is_wrong_usage_and_suggests_the_closest(slidectl: CommandLine) -> None:

@@ -11,10 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slidectl import msgs
-from slidectl.cli import fieldpath
-from slidectl.cli.csvform import CsvForm
-from slidectl.cli.schema import from_typedefs
-from slidectl.cli.yamlform import YamlForm, quoted
+from slidectl.cli.forms import CsvForm, YamlForm, quoted
+from slidectl.cli.topics import from_typedefs
+from slidectl.field_path import select
 
 HEADER = {"seq": 1, "stamp": {"secs": 1795219421, "nsecs": 932599067}, "frame_id": "base"}
 JOINTS = {
@@ -39,14 +38,14 @@ JOINT_STATE = "sensor_msgs/JointState"
 
 def yaml_of(type_name: str, message: Any, path: str = "", **options: Any) -> str:
     types = schema(type_name)
-    selection = fieldpath.select(types, path)
+    selection = select(types.fields, type_name, path)
     form = YamlForm(types, **options)
     return form.printer(selection.type, selection.depth)(selection.take(msgs.check(type_name, message)))
 
 
 def csv_of(type_name: str, message: Any, path: str = "", **options: Any) -> list[str]:
     types = schema(type_name)
-    selection = fieldpath.select(types, path)
+    selection = select(types.fields, type_name, path)
     row = CsvForm(types, **options).row(selection.take(message), selection.type, selection.depth, 1795219463550504922)
     return list(row)
 
@@ -298,5 +297,5 @@ def test_a_schema_is_read_from_the_answer_of_the_daemon() -> None:
     ]
     types = from_typedefs(typedefs)
     assert types.root == "a/B"
-    assert [field.spelled for field in types.fields("a/B")] == ["float64[3]", "std_msgs/Header"]
+    assert [field.type_text for field in types.fields("a/B")] == ["float64[3]", "std_msgs/Header"]
     assert not types.has_header

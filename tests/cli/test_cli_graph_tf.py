@@ -15,7 +15,7 @@ from daemon_fixture import running_daemon
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slidectl.cli.frames import Frames, Pose, compose, inverse, roll_pitch_yaw
+from slidectl.cli.tf import Frames, Pose, compose, inverse, roll_pitch_yaw
 from slidectl.errors import AmbiguousName, Refused, UnknownName
 from slidectl.rotations import Quaternion, normalized
 
