@@ -14,7 +14,7 @@ from slidectl.cli import output
 from slidectl.errors import UsageError
 
 if TYPE_CHECKING:
-    from slidectl.client import Client, Subscription
+    from slidectl.client import Client
     from slidectl.paths import InstancePaths
 
 DEFAULT_TIMEOUT_S = 10.0
@@ -103,10 +103,6 @@ class Context:
     def call(self, service: str, request: dict[str, Any] | None = None, timeout: float | None = None) -> dict[str, Any]:
         """Call a service. Raises Refused, TimedOut or NoDaemon as Client.call does."""
         return self.client.call(service, request, timeout=timeout)
-
-    def subscribe(self, topic: str) -> Subscription:
-        """Receive a topic that exists. Raises as Client.subscribe does."""
-        return self.client.subscribe(topic)
 
     # --- names --------------------------------------------------------------------------------------------------
 

@@ -8,8 +8,7 @@ from __future__ import annotations
 import functools
 import json
 from collections.abc import Callable, Sequence
-from contextlib import suppress
-from time import monotonic
+from time import monotonic, sleep
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -19,7 +18,7 @@ from slidectl.cli.commands import Variadic, group
 from slidectl.cli.context import Context
 from slidectl.cli.param import store
 from slidectl.client.manager import BEST_EFFORT, STRICT, UNLOADED, Manager, each
-from slidectl.errors import AmbiguousName, NoDaemon, Refused, SlidectlError, TimedOut, UnknownName, UsageError, listing
+from slidectl.errors import AmbiguousName, NoDaemon, Refused, TimedOut, UnknownName, UsageError, listing
 from slidectl.names import join, parent, resolve
 
 if TYPE_CHECKING:
@@ -460,7 +459,11 @@ def owner(context: Context, wanted: str | None, controllers: Sequence[str]) -> t
     if not fitting:
         raise _nowhere(candidates, places)
     if len(fitting) > 1:
-        raise _several(fitting, controllers)
+        spaces = [manager.namespace for manager in fitting]
+        if not controllers:
+            raise AmbiguousName("controller manager", "", spaces)
+        matches = [join(space, name) for name in controllers for space in spaces]
+        raise AmbiguousName("controller", " ".join(controllers), matches)
     manager = fitting[0]
     return manager, [places[name][manager.namespace] for name in controllers]
 
@@ -522,34 +525,15 @@ def _nowhere(candidates: Sequence[Manager], places: dict[str, dict[str, str]]) -
     return UsageError(f"no controller manager has all of these: {listed}", "one command for each robot, please")
 
 
-def _several(fitting: Sequence[Manager], controllers: Sequence[str]) -> Exception:
-    spaces = [manager.namespace for manager in fitting]
-    if not controllers:
-        return AmbiguousName("controller manager", "", spaces)
-    matches = [join(space, name) for name in controllers for space in spaces]
-    return AmbiguousName("controller", " ".join(controllers), matches)
-
-
 def wait_for_owner(context: Context, manager: str | None, controllers: Sequence[str]) -> None:
-    """Return when a controller manager knows all the controllers.
-
-    Looks again whenever something is logged (every spawn is), and now and then: parameters are not logged.
-    Raises TimedOut with what is missing.
-    """
+    """Return when a controller manager knows all the controllers. Raises TimedOut with what is missing."""
     limit = context.wait_limit(WAIT_S)
     deadline = monotonic() + limit
-    with context.client.subscribe("/rosout") as lines:
-        while (missing := _missing(context, manager, controllers)) is not None:
+    while True:
+        try:
+            owner(context, manager, controllers)
+            return
+        except (Refused, UnknownName) as missing:
             if monotonic() >= deadline:
-                raise TimedOut(f"still so after {limit:g} s: {missing.message}", missing.hint)
-            with suppress(TimedOut):
-                lines.get(min(_LOOK_AGAIN_S, max(0.0, deadline - monotonic())))
-
-
-def _missing(context: Context, manager: str | None, controllers: Sequence[str]) -> SlidectlError | None:
-    """Why the controllers have no owner yet; a wrong command line is raised at once."""
-    try:
-        owner(context, manager, controllers)
-    except (Refused, UnknownName) as error:
-        return error
-    return None
+                raise TimedOut(f"still so after {limit:g} s: {missing.message}", missing.hint) from None
+            sleep(min(_LOOK_AGAIN_S, max(0.0, deadline - monotonic())))

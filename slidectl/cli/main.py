@@ -7,6 +7,7 @@ there is none) and exit_code.
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -26,6 +27,7 @@ from slidectl.errors import (
     EXIT_USAGE,
     NoDaemon,
     NoDescriptors,
+    Refused,
     SlidectlError,
     cut,
 )
@@ -265,6 +267,8 @@ def _described(error: Exception) -> tuple[str, str | None, int]:
     """What failed, what to do next (if that is known), and the exit code of an error."""
     if isinstance(error, OSError) and error.errno in NoDescriptors.ERRNOS:
         error = NoDescriptors("slidectl")
+    if isinstance(error, OSError) and error.errno == errno.ENOSPC:  # click wrote it
+        error = Refused(f"cannot write the output: {error.strerror}")
     if isinstance(error, SlidectlError):
         return error.message, error.hint, error.exit_code
     if isinstance(error, click.UsageError):

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -256,24 +257,14 @@ def parameters_in(ctx: Context, text: str, file: str, may_be_list: bool) -> Any:
     try:
         content = yaml_tree.read(text, file, notices, rooted=True)
     except BadFile:
-        bare = _bare(text, file) if may_be_list else None
-        if bare is None:
-            raise
-        return bare
+        with suppress(BadFile):  # text that is all there is in a file is how one parameter is dumped
+            bare = yaml_tree.read_value(text, file) if may_be_list else None
+            if isinstance(bare, str):
+                return bare
+        raise
     for notice in notices:
         ctx.warn(f"{notice.file}:{notice.line}: {notice.subject} {notice.text}")
     return content
-
-
-def _bare(text: str, file: str) -> str | None:
-    """The text that is all there is in a file, which is how one parameter is dumped."""
-    from slidectl.description import yaml_tree
-
-    try:
-        value = yaml_tree.read_value(text, file)
-    except BadFile:
-        return None
-    return value if isinstance(value, str) else None
 
 
 def dumped(value: Any) -> str:

@@ -74,12 +74,18 @@ def spawn(
     """
     if name is not None:
         names.check_robot(name)
+    from slidectl.description import source_note
     from slidectl.description.missing import Missing
 
     missing = Missing("all" if keep_going else "nothing")
     places = package_lookup(packages)
     source, given = in_package(model, arguments, places)
-    document = _document(ctx, source, given, name, places, missing)
+    text, title = source, None
+    if source == "-":  # it may be a parameter's, as `slidectl param get` prints it: the daemon knows its sources
+        text, title = standard_input(), "<stdin>"
+        note = ctx.call("/slidectl/sources", {"digest": source_note.digest(text)})["note"]
+        text = source_note.join(text, note)
+    document = spawning.document(text, given, name, places, missing, title)
     tell_own_packages(ctx, places)
     missing.refuse()
     xml = _rooted(document, fixed)
@@ -87,7 +93,11 @@ def spawn(
     wanted, namespace = spawning.identity(xml, document, name, strict)
     spawning.check_free(robots.all_robots(ctx), wanted, namespace)
     if controllers is not None:
-        _configure(ctx, controllers, namespace, missing)
+        try:
+            store(ctx, read_parameters(ctx, controllers, [namespace]))
+        except NotThere as error:
+            missing.note(error, "the parameters of controllers are left out")
+            missing.refuse()
     manager = manager_in(ctx, namespace)
     there = _configured(manager, start, missing)
     warnings = spawning.request(ctx.client, wanted, xml, pose, ctx.wait_limit(spawning.LIMIT_S))
@@ -193,24 +203,11 @@ def in_package(
     from slidectl.launch import files
 
     if model == "-" or models.looks_like_path(model) or model in models.shipped():
-        raise UsageError(f"{file!r} is not KEY:=VALUE", f"slidectl {command} --help shows the order of arguments")
+        hint = f"slidectl {command} --help shows the order of arguments"
+        if command == "spawn" and file.endswith((".yaml", ".yml")):
+            hint = f"a file of controllers stands behind an option: --controllers {file}"
+        raise UsageError(f"{file!r} is not KEY:=VALUE", hint)
     return files.shown(files.find_in_package(model, file, packages)), arguments
-
-
-def _document(
-    ctx: Context, model: str, arguments: dict[str, str], name: str | None, places: Packages, missing: Missing
-) -> Document:
-    if model != "-":
-        return spawning.document(model, arguments, name, places, missing)
-    return spawning.document(_noted(ctx, standard_input()), arguments, name, places, missing, "<stdin>")
-
-
-def _noted(ctx: Context, xml: str) -> str:
-    """A text with what the daemon knows of its sources: it may be a parameter's, as `slidectl param get` prints it."""
-    from slidectl.description import source_note
-
-    answer = ctx.call("/slidectl/sources", {"digest": source_note.digest(xml)})
-    return source_note.join(xml, answer["note"])
 
 
 def standard_input() -> str:
@@ -246,15 +243,6 @@ def _rooted(document: Document, fixed: bool | None) -> str:
         return document.xml
     change = description.with_root_fixed if fixed else description.with_root_free
     return change(document.xml, document.file)
-
-
-def _configure(ctx: Context, file: str, namespace: str, missing: Missing) -> None:
-    """Load the parameters of controllers."""
-    try:
-        store(ctx, read_parameters(ctx, file, [namespace]))
-    except NotThere as error:
-        missing.note(error, "the parameters of controllers are left out")
-        missing.refuse()
 
 
 def _configured(manager: Manager, start: Sequence[str], missing: Missing) -> list[str]:

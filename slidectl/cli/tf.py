@@ -267,14 +267,17 @@ def list_frames(ctx: Context) -> None:
     frames = _frames(ctx)
     if ctx.format == "text":
         return ctx.emit_names(frames.names, "frame")
-    return ctx.emit_rows([_row(frames, name) for name in frames.names], ["frame", "parent", "static", "time"])
+    return _rows(ctx, frames)
 
 
-def _row(frames: Frames, name: str) -> dict[str, Any]:
-    edge = frames.edges.get(name)
-    if edge is None:
-        return {"frame": name, "parent": None, "static": True, "time": None}
-    return {"frame": name, "parent": edge.parent, "static": edge.is_static, "time": edge.time_ns / 1e9}
+def _rows(ctx: Context, frames: Frames) -> None:
+    columns = ["frame", "parent", "static", "time"]
+    rows = []
+    for name in frames.names:
+        edge = frames.edges.get(name)
+        cells = (None, True, None) if edge is None else (edge.parent, edge.is_static, edge.time_ns / 1e9)
+        rows.append(dict(zip(columns, (name, *cells), strict=True)))
+    ctx.emit_rows(rows, columns)
 
 
 @tf.command("tree", examples=["slidectl tf tree"])
@@ -286,7 +289,7 @@ def tree(ctx: Context) -> None:
     """
     frames = _frames(ctx)
     if ctx.format != "text":
-        return ctx.emit_rows([_row(frames, name) for name in frames.names], ["frame", "parent", "static", "time"])
+        return _rows(ctx, frames)
     return output.write("\n".join(line for root in frames.roots for line in _branch(frames, root, "")))
 
 

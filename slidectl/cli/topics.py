@@ -143,7 +143,7 @@ class Stream:
         if self._sim_seconds is not None:  # before the topics: who sees a subscriber can rely on it
             self._sleep = self._client.call_async("/slidectl/sleep", {"duration": self._sim_seconds})
         for topic in topics:
-            self._subscriptions.append(self._ctx.subscribe(topic))
+            self._subscriptions.append(self._client.subscribe(topic))
         self._doubt = monotonic() + _SILENCE_S
         return self
 

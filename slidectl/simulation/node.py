@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager, ExitStack
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from slidectl import names
-from slidectl.control.node_handle import MISSING, MessageCallback, ParameterJudge, Publisher, Reasons
+from slidectl.control.node_handle import MISSING, Message, MessageCallback, ParameterJudge, Publisher, Reasons
 from slidectl.simulation.services import Handler
 from slidectl.simulation.topics import NodePublisher
 
@@ -34,6 +34,8 @@ class GraphNode:
         self._taken: list[Callable[[], None]] = []
         self.before_entry: Callable[[], None] = _nothing
         """Called before every callback that was given to this handle or a child of it."""
+        self.caution = ""
+        """Of a handle without a parent: a warning for who publishes to it or to a child of it; empty for none."""
 
     def child(self, name: str) -> GraphNode:
         """The node handle of `namespace/name`. What it advertises ends with this one's `shutdown`."""
@@ -74,10 +76,16 @@ class GraphNode:
 
     def subscribe(self, topic: str, type_name: str, callback: MessageCallback) -> None:
         """Call back for each message on `topic`. Raises BadName, TypeConflict, UnknownName (no such type)."""
-        subscription = self._graph.topics.subscribe(
-            self._absolute(topic), type_name, self.name, self._entering(callback)
-        )
-        self._taken.append(subscription.close)
+        enter = self._entering(callback)
+
+        def take(message: Message) -> None:
+            before = self._caution()
+            enter(message)
+            reasons = self.reasons
+            if before and self._caution() and reasons is not None and before not in reasons:
+                reasons.append(before)  # no line on /rosout: there may be a thousand messages a second
+
+        self._taken.append(self._graph.topics.subscribe(self._absolute(topic), type_name, self.name, take).close)
 
     def advertise_service(self, service: str, type_name: str, handler: Handler) -> None:
         """Answer calls of `service`, at once or with a Pending. Raises BadName, Refused (taken), UnknownName."""
@@ -126,6 +134,9 @@ class GraphNode:
         while node is not None:
             node.before_entry()
             node = node._parent
+
+    def _caution(self) -> str:
+        return self.caution if self._parent is None else self._parent._caution()
 
     def _entering(self, callback: Callable[P, T]) -> Callable[P, T]:
         def entered(*arguments: P.args, **keywords: P.kwargs) -> T:
