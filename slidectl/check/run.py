@@ -84,7 +84,10 @@ def _kind(words: Sequence[str], text: bytes | None) -> kinds.Kind:
     """
     kind = "launch" if _begins_with_package(words) else _kind_of_one(words, text)
     if kind != "launch" and len(words) > 1:
-        raise UsageError(f"{words[1]!r} is not KEY:=VALUE", "slidectl check --help shows the order of arguments")
+        hint = "slidectl check --help shows the order of arguments"
+        if kind == "model" and kinds.of_name(words[1]) == "controllers":
+            hint = f"a file of controllers stands behind an option: --controllers {words[1]}"
+        raise UsageError(f"{words[1]!r} is not KEY:=VALUE", hint)
     return kind
 
 
