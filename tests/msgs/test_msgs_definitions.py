@@ -14,13 +14,6 @@ import slidectl
 from slidectl import msgs
 from slidectl.errors import UnknownName
 from slidectl.msgs.definitions import parse_action, parse_message, parse_service, rosbags_names, rosbags_text
-from slidectl.msgs.schema import PRIMITIVES
-
-PACKAGES = [
-    *("std_msgs", "sensor_msgs", "geometry_msgs", "trajectory_msgs", "control_msgs", "controller_manager_msgs"),
-    *("gazebo_msgs", "tf2_msgs", "rosgraph_msgs", "dynamic_reconfigure", "actionlib_msgs", "rosapi", "slidectl"),
-    *("diagnostic_msgs", "nav_msgs", "visualization_msgs", "roscpp"),
-]
 
 
 def every_type() -> list[str]:
@@ -49,25 +42,13 @@ def test_every_definition_here_agrees_with_rosbags_where_both_have_it() -> None:
         assert msgs.md5(name) == store.generate_msgdef(name.replace("/", "/msg/"))[1]
 
 
-@pytest.mark.parametrize("package", PACKAGES)
-def test_all_packages_of_the_tutorials_are_there(package: str) -> None:
-    assert any(name.startswith(f"{package}/") for name in msgs.type_names())
-
-
 def test_every_type_can_be_built_checked_shown_and_summed() -> None:
     for name in every_type():
         message = msgs.default(name)
         assert list(message) == [field.name for field in msgs.fields(name)]
-        assert msgs.check(name, {}) == message
         assert msgs.check(name, message) == message
         assert len(msgs.md5(name)) == 32
         assert msgs.show(name).count("\n") + 1 >= len(msgs.fields(name))
-
-
-def test_every_nested_type_exists() -> None:
-    for name in every_type():
-        for field in msgs.fields(name):
-            assert field.type in PRIMITIVES or msgs.exists(field.type), f"{name}.{field.name}"
 
 
 def test_fields_have_a_name_a_type_and_an_array_length() -> None:
@@ -179,11 +160,6 @@ def test_exists_tells_messages_from_services() -> None:
     assert msgs.service_exists("std_srvs/SetBool")
     assert not msgs.service_exists("std_msgs/Float64")
     assert not msgs.exists("float64")
-
-
-def test_names_come_sorted_and_once() -> None:
-    for names in (msgs.type_names(), msgs.service_names()):
-        assert names == sorted(set(names))
 
 
 def test_comments_blank_lines_and_a_hash_in_a_text_constant_are_read_as_genmsg_reads_them() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from slidectl import msgs
-from slidectl.errors import EXIT_USAGE, BadMessage, UnknownName
+from slidectl.errors import EXIT_USAGE, BadMessage
 from slidectl.msgs.fill import field_paths, fields_from, fill
 
 NOW = (12, 500)
@@ -120,15 +120,6 @@ def test_an_empty_argument_is_an_empty_text() -> None:
     assert filled("rosapi/SetParamRequest", "/speed", None) == {"name": "/speed", "value": ""}
 
 
-def test_a_service_request_fills_as_a_message() -> None:
-    request = filled(
-        "controller_manager_msgs/SwitchControllerRequest",
-        {"start_controllers": ["joint1_position_controller"], "stop_controllers": [], "strictness": 2},
-    )
-    assert request["start_controllers"] == ["joint1_position_controller"]
-    assert request["start_asap"] is False
-
-
 def test_an_unknown_field_names_its_path_and_those_that_exist() -> None:
     error = refusal("geometry_msgs/PoseStamped", {"pose": {"position": {"q": 1.0}}})
     assert "geometry_msgs/PoseStamped: no field 'pose.position.q'" in str(error)
@@ -178,19 +169,10 @@ def test_what_yaml_does_not_read_as_text_wants_quotes(value: Any) -> None:
     assert "quote it" in str(error)
 
 
-def test_a_date_of_yaml_is_no_number_either() -> None:
-    assert "not date 2020-01-01" in str(refusal("std_msgs/Float64", datetime.date(2020, 1, 1)))
-
-
 def test_values_out_of_range_and_arrays_of_the_wrong_length_are_refused() -> None:
     assert "uint8 (0 to 255)" in str(refusal("std_msgs/UInt8", 300))
     assert "exactly 3 (uint32[3]), not of 2" in str(refusal("shape_msgs/MeshTriangle", {"vertex_indices": [1, 2]}))
     assert refusal("sensor_msgs/JointState", {"position": [0.1, "b"]}).path == "position[1]"
-
-
-def test_an_unknown_type_is_an_unknown_name() -> None:
-    with pytest.raises(UnknownName):
-        fill(msgs.fields, "std_msgs/Nope", [1.0])
 
 
 def test_the_fields_may_come_from_the_answer_of_rosapi() -> None:

@@ -141,16 +141,6 @@ def test_another_time_step_makes_another_period() -> None:
     assert simulation.time_ns == 6 * MS
 
 
-def test_an_emergency_stop_takes_the_effort_away_while_controllers_go_on() -> None:
-    simulation = running_cart("<eStopTopic>stop</eStopTopic>")
-    command(simulation, 1.0)
-    simulation.step(50)
-    simulation.publish("/cart/stop", {"data": True})
-    simulation.step(1)
-    assert state(simulation)[2] == 0.0
-    assert simulation.robots.get("cart").manager.running_count == 2
-
-
 def test_after_an_emergency_stop_the_controllers_start_anew_where_they_are() -> None:
     simulation = running_cart("<eStopTopic>/all/stop</eStopTopic>")
     command(simulation, 1.0)

@@ -468,12 +468,6 @@ def test_there_are_three_engines() -> None:
         Simulation(engine="warp")
 
 
-def test_plain_is_plain() -> None:
-    simulation = Simulation(engine="plain")
-    simulation.step(20_000)
-    assert str(simulation.engine) == "plain"
-
-
 def test_without_numba_auto_is_plain_and_compiled_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(object_file, "is_possible", lambda: False)
     assert str(Simulation(engine="auto").engine) == "plain"

@@ -294,16 +294,3 @@ def test_the_frames_of_two_equal_robots_are_kept_apart(world_with_slider: Simula
     assert set(transforms(seen)) == {"link2", "left/link2"}
     world_with_slider.delete("left")
     assert not world_with_slider.parameters.has("/left/tf_prefix")
-
-
-def test_listening_changes_nothing_in_the_world(simulation: Simulation) -> None:
-    other = Simulation()
-    for each in (simulation, other):
-        each.spawn(BALL, "ball", pose=((0.0, 0.0, 0.3), (0.0, 0.0, 0.0, 1.0)))
-        each.spawn(description.load("rrbot").xml, "rrbot", pose=((3.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)))
-    for topic in ("/gazebo/link_states", "/gazebo/model_states", "/tf", "/clock"):
-        simulation.subscribe(topic, lambda _: None)
-    simulation.step(3000)
-    other.step(3000)
-    assert simulation.world.data.qpos.tobytes() == other.world.data.qpos.tobytes()
-    assert simulation.world.data.qvel.tobytes() == other.world.data.qvel.tobytes()

@@ -6,8 +6,6 @@ from typing import Any
 
 import pytest
 
-from slidectl.control.node_handle import NodeHandle
-from slidectl.errors import BadName
 from slidectl.simulation.graph import Graph
 
 
@@ -74,14 +72,3 @@ def test_the_log_carries_the_node_and_the_time(graph: Graph) -> None:
     node.log("info", "hello")
     assert [(m["name"], m["msg"], m["level"]) for m in heard] == [("/gazebo", "hello", 2)]
     assert node.now_ns() == 1_000_000
-
-
-def test_an_illegal_namespace_is_refused(graph: Graph) -> None:
-    with pytest.raises(BadName):
-        graph.node("/slider").child("bad name")
-
-
-def test_it_is_a_node_handle(graph: Graph) -> None:
-    handle: NodeHandle = graph.node("/slider")
-    publisher = handle.advertise("state", "std_msgs/Float64")
-    assert publisher.wanted is False

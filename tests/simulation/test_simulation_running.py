@@ -9,7 +9,7 @@ import pytest
 from sim_robots import cart, command, logged, running_cart, state
 
 from slidectl import msgs
-from slidectl.errors import Refused, SlidectlError, UnknownName
+from slidectl.errors import Refused, SlidectlError
 from slidectl.physics import Diverged, EngineError
 from slidectl.simulation import Pending, Simulation
 from slidectl.simulation.compiled import object_file
@@ -42,13 +42,6 @@ def break_physics(simulation: Simulation, robot: str) -> None:
 def drive(simulation: Simulation, most: int) -> None:
     """What a driver does in one slice."""
     simulation.step(simulation.run.allowed(most))
-
-
-def test_cycles_and_time_are_counted(simulation: Simulation) -> None:
-    assert simulation.step(3) == 3
-    assert simulation.step() == 1
-    assert simulation.step(0) == 0
-    assert (simulation.cycles, simulation.time_ns) == (4, 4_000_000)
 
 
 def test_the_clock_is_published_in_every_cycle_that_somebody_hears(simulation: Simulation) -> None:
@@ -286,11 +279,6 @@ def test_a_time_step_must_be_above_0(simulation: Simulation) -> None:
     for seconds in (0.0, -0.001):
         with pytest.raises(Refused, match="above 0"):
             simulation.set_timestep(seconds)
-
-
-def test_an_unknown_service_is_named(simulation: Simulation) -> None:
-    with pytest.raises(UnknownName, match="Did you mean '/slidectl/step'"):
-        simulation.call("/slidectl/stepp")
 
 
 def test_a_divergence_in_the_middle_of_a_step_is_told_like_any_other(monkeypatch: pytest.MonkeyPatch) -> None:
