@@ -16,7 +16,7 @@ from slidectl.physics.hulls import Source
 from slidectl.physics.rotation import ORIGIN, Pose
 from slidectl.simulation import rosapi, waits
 from slidectl.simulation.compiled.engine import Engine
-from slidectl.simulation.gazebo import GazeboServices
+from slidectl.simulation.gazebo_services import GazeboServices
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.loop import Loop, RunState
 from slidectl.simulation.own_services import OwnServices

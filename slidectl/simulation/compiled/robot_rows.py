@@ -54,7 +54,7 @@ class RobotRows:
         self.number = number
         self.updates: tuple[Update, ...] = self.parts.manager.updates
         self.is_loaded = False
-        self.publications: dict[int, Publication] = {}
+        self.publications: dict[int, RowPublisher] = {}
         """By the controller's position in the order of updates."""
         self.interpreted: dict[int, InterpretedUpdate] = {}
         """The controllers without a row, by the same position."""
@@ -183,7 +183,7 @@ class RobotRows:
         row = self._reserve_row(tables, form, controller, *own)
         if parts.publisher is not None:
             shown = [(handle, places[id(handle)] * JOINT.size) for handle in parts.shown]
-            self.publications[position] = Publication(
+            self.publications[position] = RowPublisher(
                 controller, parts.publisher, tables.content[form], TABLES[form], row, shown
             )
 
@@ -203,7 +203,7 @@ class RobotRows:
         return number
 
 
-class Publication:
+class RowPublisher:
     """A compiled controller that publishes: its flag `wanted`, the last column, and what `publish` looks at."""
 
     __slots__ = ("_flag", "_give", "_publisher", "_shown", "_table", "controller")
