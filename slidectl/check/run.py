@@ -53,7 +53,10 @@ def check(
     else:
         kind = _kind(source, text)
     if kind != "launch" and len(words) > 1:
-        raise UsageError(f"{words[1]!r} is not KEY:=VALUE", "slidectl check --help shows the order of arguments")
+        hint = "slidectl check --help shows the order of arguments"
+        if kind == "model" and kinds.of_name(words[1]) == "controllers":
+            hint = f"a file of controllers stands behind an option: --controllers {words[1]}"
+        raise UsageError(f"{words[1]!r} is not KEY:=VALUE", hint)
     if kind != "model" and parameter_files:
         raise UsageError(f"--controllers goes with a model; {source} is a file of {kind}")
     if kind == "launch":

@@ -6,7 +6,6 @@ rest are imported inside the functions that need them.
 
 from __future__ import annotations
 
-import _signal  # type: ignore[import-not-found]  # what signal wraps into classes, which takes a millisecond
 import gc
 import os
 import sys
@@ -16,7 +15,6 @@ if TYPE_CHECKING:
     from typing import NoReturn
 
 _INTERRUPTED = 130
-_MOMENT_S = 0.001
 # New objects between two looks for garbage: more than a short command makes (a tenth of its time went into looking),
 # and still few enough for one that follows a topic for days.
 _GARBAGE_THRESHOLD = 100_000
@@ -37,40 +35,19 @@ def entry() -> NoReturn:
 
 
 def _run() -> int:
-    if sys.getfilesystemencoding() == "ascii" and sys.executable:
-        _become_utf8()
     gc.set_threshold(_GARBAGE_THRESHOLD)
-    sys.unraisablehook = _unheard
-    if None in (sys.stdin, sys.stdout, sys.stderr):
-        _stand_in()
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:  # it was closed; else a socket gets its number
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
     from slidectl.cli.main import run
 
     return run(sys.argv[1:])
 
 
-def _become_utf8() -> None:
-    """Begin again in Python's UTF-8 mode: the locale knows ASCII only, and what is typed is UTF-8 all the same."""
-    os.execv(sys.executable, [sys.executable, "-X", "utf8", *sys.orig_argv[1:]])
-
-
-def _unheard(unraisable: sys.UnraisableHookArgs) -> None:
-    """A Ctrl-C that came in a finalizer, where nobody can hear it: raise it again in a moment, elsewhere."""
-    if unraisable.exc_type is not KeyboardInterrupt:
-        sys.__unraisablehook__(unraisable)
-        return
-    _signal.signal(_signal.SIGALRM, _signal.default_int_handler)
-    _signal.setitimer(_signal.ITIMER_REAL, _MOMENT_S)
-
-
 def _ignore_interrupts() -> None:
-    _signal.signal(_signal.SIGINT, _signal.SIG_IGN)
+    import signal
 
-
-def _stand_in() -> None:
-    """Put /dev/null in the place of standard streams that were closed, before a socket gets their number."""
-    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
-        if getattr(sys, name) is None:
-            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def leave(code: int) -> NoReturn:

@@ -8,11 +8,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from slidectl.cli import live, output
+from slidectl.cli import completion, output
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
 from slidectl.cli.spawn import package_lookup, pairs, parameter_text, tell_own_packages
@@ -38,13 +38,13 @@ _COLOURS = {"used": "green", "converted": "cyan", "ignored": "yellow", "wrong": 
         "slidectl check config/slider_control.yaml --only ignored --only wrong",
     ]
 )
-@click.argument("source", metavar="MODEL|LAUNCH|CONTROLLERS", shell_complete=live.models)
+@click.argument("source", metavar="MODEL|LAUNCH|CONTROLLERS", shell_complete=completion.models)
 @click.argument("arguments", nargs=-1, metavar="[KEY:=VALUE]...")
 @click.option(
     "--controllers",
     multiple=True,
     metavar="FILE",
-    shell_complete=live.files,
+    shell_complete=completion.files,
     help="Controllers of the model; may repeat.",
 )
 @click.option("--strict", is_flag=True, help="Exit 1 when anything is ignored, too, and refuse what spawn mends.")
@@ -81,7 +81,9 @@ def check(
     places = package_lookup(packages, "check")
     files = [spawning.find(file) for file in controllers]
     text = _streamed(source)
-    words = ["<stdin>" if source == "-" else _shipped_or_own(source)]
+    if source.endswith((".yaml", ".yml")):
+        source = str(spawning.find(source))  # a file of controllers by that name may be a shipped one
+    words = ["<stdin>" if source == "-" else source]
     words += [word for word in arguments if ":=" not in word]
     given = pairs([word for word in arguments if ":=" in word], ":=", "check")
     missing = Missing("all" if keep_going else "nothing")
@@ -114,15 +116,10 @@ def _streamed(source: str) -> bytes | None:
         return None
 
 
-def _shipped_or_own(source: str) -> str:
-    """A file of controllers by that name may be a shipped one."""
-    return str(spawning.find(source)) if source.endswith((".yaml", ".yml")) else source
-
-
 def _print(ctx: Context, findings: Findings, only: Sequence[str]) -> None:
     notices = findings.sorted(only)
     if ctx.format != "text":
-        ctx.emit_rows([_row(notice) for notice in notices], _COLUMNS)
+        ctx.emit_rows([{key: getattr(notice, key) for key in _COLUMNS} for notice in notices], _COLUMNS)
         return
     groups: dict[str, list[Notice]] = {}
     for notice in notices:
@@ -131,17 +128,11 @@ def _print(ctx: Context, findings: Findings, only: Sequence[str]) -> None:
     output.write("\n\n".join([*("\n".join(_lines(group)) for group in groups.values()), counts]))
 
 
-def _row(notice: Notice) -> dict[str, Any]:
-    return {key: getattr(notice, key) for key in _COLUMNS}
-
-
 def _lines(notices: Sequence[Notice]) -> list[str]:
     """`file:line  verdict  subject: text`, in columns."""
     width = max(len(notice.where) for notice in notices)
-    longest = max(map(len, _VERDICTS))
-    return [f"{n.where:<{width}}  {_painted(n.verdict, longest)}  {n.subject}: {n.text}" for n in notices]
-
-
-def _painted(verdict: str, width: int) -> str:
-    padded = f"{verdict:<{width}}"
-    return click.style(padded, fg=_COLOURS[verdict]) if output.wants_colour(sys.stdout) else padded
+    colours = _COLOURS if output.wants_colour(sys.stdout) else {}
+    verdicts = {
+        verdict: click.style(f"{verdict:<9}", fg=colours.get(verdict), reset=bool(colours)) for verdict in _VERDICTS
+    }
+    return [f"{n.where:<{width}}  {verdicts[n.verdict]}  {n.subject}: {n.text}" for n in notices]

@@ -1,17 +1,110 @@
-"""The command and group classes of this command line.
+"""The command and group classes of this command line, and the options that every command understands.
 
-`@command(examples=[...])` and `@group(...)` replace click's. They add the common options, an Examples section,
-negative numbers as plain values, and options that take values until the next option.
+`@command(examples=[...])` and `@group(...)` replace click's. They add the common options, which store into the Context,
+an Examples section, negative numbers as plain values, and options that take values until the next option.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import math
+import os
+from collections.abc import Callable, Sequence
+from functools import cache
+from itertools import takewhile
 from typing import Any
 
 import click
 
-from slidectl.cli.options import common_options, help_option
+from slidectl import names
+from slidectl.cli import output
+from slidectl.cli.context import Context
+
+Callback = Callable[[click.Context, click.Parameter, Any], Any]
+
+
+# --- callbacks of options -------------------------------------------------------------------------------------------
+
+
+def positive_seconds(_click: click.Context, _param: click.Parameter, value: float | None) -> float | None:
+    """The value of an option in seconds, or a usage error unless it is above 0."""
+    if value is not None and not value > 0:
+        raise click.BadParameter(f"{value:g} is not above 0")
+    return value
+
+
+def simulated_seconds(click_context: click.Context, param: click.Parameter, value: float | None) -> float | None:
+    """The value of an option in seconds of the world, which has no end to wait for: above 0 and finite."""
+    if value == math.inf:
+        raise click.BadParameter("the simulated time never gets there; leave the option out for no limit")
+    return positive_seconds(click_context, param, value)
+
+
+def wait_for_world_s(simulated_s: float) -> float:
+    """Wall-clock limit for something that takes `simulated_s` in the world, where `--timeout` says nothing.
+
+    A minute, plus what a world at a tenth of real time would need.
+    """
+    return 60.0 + 10.0 * simulated_s
+
+
+def full_namespace(value: str) -> str:
+    """A namespace as an absolute name. Raises BadName."""
+    return names.check(names.join("/", value.rstrip("/") or "/"))
+
+
+def environment_namespace() -> str:
+    """`SLIDECTL_NAMESPACE` as an absolute name, else the root."""
+    return full_namespace(os.environ.get("SLIDECTL_NAMESPACE", "/"))
+
+
+# --- the common options ---------------------------------------------------------------------------------------------
+
+
+def _store(attribute: str, convert: Callable[[Any], Any] = lambda value: value) -> Callback:
+    def callback(click_context: click.Context, _param: click.Parameter, value: Any) -> None:
+        context = click_context.find_object(Context)
+        if value not in (None, False, 0) and context is not None:
+            setattr(context, attribute, convert(value))
+
+    return callback
+
+
+def _store_timeout(click_context: click.Context, param: click.Parameter, value: float | None) -> None:
+    _store("timeout")(click_context, param, positive_seconds(click_context, param, value))
+
+
+def _add_verbosity(click_context: click.Context, _param: click.Parameter, value: int) -> None:
+    context = click_context.find_object(Context)
+    if context is not None:
+        context.verbose += value
+
+
+@cache
+def common_options() -> tuple[click.Option, ...]:
+    """The shared options, in the order of the help. Those that pick the daemon come first."""
+    rows: list[tuple[list[str], str, Callback, dict[str, Any]]] = [
+        (["-i", "--instance"], "Which daemon, by name.", _store("instance"), {"metavar": "NAME"}),
+        (["--socket"], "Which daemon, by its socket.", _store("socket"), {"metavar": "PATH"}),
+        (
+            ["--ns"], "Where relative names are tried first.",
+            _store("namespace", full_namespace), {"metavar": "NAMESPACE"},
+        ),
+        (["-o", "--output"], "Format of the results.", _store("format"), {"type": click.Choice(output.FORMATS)}),
+        (["--json"], "The same as -o json: one object a line.", _store("format", lambda _: "json"), {"is_flag": True}),
+        (["-q", "--quiet"], "Only results and errors.", _store("quiet"), {"is_flag": True}),
+        (["-v", "--verbose"], "Say more; twice shows tracebacks.", _add_verbosity, {"count": True}),
+        (["--timeout"], "Wait at most so long (wall time).", _store_timeout, {"type": float, "metavar": "SECONDS"}),
+    ]  # fmt: skip
+    # A storage name that no command's own parameter has.
+    return tuple(
+        click.Option(
+            [*flags, "common_" + flags[-1].lstrip("-")], help=text, callback=callback, expose_value=False, **more
+        )
+        for flags, text, callback, more in rows
+    )
+
+
+# --- commands -------------------------------------------------------------------------------------------------------
 
 
 def looks_like_number(token: str) -> bool:
@@ -24,20 +117,16 @@ def looks_like_number(token: str) -> bool:
 
 
 class Variadic(click.Option):
-    """An option that takes values until the next option, and may repeat: `--start A B --stop C`."""
+    """An option that takes values until the next option, and may repeat: `--start A B --stop C`.
+
+    `takes` says of a token behind the option whether it is one of its values.
+    """
 
     def __init__(
         self, param_decls: Sequence[str] | None = None, takes: Callable[[str], bool] | None = None, **attributes: Any
     ) -> None:
-        attributes["multiple"] = True
-        super().__init__(param_decls, **attributes)
-        self._takes = takes
-
-    def takes(self, token: str) -> bool:
-        """True when `token`, which follows the option, is one of its values."""
-        if self._takes is not None:
-            return self._takes(token)
-        return not token.startswith("-") or token == "-"
+        super().__init__(param_decls, multiple=True, **attributes)
+        self.takes = takes or (lambda token: not token.startswith("-") or token == "-")
 
 
 class _Shared(click.Command):
@@ -46,36 +135,22 @@ class _Shared(click.Command):
     def __init__(self, *args: Any, examples: Sequence[str] = (), **attributes: Any) -> None:
         super().__init__(*args, **attributes)
         self.examples = tuple(examples)
-        self._all_params: list[click.Parameter] = []
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
-        # click asks several times for every command that runs.
-        if not self._all_params:
-            own = super().get_params(ctx)
-            taken = {name for param in own for name in param.opts}
-            self._all_params = own + [option for option in common_options() if taken.isdisjoint(option.opts)]
-        return self._all_params
-
-    def get_help_option(self, ctx: click.Context) -> click.Option:  # noqa: ARG002
-        return help_option()
+        own = super().get_params(ctx)
+        taken = {name for param in own for name in param.opts}
+        return own + [option for option in common_options() if taken.isdisjoint(option.opts)]
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         common = common_options()
-        own = [param for param in self.get_params(ctx) if param not in common]
-        shared = [param for param in self.get_params(ctx) if param in common]
-        self._write_options(ctx, formatter, "Options", own)
-        self._write_options(ctx, formatter, "Common options", shared)
+        for title, is_common in (("Options", False), ("Common options", True)):
+            params = [param for param in self.get_params(ctx) if (param in common) is is_common]
+            records = [record for param in params if (record := param.get_help_record(ctx)) is not None]
+            if records:
+                with formatter.section(title):
+                    formatter.write_dl(records)
         if isinstance(self, click.Group):
             self.format_commands(ctx, formatter)
-
-    def _write_options(
-        self, ctx: click.Context, formatter: click.HelpFormatter, title: str, params: Sequence[click.Parameter]
-    ) -> None:
-        options = [param for param in params if isinstance(param, click.Option)]
-        records = [record for option in options if (record := option.get_help_record(ctx)) is not None]
-        if records:
-            with formatter.section(title):
-                formatter.write_dl(records)
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         if self.examples:
@@ -88,74 +163,48 @@ class _Shared(click.Command):
 class Command(_Shared):
     """A command. Override `is_value` to let more tokens that begin with `-` be values (expressions, say)."""
 
-    def is_value(self, token: str, before: Sequence[str]) -> bool:  # noqa: ARG002
-        """True when `token`, which begins with `-` and is no option of this command, is a value.
-
-        `before` holds the arguments to its left as the user typed them.
-        """
+    def is_value(self, token: str) -> bool:
+        """True when `token`, which begins with `-` and is no option of this command, is a value."""
         return looks_like_number(token)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """click's own parser, on the arguments in an order that leaves it nothing to guess: see `_ordered`."""
-        ordered = self._ordered(list(args), ctx) if ctx.allow_interspersed_args else args
-        return super().parse_args(ctx, ordered)
+        return super().parse_args(ctx, self._ordered(list(args), ctx) if ctx.allow_interspersed_args else args)
 
-    def _ordered(self, args: list[str], ctx: click.Context) -> list[str]:
+    def _ordered(self, rest: list[str], ctx: click.Context) -> list[str]:
         """The options with their values, then `--`, then the rest: so a value may begin with `-`.
 
         An option that takes values until the next one is repeated before each of its values.
         """
-        named = {
-            name: param for param in self.get_params(ctx) if isinstance(param, click.Option) for name in param.opts
-        }
-        named |= {name: param for param in set(named.values()) for name in param.secondary_opts}
+        every = [param for param in self.get_params(ctx) if isinstance(param, click.Option)]
+        named = {name: param for param in every for name in (*param.opts, *param.secondary_opts)}
+        takes = {name: 0 if param.is_flag or param.count else param.nargs for name, param in named.items()}
         options: list[str] = []
         values: list[str] = []
-        index = 0
-        while index < len(args):
-            token = args[index]
-            index += 1
+        while rest:
+            token = rest.pop(0)
             param = named.get(token)
             if token == "--":
-                values += args[index:]
+                values += rest
                 break
             if isinstance(param, Variadic):
-                end = _end_of_values(param, args, index)
-                if end == index and not ctx.resilient_parsing:
+                taken = list(takewhile(param.takes, rest))
+                if not taken and not ctx.resilient_parsing:
                     raise click.BadOptionUsage(token, f"Option {token!r} requires an argument.")
-                options += [part for value in args[index:end] for part in (token, value)]
-                index = end
-            elif param is None and (
-                not token.startswith("-") or token == "-" or self.is_value(token, args[: index - 1])
-            ):
+                options += [part for value in taken for part in (token, value)]
+                del rest[: len(taken)]
+            elif param is None and (not token.startswith("-") or token == "-" or self.is_value(token)):
                 values.append(token)
             elif param is None and token[2:3] == "=" and token[:2] in named:  # -n=5
                 options += [token[:2], token[3:]]
             else:
-                taken = _values_of(param, token, named)
-                # click looks a short name up as a long one first, and imports what compares names when it fails.
-                long = [name for name in param.opts if name.startswith("--")] if param and len(token) == 2 else []
-                options += [*(long[:1] or [token]), *args[index : index + taken]]
-                index += taken
+                count = takes.get(token, 0)
+                flags, last = token[1:-1], token[-1]
+                if param is None and all(takes.get(f"-{flag}") == 0 for flag in flags):  # several in one word: -vn 5
+                    count = takes.get(f"-{last}", 0)
+                options += [token, *rest[:count]]
+                del rest[:count]
         return [*options, "--", *values] if values else options
-
-
-def _values_of(param: click.Option | None, token: str, named: Mapping[str, click.Option]) -> int:
-    """How many of the arguments behind a token are values of its option: none of a flag, or of `-n5` and `--name=5`."""
-    if param is None and not token.startswith("--"):  # flags in one word, perhaps with an option behind them: -vn 5
-        for place, letter in enumerate(token[1:], 2):
-            param = named.get(f"-{letter}")
-            if param is None or not param.is_flag:
-                param = param if place == len(token) else None
-                break
-    return 0 if param is None or param.is_flag or param.count else param.nargs
-
-
-def _end_of_values(option: Variadic, args: Sequence[str], start: int) -> int:
-    end = start
-    while end < len(args) and option.takes(args[end]):
-        end += 1
-    return end
 
 
 class Group(_Shared, click.Group):
@@ -179,24 +228,16 @@ class Group(_Shared, click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        name = args[0]
-        if not ctx.resilient_parsing and not name.startswith("-") and name not in self.list_commands(ctx):
-            raise UnknownCommand(name, self.list_commands(ctx), ctx, self.elsewhere(ctx, name))
-        return super().resolve_command(ctx, args)
-
-
-class UnknownCommand(click.UsageError):
-    """No such command: says which full commands may be meant, else suggests the closest and lists all."""
-
-    def __init__(self, name: str, known: Sequence[str], ctx: click.Context, meant: Sequence[str] = ()) -> None:
+        name, known = args[0], self.list_commands(ctx)
+        if ctx.resilient_parsing or name.startswith("-") or name in known:
+            return super().resolve_command(ctx, args)
+        if meant := self.elsewhere(ctx, name):
+            raise click.UsageError(f"no command {name!r}; there is: {', '.join(meant)}", ctx)
         from slidectl.errors import closest
 
-        if meant:
-            super().__init__(f"no command {name!r}; there is: {', '.join(meant)}", ctx)
-            return
         near = closest(name, known)
         suggestion = f" Did you mean {ctx.command_path + ' ' + near!r}?" if near else ""
-        super().__init__(f"no command {name!r}.{suggestion}\ncommands: {', '.join(known)}", ctx)
+        raise click.UsageError(f"no command {name!r}.{suggestion}\ncommands: {', '.join(known)}", ctx)
 
 
 def command(name: str | None = None, *, examples: Sequence[str], **attributes: Any) -> Callable[..., Command]:

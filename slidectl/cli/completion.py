@@ -1,11 +1,24 @@
-"""`slidectl completion SHELL`: the script that teaches a shell to complete slidectl. Live names come from live.py."""
+"""`slidectl completion SHELL`, and the names that a shell completes: those of the daemon, within 100 ms.
+
+`shell_complete=completion.topics` on a click argument or option. No completer raises: without a daemon there are none.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
 
 import click
 
 from slidectl.cli.commands import command
+from slidectl.cli.context import Context
+from slidectl.cli.main import COMPLETION_VARIABLE, root
 from slidectl.cli.output import write
+from slidectl.errors import SlidectlError
+
+LIMIT_S = 0.1
+
+Completer = Callable[[click.Context, click.Parameter, str], list[Any]]
 
 
 @command(
@@ -23,8 +36,63 @@ def completion(shell: str) -> None:
     """
     from click.shell_completion import get_completion_class
 
-    from slidectl.cli.main import COMPLETION_VARIABLE, root
-
     kind = get_completion_class(shell)
     assert kind is not None
     write(kind(root, {}, "slidectl", COMPLETION_VARIABLE).source())
+
+
+def fitting(names: Iterable[str], incomplete: str) -> list[str]:
+    """The names that begin with what was typed; a relative one is compared with the ends of the full names."""
+    if incomplete and not incomplete.startswith("/"):
+        parts = [name.strip("/").split("/") for name in names]
+        names = {"/".join(part[index:]) for part in parts for index in range(len(part))}
+    return sorted(name for name in names if name.startswith(incomplete))
+
+
+def completer(ask: Callable[[Context], Iterable[str]]) -> Completer:
+    """A click `shell_complete` callback from a function that asks the daemon for names."""
+
+    def complete(click_context: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
+        context = click_context.find_object(Context) or Context()
+        context.timeout = LIMIT_S
+        try:
+            return fitting(ask(context), incomplete)
+        except (SlidectlError, OSError):
+            return []
+
+    return complete
+
+
+def _controllers(context: Context) -> list[str]:
+    from slidectl.cli.controller import managers
+
+    return [name for manager in managers(context) for name in manager.known()]
+
+
+def _managers(context: Context) -> list[str]:
+    from slidectl.cli.controller import managers
+
+    return [manager.namespace for manager in managers(context)]
+
+
+topics = completer(lambda context: context.names("topic"))
+services = completer(lambda context: context.names("service"))
+parameters = completer(lambda context: context.names("parameter"))
+robots = completer(lambda context: context.names("robot"))
+controllers = completer(_controllers)
+managers = completer(_managers)
+
+
+def files(_context: click.Context, _param: click.Parameter, incomplete: str) -> list[Any]:
+    """Leave it to the shell to complete a file."""
+    from click.shell_completion import CompletionItem
+
+    return [CompletionItem(incomplete, type="file")]
+
+
+def models(context: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
+    """Shipped models, then files."""
+    from slidectl.paths import share
+
+    shipped = sorted(path.stem for path in share("models").glob("*.xacro"))
+    return [name for name in shipped if name.startswith(incomplete)] or files(context, param, incomplete)

@@ -14,7 +14,7 @@ from slidectl.cli import output
 from slidectl.errors import UsageError
 
 if TYPE_CHECKING:
-    from slidectl.client import Client, Subscription
+    from slidectl.client import Client
     from slidectl.paths import InstancePaths
 
 DEFAULT_TIMEOUT_S = 10.0
@@ -31,7 +31,8 @@ _LISTS = {
 class Context:
     """Options of one invocation and the connection that they lead to."""
 
-    def __init__(self) -> None:
+    def __init__(self, shell: Context | None = None) -> None:
+        """`shell` is the context of the shell whose line this is: its options hold, and its connection is shared."""
         self.instance: str | None = None
         self.socket: str | None = None
         self.namespace = "/"
@@ -40,6 +41,9 @@ class Context:
         self.verbose = 0
         self.timeout: float | None = None
         """Wall seconds of `--timeout`; None when it was not given."""
+        for option in list(vars(self)) if shell else ():
+            setattr(self, option, getattr(shell, option))
+        self._shell = shell
         self._client: Client | None = None
         self._emitted: list[str] | None = None
 
@@ -57,16 +61,22 @@ class Context:
     @property
     def client(self) -> Client:
         """The connection to the daemon, made on first use. Raises NoDaemon when nobody answers."""
-        if self._client is None:
-            from slidectl.client import Client
+        if self._client is not None:
+            return self._client
+        shell = self._shell
+        if shell is not None and (self.instance, self.socket) == (shell.instance, shell.socket):
+            self._client = shell.client
+            self._client.timeout = self.wait_limit(DEFAULT_TIMEOUT_S)
+            return self._client
+        from slidectl.client import Client
 
-            if self.instance and self.socket:
-                raise UsageError("--instance and --socket exclude each other")
-            self._client = Client(self.instance, self.socket, timeout=self.wait_limit(DEFAULT_TIMEOUT_S))
-            self._client.on_other_version = self.say_other_version
+        if self.instance and self.socket:
+            raise UsageError("--instance and --socket exclude each other")
+        self._client = Client(self.instance, self.socket, timeout=self.wait_limit(DEFAULT_TIMEOUT_S))
+        self._client.on_other_version = self._say_other_version
         return self._client
 
-    def say_other_version(self, theirs: str) -> None:
+    def _say_other_version(self, theirs: str) -> None:
         """Say that the daemon was started by another version of this program: the two may not understand each other."""
         from slidectl import __version__
         from slidectl.client.link import command
@@ -81,10 +91,10 @@ class Context:
         return f"unix://{self.client.paths.socket_text}"
 
     def close(self) -> None:
-        """Close the connection if there is one; where a process runs many commands."""
-        if self._client is not None:
+        """Close the connection if there is one, unless it is the shell's; where a process runs many commands."""
+        if self._client is not None and (self._shell is None or self._client is not self._shell._client):
             self._client.close()
-            self._client = None
+        self._client = None
 
     def wait_limit(self, default_s: float) -> float:
         """How long this command may wait: `--timeout` if given, else `default_s` (wall seconds)."""
@@ -92,13 +102,7 @@ class Context:
 
     def call(self, service: str, request: dict[str, Any] | None = None, timeout: float | None = None) -> dict[str, Any]:
         """Call a service. Raises Refused, TimedOut or NoDaemon as Client.call does."""
-        if timeout is None:
-            return self.client.call(service, request)
         return self.client.call(service, request, timeout=timeout)
-
-    def subscribe(self, topic: str) -> Subscription:
-        """Receive a topic that exists. Raises as Client.subscribe does."""
-        return self.client.subscribe(topic)
 
     # --- names --------------------------------------------------------------------------------------------------
 

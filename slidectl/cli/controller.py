@@ -1,26 +1,46 @@
-"""`slidectl controller`: the services of the controller managers, and loading their parameters."""
+"""`slidectl controller`: the controller managers, which one a name means, and the parameter files of controllers.
+
+What a file may hold is for description.controllers_file, what a parameter means for the controller.
+"""
 
 from __future__ import annotations
 
 import functools
+import json
 from collections.abc import Callable, Sequence
-from typing import Any
+from time import monotonic, sleep
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from slidectl.cli import live, robots
+from slidectl.cli import completion, robots
 from slidectl.cli.commands import Variadic, group
 from slidectl.cli.context import Context
-from slidectl.cli.managers import Report, chosen, owner, owner_of_some, wait_for_owner
+from slidectl.cli.param import store
 from slidectl.client.client import BEST_EFFORT, STRICT, UNLOADED, Manager, each
-from slidectl.errors import NoDaemon, Refused, UsageError
+from slidectl.errors import AmbiguousName, NoDaemon, Refused, TimedOut, UnknownName, UsageError, listing
+from slidectl.names import join, parent, resolve
+
+if TYPE_CHECKING:
+    from slidectl.client.spawning import Tree
+    from slidectl.description.robot import Notice
+
+WAIT_S = 30.0
+_LOOK_AGAIN_S = 0.2
+_LIST = "controller_manager/list_controllers"
 
 Decorator = Callable[[Any], Any]
 
 _cm: Decorator = click.option(
-    "--cm", "manager", metavar="NAMESPACE", shell_complete=live.managers, help="Which controller manager, as /rrbot."
+    "--cm",
+    "manager",
+    metavar="NAMESPACE",
+    shell_complete=completion.managers,
+    help="Which controller manager, as /rrbot.",
 )
-_names: Decorator = click.argument("names", nargs=-1, required=True, metavar="NAME...", shell_complete=live.controllers)
+_names: Decorator = click.argument(
+    "names", nargs=-1, required=True, metavar="NAME...", shell_complete=completion.controllers
+)
 
 
 def _strictness(function: Any) -> Any:
@@ -45,6 +65,33 @@ def _rests(function: Any) -> Any:
     return zero(hold(with_rest))
 
 
+class Report:
+    """Says for each controller what it was and what it is, also when the action between failed half way."""
+
+    def __init__(self, context: Context, manager: Manager, controllers: Sequence[str]) -> None:
+        self.context = context
+        self.manager = manager
+        self.names = list(dict.fromkeys(controllers))
+        self.before: dict[str, str] = {}
+
+    def __enter__(self) -> Report:
+        self.before = self.manager.states()
+        return self
+
+    def __exit__(self, _type: object, error: BaseException | None, _trace: object) -> None:
+        if error is not None and not isinstance(error, Refused):
+            return
+        after = self.manager.states()
+        for name in self.names:
+            was, state = self.before.get(name, UNLOADED), after.get(name, UNLOADED)
+            if error is None or was != state:
+                self._tell(name, was, state)
+
+    def _tell(self, name: str, was: str, state: str) -> None:
+        record = {"manager": self.manager.namespace, "name": name, "state": state, "before": was}
+        self.context.done(record, f"{name}: {state}" + (" already" if was == state else f" (was {was})"))
+
+
 class Rest:
     """What the joints of controllers do after these have been stopped.
 
@@ -53,24 +100,23 @@ class Rest:
 
     def __init__(self, ctx: Context, manager: Manager, stopping: Sequence[str], command: str | None) -> None:
         self._ctx = ctx
-        self._command = command
         self._request = {"robot": manager.namespace, "controllers": list(stopping), "command": command or ""}
 
     def check(self, starting: Sequence[str] = ()) -> None:
         """Raises Refused when the joints cannot do it, before a controller is stopped."""
-        if self._command:
-            self._ask(check_only=True, left_to=list(starting))
+        self._ask(check_only=True, left_to=list(starting))
 
     def apply(self) -> None:
         """Raises Refused."""
-        if self._command:
-            self._ctx.say(self._ask()["message"])
+        self._ctx.say(self._ask())
 
-    def _ask(self, **more: Any) -> dict[str, Any]:
+    def _ask(self, **more: Any) -> str:
+        if not self._request["command"]:
+            return ""
         answer = self._ctx.call("/slidectl/rest_joints", {**self._request, **more})
         if not answer["success"]:
             raise Refused(answer["message"])
-        return answer
+        return str(answer["message"])
 
 
 @group(
@@ -105,25 +151,13 @@ def list_controllers(ctx: Context, manager: str | None, with_unloaded: bool) -> 
 
 
 def _rows(manager: Manager, with_unloaded: bool) -> list[dict[str, Any]]:
-    loaded = manager.controllers()
-    rows = [{"manager": manager.namespace, **{key: one[key] for key in _KEYS}} for one in loaded]
-    if with_unloaded:
-        missing = sorted(set(manager.configured()) - {one["name"] for one in loaded})
-        rows += [_unloaded_row(manager, name) for name in missing]
-    return rows
-
-
-_KEYS = ("name", "state", "type", "claimed_resources")
-
-
-def _unloaded_row(manager: Manager, name: str) -> dict[str, Any]:
-    return {
-        "manager": manager.namespace,
-        "name": name,
-        "state": UNLOADED,
-        "type": manager.type_parameter(name),
-        "claimed_resources": [],
-    }
+    keys = ("name", "state", "type", "claimed_resources")
+    loaded = [{"manager": manager.namespace, **{key: one[key] for key in keys}} for one in manager.controllers()]
+    if not with_unloaded:
+        return loaded
+    missing = sorted(set(manager.configured()) - {one["name"] for one in loaded})
+    blank = {"manager": manager.namespace, "state": UNLOADED, "claimed_resources": []}
+    return loaded + [{**blank, "name": name, "type": manager.type_parameter(name)} for name in missing]
 
 
 def claimed_text(resources: Sequence[dict[str, Any]]) -> str:
@@ -164,10 +198,8 @@ def types(ctx: Context, manager: str | None) -> None:
 @click.pass_obj
 def load(ctx: Context, manager: str | None, names: tuple[str, ...]) -> None:
     """Load controllers; they are ready to be started."""
-    from slidectl.cli import configuration
-
     target, local = owner(ctx, manager, names)
-    configuration.warn_unknown(ctx, target.namespace, local)
+    _warn_unknown(ctx, target.namespace, local)
     with Report(ctx, target, local):
         target.loaded(target.ask_to_load(local))
 
@@ -224,9 +256,11 @@ def stop(ctx: Context, manager: str | None, strict: bool, asap: bool, rest: str 
 @_cm
 @_strictness
 @click.option(
-    "--start", "to_start", cls=Variadic, metavar="NAME...", shell_complete=live.controllers, help="Start these."
+    "--start", "to_start", cls=Variadic, metavar="NAME...", shell_complete=completion.controllers, help="Start these."
 )
-@click.option("--stop", "to_stop", cls=Variadic, metavar="NAME...", shell_complete=live.controllers, help="Stop these.")
+@click.option(
+    "--stop", "to_stop", cls=Variadic, metavar="NAME...", shell_complete=completion.controllers, help="Stop these."
+)
 @_rests
 @click.pass_obj
 def switch(
@@ -291,10 +325,8 @@ def spawn(ctx: Context, manager: str | None, stopped: bool, wait: bool, names: t
     """
     if wait:
         wait_for_owner(ctx, manager, names)
-    from slidectl.cli import configuration
-
     target, local = owner(ctx, manager, names)
-    configuration.warn_unknown(ctx, target.namespace, local)
+    _warn_unknown(ctx, target.namespace, local)
     with Report(ctx, target, local):
         target.bring_up(local, start=not stopped)
 
@@ -322,15 +354,184 @@ def unspawn(ctx: Context, manager: str | None, rest: str | None, names: tuple[st
 
 @controller.command("config", examples=["slidectl controller config config/slider_control.yaml"])
 @_cm
-@click.argument("file", shell_complete=live.files)
+@click.argument("file", shell_complete=completion.files)
 @click.pass_obj
 def config(ctx: Context, manager: str | None, file: str) -> None:
     """Load controllers' parameters from a YAML file into the robot's namespace.
 
     The file is that of a tutorial: its top key is the namespace (`slider:`); without one it goes to that of the robot.
     """
-    from slidectl.cli import configuration
-
-    tree = configuration.read(ctx, file, [one.namespace for one in chosen(ctx, manager)])
-    configuration.store(ctx, tree)
+    tree = read_parameters(ctx, file, [one.namespace for one in chosen(ctx, manager)])
+    store(ctx, tree)
     ctx.done({"file": file, "parameters": len(tree)}, f"{file}: {len(tree)} parameters")
+
+
+# --- parameter files --------------------------------------------------------------------------------------------------
+
+
+def read_parameters(ctx: Context, file: str, namespaces: Sequence[str]) -> Tree:
+    """The parameters of a file by full name, moved to the robot's namespace where the file is for another one.
+
+    Names that no controller knows, such as `kd` for a gain, are warnings, as `check` tells them. Where no robot can be
+    told the file stays as it is, as `rosparam load` has it.
+
+    Args:
+        namespaces: those of the robots that it may be for.
+
+    Raises:
+        BadFile: missing, or no parameters. UsageError: not clear which robot it is for.
+    """
+    from slidectl.check.controllers import ParameterFile, unknown
+    from slidectl.check.findings import Findings
+    from slidectl.client.spawning import find, leaves, placements
+    from slidectl.description import controllers_file, yaml_tree
+    from slidectl.description.models import read_file
+
+    path = find(file)
+    notices: list[Notice] = []
+    tree = controllers_file.read(path, notices)
+    places = {name: (str(path), line) for name, line in yaml_tree.places(read_file(path), str(path)).items()}
+    for notice in [*notices, *unknown(tree, ParameterFile(str(path), places, Findings()))]:
+        ctx.warn(str(notice))
+    placed, remark, moved = placements(tree, namespaces)
+    if moved and len(namespaces) > 1:
+        raise UsageError(f"{path} fits none of {', '.join(namespaces)} by its top key", "say which with --cm")
+    if remark:
+        (ctx.detail if moved else ctx.warn)(f"{path}: {remark}")
+    return dict(leaves(placed))
+
+
+def _warn_unknown(ctx: Context, namespace: str, controllers: Sequence[str]) -> None:
+    """Warn of names that no controller knows in the parameters that the daemon has for these."""
+    from slidectl.check.controllers import ParameterFile, unknown
+    from slidectl.check.findings import Findings
+
+    for name in dict.fromkeys(controllers):
+        request = {"name": join(namespace, name), "default": "null"}
+        tree = json.loads(ctx.call("/rosapi/get_param", request)["value"])
+        for part in reversed(name.split("/")):
+            tree = {part: tree}
+        for notice in unknown(tree, ParameterFile("", {}, Findings(), namespace)):
+            ctx.warn(f"{notice.subject}: {notice.text}")
+
+
+# --- managers and names -----------------------------------------------------------------------------------------------
+
+
+def manager_in(context: Context, namespace: str) -> Manager:
+    """The controller manager of a namespace; what it warns of goes to stderr."""
+    return Manager(context.client, namespace, context.warn, timeout_s=context.timeout or 0.0)
+
+
+def managers(context: Context) -> list[Manager]:
+    """All controller managers, by namespace."""
+    request = {"type": "controller_manager_msgs/ListControllers"}
+    services = context.call("/rosapi/services_for_type", request)["services"]
+    found = sorted(name.removesuffix(_LIST).rstrip("/") or "/" for name in services if name.endswith("/" + _LIST))
+    return [manager_in(context, namespace) for namespace in found]
+
+
+def chosen(context: Context, wanted: str | None) -> list[Manager]:
+    """The managers that the options leave: that of `--cm`, else that of `--ns`, else all. Raises UnknownName."""
+    every = managers(context)
+    known = {manager.namespace: manager for manager in every}
+    if wanted is not None:
+        name = wanted.rstrip("/").removesuffix("controller_manager").rstrip("/") or "/"
+        full = resolve(name, known, kind="controller manager", namespace=context.namespace)
+        return [known[full]]
+    below_root = context.namespace != "/"  # which is also what `--ns` is when nobody gave it
+    return [known[context.namespace]] if below_root and context.namespace in known else every
+
+
+def owner(context: Context, wanted: str | None, controllers: Sequence[str]) -> tuple[Manager, list[str]]:
+    """The one manager that the controllers belong to, and their names in it.
+
+    A name may be full (`/slider/joint1_position_controller`). Raises AmbiguousName (2) when several managers know the
+    names, UnknownName (1) when none does, UsageError when no single manager has them all.
+    """
+    candidates = chosen(context, wanted)
+    if not candidates:
+        raise Refused("no robot with controllers in the world", "spawn one: slidectl spawn slider")
+    places = _places(candidates, controllers)
+    fitting = [m for m in candidates if all(m.namespace in found for found in places.values())]
+    if not fitting:
+        raise _nowhere(candidates, places)
+    if len(fitting) > 1:
+        spaces = [manager.namespace for manager in fitting]
+        if not controllers:
+            raise AmbiguousName("controller manager", "", spaces)
+        matches = [join(space, name) for name in controllers for space in spaces]
+        raise AmbiguousName("controller", " ".join(controllers), matches)
+    manager = fitting[0]
+    return manager, [places[name][manager.namespace] for name in controllers]
+
+
+def owner_of_some(context: Context, wanted: str | None, controllers: Sequence[str]) -> tuple[Manager, list[str]]:
+    """As `owner`, but it is enough when the manager knows some of them, or is the only one: for best effort."""
+    candidates = chosen(context, wanted)
+    known = [name for name, found in _places(candidates, controllers).items() if found]
+    manager, _ = owner(context, wanted, known)
+    return manager, [name.removeprefix(manager.namespace.rstrip("/") + "/") for name in controllers]
+
+
+def next_step(context: Context, topic: str) -> str | None:
+    """The command that is missing before a controller takes messages on `topic`; None when none is."""
+    controller = parent(join("/", topic)).strip("/").rpartition("/")[2]
+    found = managers(context)
+    idle = {}
+    for manager in found:
+        states, configured = manager.states(), manager.configured()
+        waiting = [name for name in configured if name not in states]
+        if controller in waiting:
+            return f"{controller} is not loaded; load and start it: slidectl controller spawn {controller}"
+        if waiting:
+            idle[manager.namespace] = waiting
+        elif not states and not configured:
+            idle[manager.namespace] = []
+    if topic.rpartition("/")[2] != "command":
+        return None
+    if not found:
+        return "no robot with controllers is in the world; spawn one: slidectl spawn slider"
+    for namespace, waiting in idle.items():
+        if waiting:
+            return f"not loaded in {namespace}: {listing(waiting)}; load and start: slidectl controller spawn NAME"
+        return f"{namespace} has no controllers yet; load their configuration: slidectl controller config FILE.yaml"
+    return None
+
+
+def _places(candidates: Sequence[Manager], controllers: Sequence[str]) -> dict[str, dict[str, str]]:
+    """Controller -> namespace of each manager that knows it -> its name there."""
+    known = {manager.namespace: manager.known() for manager in candidates} if controllers else {}
+    places: dict[str, dict[str, str]] = {name: {} for name in controllers}
+    for name, found in places.items():
+        for namespace, inside in known.items():
+            local = name.removeprefix(namespace.rstrip("/") + "/")
+            if not local.startswith("/") and local in inside:
+                found[namespace] = local
+    return places
+
+
+def _nowhere(candidates: Sequence[Manager], places: dict[str, dict[str, str]]) -> Exception:
+    for name, found in places.items():
+        if not found:
+            known = sorted({known for manager in candidates for known in manager.known()})
+            where = f"in {candidates[0].namespace}" if len(candidates) == 1 else ""
+            error = UnknownName("controller", name, known, where)
+            error.hint = f"{error.hint}\nload its configuration first: slidectl controller config FILE.yaml"
+            return error
+    listed = "; ".join(f"{name} of {', '.join(sorted(found))}" for name, found in places.items())
+    return UsageError(f"no controller manager has all of these: {listed}", "one command for each robot, please")
+
+
+def wait_for_owner(context: Context, manager: str | None, controllers: Sequence[str]) -> None:
+    """Return when a controller manager knows all the controllers. Raises TimedOut with what is missing."""
+    limit = context.wait_limit(WAIT_S)
+    deadline = monotonic() + limit
+    while True:
+        try:
+            owner(context, manager, controllers)
+            return
+        except (Refused, UnknownName) as missing:
+            if monotonic() >= deadline:
+                raise TimedOut(f"still so after {limit:g} s: {missing.message}", missing.hint) from None
+            sleep(min(_LOOK_AGAIN_S, max(0.0, deadline - monotonic())))

@@ -5,12 +5,15 @@ Nothing here knows how a daemon works inside.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+import os
+import select
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
-from slidectl.cli import logs as follow
+from slidectl.cli import output
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
 from slidectl.cli.sim import status_text
@@ -21,6 +24,7 @@ if TYPE_CHECKING:
 
 START_LIMIT_S = 30.0
 STOP_LIMIT_S = 10.0
+_LOOK_AGAIN_S = 0.1
 
 
 @group(examples=["slidectl daemon start", "slidectl daemon start --rtf max --paused", "slidectl daemon status"])
@@ -48,20 +52,13 @@ def _world(function: Callable[..., Any]) -> Callable[..., Any]:
     return function
 
 
-def _options(
-    chosen: list[str],
-    *,
-    rtf: str,
-    paused: bool,
-    timestep: float,
-    gravity: tuple[float, float, float],
-    ground: bool,
-    engine: str,
-) -> DaemonOptions:
+def _options(click_context: click.Context, world: dict[str, Any]) -> tuple[DaemonOptions, list[str]]:
+    """The options of the new world, and the names of those that stand on the command line."""
     from slidectl.daemon import options
 
-    factor = options.rtf(rtf)
-    return options.DaemonOptions(factor, paused, timestep, gravity, ground, engine=engine, chosen=tuple(chosen))
+    source = click_context.get_parameter_source
+    given = [name for name in click_context.params if source(name) is click.core.ParameterSource.COMMANDLINE]
+    return options.DaemonOptions(**{**world, "rtf": options.rtf(world["rtf"])}, chosen=tuple(given)), given
 
 
 @daemon.command("start", examples=["slidectl daemon start", "slidectl -i other daemon start --rtf max"])
@@ -73,16 +70,10 @@ def start(click_context: click.Context, /, **world: Any) -> None:
     One that runs already stays as it is (exit code 0). JSON keys: instance, pid, socket, log, already.
     """
     ctx: Context = click_context.obj
-    given = _given(click_context)
-    already = _start(ctx, _options(given, **world))
+    options, given = _options(click_context, world)
+    already = _start(ctx, options)
     if already and given:
         ctx.warn(f"it runs already, so {', '.join('--' + name for name in given)} had no effect")
-
-
-def _given(click_context: click.Context) -> list[str]:
-    """The options of the new world that stand on the command line."""
-    source = click_context.get_parameter_source
-    return [name for name in click_context.params if source(name) is click.core.ParameterSource.COMMANDLINE]
 
 
 def _start(ctx: Context, options: DaemonOptions) -> bool:
@@ -111,7 +102,7 @@ def run(click_context: click.Context, /, **world: Any) -> None:
     from slidectl.daemon import lifecycle
 
     ctx: Context = click_context.obj
-    lifecycle.run(ctx.paths, _options(_given(click_context), **world))
+    lifecycle.run(ctx.paths, _options(click_context, world)[0])
 
 
 @daemon.command("stop", examples=["slidectl daemon stop"])
@@ -144,18 +135,22 @@ def restart(click_context: click.Context, /, **world: Any) -> None:
     Options that are not given are those that the old one was started with, and a line on stderr says which. JSON keys
     as those of start.
     """
+    import dataclasses
+
+    from slidectl.daemon import lifecycle
+
     ctx: Context = click_context.obj
-    given = _given(click_context)
-    old = _old_options(ctx)
-    options = _options(given, **world) if old is None else _changed(old, _options(given, **world), given)
+    options, given = _options(click_context, world)
+    pid = lifecycle.running(ctx.paths)
+    old = lifecycle.options_of(pid) if pid else None
+    if old is not None:
+        chosen = tuple(dict.fromkeys((*old.chosen, *given)))
+        options = dataclasses.replace(old, **{name: getattr(options, name) for name in given}, chosen=chosen)
     _stop(ctx)
     _start(ctx, options)
-    kept = [] if old is None else _shown(old, [name for name in _WORLD if name not in given])
+    kept = [] if old is None else _shown(old, [name for name in world if name not in given])
     if kept:
         ctx.say(f"as before: {' '.join(kept)}")
-
-
-_WORLD = ("rtf", "paused", "timestep", "gravity", "ground", "engine")
 
 
 def _shown(options: DaemonOptions, names: list[str]) -> list[str]:
@@ -172,22 +167,6 @@ def _shown(options: DaemonOptions, names: list[str]) -> list[str]:
         "engine": f"--engine {options.engine}",
     }
     return [texts[name] for name in names if getattr(options, name) != getattr(usual, name)]
-
-
-def _old_options(ctx: Context) -> DaemonOptions | None:
-    """What the daemon that runs was started with; None when none runs, or that cannot be read."""
-    from slidectl.daemon import lifecycle
-
-    pid = lifecycle.running(ctx.paths)
-    return lifecycle.options_of(pid) if pid else None
-
-
-def _changed(old: DaemonOptions, new: DaemonOptions, given: list[str]) -> DaemonOptions:
-    """The old options with those that were given now."""
-    import dataclasses
-
-    chosen = tuple(dict.fromkeys((*old.chosen, *given)))
-    return dataclasses.replace(old, **{name: getattr(new, name) for name in given}, chosen=chosen)
 
 
 @daemon.command("status", examples=["slidectl daemon status", "slidectl daemon status --json"])
@@ -214,8 +193,50 @@ def status(ctx: Context) -> None:
 @click.pass_obj
 def logs(ctx: Context, following: bool, lines: int | None) -> None:
     """Print the daemon's log. JSON key: line."""
-    for line in follow.lines(ctx.paths.log, lines, following):
-        ctx.emit({"line": line}, line)
+    path = ctx.paths.log
+    with _opened(path) as file:
+        *whole, begun = file.read().split("\n")
+        for line in whole if lines is None else whole[max(0, len(whole) - lines) :]:
+            ctx.emit({"line": line}, line)
+        if following:
+            for line in _growing(file, path, begun):
+                ctx.emit({"line": line}, line)
+        elif begun and lines != 0:
+            ctx.emit({"line": begun}, begun)
+
+
+def _growing(file: TextIO, path: Path, begun: str) -> Iterator[str]:
+    """New lines of the file, and of the one that takes its name when it is rotated away.
+
+    `begun` is the beginning of a line whose end has not been written yet.
+    """
+    while True:
+        begun += file.readline()
+        if begun.endswith("\n"):
+            yield begun[:-1]
+            begun = ""
+        elif not _is_current(file, path):
+            file.close()
+            file = _opened(path)
+        else:
+            output.check_reader()
+            select.select([], [], [], _LOOK_AGAIN_S)
+
+
+def _is_current(file: TextIO, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(file.fileno()), os.stat(path))
+    except FileNotFoundError:
+        return True  # between two renames
+
+
+def _opened(path: Path) -> TextIO:
+    try:
+        return path.open(encoding="utf-8", errors="replace", newline="\n")
+    except FileNotFoundError:
+        raise Refused(f"there is no log {path}", "no daemon of this instance has run") from None
+    except OSError as error:
+        raise Refused(f"cannot read the log {path}: {error.strerror or error}") from None
 
 
 @daemon.command("clean", examples=["slidectl daemon clean --dry-run", "slidectl daemon clean"])
@@ -228,9 +249,7 @@ def clean(ctx: Context, dry_run: bool) -> None:
     the files beside that socket. Files of a daemon that runs stay, and then the exit code is 1.
     JSON keys: path, what, bytes, removed.
     """
-    from pathlib import Path
-
-    from slidectl.cli.prompt import history_file
+    from slidectl.cli.shell import history_file
     from slidectl.daemon import cleaning
 
     found = cleaning.leftovers(Path(history_file()), ctx.paths)

@@ -9,16 +9,13 @@ from typing import Any, NamedTuple
 
 import click
 
-from slidectl.cli import live, output
-from slidectl.cli.commands import command
+from slidectl.cli import completion, output
+from slidectl.cli.commands import command, simulated_seconds
 from slidectl.cli.context import Context
-from slidectl.cli.fieldpath import Selection, select
-from slidectl.cli.options import simulated_seconds
-from slidectl.cli.schema import Schema
-from slidectl.cli.stream import Event, Stream, nanoseconds
-from slidectl.cli.topics import PUBLISHERS, look_up
-from slidectl.cli.yamlform import YamlForm
+from slidectl.cli.forms import CsvForm, YamlForm
+from slidectl.cli.topics import PUBLISHERS, Event, Schema, Stream, look_up, nanoseconds
 from slidectl.errors import TimedOut, UsageError
+from slidectl.field_path import Selection, select
 
 _CLEAR = "\033[2J\033[;H"
 
@@ -46,7 +43,7 @@ class Look(NamedTuple):
         "slidectl echo joint_states --filter 'm.position[0] > 0.5' --json",
     ]
 )
-@click.argument("target", metavar="TOPIC[/FIELD[I]]", shell_complete=live.topics)
+@click.argument("target", metavar="TOPIC[/FIELD[I]]", shell_complete=completion.topics)
 @click.option("-n", "--count", type=click.IntRange(min=0), metavar="COUNT", help="End after so many messages.")
 @click.option("-p", "plot", is_flag=True, help="CSV for plotting: %time in nanoseconds, then the fields.")
 @click.option("--noarr", is_flag=True, help="Leave out the contents of arrays.")
@@ -86,7 +83,7 @@ def echo(
     found = look_up(ctx, target, PUBLISHERS)
     schema = found.schema
     look = Look("csv" if plot else ctx.format, not noarr, not nostr, width, clear, offset)
-    write = writer(ctx, schema, select(schema, found.field), look)
+    write = writer(ctx, schema, select(schema.fields, schema.root, found.field), look)
     keep = predicate(condition, schema)
     needs_clock = offset or (look.form == "csv" and not schema.has_header)
     if count != 0:
@@ -95,13 +92,12 @@ def echo(
 
 
 def predicate(condition: str | None, schema: Schema) -> Keep:
-    """The test of `--filter`. Raises ExpressionError before the first message when it is not valid."""
+    """The test of `--filter`. Raises UsageError before the first message when it is not valid."""
     if condition is None:
         return lambda _message: True
-    from slidectl.cli.expressions import Expression
+    from slidectl.cli.expressions import Filter
 
-    expression = Expression(condition, ("m",), schema)
-    return lambda message: bool(expression(m=message))
+    return Filter(condition, schema)
 
 
 def follow(stream: Stream, keep: Keep, write: Write, count: int | None, patience: float | None) -> None:
@@ -123,44 +119,35 @@ def follow(stream: Stream, keep: Keep, write: Write, count: int | None, patience
 
 def writer(ctx: Context, schema: Schema, selection: Selection, look: Look) -> Write:
     """The function that prints one message in the form that was asked for."""
-    if look.form == "json":
-        return _json_writer(schema, selection, look)
     if look.form == "csv":
         return _csv_writer(ctx, schema, selection, look)
+    if look.form == "json":
+        return lambda event: output.write(
+            output.as_json(_pruned(schema, selection.type, selection.depth, selection.take(event.message), look))
+        )
     form = YamlForm(schema, look.width, look.arrays, look.strings)
     text = form.printer(selection.type, selection.depth, full=look.from_bag)
-    start = _CLEAR if look.clear else ""
 
     def write(event: Event) -> None:
         form.offset_ns = event.time_ns if look.offset else 0
-        output.write(f"{start}{text(selection.take(event.message))}\n---\n")
+        output.write(f"{_CLEAR if look.clear else ''}{text(selection.take(event.message))}\n---\n")
 
     return write
 
 
-def _json_writer(schema: Schema, selection: Selection, look: Look) -> Write:
-    def write(event: Event) -> None:
-        value = selection.take(event.message)
-        if not (look.arrays and look.strings):
-            value = pruned(schema, selection.type, selection.depth, value, look)
-        output.write(output.as_json(value))
-
-    return write
-
-
-def pruned(schema: Schema, type_name: str, depth: int, value: Any, look: Look) -> Any:
-    """The value without its arrays or strings."""
+def _pruned(schema: Schema, type_name: str, depth: int, value: Any, look: Look) -> Any:
+    """The value without its arrays or strings, if these were left out."""
+    if look.arrays and look.strings:
+        return value
     if depth:
-        return [pruned(schema, type_name, depth - 1, element, look) for element in value]
+        return [_pruned(schema, type_name, depth - 1, element, look) for element in value]
     if type_name not in schema.types:
         return value
     kept = (f for f in schema.types[type_name] if (look.arrays or f.array < 0) and (look.strings or f.type != "string"))
-    return {f.name: pruned(schema, f.type, int(f.array >= 0), value[f.name], look) for f in kept}
+    return {f.name: _pruned(schema, f.type, int(f.array >= 0), value[f.name], look) for f in kept}
 
 
 def _csv_writer(ctx: Context, schema: Schema, selection: Selection, look: Look) -> Write:
-    from slidectl.cli.csvform import CsvForm
-
     form = CsvForm(schema, look.arrays, look.strings)
     stamped = schema.has_header and not look.from_bag
     header = ""

@@ -1,221 +1,193 @@
 """The expressions of the command line: `pub -r 'sin(t)'` in `i` and `t`, and `echo --filter` over a message `m`.
 
-The evaluator is that of `slidectl.expressions`. Here stands which part of it a command line may use, and the fields of
-a message: names and fields are checked before the first message, with the place and the closest name.
+The evaluator is that of `slidectl.expressions`. Here stands which names a command line has, and what the fields of a
+message are in it. Names and fields are checked before the first message.
 """
 
 from __future__ import annotations
 
 import ast
 import math
-from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+import re
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
-from slidectl.cli.schema import BYTES, FLOATS, TIMES, Schema
-from slidectl.cli.yamlform import byte_values
+from slidectl.cli.topics import Schema
 from slidectl.errors import Refused, UnknownName, UsageError, closest
 from slidectl.expressions import FUNCTIONS, MATH, evaluate, parsed
+from slidectl.field_path import byte_values
+from slidectl.msgs.schema import BYTES, FLOATS, INTEGER_RANGES, TIMES, Field
 
 _LONGEST = 4000
-_CONSTANTS: dict[str, Any] = {name: getattr(math, name) for name in ("pi", "e", "tau", "inf", "nan")}
-_FUNCTIONS: dict[str, Callable[..., Any]] = {name: value for name, value in MATH.items() if callable(value)} | {
-    name: FUNCTIONS[name]
-    for name in ("abs", "min", "max", "round", "len", "int", "float", "bool", "sum", "any", "all", "str")
-}
-_METHODS = frozenset(
-    ("startswith", "endswith", "lower", "upper", "strip", "find", "count", "isdigit", "index", "to_sec", "to_nsec")
-)
-_OPERATIONS = (
-    ast.Constant, ast.List, ast.Tuple, ast.UnaryOp, ast.BoolOp, ast.BinOp, ast.Compare, ast.IfExp, ast.Call, ast.Slice,
-)  # fmt: skip
-_NO_OPERATORS = {ast.LShift: "LShift", ast.RShift: "RShift", ast.BitXor: "BitXor", ast.MatMult: "MatMult"}
+_MOST_STEPS = 10_000_000
+"""More than a launch file may take: every element of an array of the message counts as one."""
+_NOT_FINITE = re.compile(r"\s*[-+]?(nan|inf)\s*\Z", re.IGNORECASE)
+_CLOCK_WORDS = ("now", "auto")
+_TIME_PARTS = ("secs", "nsecs", "to_sec", "to_nsec")
 
 
-class ExpressionError(UsageError):
-    """Text that is no expression, or uses what expressions do not have."""
+class _Record:
+    """Values that an expression reads as attributes; `show` makes of each what the expression sees."""
 
-
-class EvaluationError(Refused):
-    """An expression that cannot be computed with these values."""
-
-
-class Fields:
-    """A message on the wire as an expression sees it, by field: null is not a number, base64 is numbers."""
-
-    __slots__ = ("_message", "_schema", "_type")
-
-    def __init__(self, message: Mapping[str, Any], type_name: str, schema: Schema) -> None:
-        self._message = message
-        self._type = type_name
-        self._schema = schema
+    def __init__(self, values: Mapping[str, Any], show: Callable[[str, Any], Any] = lambda _name, value: value) -> None:
+        self._values = values
+        self._show = show
 
     def __getitem__(self, name: str) -> Any:
-        value = self._message[name]
-        field = self._schema.field(self._type, name)
-        return value if field is None else self._shown(value, field.type, field.array >= 0)
-
-    def _shown(self, value: Any, type_name: str, is_array: bool) -> Any:
-        if is_array:
-            if type_name in BYTES:
-                return byte_values(value)
-            return [self._shown(each, type_name, False) for each in value]
-        if type_name in FLOATS:
-            return math.nan if value is None else value
-        if type_name in TIMES:
-            return Time(value)
-        return Fields(value, type_name, self._schema) if isinstance(value, Mapping) else value
+        return self._show(name, self._values[name])
 
 
-class Time:
-    """A time or duration of a message, with rospy's `to_sec()` and `to_nsec()`."""
-
-    __slots__ = ("_time",)
-
-    def __init__(self, time: Mapping[str, int]) -> None:
-        self._time = time
-
-    def __getitem__(self, name: str) -> Any:
-        secs, nsecs = self._time["secs"], self._time["nsecs"]
-        known = {"to_sec": lambda: secs + 1e-9 * nsecs, "to_nsec": lambda: secs * 10**9 + nsecs}
-        return known.get(name) or self._time[name]
-
-
-class _Math:
-    """`math`, whose names are its attributes."""
-
-    def __getitem__(self, name: str) -> Any:
-        return MATH[name]
+_NAMES = {**FUNCTIONS, **MATH, "math": _Record(MATH)}
 
 
 class Expression:
-    """A parsed expression. It may use the names in `variables`; `m` is a message of the schema's root type.
+    """A parsed expression in `variables`, the names of the math module and Python's plain functions.
 
     Raises:
-        ExpressionError: it is not valid. UnknownName: a field of `m` that does not exist.
+        UsageError: it is no expression, or uses a name that there is not.
     """
 
-    def __init__(self, text: str, variables: tuple[str, ...] = (), schema: Schema | None = None) -> None:
+    def __init__(self, text: str, variables: Sequence[str]) -> None:
         if len(text) > _LONGEST:
-            raise ExpressionError(f"the expression is longer than {_LONGEST} characters")
+            raise UsageError(f"the expression is longer than {_LONGEST} characters")
         self.text = text
-        self._schema = schema
         try:
-            self._tree = parsed(text)
-            _Check(text, variables, schema).kind_of(self._tree)
+            self.tree = parsed(text)
         except SyntaxError as error:
-            raise ExpressionError(f"{text!r} is not a valid expression: {error.msg}") from None
-        except RecursionError:
-            raise ExpressionError(f"the expression {text[:40]!r}... is nested too deeply") from None
+            raise UsageError(f"{text!r} is not a valid expression: {error.msg}") from None
+        uses = [node for node in ast.walk(self.tree) if isinstance(node, ast.Name | ast.arg)]
+        bound = {
+            n.arg if isinstance(n, ast.arg) else n.id for n in uses if not isinstance(getattr(n, "ctx", 0), ast.Load)
+        }
+        for node in uses:
+            if isinstance(node, ast.Name) and node.id not in {*variables, *_NAMES, *bound}:
+                near = closest(node.id, [*variables, *_NAMES])
+                known = f"there are {', '.join(variables)} and the names of the math module"
+                reason = f"no name {node.id!r} ({known}" + (f", did you mean {near!r}?)" if near else ")")
+                raise UsageError(f"{text!r} is not a valid expression: {reason}")
 
     def __call__(self, **names: Any) -> Any:
-        """The value with these variables. Raises EvaluationError when it cannot be computed."""
-        if self._schema is not None and "m" in names:
-            names["m"] = Fields(names["m"], self._schema.root, self._schema)
+        """The value with these variables. Raises Refused when it cannot be computed."""
         try:
-            # Lists are those of the message, and there are no loops: no step needs to be counted.
-            return evaluate(self._tree, _NAMES | names, (Fields, Time, _Math), math.inf)
+            return evaluate(self.tree, _NAMES | names, (_Record,), _MOST_STEPS)
         except (ArithmeticError, ValueError, TypeError, LookupError, NameError, RecursionError) as error:
-            raise EvaluationError(f"cannot compute {self.text!r}: {error}") from None
+            raise Refused(f"cannot compute {self.text!r}: {error}") from None
 
 
-_NAMES = {**_FUNCTIONS, **_CONSTANTS, "math": _Math()}
+class Filter:
+    """An expression over a message `m` of the schema's root type; the fields that it names are checked at once."""
 
-
-class _Kind(NamedTuple):
-    """What is known of a value before it is computed: its type (None: unknown) and the lists around it."""
-
-    type: str | None
-    depth: int = 0
-
-
-_ANYTHING = _Kind(None)
-
-
-class _Check:
-    """One look at a tree before it is evaluated. Raises ExpressionError with the place."""
-
-    def __init__(self, text: str, variables: tuple[str, ...], schema: Schema | None) -> None:
-        self._text = text
-        self._variables = variables
+    def __init__(self, text: str, schema: Schema) -> None:
+        self._expression = Expression(text, ("m",))
         self._schema = schema
+        for node in ast.walk(self._expression.tree):
+            if isinstance(node, ast.Attribute):
+                self._field_of(node)
 
-    def kind_of(self, node: ast.AST) -> _Kind:
-        if isinstance(node, ast.Name):
-            return self._name(node)
-        if isinstance(node, ast.Attribute):
-            return self._attribute(node)
+    def __call__(self, message: Mapping[str, Any]) -> bool:
+        """True when the condition holds. Raises Refused."""
+        return bool(self._expression(m=self._shown(message, Field("m", self._schema.root))))
+
+    def _field_of(self, node: ast.AST) -> Field | None:
+        """What `m.a.b[0]` leads to; None when it is no field. Raises UsageError for one that there is not."""
+        if isinstance(node, ast.Name) and node.id == "m":
+            return Field("m", self._schema.root)
+        if not isinstance(node, ast.Attribute | ast.Subscript):
+            return None
+        owner = self._field_of(node.value)
+        if owner is None or (isinstance(node, ast.Subscript) and isinstance(node.slice, ast.Slice)):
+            return owner
         if isinstance(node, ast.Subscript):
-            return self._subscript(node)
-        if not isinstance(node, _OPERATIONS):
-            raise self._refusal(f"there is no {type(node).__name__} in expressions", node)
-        if isinstance(node, ast.Constant) and not isinstance(node.value, bool | int | float | str | None):
-            raise self._refusal(f"{node.value!r} is neither a number nor text", node)
-        if isinstance(node, ast.BinOp) and type(node.op) in _NO_OPERATORS:
-            raise self._refusal(f"there is no operator {_NO_OPERATORS[type(node.op)]}", node)
-        if isinstance(node, ast.BinOp) and any(_is_text(side) for side in (node.left, node.right)):
-            raise self._refusal("a text is no number", node)
-        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Invert):
-            raise self._refusal("there is no operator ~", node)
-        if isinstance(node, ast.Call):
-            self._function(node)
-        for part in ast.iter_child_nodes(node):
-            if isinstance(part, ast.expr) and not (isinstance(node, ast.Call) and part is node.func):
-                self.kind_of(part)
-        return _ANYTHING
+            return Field(owner.name, owner.type)
+        fields = self._schema.fields(owner.type) or [Field(n, "int32") for n in _TIME_PARTS if owner.type in TIMES]
+        if not fields or owner.array >= 0:
+            return None  # a method of a text or of a list
+        for field in fields:
+            if field.name == node.attr:
+                return field
+        missing = UnknownName("field", node.attr, [field.name for field in fields], f"in {owner.type}")
+        raise UsageError(f"{self._expression.text!r}: {missing}")
 
-    def _name(self, node: ast.Name) -> _Kind:
-        name = node.id
-        if name in self._variables:
-            return _Kind(self._schema.root if self._schema is not None and name == "m" else None)
-        if name in _CONSTANTS:
-            return _ANYTHING
-        if name in _FUNCTIONS:
-            raise self._refusal(f"{name} is a function: write {name}(...)", node)
-        near = closest(name, [*self._variables, *_CONSTANTS, *_FUNCTIONS])
-        suggestion = f", did you mean {near!r}" if near else ""
-        known = " and ".join([*self._variables, "the names of the math module"])
-        raise self._refusal(f"no name {name!r} (there are {known}{suggestion})", node)
-
-    def _function(self, call: ast.Call) -> None:
-        """`sin` or `math.sin`, `abs` and its like; a method of a text, of a list or of a time."""
-        if call.keywords or any(isinstance(argument, ast.Starred) for argument in call.args):
-            raise self._refusal("functions take plain arguments only", call)
-        node = call.func
-        if isinstance(node, ast.Attribute) and _of_math(node) is None and node.attr in _METHODS:
-            self.kind_of(node.value)
-        elif (_of_math(node) or (node.id if isinstance(node, ast.Name) else None)) not in _FUNCTIONS:
-            raise self._refusal(f"there is no function {ast.unparse(node)!r}", node)
-
-    def _attribute(self, node: ast.Attribute) -> _Kind:
-        if _of_math(node) in _CONSTANTS:
-            return _ANYTHING
-        kind, name = self.kind_of(node.value), node.attr
-        if kind.type is None or kind.depth or self._schema is None:
-            raise self._refusal(f"{ast.unparse(node.value)!r} has no field {name!r}", node)
-        known = ["secs", "nsecs"] if kind.type in TIMES else [f.name for f in self._schema.fields(kind.type)]
-        if name not in known:
-            raise ExpressionError(f"{self._text!r}: {UnknownName('field', name, known, f'in {kind.type}')}")
-        field = self._schema.field(kind.type, name)
-        return _Kind("int32") if field is None else _Kind(field.type, int(field.array >= 0))
-
-    def _subscript(self, node: ast.Subscript) -> _Kind:
-        kind = self.kind_of(node.value)
-        if kind.type is not None and kind.depth == 0 and kind.type != "string":
-            raise self._refusal(f"{ast.unparse(node.value)!r} is no array", node)
-        self.kind_of(node.slice)
-        return kind if isinstance(node.slice, ast.Slice) else _Kind(kind.type, max(kind.depth - 1, 0))
-
-    def _refusal(self, reason: str, node: ast.AST) -> ExpressionError:
-        place = getattr(node, "col_offset", 0) + 1
-        return ExpressionError(f"{self._text!r} is not a valid expression: {reason} (at character {place})")
+    def _shown(self, value: Any, field: Field | None) -> Any:
+        """Null is not a number, base64 is numbers, a time has rospy's `to_sec()` and `to_nsec()`."""
+        if field is None or (field.array >= 0 and field.type in BYTES):
+            return value if field is None else byte_values(value)
+        if field.array >= 0:
+            return [self._shown(each, Field(field.name, field.type)) for each in value]
+        if field.type in FLOATS:
+            return math.nan if value is None else value
+        if field.type in TIMES:
+            secs, nsecs = value["secs"], value["nsecs"]
+            moments = {"to_sec": lambda: secs + 1e-9 * nsecs, "to_nsec": lambda: secs * 10**9 + nsecs}
+            return _Record({**value, **moments})
+        if not isinstance(value, Mapping):
+            return value
+        return _Record(value, lambda name, inner: self._shown(inner, self._schema.field(field.type, name)))
 
 
-def _of_math(node: ast.expr) -> str | None:
-    """`pi` of `math.pi`."""
-    if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "math":
-        return node.attr
-    return None
+class Template:
+    """The values for a message of the schema's root type, in which texts stand where a number is due.
+
+    `expressions` False reads only `nan` and `inf` as numbers, and leaves all other texts as they are. Values are not
+    checked here: `fill` does that with what comes out.
+
+    Raises:
+        UsageError: a text where a number is due that is no expression in i and t.
+    """
+
+    def __init__(self, schema: Schema, values: Sequence[Any], expressions: bool = False) -> None:
+        self._schema = schema
+        self._expressions = expressions
+        fields = schema.fields(schema.root)
+        if len(values) == 1 and isinstance(values[0], Mapping):
+            self._values = [self._parsed(values[0], schema.root, False)]
+        elif len(values) == 1 and [field.type for field in fields[:1]] == ["std_msgs/MultiArrayLayout"]:
+            self._values = [self._parsed(values[0], fields[1].type, True)]
+        else:
+            self._values = self._parsed(list(values), schema.root, False)
+        self.needs_clock = _mentions_clock(values)
+        """True when a value is `now` or `auto`."""
+
+    def at(self, index: int, seconds: float) -> Sequence[Any]:
+        """The values for i = index and t = seconds. Raises Refused."""
+        return [_at(value, index, seconds) for value in self._values]
+
+    def _parsed(self, value: Any, type_name: str, is_array: bool) -> Any:
+        """The value with functions of i and t in the place of expressions."""
+        if is_array:
+            return [self._parsed(each, type_name, False) for each in value] if isinstance(value, list) else value
+        fields = self._schema.fields(type_name)
+        if isinstance(value, Mapping):
+            kinds = {field.name: field for field in fields}
+            return {
+                name: self._parsed(each, kinds[name].type, kinds[name].array >= 0) if name in kinds else each
+                for name, each in value.items()
+            }
+        if isinstance(value, list) and len(value) == len(fields):
+            return [self._parsed(each, f.type, f.array >= 0) for each, f in zip(value, fields, strict=True)]
+        is_number = type_name in FLOATS or type_name in INTEGER_RANGES or type_name == "bool"
+        is_finite = not isinstance(value, str) or _NOT_FINITE.match(value) is None
+        if not is_number or not isinstance(value, str) or (is_finite and not self._expressions):
+            return value
+        expression = Expression(value if is_finite else value.lower(), ("i", "t"))
+        return lambda i, t: _rounded(expression(i=i, t=t), type_name)
 
 
-def _is_text(node: ast.expr) -> bool:
-    return isinstance(node, ast.Constant) and isinstance(node.value, str)
+def _rounded(value: Any, type_name: str) -> Any:
+    return int(value) if type_name in INTEGER_RANGES and isinstance(value, float) and value.is_integer() else value
+
+
+def _at(value: Any, index: int, seconds: float) -> Any:
+    if callable(value):
+        return value(index, seconds)
+    if isinstance(value, dict):
+        return {name: _at(each, index, seconds) for name, each in value.items()}
+    return [_at(each, index, seconds) for each in value] if isinstance(value, list) else value
+
+
+def _mentions_clock(value: Any) -> bool:
+    if isinstance(value, Mapping):
+        return any(map(_mentions_clock, value.values()))
+    if isinstance(value, list | tuple):
+        return any(map(_mentions_clock, value))
+    return value in _CLOCK_WORDS

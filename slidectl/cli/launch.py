@@ -14,10 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slidectl.cli import live
-from slidectl.cli.commands import command
+from slidectl.cli import completion
+from slidectl.cli.commands import command, positive_seconds
 from slidectl.cli.context import Context
-from slidectl.cli.options import positive_seconds
 from slidectl.cli.spawn import tell_own_packages
 from slidectl.errors import Refused, UsageError
 from slidectl.names import join
@@ -37,7 +36,7 @@ def _launch_files(context: click.Context, param: click.Parameter, incomplete: st
     from slidectl.launch.files import shipped
 
     fitting = [name for name in shipped() if name.startswith(incomplete)]
-    return fitting or live.files(context, param, incomplete)
+    return fitting or completion.files(context, param, incomplete)
 
 
 @command(

@@ -65,7 +65,7 @@ class Terminal:
 
     def status(self, text: str) -> None:
         if self.is_live and (text or self._status):
-            self._status = text[: max(10, output._terminal_width() - 1)]
+            self._status = text[: max(10, output.terminal_width() - 1)]
             self._say(lambda: self._draw(self._status))
 
     def closing(self) -> None:

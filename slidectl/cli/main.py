@@ -1,22 +1,36 @@
-"""The root command: a table of all commands, whose modules are imported only when they run.
+"""The root command: a table of all commands, whose modules are imported only when they run; and how a command ends.
 
-It parses the options before the command, and nothing else.
+It parses the options before the command, and nothing else. From an exception to lines on stderr and an exit code: this
+is the only place that decides either. With `--json` the lines are one object with the keys error, hint (null when
+there is none) and exit_code.
 """
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from slidectl.cli.commands import Group
-from slidectl.cli.context import Context
-from slidectl.cli.failure import guard
-from slidectl.cli.options import environment_namespace
+from slidectl.cli import output
+from slidectl.cli.commands import Group, environment_namespace
+from slidectl.cli.context import Context, paint
+from slidectl.errors import (
+    EXIT_DONE,
+    EXIT_INTERRUPTED,
+    EXIT_REFUSED,
+    EXIT_USAGE,
+    NoDaemon,
+    NoDescriptors,
+    Refused,
+    SlidectlError,
+    cut,
+)
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -24,19 +38,15 @@ if TYPE_CHECKING:
 COMPLETION_VARIABLE = "_SLIDECTL_COMPLETE"
 
 
-class Entry:
+class Entry(NamedTuple):
     """One line of the command table. The command object has the command's name in its module.
 
-    `help` is equal to the first sentence of the command's own help (a test compares them). No NamedTuple: making
-    such a class takes longer than to import this module.
+    `help` is equal to the first sentence of the command's own help (a test compares them).
     """
 
-    __slots__ = ("help", "module", "section")
-
-    def __init__(self, section: str, module: str, help: str) -> None:
-        self.section = section
-        self.module = module
-        self.help = help
+    section: str
+    module: str
+    help: str
 
 
 COMMANDS = {
@@ -47,7 +57,7 @@ COMMANDS = {
     "robots": Entry("Robots", "robots", "List the robots, or show one with its joints."),
     "estop": Entry("Robots", "robots", "Stop robots at once, or release them."),
     "check": Entry("Robots", "check", "Check a model, a launch file or controllers, without a daemon."),
-    "urdf": Entry("Robots", "urdf", "Print the URDF that xacro makes of a model, without a daemon."),
+    "urdf": Entry("Robots", "spawn", "Print the URDF that xacro makes of a model, without a daemon."),
     "controller": Entry("Robots", "controller", "Load, start, stop and list controllers."),
     "launch": Entry("Robots", "launch", "Run a launch file as roslaunch does."),
     "pub": Entry("Topics, services, parameters", "pub", "Publish a message."),
@@ -114,8 +124,6 @@ class Root(Group):
         if args[0] != "help":
             return super().resolve_command(ctx, args)
         if not args[1:]:
-            from slidectl.cli import output
-
             output.write(ctx.get_help())
             ctx.exit()
         return super().resolve_command(ctx, [*args[1:], "--help"])
@@ -159,7 +167,6 @@ def load(name: str, entry: Entry) -> click.Command:
 def _print_version(click_context: click.Context, _param: click.Parameter, value: bool) -> None:
     if value and not click_context.resilient_parsing:
         from slidectl import __version__
-        from slidectl.cli import output
 
         output.write(f"slidectl {__version__}")
         click_context.exit()
@@ -169,7 +176,7 @@ root = Root(
     "slidectl",
     help=HELP,
     examples=["slidectl daemon start", "slidectl spawn slider --controllers config/slider_control.yaml"],
-    context_settings={"max_content_width": 110},
+    context_settings={"max_content_width": 110, "help_option_names": ["-h", "--help"]},
     params=[
         click.Option(
             ["--version"],
@@ -185,21 +192,89 @@ root = Root(
 
 def run(argv: Sequence[str]) -> int:
     """Run one command line; its exit code. Prints errors itself and raises nothing but KeyboardInterrupt."""
-    context = Context()
     if COMPLETION_VARIABLE in os.environ:
-        return _complete(os.environ[COMPLETION_VARIABLE])
+        from click.shell_completion import shell_complete
+
+        return shell_complete(root, {}, "slidectl", COMPLETION_VARIABLE, os.environ[COMPLETION_VARIABLE])
+    context = Context()
     for stream in (sys.stdout, sys.stderr):
         stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
-    return guard(lambda: _invoke(list(argv), context), context, argv)
+
+    def act() -> None:
+        context.namespace = environment_namespace()
+        invoke(argv, context)
+
+    return guard(act, context, argv)
 
 
-def _invoke(argv: list[str], context: Context) -> None:
-    context.namespace = environment_namespace()
-    with root.make_context("slidectl", argv, obj=context) as click_context:
+def invoke(argv: Sequence[str], context: Context) -> None:
+    """Run the command of a command line. Raises what it raises."""
+    with root.make_context("slidectl", list(argv), obj=context) as click_context:
         root.invoke(click_context)
 
 
-def _complete(instruction: str) -> int:
-    from click.shell_completion import shell_complete
+# --- how a command ends ---------------------------------------------------------------------------------------------
 
-    return shell_complete(root, {}, "slidectl", COMPLETION_VARIABLE, instruction)
+
+def guard(action: Callable[[], None], context: Context, words: Sequence[str] = ()) -> int:
+    """Run the action; the exit code. Errors are printed, with a traceback when `-v` was given twice.
+
+    `words` are those of the command line.
+    """
+    try:
+        action()
+        return EXIT_DONE
+    except click.exceptions.Exit as leaving:
+        return leaving.exit_code
+    except output.ClosedPipe:
+        return EXIT_DONE
+    except (KeyboardInterrupt, click.Abort):
+        return EXIT_INTERRUPTED
+    except BrokenPipeError as error:
+        if output.reader_has_gone():
+            return EXIT_DONE
+        return _report(NoDaemon(f"the connection broke: {error}"), context, words)
+    except Exception as error:
+        return EXIT_INTERRUPTED if _was_interrupted(error) else _report(error, context, words)
+
+
+def _was_interrupted(error: BaseException | None) -> bool:
+    """Python turns an interrupt that comes while it makes a class into a RuntimeError; what it was is the cause."""
+    while isinstance(error, Exception):
+        error = error.__cause__
+    return error is not None
+
+
+def _report(error: Exception, context: Context, words: Sequence[str]) -> int:
+    if context.verbose >= 2:
+        import traceback
+
+        traceback.print_exception(error)
+    message, hint, code = _described(error)
+    # Of a command line that cannot be read, the option may not have been reached.
+    as_json = isinstance(error, click.UsageError) and "--json" in words and words[0] != "ros"
+    with suppress(OSError):  # stderr may be a full disk, and the exit code is all that is left then
+        if context.format == "json" or as_json:
+            record = {"error": cut(message), "hint": hint, "exit_code": code}
+            print(output.as_json(record), file=sys.stderr, flush=True)
+        else:
+            text = f"{message}\n{hint}" if hint else message
+            print(paint("error:", "red"), "\n".join(map(cut, text.rstrip().splitlines())), file=sys.stderr, flush=True)
+    return code
+
+
+def _described(error: Exception) -> tuple[str, str | None, int]:
+    """What failed, what to do next (if that is known), and the exit code of an error."""
+    if isinstance(error, OSError) and error.errno in NoDescriptors.ERRNOS:
+        error = NoDescriptors("slidectl")
+    if isinstance(error, OSError) and error.errno == errno.ENOSPC:  # click wrote it
+        error = Refused(f"cannot write the output: {error.strerror}")
+    if isinstance(error, SlidectlError):
+        return error.message, error.hint, error.exit_code
+    if isinstance(error, click.UsageError):
+        see = f"see '{error.ctx.command_path} --help'" if error.ctx is not None else None
+        return error.format_message().replace("\n\t", " "), see, EXIT_USAGE
+    if isinstance(error, click.ClickException):
+        return error.format_message(), None, error.exit_code
+    fault = "this is a fault of slidectl; give -v twice to see where it happened"
+    return f"{type(error).__name__}: {error}", fault, EXIT_REFUSED

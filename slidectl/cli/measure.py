@@ -10,7 +10,8 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from slidectl.cli.schema import BYTES, TIMES, Schema
+from slidectl.cli.topics import Schema
+from slidectl.msgs.schema import BYTES, TIMES
 
 _SIZES = {
     "bool": 1, "int8": 1, "uint8": 1, "byte": 1, "char": 1, "int16": 2, "uint16": 2, "int32": 4, "uint32": 4,

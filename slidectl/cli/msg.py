@@ -46,38 +46,15 @@ def found_types(kind: Kind, name: str) -> list[str]:
     return found
 
 
-def _show(ctx: Context, kind: Kind, name: str | None, raw: bool) -> None:
-    wanted = sys.stdin.readline().strip() if name is None else name
-    if not wanted:
-        raise UsageError("no TYPE given, and none on stdin")
-    text = kind.source if raw else kind.show
-    for found in found_types(kind, wanted):
-        heading = f"[{found}]:\n" if "/" not in wanted else ""
-        record = {"type": found, "md5": kind.md5(found), "definition": kind.source(found)}
-        body = text(found).rstrip("\n")
-        ctx.emit(record, heading + (f"{body}\n\n" if body else "\n"))
-
-
-def _list(ctx: Context, kind: Kind, package: str | None) -> None:
-    known = sorted(kind.names())
-    packages = sorted({each.partition("/")[0] for each in known})
-    if package is not None and package not in packages:
-        raise UnknownName("package", package, packages)
-    ctx.emit_names([each for each in known if package in (None, each.partition("/")[0])], "type")
-
-
-def _md5(ctx: Context, kind: Kind, name: str) -> None:
-    for found in found_types(kind, name):
-        text = kind.md5(found)
-        ctx.emit({"type": found, "md5": text}, text if "/" in name else f"[{found}]: {text}")
-
-
 def _verbs(parent: Group, kind: Callable[[], Kind], example: str) -> None:
     """Give the group its three commands."""
     tool = f"slidectl {parent.name}"
 
+    def complete(_context: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
+        return [name for name in kind().names() if name.startswith(incomplete)]
+
     @parent.command("show", examples=[f"{tool} show {example}", f"{tool} show {example.partition('/')[2]}"])
-    @click.argument("name", required=False, metavar="TYPE", shell_complete=_completer(kind))
+    @click.argument("name", required=False, metavar="TYPE", shell_complete=complete)
     @click.option("-r", "--raw", is_flag=True, help="The definition as it was written, with its comments.")
     @click.pass_obj
     def show(ctx: Context, name: str | None, raw: bool) -> None:
@@ -86,7 +63,14 @@ def _verbs(parent: Group, kind: Callable[[], Kind], example: str) -> None:
         A Name without its package is looked for in all of them. Without TYPE one is read from stdin.
         JSON keys: type, md5, definition.
         """
-        _show(ctx, kind(), name, raw)
+        wanted, types = sys.stdin.readline().strip() if name is None else name, kind()
+        if not wanted:
+            raise UsageError("no TYPE given, and none on stdin")
+        for found in found_types(types, wanted):
+            heading = f"[{found}]:\n" if "/" not in wanted else ""
+            record = {"type": found, "md5": types.md5(found), "definition": types.source(found)}
+            body = (types.source if raw else types.show)(found).rstrip("\n")
+            ctx.emit(record, heading + (f"{body}\n\n" if body else "\n"))
 
     @parent.command("list", examples=[f"{tool} list", f"{tool} list {example.partition('/')[0]}"])
     @click.argument("package", required=False)
@@ -96,21 +80,23 @@ def _verbs(parent: Group, kind: Callable[[], Kind], example: str) -> None:
 
         JSON key: type.
         """
-        _list(ctx, kind(), package)
+        known = sorted(kind().names())
+        packages = sorted({each.partition("/")[0] for each in known})
+        if package is not None and package not in packages:
+            raise UnknownName("package", package, packages)
+        ctx.emit_names([each for each in known if package in (None, each.partition("/")[0])], "type")
 
     @parent.command("md5", examples=[f"{tool} md5 {example}"])
-    @click.argument("name", metavar="TYPE", shell_complete=_completer(kind))
+    @click.argument("name", metavar="TYPE", shell_complete=complete)
     @click.pass_obj
     def md5(ctx: Context, name: str) -> None:
         """Print the md5 sum that ROS 1 peers compare.
 
         JSON keys: type, md5.
         """
-        _md5(ctx, kind(), name)
-
-
-def _completer(kind: Callable[[], Kind]) -> Callable[[click.Context, click.Parameter, str], list[str]]:
-    return lambda _context, _param, incomplete: [name for name in kind().names() if name.startswith(incomplete)]
+        for found in found_types(kind(), name):
+            text = kind().md5(found)
+            ctx.emit({"type": found, "md5": text}, text if "/" in name else f"[{found}]: {text}")
 
 
 @group(examples=["slidectl msg show sensor_msgs/JointState", "slidectl msg list std_msgs"])

@@ -18,8 +18,6 @@ FORMATS = ("text", "json", "yaml", "csv")
 
 Record = Mapping[str, Any]
 
-_LOOK_EVERY_S = 0.2
-
 
 class ClosedPipe(Exception):
     """Whoever read our output has gone: end quietly."""
@@ -50,26 +48,10 @@ def reader_has_gone() -> bool:
     return any(event & (select.POLLERR | select.POLLHUP) for _, event in poll.poll(0))
 
 
-def watch_reader() -> None:
-    """From now on the command ends soon after its reader has gone, though it may have nothing to write for long.
-
-    For commands that follow something without end. Main thread only, as signals are.
-    """
-    import signal
-
-    def look(*_: Any) -> None:
-        if reader_has_gone():
-            raise ClosedPipe
-
-    signal.signal(signal.SIGALRM, look)
-    signal.setitimer(signal.ITIMER_REAL, _LOOK_EVERY_S, _LOOK_EVERY_S)
-
-
-def leave_reader_alone() -> None:
-    """End what `watch_reader` began, where other commands follow in this process."""
-    signal = sys.modules.get("signal")
-    if signal is not None:
-        signal.setitimer(signal.ITIMER_REAL, 0)
+def check_reader() -> None:
+    """Raises ClosedPipe when the reader has gone: for what goes on without end and may have nothing to write."""
+    if reader_has_gone():
+        raise ClosedPipe
 
 
 def is_terminal(stream: TextIO) -> bool:
@@ -127,15 +109,22 @@ def cell(value: Any) -> str:
     return as_json(value) if isinstance(value, Mapping) else str(value)
 
 
-def as_table(rows: Sequence[Sequence[str]], header: Sequence[str]) -> str:
-    """Columns padded with blanks under a header line, never wrapped, nothing behind the last column."""
-    lines = [tuple(name.upper() for name in header), *rows]
+def table(rows: Sequence[Record], columns: Sequence[str]) -> str:
+    """A table of records; column `a_b` is headed `a b`.
+
+    In a pipe columns are padded with blanks under a header line and never wrapped; on a terminal rich draws them.
+    """
+    header = [column.replace("_", " ") for column in columns]
+    body = [[cell(row.get(column)) for column in columns] for row in rows]
+    if is_terminal(sys.stdout):
+        return _rich_table(body, header)
+    lines = [[name.upper() for name in header], *body]
     widths = [max(len(line[column]) for line in lines) for column in range(len(header))]
     return "\n".join("  ".join(map(str.ljust, line, widths)).rstrip() for line in lines)
 
 
-def as_rich_table(rows: Sequence[Sequence[str]], header: Sequence[str], colour: bool) -> str:
-    """The same for a terminal: wraps inside its columns, with colours if wanted."""
+def _rich_table(rows: Sequence[Sequence[str]], header: Sequence[str]) -> str:
+    """It wraps inside its columns."""
     import io
 
     from rich import box
@@ -147,27 +136,18 @@ def as_rich_table(rows: Sequence[Sequence[str]], header: Sequence[str], colour: 
     for index, name in enumerate(header):
         table.add_column(name, style="cyan" if index == 0 else "", overflow="fold")
     for row in rows:
-        table.add_row(*(Text(text) for text in row))
-    buffer = io.StringIO()
-    console = Console(file=buffer, force_terminal=True, no_color=not colour, width=_terminal_width(), highlight=False)
-    console.print(table)
+        table.add_row(*map(Text, row))
+    buffer, width = io.StringIO(), terminal_width()
+    no_color = not wants_colour(sys.stdout)
+    Console(file=buffer, force_terminal=True, no_color=no_color, width=width, highlight=False).print(table)
     return buffer.getvalue()
 
 
-def table(rows: Sequence[Record], columns: Sequence[str]) -> str:
-    """A table of records: plain in a pipe, rich on a terminal. Column `a_b` is headed `a b`."""
-    header = [column.replace("_", " ") for column in columns]
-    body = [[cell(row.get(column)) for column in columns] for row in rows]
-    if is_terminal(sys.stdout):
-        return as_rich_table(body, header, wants_colour(sys.stdout))
-    return as_table(body, header)
+def terminal_width() -> int:
+    """Characters in a line of the terminal, 80 where that is not known."""
+    import shutil
 
-
-def _terminal_width() -> int:
-    try:
-        return os.get_terminal_size(sys.stdout.fileno()).columns or 80
-    except (OSError, ValueError):
-        return 80
+    return shutil.get_terminal_size().columns
 
 
 def _csv_cell(value: Any) -> Any:

@@ -1,21 +1,31 @@
-"""`slidectl param`: get, set, load and dump parameters, with the semantics of rosparam."""
+"""`slidectl param`: get, set, load and dump parameters, with the semantics of rosparam.
+
+Behind the commands: values of parameters as they are typed, as files hold them and as YAML, for all that set them.
+"""
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Sequence
-from typing import Any
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from slidectl import names
-from slidectl.cli import live, output, parameters
+from slidectl.cli import completion, output, values
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
 from slidectl.errors import AmbiguousName, BadFile, Refused, UnknownName, UsageError, closest, listing
 from slidectl.writing import write_whole
 
+if TYPE_CHECKING:
+    from slidectl.client.spawning import Tree
+
 _INDEXED = re.compile(r"(?P<name>[^\[\]]+)(?P<indices>(\[-?\d+\])+)\Z")
+_PLAIN_NUMBER = re.compile(r"-?\d+(\.\d+)?\Z")
+_BEGINS_AS_LIST = re.compile(r"(\s*(#.*)?\n)*\s*(-\s|\[)")
 
 
 @group(examples=["slidectl param get joint1_position_controller/pid", "slidectl param set pid/p 150"])
@@ -32,7 +42,7 @@ def _resolved(ctx: Context, name: str) -> str:
 
 
 @param.command("list", examples=["slidectl param list", "slidectl param list /slider/joint1_position_controller"])
-@click.argument("namespace", required=False, shell_complete=live.parameters)
+@click.argument("namespace", required=False, shell_complete=completion.parameters)
 @click.pass_obj
 def list_parameters(ctx: Context, namespace: str | None) -> None:
     """List the parameters, all or those below NAMESPACE.
@@ -45,7 +55,7 @@ def list_parameters(ctx: Context, namespace: str | None) -> None:
 
 
 @param.command("get", examples=["slidectl param get joint1_position_controller/pid/p", "slidectl param get / --json"])
-@click.argument("name", shell_complete=live.parameters)
+@click.argument("name", shell_complete=completion.parameters)
 @click.option("--default", "fallback", metavar="VALUE", help="Print this when the parameter is not set.")
 @click.pass_obj
 def get(ctx: Context, name: str, fallback: str | None) -> None:
@@ -56,11 +66,11 @@ def get(ctx: Context, name: str, fallback: str | None) -> None:
     match = _INDEXED.match(name)
     try:
         full = _resolved(ctx, match["name"] if match else name)
-        value = parameters.get(ctx, full)
+        value = get_value(ctx, full)
     except UnknownName:
         if fallback is None:
             raise
-        full, value, match = names.join(ctx.namespace, name), parameters.typed(fallback), None
+        full, value, match = names.join(ctx.namespace, name), typed(fallback), None
     for index in re.findall(r"-?\d+", match["indices"]) if match else ():
         value = _element(full, value, int(index))
     ctx.emit({"parameter": full, "value": value}, as_rosparam(value))
@@ -76,7 +86,7 @@ def _element(full: str, value: Any, index: int) -> Any:
 
 def as_rosparam(value: Any) -> str:
     """The value as `rosparam get` prints it: YAML, and an empty line after a mapping or a list."""
-    text = parameters.dumped(value)
+    text = dumped(value)
     return text + "\n" if isinstance(value, dict | list) else text.removesuffix("...\n")
 
 
@@ -86,9 +96,11 @@ def as_rosparam(value: Any) -> str:
 @param.command(
     "set", examples=["slidectl param set joint1_position_controller/pid/p 150", "slidectl param set /limit 'deg(90)'"]
 )
-@click.argument("name", shell_complete=live.parameters)
+@click.argument("name", shell_complete=completion.parameters)
 @click.argument("value", required=False)
-@click.option("-t", "--textfile", shell_complete=live.files, metavar="FILE", help="The text of a file as the value.")
+@click.option(
+    "-t", "--textfile", shell_complete=completion.files, metavar="FILE", help="The text of a file as the value."
+)
 @click.option("--new", is_flag=True, help="Set it although nobody reads it, or a short NAME says something else.")
 @click.pass_obj
 def set_parameter(ctx: Context, name: str, value: str | None, textfile: str | None, new: bool) -> None:
@@ -101,14 +113,11 @@ def set_parameter(ctx: Context, name: str, value: str | None, textfile: str | No
     Below a loaded controller only names that it reads can be set, unless with --new. Elsewhere a line on stderr says
     when the parameter is new. JSON keys: parameter, value.
     """
-    from slidectl.cli.configuration import store
-    from slidectl.cli.documents import text_of
-
     if (value is None) == (textfile is None):
         raise UsageError("give a VALUE or -t FILE")
-    content = text_of(textfile) if textfile is not None else parameters.typed(value or "")
+    content = values.text_of(textfile) if textfile is not None else typed(value or "")
     full = _name_to_set(ctx, name, new)
-    created = store(ctx, parameters.settings(content, full), known_only=not new)
+    created = store(ctx, settings(content, full), known_only=not new)
     if full != names.join(ctx.namespace, name):
         ctx.say(f"set {full}")
     if created and not new:
@@ -160,7 +169,7 @@ def _say_new(ctx: Context, created: Sequence[str]) -> None:
 
 
 @param.command("delete", examples=["slidectl param delete /limit", "slidectl param delete /slider"])
-@click.argument("name", shell_complete=live.parameters)
+@click.argument("name", shell_complete=completion.parameters)
 @click.pass_obj
 def delete(ctx: Context, name: str) -> None:
     """Delete a parameter, or all below a namespace.
@@ -177,8 +186,8 @@ def delete(ctx: Context, name: str) -> None:
 
 
 @param.command("load", examples=["slidectl param load config/slider_control.yaml", "slidectl param load - /slider"])
-@click.argument("file", shell_complete=live.files)
-@click.argument("namespace", required=False, shell_complete=live.parameters)
+@click.argument("file", shell_complete=completion.files)
+@click.argument("namespace", required=False, shell_complete=completion.parameters)
 @click.pass_obj
 def load(ctx: Context, file: str, namespace: str | None) -> None:
     """Set the parameters of a YAML file ('-' is stdin), below NAMESPACE if given.
@@ -186,13 +195,11 @@ def load(ctx: Context, file: str, namespace: str | None) -> None:
     All documents of the file count; a key '_ns' puts a document into a namespace. Parameters that the file does not
     name stay. JSON keys: parameter, value; one line for each.
     """
-    from slidectl.cli.configuration import store
-    from slidectl.cli.documents import text_of
     from slidectl.client.spawning import leaves
 
     shown = "stdin" if file == "-" else file
     inside = names.check_parameter(names.join(ctx.namespace, (namespace or "").rstrip("/") or ctx.namespace))
-    tree = parameters.tree(ctx, text_of(file), shown, namespace is not None)
+    tree = parameters_in(ctx, values.text_of(file), shown, namespace is not None)
     if tree == {}:
         ctx.say(f"{shown} holds no parameters")
     chosen = dict(leaves(tree, inside)) if isinstance(tree, dict) else {inside: tree}
@@ -204,16 +211,16 @@ def load(ctx: Context, file: str, namespace: str | None) -> None:
 
 
 @param.command("dump", examples=["slidectl param dump", "slidectl param dump slider.yaml /slider"])
-@click.argument("file", required=False, shell_complete=live.files)
-@click.argument("namespace", required=False, shell_complete=live.parameters)
+@click.argument("file", required=False, shell_complete=completion.files)
+@click.argument("namespace", required=False, shell_complete=completion.parameters)
 @click.pass_obj
 def dump(ctx: Context, file: str | None, namespace: str | None) -> None:
     """Write the parameters, all or those below NAMESPACE, as YAML with sorted keys, to FILE or to stdout.
 
     With --json it is one object.
     """
-    value = parameters.get(ctx, "/" if namespace is None else _resolved(ctx, namespace))
-    text = output.as_json(value) + "\n" if ctx.format == "json" else parameters.dumped(value)
+    value = get_value(ctx, "/" if namespace is None else _resolved(ctx, namespace))
+    text = output.as_json(value) + "\n" if ctx.format == "json" else dumped(value)
     if file in (None, "-"):
         return output.write(text)
     try:
@@ -221,3 +228,105 @@ def dump(ctx: Context, file: str | None, namespace: str | None) -> None:
     except OSError as error:
         raise BadFile(f"cannot be written: {error.strerror or error}", str(file)) from None
     return None
+
+
+# --- values ---------------------------------------------------------------------------------------------------------
+
+
+def get_value(ctx: Context, full: str) -> Any:
+    """The value, a dict for a namespace. Raises Refused when it is not set."""
+    return json.loads(ctx.call("/rosapi/get_param", {"name": full})["value"])
+
+
+def typed(text: str) -> Any:
+    """What was typed: YAML, angles in radians, empty text for no text. Raises UsageError."""
+    if "deg" not in text and "rad" not in text:
+        return "" if text == "" else values.read(text)
+    from slidectl.description import angles
+
+    return values.read_yaml(text, values.shown(text), angles=True) if angles.may_be_in(text) else values.read(text)
+
+
+def parameters_in(ctx: Context, text: str, file: str, may_be_list: bool) -> Any:
+    """The parameters in a text: a mapping; where a namespace names it, a list or text too. Raises BadFile."""
+    from slidectl.description import yaml_tree
+
+    if may_be_list and _BEGINS_AS_LIST.match(text) and not text.startswith("---"):
+        return yaml_tree.read_value(text, file)
+    notices: list[Any] = []
+    try:
+        content = yaml_tree.read(text, file, notices, rooted=True)
+    except BadFile:
+        with suppress(BadFile):  # text that is all there is in a file is how one parameter is dumped
+            bare = yaml_tree.read_value(text, file) if may_be_list else None
+            if isinstance(bare, str):
+                return bare
+        raise
+    for notice in notices:
+        ctx.warn(f"{notice.file}:{notice.line}: {notice.subject} {notice.text}")
+    return content
+
+
+def dumped(value: Any) -> str:
+    """The value as PyYAML writes it in block style, keys sorted. Common scalars are written without loading it."""
+    text = _scalar(value)
+    if text is not None:
+        return f"{text}\n...\n"
+    import yaml
+
+    from slidectl.description import angles
+
+    dumper: Any = type("Dumper", (yaml.SafeDumper,), {})
+    angles.add_to(dumper)
+    return str(yaml.dump(value, Dumper=dumper, default_flow_style=False))
+
+
+def _scalar(value: Any) -> str | None:
+    """The text of a scalar that needs neither quotes nor another notation than Python's."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        from slidectl.cli.forms import is_plain
+
+        return value if is_plain(value) else None
+    if isinstance(value, int | float) and _PLAIN_NUMBER.match(repr(value)):
+        return repr(value)
+    return None
+
+
+def settings(content: Any, full: str) -> dict[str, Any]:
+    """What to set for a value at `full`: a mapping one by one, so that it is merged, anything else as a whole.
+
+    Raises UsageError for null, which no parameter can be.
+    """
+    from slidectl.client.spawning import leaves
+
+    if content is None:
+        raise UsageError("null is no value of a parameter", f"slidectl param delete {full}")
+    return dict(leaves(content, full)) if isinstance(content, dict) and content else {full: content}
+
+
+def store(ctx: Context, parameters: Tree, known_only: bool = False) -> list[str]:
+    """Set them all, or none; others that are there stay. What controllers say to it is a warning.
+
+    Args:
+        known_only: a name below a loaded controller that it does not read is an error.
+
+    Returns:
+        The names that were not set before, without those below a loaded controller: the controller has judged these.
+
+    Raises:
+        Refused: a loaded controller cannot take a value. UsageError: JSON cannot carry a value.
+    """
+    texts = []
+    for name, value in parameters.items():
+        try:
+            texts.append(json.dumps(value, allow_nan=False))
+        except ValueError:
+            reason = f"parameter {name} cannot be set to {value}: parameters hold finite numbers"
+            raise UsageError(reason) from None
+    request = {"names": list(parameters), "values": texts, "known_only": known_only}
+    answer = ctx.call("/slidectl/set_params", request)
+    for reason in ctx.client.reasons:
+        ctx.warn(reason)
+    return [name for name in answer["created"] if name not in answer["guarded"]]

@@ -1,41 +1,53 @@
 """`slidectl pub`: one message, one at a rate, or those of a file or a pipe; done when they have been taken in.
 
-The everyday case (`slidectl pub command 1.0`) takes two round trips and loads neither YAML
-nor the evaluator.
+The everyday case (`slidectl pub command 1.0`) takes two round trips and loads neither YAML nor the evaluator.
 """
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice, repeat
-from typing import Any
+from time import monotonic
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from slidectl import names
-from slidectl.cli import live
-from slidectl.cli.commands import Command, command
+from slidectl.cli import completion
+from slidectl.cli.commands import Command, command, positive_seconds
 from slidectl.cli.context import Context
-from slidectl.cli.options import positive_seconds
-from slidectl.cli.publication import Publication, Values
-from slidectl.cli.topics import SUBSCRIBERS, Target, details, look_up
-from slidectl.errors import BadFile, SlidectlError, UnknownName, Unused, UsageError
+from slidectl.cli.topics import SUBSCRIBERS, Schema, Target, details, look_up
+from slidectl.cli.values import check_quotes, documents_of, documents_on_stdin, is_numeric, read
+from slidectl.errors import BadFile, SlidectlError, TimedOut, UnknownName, Unused, UsageError
+from slidectl.msgs.fill import fields_from, fill
+
+if TYPE_CHECKING:
+    from slidectl.cli.expressions import Template
+
+Values = Sequence[Any]
+"""What a message is made of: one mapping of fields, or one value for each field."""
 
 _ONCE = "-1"
 _TYPE = r"[A-Za-z]\w*/[A-Za-z]\w*\Z"
 _EXPRESSION = r"-\s*(\d|\.\d|\(|[A-Za-z_]\w*\()"
+_FELL_BEHIND_S = 1.0
+_KEPT_UP = 0.95
+_MOST_TOLD = 5
+"""Different warnings that one command passes on: a wave beyond the limits has a new one in every message."""
 
 
 class PubCommand(Command):
     """`-1` may be an option or a number, and `-sin(t)` is a value: both reach the command as words."""
 
-    def is_value(self, token: str, before: Sequence[str]) -> bool:
-        return token == _ONCE or super().is_value(token, before) or bool(re.match(_EXPRESSION, token))
+    def is_value(self, token: str) -> bool:
+        return token == _ONCE or super().is_value(token) or bool(re.match(_EXPRESSION, token))
 
 
 def _complete(click_context: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
-    return [] if click_context.params.get("words") else live.topics(click_context, param, incomplete)
+    return [] if click_context.params.get("words") else completion.topics(click_context, param, incomplete)
 
 
 @command(
@@ -54,7 +66,9 @@ def _complete(click_context: click.Context, param: click.Parameter, incomplete: 
 )
 @click.option("-n", "--count", type=click.IntRange(min=1), metavar="COUNT", help="So many messages.")
 @click.option("--latch", is_flag=True, help="Keep the last message for those who come later; stays until Ctrl-C.")
-@click.option("-f", "--file", shell_complete=live.files, metavar="FILE", help="Values from a YAML or JSON lines file.")
+@click.option(
+    "-f", "--file", shell_complete=completion.files, metavar="FILE", help="Values from a YAML or JSON lines file."
+)
 @click.option("--stdin", is_flag=True, help="Values from stdin: YAML documents or JSON lines.")
 @click.option("--allow-unheard", is_flag=True, help="Publish although nobody subscribes.")
 @click.pass_obj
@@ -139,7 +153,7 @@ def _target(
 
 def _with_next_step(ctx: Context, name: str, error: SlidectlError, step: str) -> SlidectlError:
     """The error with a last line: `step`, or where controllers are not loaded yet which command comes first."""
-    from slidectl.cli.managers import next_step
+    from slidectl.cli.controller import next_step
 
     error.hint = f"{error.hint}\n{next_step(ctx, name) or step}"
     return error
@@ -175,8 +189,6 @@ def without_once(given: list[str], fields: int) -> tuple[list[str], bool]:
 
 def _from_words(target: Target, given: Sequence[str], rate: float | None, count: int | None) -> Iterator[Values]:
     """The values on the command line: for ever at a rate, else `count` times or once."""
-    from slidectl.cli.values import check_quotes, read
-
     check_quotes(given, target.typedefs[0]["fieldnames"])
     if not given and target.typedefs[0]["fieldnames"]:
         fields = ", ".join(target.typedefs[0]["fieldnames"])
@@ -187,10 +199,8 @@ def _from_words(target: Target, given: Sequence[str], rate: float | None, count:
 
 def _from_documents(target: Target, file: str | None, rate: float | None) -> Iterator[Values]:
     """Those of a file or of stdin; a single one of a file repeats for ever at a rate."""
-    from slidectl.cli import documents
-
     fields = len(target.typedefs[0]["fieldnames"])
-    source = documents.from_stdin() if file is None else documents.from_file(file)
+    source = documents_on_stdin() if file is None else documents_of(file)
     if source == [] and file != "-":
         raise BadFile("holds no message", file)
     spread = (_spread(document, fields) for document in source if document is not None or not fields)
@@ -205,3 +215,106 @@ def _spread(document: Any, fields: int) -> Values:
     if document is None:
         return []
     return document if isinstance(document, list) and len(document) == fields != 1 else [document]
+
+
+# --- publishing -----------------------------------------------------------------------------------------------------
+
+
+class Publication:
+    """Messages on one topic. Leaving its `with` tells what was published, and whether the rate was kept."""
+
+    def __init__(self, ctx: Context, target: Target, rate: float | None, *, latch: bool, advertise: bool) -> None:
+        self._ctx = ctx
+        self._target = target
+        self._rate = rate
+        self._latch = latch
+        self._type = target.type if advertise else None
+        self._fields_of = fields_from(target.typedefs)
+        self._began = self._latest = 0.0
+        self._told: set[str] = set()
+        self.published = 0
+
+    def __enter__(self) -> Publication:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._rate is not None and kind in (None, KeyboardInterrupt):
+            self._judge_rate(self._rate)
+        if kind is None:
+            topic, users = self._target.topic, self._target.users
+            record = {"topic": topic, "type": self._target.type, "published": self.published, "subscribers": users}
+            self._ctx.emit(record, "")
+            self._ctx.detail(f"published {self.published} on {topic} to {', '.join(users) or 'nobody'}")
+
+    def _judge_rate(self, rate: float) -> None:
+        seconds = self._latest - self._began
+        reached = (self.published - 1) / seconds if seconds > 0 else math.inf
+        # One late message among a handful says nothing about the rate.
+        if self.published > 10 and reached < _KEPT_UP * rate:
+            self._ctx.warn(f"published at {reached:.1f} Hz instead of {rate:g} Hz")
+
+    def publish(self, sources: Iterable[Values]) -> None:
+        """Send one message for each of the values and wait until it has been taken in.
+
+        Raises:
+            BadMessage: values that do not fit the type. MessageRefused: a subscriber will not take the message.
+            UsageError, Refused: an expression that is none, or cannot be computed. NoDaemon, TimedOut.
+        """
+        previous: Values | None = None
+        template: Template | None = None
+        self._began = monotonic()
+        for index, values in enumerate(sources):
+            if values is not previous:
+                template, previous = template_of(self._target.schema, values, self._rate is not None), values
+            self._wait_for(index)
+            self._send(values if template is None else template.at(index, index / (self._rate or 1.0)), template)
+
+    def hold(self) -> None:
+        """Stay connected, so that a latched message stays. Raises TimedOut after `--timeout`, NoDaemon."""
+        self._ctx.say(f"{self._target.topic} is latched; Ctrl-C ends it")
+        limit = self._ctx.wait_limit(math.inf)
+        deadline = monotonic() + limit
+        while (left := deadline - monotonic()) > 0:
+            next(self._ctx.client.events(left), None)
+        raise TimedOut(f"{self._target.topic} was latched for {limit:g} s")
+
+    def _wait_for(self, index: int) -> None:
+        """Until the message of this number is due. The schedule is absolute; after a long halt it begins anew."""
+        if self._rate is None:
+            return
+        due = self._began + index / self._rate
+        late = monotonic() - due
+        if late > _FELL_BEHIND_S:
+            self._began += late
+        while (left := due - monotonic()) > 0:
+            next(self._ctx.client.events(left), None)
+
+    def _send(self, values: Values, template: Template | None) -> None:
+        client, target = self._ctx.client, self._target
+        message = fill(self._fields_of, target.type, values, now(self._ctx, template))
+        client.deliver(target.topic, message, self._type, self._latch)
+        self.published += 1
+        self._latest = monotonic()
+        for reason in client.reasons:  # what the subscribers say of a message that they took; the same words once
+            if reason not in self._told and len(self._told) < _MOST_TOLD:
+                self._told.add(reason)
+                self._ctx.warn(reason)
+
+
+def template_of(schema: Schema, values: Values, expressions: bool = False) -> Template | None:
+    """None for values without text: nothing in them can be an expression or stand for the time."""
+    if is_numeric(list(values)):
+        return None
+    from slidectl.cli.expressions import Template
+
+    return Template(schema, values, expressions)
+
+
+def now(ctx: Context, template: Template | None) -> tuple[int, int] | None:
+    """The simulated time, seconds and nanoseconds, when a value stands for it."""
+    if template is None or not template.needs_clock:
+        return None
+    time = ctx.call("/rosapi/get_time")["time"]
+    return time["secs"], time["nsecs"]

@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from slidectl.cli import live, output
+from slidectl.cli import completion, output
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
 from slidectl.errors import Refused, UnknownName, closest
@@ -38,7 +38,7 @@ def find(robots: Sequence[Robot], name: str) -> Robot:
 
 
 @command("robots", examples=["slidectl robots", "slidectl robots slider -v", "slidectl robots slider --json"])
-@click.argument("name", required=False, shell_complete=live.robots)
+@click.argument("name", required=False, shell_complete=completion.robots)
 @click.pass_obj
 def robots(ctx: Context, name: str | None) -> None:
     """List the robots, or show one with its joints.
@@ -127,7 +127,7 @@ def summary(name: str, notices: Sequence[dict[str, Any]]) -> str:
 
 
 @command("delete", examples=["slidectl delete slider"])
-@click.argument("names", nargs=-1, required=True, metavar="NAME...", shell_complete=live.robots)
+@click.argument("names", nargs=-1, required=True, metavar="NAME...", shell_complete=completion.robots)
 @click.pass_obj
 def delete(ctx: Context, names: tuple[str, ...]) -> None:
     """Take robots out of the world.
@@ -143,9 +143,9 @@ def delete(ctx: Context, names: tuple[str, ...]) -> None:
 
 
 @command("estop", examples=["slidectl estop", "slidectl estop slider", "slidectl estop release"])
-@click.argument("words", nargs=-1, metavar="[release] [NAME]...", shell_complete=live.robots)
+@click.argument("words", nargs=-1, metavar="[release] [NAME]...", shell_complete=completion.robots)
 @click.option(
-    "--cm", "namespaces", multiple=True, metavar="NAMESPACE", shell_complete=live.managers,
+    "--cm", "namespaces", multiple=True, metavar="NAMESPACE", shell_complete=completion.managers,
     help="The robot with this controller manager, as /rrbot; may repeat.",
 )  # fmt: skip
 @click.pass_obj

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, NamedTuple
 
 import click
 
 from slidectl import names
-from slidectl.cli import live, output, servicecall
+from slidectl.cli import completion, output
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
-from slidectl.cli.servicecall import argument_names, ask_each
+from slidectl.cli.forms import YamlForm
+from slidectl.cli.pub import now, template_of
+from slidectl.cli.topics import Typedefs, from_typedefs
+from slidectl.cli.values import check_quotes, documents_on_stdin, read
 from slidectl.errors import Refused, UsageError
+from slidectl.msgs.fill import field_paths, fields_from, fill
+
+CALL_TIMEOUT_S = 60.0
 
 
 @group(examples=["slidectl service list", "slidectl service call /gazebo/get_world_properties"])
@@ -21,7 +27,7 @@ def service() -> None:
 
 
 @service.command("list", examples=["slidectl service list /slider", "slidectl service list -n"])
-@click.argument("namespace", required=False, shell_complete=live.services)
+@click.argument("namespace", required=False, shell_complete=completion.services)
 @click.option("-n", "--nodes", is_flag=True, help="The nodes that provide them, too.")
 @click.pass_obj
 def list_services(ctx: Context, namespace: str | None, nodes: bool) -> None:
@@ -42,7 +48,7 @@ def list_services(ctx: Context, namespace: str | None, nodes: bool) -> None:
 
 
 @service.command("info", examples=["slidectl service info list_controllers"])
-@click.argument("name", metavar="SERVICE", shell_complete=live.services)
+@click.argument("name", metavar="SERVICE", shell_complete=completion.services)
 @click.pass_obj
 def info(ctx: Context, name: str) -> None:
     """Show who provides a service, where, its type and its arguments.
@@ -57,7 +63,7 @@ def info(ctx: Context, name: str) -> None:
 
 
 @service.command("type", examples=["slidectl service type list_controllers"])
-@click.argument("name", metavar="SERVICE", shell_complete=live.services)
+@click.argument("name", metavar="SERVICE", shell_complete=completion.services)
 @click.pass_obj
 def type_(ctx: Context, name: str) -> None:
     """Print the type of a service.
@@ -69,7 +75,7 @@ def type_(ctx: Context, name: str) -> None:
 
 
 @service.command("args", examples=["slidectl service args switch_controller"])
-@click.argument("name", metavar="SERVICE", shell_complete=live.services)
+@click.argument("name", metavar="SERVICE", shell_complete=completion.services)
 @click.pass_obj
 def args(ctx: Context, name: str) -> None:
     """Print the names of the fields of a request, nested ones as a.b.
@@ -82,7 +88,7 @@ def args(ctx: Context, name: str) -> None:
 
 
 @service.command("uri", examples=["slidectl service uri list_controllers"])
-@click.argument("name", metavar="SERVICE", shell_complete=live.services)
+@click.argument("name", metavar="SERVICE", shell_complete=completion.services)
 @click.pass_obj
 def uri(ctx: Context, name: str) -> None:
     """Print where a service answers: the daemon's socket.
@@ -116,7 +122,7 @@ def find(ctx: Context, type_name: str) -> None:
         "slidectl service call switch_controller '[joint1_position_controller]' '[]' 2 false 0",
     ],
 )
-@click.argument("name", metavar="SERVICE", shell_complete=live.services)
+@click.argument("name", metavar="SERVICE", shell_complete=completion.services)
 @click.argument("given", nargs=-1, metavar="[VALUE]...")
 @click.option("--stdin", is_flag=True, help="One call for each YAML document or JSON line on stdin.")
 @click.pass_obj
@@ -128,19 +134,23 @@ def call(ctx: Context, name: str, given: tuple[str, ...], stdin: bool) -> None:
     waits for a minute at most, or for --timeout. With --json it prints the response as one object.
     """
     found = ctx.resolve("service", name)
-    full, kind = found["name"], found["type"]
-    forms = servicecall.forms(found)
-    if len(given) > 1:
-        from slidectl.cli.values import check_quotes
-
-        check_quotes(given, forms.request[0]["fieldnames"])
-    if not given and not stdin and forms.request[0]["fieldnames"]:
-        fields = ", ".join(forms.request[0]["fieldnames"])
-        raise UsageError(f"no VALUE given for {full} ({kind})", f"the request has the fields: {fields}")
+    full, parts = found["name"], found["typedefs"]
+    fields = parts[0]["fieldnames"]
+    check_quotes(given, fields)
+    if given and stdin:
+        raise UsageError("a VALUE beside --stdin: give one of them")
+    if not given and not stdin and fields:
+        raise UsageError(
+            f"no VALUE given for {full} ({found['type']})", f"the request has the fields: {', '.join(fields)}"
+        )
+    fields_of, schema = fields_from(parts), from_typedefs(parts)
     refusals = []
     for values in _requests(given, stdin):
-        answer = servicecall.call(ctx, full, _filled(ctx, forms, values))
-        ctx.emit(answer.response, forms.printer(answer.response))
+        template = template_of(schema, values)
+        chosen = values if template is None else template.at(0, 0.0)
+        request = fill(fields_of, parts[0]["type"], chosen, now(ctx, template))
+        answer = call_service(ctx, full, request)
+        ctx.emit(answer.response, as_yaml(answer.response, found["response_typedefs"]))
         for reason in [] if answer.refusal else answer.reasons:
             ctx.warn(reason)
         refusals += answer.refusal
@@ -149,31 +159,60 @@ def call(ctx: Context, name: str, given: tuple[str, ...], stdin: bool) -> None:
 
 
 def _requests(given: Sequence[str], stdin: bool) -> Iterator[Sequence[Any]]:
-    if stdin and given:
-        raise UsageError("a VALUE beside --stdin: give one of them")
     if stdin:
-        from slidectl.cli.documents import from_stdin
-
-        yield from ([{} if document is None else document] for document in from_stdin())
-        return
-    from slidectl.cli.values import read
-
-    yield [read(word) if word else "" for word in given]
+        yield from ([{} if document is None else document] for document in documents_on_stdin())
+    else:
+        yield [read(word) if word else "" for word in given]
 
 
-def _filled(ctx: Context, forms: servicecall.Forms, values: Sequence[Any]) -> dict[str, Any]:
-    from slidectl.cli.values import is_numeric
-    from slidectl.msgs.fill import fill
+# --- what rosservice shares -----------------------------------------------------------------------------------------
 
-    kind = str(forms.request[0]["type"])
-    if is_numeric(list(values)):
-        return fill(forms.fields_of, kind, values)
-    from slidectl.cli.schema import from_typedefs
-    from slidectl.cli.templates import Template
 
-    template = Template(from_typedefs(forms.request), values)
-    now = None
-    if template.needs_clock:
-        time = ctx.call("/rosapi/get_time")["time"]
-        now = (time["secs"], time["nsecs"])
-    return fill(forms.fields_of, kind, template.at(0, 0.0), now)
+class Answer(NamedTuple):
+    """What came of a call.
+
+    `refusal`: when the response says no (a false `ok` or `success`) the lines that say so, with the reasons.
+    `reasons`: the warnings and errors of the call.
+    """
+
+    response: dict[str, Any]
+    refusal: list[str]
+    reasons: list[str]
+
+
+def call_service(ctx: Context, full: str, request: dict[str, Any]) -> Answer:
+    """Call it. Raises as Client.call; TimedOut after a minute."""
+    response = ctx.call(full, request, ctx.wait_limit(CALL_TIMEOUT_S))
+    given = ctx.client.reasons
+    verdict = next((field for field in ("ok", "success") if response.get(field) is False), None)
+    if verdict is None:
+        return Answer(response, [], given)
+    reasons = [str(response[field]) for field in ("message", "status_message") if response.get(field)]
+    reasons += [reason for reason in given if reason not in reasons][-2:]
+    lines = [f"  {line}" for reason in reasons for line in reason.splitlines()]
+    return Answer(response, [f"{full} answered {verdict}: false", *lines], given)
+
+
+def ask_each(ctx: Context, question: str, services: Iterable[str], key: str) -> dict[str, str]:
+    """Service -> the answer of rosapi about it, asked in one go."""
+    calls = {name: ctx.client.call_async(question, {"service": name}) for name in services}
+    return {name: str(ctx.client.answer(call)[key]) for name, call in calls.items()}
+
+
+def typedefs(ctx: Context, kind: str) -> tuple[Typedefs, Typedefs]:
+    """What the request and the response of a service type are made of, asked in one go."""
+    questions = "/rosapi/service_request_details", "/rosapi/service_response_details"
+    calls = [ctx.client.call_async(question, {"type": kind}) for question in questions]
+    request, response = (list(ctx.client.answer(call)["typedefs"]) for call in calls)
+    return request, response
+
+
+def argument_names(request: Typedefs) -> list[str]:
+    """The fields of a request, nested ones as `a.b`."""
+    return field_paths(fields_from(request), str(request[0]["type"]))
+
+
+def as_yaml(message: dict[str, Any], parts: Typedefs) -> str:
+    """A complete request or response as rosservice prints it, with its line end."""
+    schema = from_typedefs(parts)
+    return YamlForm(schema).printer(schema.root)(message) + "\n"

@@ -1,104 +1,31 @@
 """`slidectl shell`: command lines from a terminal, a file or a pipe, all on one connection and in one process.
 
-It reads lines, hands each to the root command, and decides when to stop. What the commands do is theirs.
+It reads lines, on a terminal with a prompt, a history and the completion of live names, hands each to the root command,
+and decides when to stop. What the commands do is theirs.
 """
 
 from __future__ import annotations
 
 import io
+import os
 import shlex
 import sys
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 
 import click
 
-from slidectl.cli import live, output
+from slidectl.cli import completion, output
 from slidectl.cli.commands import command
-from slidectl.cli.context import DEFAULT_TIMEOUT_S, Context
-from slidectl.cli.documents import bounded
-from slidectl.cli.failure import guard
-from slidectl.client import Client
+from slidectl.cli.context import Context
+from slidectl.cli.main import guard, invoke, root
+from slidectl.cli.values import bounded
 from slidectl.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_NO_DAEMON, BadFile, UsageError
 
 _LEAVE = ("exit", "quit")
 _DAEMON_CHANGES = frozenset(("daemon", "launch"))
-
-
-class LineContext(Context):
-    """The context of one line: the options of the shell to begin with, and its connection where that fits."""
-
-    def __init__(self, shell: Shell) -> None:
-        super().__init__()
-        self._shell = shell
-        self._shared: Client | None = None
-        options = shell.context
-        self.instance, self.socket, self.namespace = options.instance, options.socket, options.namespace
-        self.format, self.quiet, self.verbose = options.format, options.quiet, options.verbose
-        self.timeout = options.timeout
-
-    @property
-    def client(self) -> Client:
-        """The shell's connection, or one of its own when the line picks another daemon. Raises NoDaemon."""
-        if self._shared is not None:
-            return self._shared
-        shell = self._shell
-        if self._client is None and (self.instance, self.socket) == (shell.context.instance, shell.context.socket):
-            client = shell.client
-            client.timeout = self.wait_limit(DEFAULT_TIMEOUT_S)
-            self._shared = client
-            return client
-        return super().client
-
-
-class Shell:
-    """Runs lines. `context` has the options of the shell itself; `client` is made when the first line needs it."""
-
-    def __init__(self, context: Context) -> None:
-        self.context = context
-        self._client: Client | None = None
-
-    @property
-    def client(self) -> Client:
-        """The connection that all lines share. Raises NoDaemon."""
-        if self._client is None:
-            context = self.context
-            self._client = Client(context.instance, context.socket, timeout=context.wait_limit(DEFAULT_TIMEOUT_S))
-            context._client = self._client
-            self._client.on_other_version = context.say_other_version
-        return self._client
-
-    def run(self, line: str) -> int:
-        """One line; its exit code. Errors are printed."""
-        context = LineContext(self)
-        words: list[str] = []
-
-        def act() -> None:
-            words.extend(_words(line))
-            if words:
-                self._invoke(words, context)
-
-        try:
-            code = guard(act, context, words)
-        finally:
-            output.leave_reader_alone()
-            context.close()
-        if code in (EXIT_NO_DAEMON, EXIT_INTERRUPTED) or not _DAEMON_CHANGES.isdisjoint(words):
-            self.close()  # it is gone, or may be in the middle of something
-        return code
-
-    def _invoke(self, words: list[str], context: LineContext) -> None:
-        if words[0] == "shell":
-            raise UsageError("a shell within a shell", "run its lines here")
-        from slidectl.cli.main import root
-
-        with root.make_context("slidectl", words, obj=context) as click_context:
-            root.invoke(click_context)
-
-    def close(self) -> None:
-        """Let go of the connection; the next line makes a new one."""
-        if self._client is not None:
-            self._client.close()
-            self._client = None
+PROMPT = "slidectl> "
+_MOST_HISTORY = 1000
 
 
 def _words(line: str) -> list[str]:
@@ -117,7 +44,7 @@ def _words(line: str) -> list[str]:
         "printf 'pub command 1.0\\nsim step 1000\\n' | slidectl --json shell",
     ]
 )
-@click.argument("file", required=False, shell_complete=live.files)
+@click.argument("file", required=False, shell_complete=completion.files)
 @click.option("--keep-going", is_flag=True, help="Go on after a failure; the exit code is that of the first.")
 @click.pass_context
 def shell(click_context: click.Context, file: str | None, keep_going: bool) -> None:
@@ -130,29 +57,38 @@ def shell(click_context: click.Context, file: str | None, keep_going: bool) -> N
     On a terminal there is a prompt with history and completion; 'exit' or Ctrl-D ends it.
     """
     context: Context = click_context.obj
-    runner = Shell(context)
     try:
         if file is None and sys.stdin.isatty():
-            from slidectl.cli.prompt import lines
-
-            code = _converse(runner, lines(context))
+            code = _converse(context)
         else:
-            code = _run_script(runner, file, keep_going)
+            code = _run_script(context, file, keep_going)
     finally:
-        runner.close()
+        context.close()
     click_context.exit(code)
 
 
-def _converse(runner: Shell, lines: Iterable[str]) -> int:
-    """Failures are for the person to see; only leaving ends it."""
-    for line in lines:
-        if line.strip() in _LEAVE:
-            break
-        runner.run(line)
-    return EXIT_DONE
+def _run_line(context: Context, line: str) -> int:
+    """One line; its exit code. Errors are printed. `context` is that of the shell."""
+    own = Context(context)
+    words: list[str] = []
+
+    def act() -> None:
+        words.extend(_words(line))
+        if words[:1] == ["shell"]:
+            raise UsageError("a shell within a shell", "run its lines here")
+        if words:
+            invoke(words, own)
+
+    try:
+        code = guard(act, own, words)
+    finally:
+        own.close()
+    if code in (EXIT_NO_DAEMON, EXIT_INTERRUPTED) or not _DAEMON_CHANGES.isdisjoint(words):
+        context.close()  # the daemon is gone, or the connection may be in the middle of something
+    return code
 
 
-def _run_script(runner: Shell, file: str | None, keep_going: bool) -> int:
+def _run_script(context: Context, file: str | None, keep_going: bool) -> int:
     """The exit code of the first line that failed, else 0."""
     name, lines, give_back = _script(file)
     first_failure = EXIT_DONE
@@ -160,9 +96,9 @@ def _run_script(runner: Shell, file: str | None, keep_going: bool) -> int:
         for number, line in enumerate(lines, 1):
             if line.strip() in _LEAVE:
                 break
-            code = runner.run(line)
+            code = _run_line(context, line)
             if code != EXIT_DONE:
-                runner.context.say(f"{name}, line {number}: {line.strip()}")
+                context.say(f"{name}, line {number}: {line.strip()}")
                 first_failure = first_failure or code
             if (first_failure and not keep_going) or code == EXIT_INTERRUPTED or output.reader_has_gone():
                 break
@@ -186,3 +122,80 @@ def _script(file: str | None) -> tuple[str, Iterable[str], Callable[[], None]]:
         sys.stdin = stdin
 
     return "stdin", bounded(stdin, "stdin"), give_back
+
+
+# --- on a terminal --------------------------------------------------------------------------------------------------
+
+
+def _converse(context: Context) -> int:
+    """Lines until Ctrl-D; Ctrl-C gives up a line. Failures are for the person to see; only leaving ends it."""
+    save = _with_readline(context)
+    while True:
+        try:
+            line = input(PROMPT)
+        except EOFError:
+            print(file=sys.stderr)
+            return EXIT_DONE
+        except KeyboardInterrupt:
+            print(file=sys.stderr)
+            continue
+        if line.strip() in _LEAVE:
+            return EXIT_DONE
+        _run_line(context, line)
+        save()
+
+
+def history_file() -> str:
+    """Where the lines are remembered: `$XDG_STATE_HOME/slidectl/history`, by default below `~/.local/state`."""
+    base = os.environ.get("XDG_STATE_HOME") or os.path.expanduser("~/.local/state")
+    return os.path.join(base, "slidectl", "history")
+
+
+def _with_readline(context: Context) -> Callable[[], None]:
+    """Editing, history and completion, where Python has readline. Returns what saves the history."""
+    try:
+        import readline
+    except ImportError:
+        return lambda: None
+    path = history_file()
+    found: list[str] = []
+
+    def complete(text: str, state: int) -> str | None:
+        if state == 0:
+            found[:] = _completions(context, readline.get_line_buffer()[: readline.get_begidx()], text)
+        return found[state] if state < len(found) else None
+
+    def save() -> None:
+        with suppress(OSError):  # a history that cannot be kept is no reason to stop
+            os.makedirs(os.path.dirname(path), mode=0o700, exist_ok=True)
+            readline.write_history_file(path)
+
+    readline.set_history_length(_MOST_HISTORY)
+    with suppress(OSError):
+        readline.read_history_file(path)
+    readline.set_completer_delims(" \t\n")
+    readline.set_completer(complete)
+    readline.parse_and_bind("tab: complete")
+    return save
+
+
+def _completions(context: Context, before: str, text: str) -> list[str]:
+    """What the word `text` may become, after the words `before` it; with a blank where a word is complete."""
+    from glob import escape, glob
+
+    from click.shell_completion import ShellComplete
+
+    try:
+        words = shlex.split(before)
+    except ValueError:  # an open quote
+        return []
+    asking = Context()
+    asking.instance, asking.socket, asking.namespace = context.instance, context.socket, context.namespace
+    try:
+        items = ShellComplete(root, {"obj": asking}, "slidectl", "").get_completions(words, text)
+    finally:
+        asking.close()
+    found = [f"{item.value} " for item in items if item.type == "plain"]
+    if any(item.type == "file" for item in items):
+        found += [f"{name}/" if os.path.isdir(name) else f"{name} " for name in sorted(glob(escape(text) + "*"))]
+    return found

@@ -8,9 +8,8 @@ from typing import Any
 
 import click
 
-from slidectl.cli.commands import group
+from slidectl.cli.commands import group, wait_for_world_s
 from slidectl.cli.context import Context
-from slidectl.cli.options import wait_for_world_s
 from slidectl.errors import Refused, TimedOut, UsageError
 
 _STEPS = r"\d+"
@@ -36,13 +35,14 @@ def status(ctx: Context) -> None:
 
 def status_text(answer: dict[str, Any]) -> str:
     """The answer of /slidectl/status for people."""
+    trouble = answer.get("trouble")
     cycles = (
         f"{_micro(answer['cycle_mean'])} mean, {_micro(answer['cycle_p99'])} p99, {_micro(answer['cycle_worst'])} worst"
     )
     late = f"{_micro(answer['lateness_p50'])} p50, {_micro(answer['lateness_p99'])} p99"
     lines = {
         "time": f"{answer['time']:.3f} s, cycle {answer['cycles']} of {1000 * answer['timestep']:g} ms",
-        "state": _state(answer),
+        "state": "running" if not answer["paused"] else f"paused: {trouble}" if trouble else "paused",
         "speed": f"{speed_text(answer['speed'])} asked, {answer['speed_reached'] or 0:.3g} reached",
         "engine": answer["engine"],
         "cycle time": cycles,
@@ -55,12 +55,6 @@ def status_text(answer: dict[str, Any]) -> str:
         "daemon": f"{answer['version']}, {answer['instance']}, process {answer['pid']}, up {answer['uptime']:.0f} s",
     }
     return "\n".join(f"{key + ':':<12} {text}" for key, text in lines.items())
-
-
-def _state(answer: dict[str, Any]) -> str:
-    if not answer["paused"]:
-        return "running"
-    return f"paused: {answer['trouble']}" if answer.get("trouble") else "paused"
 
 
 def speed_text(speed: float) -> str:

@@ -1,4 +1,4 @@
-"""`slidectl spawn`: expand a model here, load its controllers' parameters, have the daemon put it into the world.
+"""`slidectl spawn` and `slidectl urdf`: a model is expanded here; spawn has the daemon put it into the world.
 
 The order of the checks matters: nothing of the world or of the parameters changes before the rest is known to be right.
 """
@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING
 import click
 
 from slidectl import names
-from slidectl.cli import configuration, live, robots
+from slidectl.cli import completion, output, robots
 from slidectl.cli.commands import Variadic, command, looks_like_number
 from slidectl.cli.context import Context
-from slidectl.cli.managers import manager_in
+from slidectl.cli.controller import manager_in, read_parameters
+from slidectl.cli.param import store
 from slidectl.client import spawning
 from slidectl.client.client import SPAWN_LIMIT_S, Manager
 from slidectl.errors import BadFile, NotThere, Refused, UnknownName, UsageError
@@ -36,14 +37,16 @@ if TYPE_CHECKING:
         "slidectl spawn rrbot_description rrbot.xacro",
     ]
 )
-@click.argument("model", shell_complete=live.models)
+@click.argument("model", shell_complete=completion.models)
 @click.argument("arguments", nargs=-1, metavar="[FILE] [KEY:=VALUE]...")
 @click.option("-n", "--name", metavar="NAME", help="Name of the robot; by default that of the model.")
 @click.option(
     "--at", cls=Variadic, type=float, takes=looks_like_number, metavar="X Y Z [R P Y]", help="Place, m and rad."
 )
 @click.option("--fixed/--free", "fixed", default=None, help="Fix the root to the world, or free it.")
-@click.option("--controllers", metavar="FILE", shell_complete=live.files, help="Parameters of its controllers (YAML).")
+@click.option(
+    "--controllers", metavar="FILE", shell_complete=completion.files, help="Parameters of its controllers (YAML)."
+)
 @click.option("--start", cls=Variadic, metavar="CONTROLLER...", help="Load and start these controllers.")
 @click.option("--strict", is_flag=True, help="Refuse impossible masses, inertias and shapes instead of mending them.")
 @click.option("--package", "packages", multiple=True, metavar="NAME=PATH", help="Where a ROS package is; may repeat.")
@@ -71,12 +74,18 @@ def spawn(
     """
     if name is not None:
         names.check_robot(name)
+    from slidectl.description import source_note
     from slidectl.description.missing import Missing
 
     missing = Missing("all" if keep_going else "nothing")
     places = package_lookup(packages)
     source, given = in_package(model, arguments, places)
-    document = _document(ctx, source, given, name, places, missing)
+    text, title = source, None
+    if source == "-":  # it may be a parameter's, as `slidectl param get` prints it: the daemon knows its sources
+        text, title = standard_input(), "<stdin>"
+        note = ctx.call("/slidectl/sources", {"digest": source_note.digest(text)})["note"]
+        text = source_note.join(text, note)
+    document = spawning.document(text, given, name, places, missing, title)
     tell_own_packages(ctx, places)
     missing.refuse()
     xml = _rooted(document, fixed)
@@ -84,7 +93,11 @@ def spawn(
     wanted, namespace = spawning.identity(xml, document, name, strict)
     spawning.check_free(robots.all_robots(ctx), wanted, namespace)
     if controllers is not None:
-        _configure(ctx, controllers, namespace, missing)
+        try:
+            store(ctx, read_parameters(ctx, controllers, [namespace]))
+        except NotThere as error:
+            missing.note(error, "the parameters of controllers are left out")
+            missing.refuse()
     manager = manager_in(ctx, namespace)
     there = _configured(manager, start, missing)
     warnings = ctx.client.spawn_urdf(wanted, xml, pose, timeout=ctx.wait_limit(SPAWN_LIMIT_S))
@@ -107,6 +120,48 @@ def spawn(
         ctx.warn("\n".join(["left out:", *lines]))
     if start and not there:
         raise Refused(f"nothing is left to drive {wanted}: none of its controllers is there")
+
+
+@command(
+    examples=[
+        "slidectl urdf robot.urdf.xacro width:=0.2 -o robot.urdf",
+        "slidectl urdf slider | check_urdf /dev/stdin",
+        "slidectl urdf rrbot_description rrbot.xacro",
+    ]
+)
+@click.argument("model", shell_complete=completion.models)
+@click.argument("arguments", nargs=-1, metavar="[FILE] [KEY:=VALUE]...")
+@click.option("-o", "--output", "target", metavar="FILE", help="Write the URDF into a file.")
+@click.option("--package", "packages", multiple=True, metavar="NAME=PATH", help="Where a ROS package is; may repeat.")
+@click.pass_obj
+def urdf(ctx: Context, model: str, arguments: tuple[str, ...], target: str | None, packages: tuple[str, ...]) -> None:
+    """Print the URDF that xacro makes of a model, without a daemon.
+
+    MODEL, FILE and KEY:=VALUE are as for spawn. Any URDF parser reads what is printed; meshes keep the names that the
+    model gives them. JSON keys: urdf, file.
+    """
+    from slidectl import description
+    from slidectl.writing import write_whole
+
+    places = package_lookup(packages, "urdf")
+    source, given = in_package(model, arguments, places, "urdf")
+    title = "<stdin>" if source == "-" else None
+    text = standard_input() if source == "-" else source
+    document = description.load(text, given, places, title=title, as_written=True)
+    tell_own_packages(ctx, places)
+    for notice in document.report:
+        ctx.warn(str(notice))
+    if target is None:
+        if ctx.format == "text":
+            output.write(document.urdf.rstrip("\n"))
+        else:
+            ctx.emit({"urdf": document.urdf, "file": document.file})
+        return
+    try:
+        write_whole(target, document.urdf)
+    except OSError as error:
+        raise BadFile(f"cannot be written: {error.strerror or error}", target) from None
+    ctx.done({"file": target}, f"{target}: written")
 
 
 def pairs(words: Sequence[str], sign: str, command: str = "spawn") -> dict[str, str]:
@@ -148,24 +203,11 @@ def in_package(
     from slidectl.launch import files
 
     if model == "-" or models.looks_like_path(model) or model in models.shipped():
-        raise UsageError(f"{file!r} is not KEY:=VALUE", f"slidectl {command} --help shows the order of arguments")
+        hint = f"slidectl {command} --help shows the order of arguments"
+        if command == "spawn" and file.endswith((".yaml", ".yml")):
+            hint = f"a file of controllers stands behind an option: --controllers {file}"
+        raise UsageError(f"{file!r} is not KEY:=VALUE", hint)
     return files.shown(files.find_in_package(model, file, packages)), arguments
-
-
-def _document(
-    ctx: Context, model: str, arguments: dict[str, str], name: str | None, places: Packages, missing: Missing
-) -> Document:
-    if model != "-":
-        return spawning.document(model, arguments, name, places, missing)
-    return spawning.document(_noted(ctx, standard_input()), arguments, name, places, missing, "<stdin>")
-
-
-def _noted(ctx: Context, xml: str) -> str:
-    """A text with what the daemon knows of its sources: it may be a parameter's, as `slidectl param get` prints it."""
-    from slidectl.description import source_note
-
-    answer = ctx.call("/slidectl/sources", {"digest": source_note.digest(xml)})
-    return source_note.join(xml, answer["note"])
 
 
 def standard_input() -> str:
@@ -201,15 +243,6 @@ def _rooted(document: Document, fixed: bool | None) -> str:
         return document.xml
     change = description.with_root_fixed if fixed else description.with_root_free
     return change(document.xml, document.file)
-
-
-def _configure(ctx: Context, file: str, namespace: str, missing: Missing) -> None:
-    """Load the parameters of controllers."""
-    try:
-        configuration.store(ctx, configuration.read(ctx, file, [namespace]))
-    except NotThere as error:
-        missing.note(error, "the parameters of controllers are left out")
-        missing.refuse()
 
 
 def _configured(manager: Manager, start: Sequence[str], missing: Missing) -> list[str]:

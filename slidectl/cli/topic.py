@@ -8,16 +8,15 @@ from typing import Any
 import click
 
 from slidectl import names
-from slidectl.cli import live, output
+from slidectl.cli import completion, output
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
 from slidectl.cli.echo import echo
-from slidectl.cli.fieldpath import select
 from slidectl.cli.pub import pub
 from slidectl.cli.topic_measure import bw, delay, hz
-from slidectl.cli.topic_text import details, usage_of_topics
-from slidectl.cli.topics import PUBLISHERS, SUBSCRIBERS, look_up, users_of
+from slidectl.cli.topics import PUBLISHERS, SUBSCRIBERS, look_up, usage_of_topic, usage_of_topics, users_of
 from slidectl.errors import UsageError
+from slidectl.field_path import select
 
 
 @group(examples=["slidectl topic list -v", "slidectl topic info joint_states", "slidectl topic hz joint_states"])
@@ -30,7 +29,7 @@ for _verb in (hz, bw, delay, pub, echo):
 
 
 @topic.command("list", examples=["slidectl topic list", "slidectl topic list -v /slider", "slidectl topic list --json"])
-@click.argument("namespace", required=False, shell_complete=live.topics)
+@click.argument("namespace", required=False, shell_complete=completion.topics)
 @click.option("-p", "published", is_flag=True, help="Only topics that somebody publishes.")
 @click.option("-s", "subscribed", is_flag=True, help="Only topics that somebody subscribes to.")
 @click.pass_obj
@@ -74,7 +73,7 @@ def _show_users(ctx: Context, rows: list[dict[str, Any]], published: bool, subsc
 
 
 @topic.command("info", examples=["slidectl topic info joint_states", "slidectl topic info command --json"])
-@click.argument("name", metavar="TOPIC", shell_complete=live.topics)
+@click.argument("name", metavar="TOPIC", shell_complete=completion.topics)
 @click.pass_obj
 def info(ctx: Context, name: str) -> None:
     """Show the type of a topic, and the nodes that publish and subscribe it.
@@ -84,11 +83,11 @@ def info(ctx: Context, name: str) -> None:
     found = look_up(ctx, name, None, with_field=False)
     publishers, subscribers = (users_of(ctx, [found.topic], role)[found.topic] for role in (PUBLISHERS, SUBSCRIBERS))
     record = {"topic": found.topic, "type": found.type, PUBLISHERS: publishers, SUBSCRIBERS: subscribers}
-    ctx.emit(record, details(found.type, publishers, subscribers, ctx.uri))
+    ctx.emit(record, usage_of_topic(found.type, publishers, subscribers, ctx.uri))
 
 
 @topic.command("type", examples=["slidectl topic type joint_states", "slidectl topic type 'joint_states/position[0]'"])
-@click.argument("target", metavar="TOPIC[/FIELD[I]]", shell_complete=live.topics)
+@click.argument("target", metavar="TOPIC[/FIELD[I]]", shell_complete=completion.topics)
 @click.pass_obj
 def type_(ctx: Context, target: str) -> None:
     """Print the type of a topic, or of a field of it.
@@ -99,7 +98,7 @@ def type_(ctx: Context, target: str) -> None:
     record = {"topic": found.topic, "type": found.type}
     if not found.field:
         return ctx.emit(record, found.type)
-    selected = select(found.schema, found.field)
+    selected = select(found.schema.fields, found.type, found.field)
     spelled = selected.type + "[]" * selected.depth
     return ctx.emit({**record, "field": found.field, "field_type": spelled}, f"{found.type} {found.field} {spelled}")
 

@@ -9,14 +9,12 @@ from typing import Any
 
 import click
 
-from slidectl.cli import live, output
-from slidectl.cli.commands import command
+from slidectl.cli import completion, output
+from slidectl.cli.commands import command, simulated_seconds
 from slidectl.cli.context import Context
 from slidectl.cli.echo import predicate
 from slidectl.cli.measure import DelayMeter, Meter, RateMeter, SizeMeter, size_counter
-from slidectl.cli.options import simulated_seconds
-from slidectl.cli.stream import Event, Stream, nanoseconds
-from slidectl.cli.topics import PUBLISHERS, Target, look_up
+from slidectl.cli.topics import PUBLISHERS, Event, Stream, Target, look_up, nanoseconds
 from slidectl.errors import NoDaemon, Refused, TimedOut
 
 REPORT_PERIOD_S = 1.0
@@ -130,7 +128,7 @@ def time_ns(target: Target, wall_time: bool) -> Callable[[Event], int]:
         "slidectl topic hz joint_states /clock -n 3",
     ]
 )
-@click.argument("topics", nargs=-1, required=True, metavar="TOPIC...", shell_complete=live.topics)
+@click.argument("topics", nargs=-1, required=True, metavar="TOPIC...", shell_complete=completion.topics)
 @_options
 @click.option("--filter", "condition", metavar="EXPR", help="Count only messages for which it is true, as in echo.")
 @click.option("--wall-time", is_flag=True, help="Rates on the computer's clock.")
@@ -180,7 +178,7 @@ def _check_rates(meters: Any, least: float | None, most: float | None) -> None:
 
 
 @command(examples=["slidectl topic bw joint_states --for 2", "slidectl topic bw /gazebo/link_states -n 3 --json"])
-@click.argument("topic", metavar="TOPIC", shell_complete=live.topics)
+@click.argument("topic", metavar="TOPIC", shell_complete=completion.topics)
 @_options
 @click.option("--wall-time", is_flag=True, help="Per second of the computer's clock.")
 @click.pass_obj
@@ -206,7 +204,7 @@ def bw(ctx: Context, topic: str, window: int, reports: int | None, sim_seconds: 
 
 
 @command(examples=["slidectl topic delay joint_states --for 2", "slidectl topic delay joint_states -n 3 --json"])
-@click.argument("topic", metavar="TOPIC", shell_complete=live.topics)
+@click.argument("topic", metavar="TOPIC", shell_complete=completion.topics)
 @_options
 @click.pass_obj
 def delay(ctx: Context, topic: str, window: int, reports: int | None, sim_seconds: float | None) -> None:

@@ -1,16 +1,69 @@
-"""Which topic a name means, with its type: the daemon says it (`/slidectl/resolve`). Only look-ups."""
+"""What the commands share that work with topics: which topic a name means, its types, and its messages as they come.
+
+The daemon says all of it (`/slidectl/resolve`, rosapi): no message definition is read here.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from time import monotonic
+from types import TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+from slidectl.cli.output import check_reader
+from slidectl.msgs.schema import TIMES, Field
 
 if TYPE_CHECKING:
     from slidectl.cli.context import Context
-    from slidectl.cli.schema import Schema
+    from slidectl.client import Subscription
 
 PUBLISHERS = "publishers"
 SUBSCRIBERS = "subscribers"
+CLOCK = "/clock"
+_SILENCE_S = 1.0
+_ASK_AGAIN_S = 5.0
+_LOOK_EVERY_S = 0.2
+
+Typedefs = list[dict[str, Any]]
+
+
+# --- types ----------------------------------------------------------------------------------------------------------
+
+
+class Schema:
+    """The message type `root` and every type that it is made of."""
+
+    def __init__(self, root: str, types: Mapping[str, tuple[Field, ...]]) -> None:
+        self.root = root
+        self.types = types
+
+    def fields(self, type_name: str) -> tuple[Field, ...]:
+        """The fields of a type, in order; none for a primitive."""
+        return self.types.get(type_name, ())
+
+    def field(self, type_name: str, name: str) -> Field | None:
+        """The field of that name, if there is one."""
+        return next((field for field in self.fields(type_name) if field.name == name), None)
+
+    @property
+    def has_header(self) -> bool:
+        """True when the type has a std_msgs/Header called `header`: the message has a stamp."""
+        return self.field(self.root, "header") == Field("header", "std_msgs/Header")
+
+
+def from_typedefs(typedefs: Iterable[Mapping[str, Any]]) -> Schema:
+    """The schema of a `typedefs` list (rosapi/TypeDef); the first one is the root."""
+    types = {
+        str(entry["type"]): tuple(map(Field, entry["fieldnames"], entry["fieldtypes"], entry["fieldarraylen"]))
+        for entry in typedefs
+        if entry["type"] not in TIMES
+    }
+    return Schema(next(iter(types), ""), types)
+
+
+# --- names ----------------------------------------------------------------------------------------------------------
 
 
 class Target(NamedTuple):
@@ -19,13 +72,11 @@ class Target(NamedTuple):
     topic: str
     type: str
     field: str
-    typedefs: list[dict[str, Any]]
+    typedefs: Typedefs
     users: list[str]
 
     @property
     def schema(self) -> Schema:
-        from slidectl.cli.schema import from_typedefs
-
         return from_typedefs(self.typedefs)
 
 
@@ -45,6 +96,154 @@ def users_of(ctx: Context, topics: Iterable[str], role: str) -> dict[str, list[s
     return {topic: list(ctx.client.answer(call)[role]) for topic, call in calls.items()}
 
 
-def details(ctx: Context, type_name: str) -> list[dict[str, Any]]:
+def details(ctx: Context, type_name: str) -> Typedefs:
     """The typedefs of a message type. Raises Refused (with the daemon's words) for an unknown one."""
     return list(ctx.call("/rosapi/message_details", {"type": type_name})["typedefs"])
+
+
+# --- messages -------------------------------------------------------------------------------------------------------
+
+
+class Event(NamedTuple):
+    """One message. `time_ns` is the simulated time when it came (0 when the clock is not followed)."""
+
+    topic: str
+    message: dict[str, Any]
+    time_ns: int
+
+
+class Stream:
+    """The messages of some topics as they come. A context manager; at its end dropped messages are counted on stderr.
+
+    `with_clock` follows /clock too; `sim_seconds` of simulated time end the stream.
+    """
+
+    def __init__(
+        self, ctx: Context, topics: list[str], *, with_clock: bool = False, sim_seconds: float | None = None
+    ) -> None:
+        self._ctx = ctx
+        self._client = ctx.client
+        self._topics = topics
+        self._with_clock = with_clock
+        self._sim_seconds = sim_seconds
+        self._queue: deque[Event] = deque()
+        self._subscriptions: list[Subscription] = []
+        self._sleep: str | None = None
+        self._status: str | None = None
+        self._doubt = math.inf
+        self._look_at = 0.0
+        self.time_ns = 0
+        self.ended = False
+
+    def __enter__(self) -> Stream:
+        topics = self._topics
+        if self._with_clock:
+            self.time_ns = nanoseconds(self._client.call("/rosapi/get_time")["time"])
+            topics = [CLOCK, *(topic for topic in topics if topic != CLOCK)]  # the time first, then what came at it
+        if self._sim_seconds is not None:  # before the topics: who sees a subscriber can rely on it
+            self._sleep = self._client.call_async("/slidectl/sleep", {"duration": self._sim_seconds})
+        for topic in topics:
+            self._subscriptions.append(self._client.subscribe(topic))
+        self._doubt = monotonic() + _SILENCE_S
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for subscription in self._subscriptions:
+            subscription.close()
+        dropped = sum(subscription.dropped for subscription in self._subscriptions)
+        if dropped:
+            self._ctx.warn(f"{dropped} messages were dropped: they came faster than they were read")
+
+    def next(self, deadline: float = math.inf) -> Event | None:
+        """The next message, or None: at the deadline (`time.monotonic()`), or at the end, when `ended` is true.
+
+        Raises:
+            NoDaemon: the daemon went away. Refused: the wait for the simulated time failed. ClosedPipe.
+        """
+        while not self._take_in() and not self.ended:
+            now = monotonic()
+            if self._sleep is not None and self._client.is_answered(self._sleep):
+                self._client.answer(self._sleep)
+                self.ended = True
+            elif now >= deadline:
+                return None
+            else:
+                self._check_reader(now)
+                self._ask_why(now)
+                next(self._client.events(max(0.0, min(deadline, self._doubt, self._look_at) - now)), None)
+        return self._queue.popleft() if self._queue else None
+
+    @property
+    def is_drained(self) -> bool:
+        """True when all that has been taken in was read; latched messages are taken in on entry."""
+        return not self._take_in()
+
+    def _take_in(self) -> bool:
+        """Queue what has arrived. True when there is something to read."""
+        for subscription in self._subscriptions:
+            while len(subscription):
+                message = subscription.get()
+                if self._doubt < math.inf:
+                    self._doubt = monotonic() + _SILENCE_S
+                if self._with_clock and subscription.topic == CLOCK:
+                    self.time_ns = nanoseconds(message["clock"])
+                if subscription.topic in self._topics:
+                    self._queue.append(Event(subscription.topic, message, self.time_ns))
+        return bool(self._queue)
+
+    def _check_reader(self, now: float) -> None:
+        """Raises ClosedPipe soon after the reader of our output has gone, though there may be nothing to write."""
+        if now >= self._look_at:
+            self._look_at = now + _LOOK_EVERY_S
+            check_reader()
+
+    def _ask_why(self, now: float) -> None:
+        """When nothing has come for a while: say so, once, if the world stands still."""
+        if self._status is not None and self._client.is_answered(self._status):
+            status, self._status = self._client.answer(self._status), None
+            if status["paused"]:
+                self._doubt = math.inf
+                step = "slidectl sim resume, or slidectl sim step"
+                self._ctx.say(f"{paused(status)}; nothing comes until it goes on: {step}")
+        if now >= self._doubt:
+            self._doubt = now + _ASK_AGAIN_S
+            self._status = self._client.call_async("/slidectl/status")
+
+
+def paused(status: dict[str, Any]) -> str:
+    """That the world of an answer of /slidectl/status stands still, and why, where nobody wanted it."""
+    return "the simulation is paused" + (f" ({status['trouble']})" if status.get("trouble") else "")
+
+
+def nanoseconds(time: dict[str, int]) -> int:
+    """A time message in nanoseconds."""
+    return time["secs"] * 10**9 + time["nsecs"]
+
+
+# --- text -----------------------------------------------------------------------------------------------------------
+
+Users = Mapping[str, Sequence[str]]
+"""Topic -> nodes."""
+
+
+def usage_of_topics(types: Mapping[str, str], publishers: Users | None, subscribers: Users | None) -> str:
+    """What `rostopic list -v` prints, topics in the order of `types`; None leaves a section out."""
+    parts = []
+    for title, users, role in (("Published", publishers, PUBLISHERS), ("Subscribed", subscribers, SUBSCRIBERS)):
+        if users is not None:
+            counts = [(topic, kind, len(users[topic])) for topic, kind in types.items() if users[topic]]
+            lines = [f" * {topic} [{kind}] {n} {role if n > 1 else role[:-1]}" for topic, kind, n in counts]
+            parts.append("\n".join([f"{title} topics:", *lines]) + "\n")
+    return "\n" + "\n".join(parts) + "\n"
+
+
+def usage_of_topic(kind: str, publishers: Sequence[str], subscribers: Sequence[str], uri: str) -> str:
+    """What `rostopic info` prints; `uri` is where the nodes answer."""
+    blocks = [_nodes("Publishers", publishers, uri), _nodes("Subscribers", subscribers, uri)]
+    return f"Type: {kind}\n\n" + "\n".join(blocks) + "\n\n"
+
+
+def _nodes(title: str, nodes: Sequence[str], uri: str) -> str:
+    return f"{title}: \n" + "".join(f" * {node} ({uri})\n" for node in nodes) if nodes else f"{title}: None\n"

@@ -1,39 +1,49 @@
-"""Values as a person types them: YAML 1.1 as the ROS tools read it, with `1e-3` and `-.5` being numbers.
+"""Values as a person types them, and documents of a file or a pipe: YAML 1.1 as the ROS tools read it.
 
-Numbers, booleans, words and JSON are read without PyYAML, which costs more time to load than a whole command may
-take. What JSON cannot carry (dates, sets, keys that are no text) is refused here.
+`1e-3` and `-.5` are numbers. Numbers, booleans, words and JSON are read without PyYAML, which costs more time to load
+than a whole command may take. What JSON cannot carry (dates, sets, keys that are no text) is refused here. Nothing is
+checked against a type.
 """
 
 from __future__ import annotations
 
+import itertools
 import json
+import math
 import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any
+from contextlib import nullcontext
+from typing import Any, TextIO
 
+from slidectl.client.lines import LONGEST_LINE
 from slidectl.errors import BadFile, UsageError
 
-# Patterns that an everyday command does not need are compiled when they are.
-_NUMERIC = frozenset("0123456789.+-eE")
-_WORDS = r"[A-Za-z_/][A-Za-z0-9_/.-]*( [A-Za-z0-9_/.-]+)*\Z"
-_PAIR = r"(?P<open>\{?)[ ]*(?P<key>[A-Za-z_][A-Za-z0-9_]*):[ ]+(?P<value>[^:#,{}\[\]'\"&*!|>%@`]+?)[ ]*(?P<close>\}?)\Z"
-_QUOTED_PAIR = (
-    r"(?P<open>\{?)[ ]*(?P<key>[A-Za-z_][A-Za-z0-9_]*):[ ]+"
-    r"(?P<value>'[ !#-&(-~]*'|\"[ !#-&(-\[\]-~]*\")[ ]*(?P<close>\}?)\Z"
+_WORDS = re.compile(r"[A-Za-z_/][A-Za-z0-9_/.-]*( [A-Za-z0-9_/.-]+)*\Z")
+# `data: 1.0`, `{data: 1.0}` and `name: 'a controller'`: what every tutorial types. No escapes, nothing nested.
+_PAIR = re.compile(
+    r"(?P<open>\{?) *(?P<key>[A-Za-z_][A-Za-z0-9_]*): +"
+    r"(?:'(?P<single>[ !#-&(-~]*)'|\"(?P<double>[ !#-&(-\[\]-~]*)\"|(?P<bare>[^:#,{}\[\]'\"&*!|>%@`]+?))"
+    r" *(?P<close>\}?)\Z"
 )
-_CONSTANTS = {
+_NUMERIC = frozenset("0123456789.+-eE")
+_CONSTANTS: dict[str, Any] = {
     "": None, "~": None, "null": None, "Null": None, "NULL": None,
-    ".inf": float("inf"), ".Inf": float("inf"), ".INF": float("inf"), "+.inf": float("inf"), "-.inf": float("-inf"),
-    ".nan": float("nan"), ".NaN": float("nan"), ".NAN": float("nan"),
+    **{sign + word: float(sign + "inf") for sign in ("", "+", "-") for word in (".inf", ".Inf", ".INF")},
+    ".nan": math.nan, ".NaN": math.nan, ".NAN": math.nan,
 }  # fmt: skip
 _BOOLEANS = {"yes": True, "true": True, "on": True, "no": False, "false": False, "off": False}
 # YAML 1.1 wants a point and a signed exponent in a float, and no sign before a bare point; people do not.
 _FLOAT_WITHOUT_POINT = r"[-+]?(?:[0-9][0-9_]*\.?[0-9_]*[eE][-+]?[0-9]+|\.[0-9][0-9_]*(?:[eE][-+]?[0-9]+)?)$"
 _SHORT = 4096
 _MOST_NODES = 1_000_000
+_LONGEST_TEXT = 64 * 1024 * 1024
+_ENDS = ("---", "...")
 
 _UNKNOWN: Any = object()
+
+
+# --- one value ------------------------------------------------------------------------------------------------------
 
 
 def read(text: str) -> Any:
@@ -46,15 +56,58 @@ def read(text: str) -> Any:
     return read_yaml(text, shown(text))
 
 
-class LostQuotes(UsageError):
-    """One value that the shell took apart at its blanks. The hint is the line to type."""
+def shown(text: str) -> str:
+    """How errors name a value that was typed."""
+    return f"value {text if len(text) <= 60 else text[:57] + '...'!r}"
 
-    def __init__(self, words: Sequence[str], whole: str) -> None:
-        super().__init__(f"the shell made {len(words)} words of one value: it needs quotes", _retyped(words, whole))
+
+def is_numeric(value: Any) -> bool:
+    """True for numbers, booleans, and lists and mappings of these: nothing in them can be an expression or a time."""
+    if isinstance(value, dict):
+        value = list(value.values())
+    if isinstance(value, list):
+        return all(map(is_numeric, value))
+    return isinstance(value, bool | int | float)
+
+
+def _scalar(text: str) -> Any:
+    if text and _NUMERIC.issuperset(text):
+        digits = text.lstrip("+-")
+        if digits.isdigit() and digits[0] == "0" and digits != "0":
+            return _UNKNOWN  # octal in YAML 1.1
+        try:
+            return int(text) if digits.isdigit() else float(text)
+        except ValueError:
+            return _UNKNOWN
+    if text in _CONSTANTS:
+        return _CONSTANTS[text]
+    if text.lower() in _BOOLEANS and (text.islower() or text.isupper() or text.istitle()):
+        return _BOOLEANS[text.lower()]
+    return text if _WORDS.match(text) else _UNKNOWN
+
+
+def _pair(text: str) -> Any:
+    match = _PAIR.match(text)
+    if not match or bool(match["open"]) != bool(match["close"]) or _scalar(match["key"]) != match["key"]:
+        return _UNKNOWN
+    quoted = match["double"] if match["single"] is None else match["single"]
+    value = _scalar(match["bare"]) if quoted is None else quoted
+    return value if value is _UNKNOWN else {match["key"]: value}
+
+
+def _json(text: str) -> Any:
+    try:
+        return json.loads(text, parse_constant=_no_json) if text.startswith(("{", "[", '"')) else _UNKNOWN
+    except (ValueError, RecursionError):
+        return _UNKNOWN
+
+
+def _no_json(text: str) -> Any:
+    raise ValueError(text)
 
 
 def check_quotes(words: Sequence[str], fields: Iterable[str] = ()) -> None:
-    """Raises LostQuotes for `data: 1.0` and `{data: 1.0}` in two words. `fields` are those of the message."""
+    """Raises UsageError for `data: 1.0` and `{data: 1.0}` in two words. `fields` are those of the message."""
     if len(words) < 2:
         return
     first, whole = words[0], " ".join(words)
@@ -64,7 +117,15 @@ def check_quotes(words: Sequence[str], fields: Iterable[str] = ()) -> None:
         return
     if is_field and len(words) > 2 and not _is_yaml(whole):
         whole = "{" + re.sub(r"\s(?=\w+:(\s|$))", ", ", whole) + "}"
-    raise LostQuotes(words, whole)
+    from shlex import quote
+
+    typed = ["slidectl", *sys.argv[1:]]
+    start = next((at for at in range(len(typed)) if typed[at : at + len(words)] == list(words)), None)
+    hint = f"type it as: {quote(whole)}"
+    if start is not None:
+        line = [*typed[:start], whole, *typed[start + len(words) :]]
+        hint = "type: " + " ".join(map(quote, line[2:] if line[1] == "ros" else line))
+    raise UsageError(f"the shell made {len(words)} words of one value: it needs quotes", hint)
 
 
 def _depth(text: str) -> int:
@@ -80,32 +141,7 @@ def _is_yaml(text: str) -> bool:
     return True
 
 
-def _retyped(words: Sequence[str], whole: str) -> str:
-    """The command line of this process with `whole` in quotes in the place of the words."""
-    from shlex import quote
-
-    typed = sys.argv[1:]
-    for start in range(len(typed) - len(words) + 1):
-        if typed[start : start + len(words)] == list(words):
-            before, after = typed[:start], typed[start + len(words) :]
-            program = [] if before[:1] == ["ros"] else ["slidectl"]
-            before = before[1:] if before[:1] == ["ros"] else before
-            return "type: " + " ".join([*program, *map(quote, before), quote(whole), *map(quote, after)])
-    return f"type it as: {quote(whole)}"
-
-
-def is_numeric(value: Any) -> bool:
-    """True for numbers, booleans, and lists and mappings of these: nothing in them can be an expression or a time."""
-    if isinstance(value, dict):
-        value = list(value.values())
-    if isinstance(value, list):
-        return all(map(is_numeric, value))
-    return isinstance(value, bool | int | float)
-
-
-def shown(text: str) -> str:
-    """How errors name a value that was typed."""
-    return f"value {text if len(text) <= 60 else text[:57] + '...'!r}"
+# --- YAML -----------------------------------------------------------------------------------------------------------
 
 
 def read_yaml(text: str, what: str = "value", *, angles: bool = False) -> Any:
@@ -128,11 +164,15 @@ def read_documents(text: str, what: str, file: str | None = None, *, angles: boo
 
     try:
         for value in yaml.load_all(text, _loader(len(text), angles)):
-            yield _Checker(what).checked(value)
+            left = itertools.count(_MOST_NODES, -1)
+            yield _checked(value, what, left)
     except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        problem = str(getattr(error, "problem", None) or str(error).splitlines()[0])
         if file is not None:
-            raise BadFile(*_located(error, file)) from None
-        raise UsageError(f"the {what} is not valid YAML: {_explained(error)}") from None
+            raise BadFile(f"not valid YAML: {problem}", file, mark.line + 1 if mark else None) from None
+        place = f" (line {mark.line + 1}, column {mark.column + 1})" if mark else ""
+        raise UsageError(f"the {what} is not valid YAML: {problem}{place}") from None
     except RecursionError:
         if file is not None:
             raise BadFile("is nested too deeply", file) from None
@@ -141,56 +181,12 @@ def read_documents(text: str, what: str, file: str | None = None, *, angles: boo
         raise UsageError(f"the {what} cannot be read: {error}") from None
 
 
-def _scalar(text: str) -> Any:
-    if text and _NUMERIC.issuperset(text):
-        return _number(text)
-    if text in _CONSTANTS:
-        return _CONSTANTS[text]
-    if text.lower() in _BOOLEANS and (text.islower() or text.isupper() or text.istitle()):
-        return _BOOLEANS[text.lower()]
-    return text if re.match(_WORDS, text) else _UNKNOWN
-
-
-def _number(text: str) -> Any:
-    digits = text.lstrip("+-")
-    if digits.isdigit() and digits[0] == "0" and digits != "0":
-        return _UNKNOWN  # octal in YAML 1.1
-    try:
-        return int(text) if digits.isdigit() else float(text)
-    except ValueError:
-        return _UNKNOWN
-
-
-def _pair(text: str) -> Any:
-    """`data: 1.0`, `{data: 1.0}` and `name: 'a controller'`: what every tutorial types."""
-    is_quoted = "'" in text or '"' in text
-    match = re.match(_QUOTED_PAIR if is_quoted else _PAIR, text)
-    if not match or bool(match["open"]) != bool(match["close"]):
-        return _UNKNOWN
-    value = match["value"][1:-1] if is_quoted else _scalar(match["value"])
-    return _UNKNOWN if value is _UNKNOWN or _scalar(match["key"]) != match["key"] else {match["key"]: value}
-
-
-def _json(text: str) -> Any:
-    if not text.startswith(("{", "[", '"')):
-        return _UNKNOWN
-    try:
-        return json.loads(text, parse_constant=_no_json)
-    except (ValueError, RecursionError):
-        return _UNKNOWN
-
-
-def _no_json(text: str) -> Any:
-    raise ValueError(text)
-
-
 def _loader(length: int, angles: bool) -> Any:
     import yaml
 
     # libyaml is faster, and wrong by a line about where an error is.
     fast = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-    base = fast if length > _SHORT else yaml.SafeLoader
-    loader: Any = type("Loader", (base,), {})
+    loader: Any = type("Loader", (fast if length > _SHORT else yaml.SafeLoader,), {})
     loader.add_implicit_resolver("tag:yaml.org,2002:float", re.compile(_FLOAT_WITHOUT_POINT), list("-+0123456789."))
     if angles:
         from slidectl.description.angles import DEGREES, RADIANS, add_to
@@ -210,43 +206,105 @@ def _angle(loader: Any, node: Any) -> float:
         raise ValueError(f"{node.value.strip()!r} is no angle: {error}") from None
 
 
-def _located(error: Any, file: str) -> tuple[str, str, int | None]:
-    """What BadFile wants to know: the problem, the file and the line."""
-    mark = getattr(error, "problem_mark", None)
-    return f"not valid YAML: {_problem(error)}", file, mark.line + 1 if mark else None
+def _checked(value: Any, what: str, left: Iterator[int]) -> Any:
+    """A copy. Raises UsageError for what no message holds, and for aliases that multiply without end."""
+    if next(left) <= 0:
+        raise UsageError(f"the {what} unfolds to more than {_MOST_NODES} values")
+    if isinstance(value, dict):
+        for key in value:
+            if not isinstance(key, str):
+                raise UsageError(f"the key {key!r} in the {what} is not text", "write it in quotes")
+        return {key: _checked(item, what, left) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_checked(item, what, left) for item in value]
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    kind = "date" if hasattr(value, "isoformat") else type(value).__name__
+    raise UsageError(f"{value} in the {what} is a {kind} to YAML", "write it in quotes if it is text")
 
 
-def _explained(error: Any) -> str:
-    """One line out of PyYAML's report: the problem and its place."""
-    mark = getattr(error, "problem_mark", None)
-    return _problem(error) + (f" (line {mark.line + 1}, column {mark.column + 1})" if mark else "")
+# --- documents of a file or a pipe ----------------------------------------------------------------------------------
 
 
-def _problem(error: Any) -> str:
-    return str(getattr(error, "problem", None) or str(error).splitlines()[0])
+def text_of(path: str) -> str:
+    """The text of a file; `-` is stdin. Raises BadFile when it cannot be read, or has no end."""
+    try:
+        with nullcontext(sys.stdin) if path == "-" else open(path, encoding="utf-8") as file:
+            text = file.read(_LONGEST_TEXT + 1)
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadFile(getattr(error, "strerror", None) or str(error), path) from None
+    if len(text) > _LONGEST_TEXT:
+        raise BadFile(f"holds more than {_LONGEST_TEXT >> 20} Mi characters", "stdin" if path == "-" else path)
+    return text
 
 
-class _Checker:
-    """Copies a value, and raises UsageError for what no message holds and for aliases that multiply without end."""
+def documents_of(path: str) -> list[Any]:
+    """The documents of a file, YAML or JSON lines; `-` is stdin. Raises BadFile, UsageError."""
+    if path == "-":
+        return list(documents_on_stdin())
+    text = text_of(path)
+    lines = text.splitlines(keepends=True)
+    if any(_json_line(line) is not _UNKNOWN for line in lines[:1]):
+        return list(split(lines))
+    return list(read_documents(text, "file", path))
 
-    def __init__(self, what: str) -> None:
-        self.what = what
-        self.left = _MOST_NODES
 
-    def checked(self, value: Any) -> Any:
-        self.left -= 1
-        if self.left < 0:
-            raise UsageError(f"the {self.what} unfolds to more than {_MOST_NODES} values")
-        if isinstance(value, dict):
-            return {self._key(key): self.checked(item) for key, item in value.items()}
-        if isinstance(value, list | tuple):
-            return [self.checked(item) for item in value]
-        if value is None or isinstance(value, bool | int | float | str):
-            return value
-        kind = "date" if hasattr(value, "isoformat") else type(value).__name__
-        raise UsageError(f"{value} in the {self.what} is a {kind} to YAML", "write it in quotes if it is text")
+def documents_on_stdin() -> Iterator[Any]:
+    """The documents on stdin as they come. Raises UsageError with the number of the one that cannot be read."""
+    try:
+        yield from split(bounded(sys.stdin, "stdin"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"cannot read stdin: {error}") from None
 
-    def _key(self, key: Any) -> str:
-        if isinstance(key, str):
-            return key
-        raise UsageError(f"the key {key!r} in the {self.what} is not text", "write it in quotes")
+
+def bounded(file: TextIO, name: str) -> Iterator[str]:
+    """The lines of a file, none of them without end. Raises BadFile."""
+    for number in itertools.count(1):
+        line = file.readline(LONGEST_LINE)
+        if not line:
+            return
+        if len(line) == LONGEST_LINE and line[-1] != "\n":
+            raise BadFile(f"a line longer than {LONGEST_LINE} characters", name, number)
+        yield line
+
+
+def split(lines: Iterable[str]) -> Iterator[Any]:
+    """The documents in lines of text, each as soon as it is complete; the last one needs no `---`.
+
+    A line that is JSON by itself is a document; null in it is NaN, as on the wire.
+    """
+    pending: list[str] = []
+    size, number, after_json = 0, 1, False
+    for line in lines:
+        if line.rstrip() in _ENDS:
+            if pending:
+                yield read_yaml("".join(pending), f"document {number}")
+                number += 1
+            pending, size, after_json = [], 0, False
+        elif not pending and (value := _json_line(line)) is not _UNKNOWN:
+            yield value
+            number += 1
+            after_json = True
+        elif line.strip() or not after_json:
+            pending.append(line)
+            size += len(line)
+            if size > LONGEST_LINE:
+                raise UsageError(f"the document {number} is longer than {LONGEST_LINE} characters")
+    if any(line.strip() for line in pending):
+        yield read_yaml("".join(pending), f"document {number}")
+
+
+def _json_line(line: str) -> Any:
+    try:
+        return _with_nan(json.loads(line)) if line.strip() else _UNKNOWN
+    except (ValueError, RecursionError):
+        return _UNKNOWN
+
+
+def _with_nan(value: Any) -> Any:
+    """JSON's null is what NaN becomes on the wire."""
+    if value is None:
+        return math.nan
+    if isinstance(value, dict):
+        return {key: _with_nan(item) for key, item in value.items()}
+    return [_with_nan(item) for item in value] if isinstance(value, list) else value

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import json
 import sys
+from contextlib import suppress
 from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from slidectl.cli import live, output
-from slidectl.cli.commands import command
+from slidectl.cli import completion, output, robots
+from slidectl.cli.commands import command, simulated_seconds, wait_for_world_s
 from slidectl.cli.context import Context
-from slidectl.cli.options import simulated_seconds, wait_for_world_s
-from slidectl.cli.stream import nanoseconds, paused
-from slidectl.cli.topics import PUBLISHERS, look_up
+from slidectl.cli.topics import PUBLISHERS, look_up, nanoseconds, paused
 from slidectl.errors import Refused, SlidectlError, TimedOut, UsageError
-
-if TYPE_CHECKING:
-    from slidectl.cli.fieldpath import Selection
+from slidectl.field_path import Selection
 
 
 @command(
@@ -27,7 +24,7 @@ if TYPE_CHECKING:
         "slidectl wait 'joint_states/velocity[0]' --below -0.05 --within 5 --json",
     ]
 )
-@click.argument("target", metavar="TOPIC/FIELD[I]", shell_complete=live.topics)
+@click.argument("target", metavar="TOPIC/FIELD[I]", shell_complete=completion.topics)
 @click.option("--near", type=float, metavar="X", help="Within --tol of X.")
 @click.option("--above", type=float, metavar="X", help="Greater than X.")
 @click.option("--below", type=float, metavar="X", help="Less than X.")
@@ -56,7 +53,14 @@ def wait(
     clock (4); without it that is a minute, plus ten times --within and --for. JSON keys: topic, field, expected,
     reached, value, closest, time.
     """
-    condition, value = _condition(near=near, above=above, below=below, equals=equals)
+    conditions: dict[str, Any] = {"near": near, "above": above, "below": below, "equals": equals}
+    given = [(name, value) for name, value in conditions.items() if value is not None]
+    if len(given) != 1:
+        raise UsageError("give exactly one of --near, --above, --below and --equals")
+    ((condition, value),) = given
+    with suppress(ValueError, TypeError):  # of --equals: a number, true and false are what they say, all else is text
+        read = json.loads(value)
+        value = read if isinstance(read, bool | int | float | str) else value
     if tol is not None and condition != "near":
         raise UsageError("--tol goes with --near only")
     found = look_up(ctx, target, PUBLISHERS)
@@ -72,14 +76,17 @@ def wait(
     limit = ctx.wait_limit(wait_for_world_s(hold + (within or 0.0)))
     call = ctx.client.call_async("/slidectl/wait", request)
     status = ctx.call("/slidectl/status")
+    robots.warn_stopped(ctx, status["estop"])
     if status["paused"]:
         ctx.say(f"{paused(status)}; this waits until it goes on: slidectl sim resume, or slidectl sim step")
     deadline = monotonic() + limit
     try:
         if output.is_terminal(sys.stderr) and not ctx.quiet and not ctx.client.is_answered(call):
-            from slidectl.cli.fieldpath import select
+            from slidectl.field_path import select
 
-            _Progress(ctx, request, select(found.schema, found.field)).show(call, deadline, status["time"])
+            _Progress(ctx, request, select(found.schema.fields, found.type, found.field)).show(
+                call, deadline, status["time"]
+            )
         answer = ctx.client.answer(call, timeout=max(0.0, deadline - monotonic()))
     except TimedOut as error:
         text = f"{_where(request)} was not {_expected(request)} within {limit:g} s of wall time"
@@ -106,48 +113,36 @@ class _Progress:
         from rich.console import Console
         from rich.text import Text  # brackets of a field's path are no styles
 
-        console = Console(stderr=True, highlight=False)
+        client, console, time = self._client, Console(stderr=True, highlight=False), since
         with self._topic, console.status(Text(self._text(0.0)), spinner="line") as status:
-            while not self._client.is_answered(call) and monotonic() < deadline:
-                clock = self._client.call_async("/rosapi/get_time")
-                look_at = monotonic() + _LOOK_EVERY_S
-                while not self._client.is_answered(call) and (left := min(look_at, deadline) - monotonic()) > 0:
-                    next(self._client.events(left), None)
-                if not self._client.is_answered(clock):
-                    self._client.forget(clock)
-                    continue
-                time = nanoseconds(self._client.answer(clock)["time"]) / 1e9
+            while not client.is_answered(call) and monotonic() < deadline:
+                clock = client.call_async("/rosapi/get_time")
+                look_at = min(monotonic() + _LOOK_EVERY_S, deadline)
+                while not client.is_answered(call) and (left := look_at - monotonic()) > 0:
+                    next(client.events(left), None)
+                if client.is_answered(clock):
+                    time = nanoseconds(client.answer(clock)["time"]) / 1e9
+                else:
+                    client.forget(clock)
                 while len(self._topic):
                     self._note(self._topic.get())
                 status.update(Text(self._text(max(0.0, time - since))))
 
     def _note(self, message: dict[str, Any]) -> None:
-        try:
+        with suppress(SlidectlError, LookupError):  # an element that is not there yet
             self._last = self._take(message)
-        except (SlidectlError, LookupError):  # an element that is not there yet
-            return
-        if isinstance(self._last, int | float) and (
-            self._closest is None or self._gap(self._last) < self._gap(self._closest)
-        ):
-            self._closest = self._last
-
-    def _gap(self, value: float) -> float:
-        """How far the value is from what is waited for; 0 when it is there."""
-        target = json.loads(self._request["value"])
-        if not isinstance(target, int | float):
-            return 0.0
-        past = value - target
-        kind = self._request["condition"]
-        return abs(past) if kind in ("near", "equals") else max(0.0, -past if kind == "above" else past)
+            target, kind = json.loads(self._request["value"]), self._request["condition"]
+            if isinstance(self._last, int | float) and isinstance(target, int | float):
+                past = self._last - target
+                gap = abs(past) if kind in ("near", "equals") else max(0.0, -past if kind == "above" else past)
+                if self._closest is None or gap < self._closest[0]:
+                    self._closest = gap, self._last
 
     def _text(self, passed: float) -> str:
         within = self._request["within"]
         parts = [f"{_where(self._request)} {_expected(self._request)}"]
-        if self._last is None:
-            parts.append("no message yet")
-        else:
-            parts.append(f"last {_short(self._last)}")
-            parts += [f"closest {_short(self._closest)}"] if self._closest is not None else []
+        parts.append("no message yet" if self._last is None else f"last {_short(self._last)}")
+        parts += [f"closest {_short(self._closest[1])}"] if self._closest is not None else []
         parts.append(f"{max(0.0, within - passed):.1f} s left" if within else f"{passed:.1f} s passed")
         return "; ".join(parts)
 
@@ -157,24 +152,6 @@ _LOOK_EVERY_S = 0.2
 
 def _short(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)[:40]
-
-
-def _condition(**given: Any) -> tuple[str, Any]:
-    """The one condition that was given, and its value."""
-    chosen = [(name, value) for name, value in given.items() if value is not None]
-    if len(chosen) != 1:
-        raise UsageError("give exactly one of --near, --above, --below and --equals")
-    name, value = chosen[0]
-    return name, _literal(value) if name == "equals" else value
-
-
-def _literal(text: str) -> Any:
-    """What a person means by it: a number, a truth value, else the text itself."""
-    try:
-        value = json.loads(text)
-    except ValueError:
-        value = text
-    return value if isinstance(value, bool | int | float | str) else text
 
 
 def _expected(request: dict[str, Any]) -> str:
@@ -190,16 +167,11 @@ def _where(request: dict[str, Any]) -> str:
 
 def _tell(ctx: Context, request: dict[str, Any], answer: dict[str, Any]) -> None:
     last, closest = (json.loads(answer[key]) if answer[key] else None for key in ("last", "closest"))
-    where = _where(request)
+    where, expected = _where(request), _expected(request)
     record = {
-        "topic": request["topic"],
-        "field": request["field"],
-        "expected": _expected(request),
-        "reached": answer["success"],
-        "value": last,
-        "closest": closest,
-        "time": answer["time"],
-    }
+        "topic": request["topic"], "field": request["field"], "expected": expected, "reached": answer["success"],
+        "value": last, "closest": closest, "time": answer["time"],
+    }  # fmt: skip
     if answer["success"]:
         ctx.done(record, f"{where} is {last} at {answer['time']:.3f} s")
         return
@@ -207,4 +179,4 @@ def _tell(ctx: Context, request: dict[str, Any], answer: dict[str, Any]) -> None
         ctx.emit(record)
     seen = f"last {last}, closest {closest}" if answer["last"] else "no message came"
     limit = f" within {request['within']:g} s" if request["within"] else ""
-    raise Refused(f"{where} was not {record['expected']}{limit}", f"{seen}, at {answer['time']:.3f} s")
+    raise Refused(f"{where} was not {expected}{limit}", f"{seen}, at {answer['time']:.3f} s")

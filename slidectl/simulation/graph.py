@@ -126,6 +126,8 @@ class GraphNode:
         self._calls: set[RepeatedCall] = set()
         self.before_entry: Callable[[], None] = lambda: None
         """Called before every callback that was given to this handle or a child of it."""
+        self.caution = ""
+        """Of a handle without a parent: a warning for who publishes to it or to a child of it; empty for none."""
 
     def child(self, name: str) -> GraphNode:
         """The node handle of `namespace/name`. What it advertises ends with this one's `shutdown`."""
@@ -158,8 +160,16 @@ class GraphNode:
         return publisher
 
     def subscribe(self, topic: str, type_name: str, callback: MessageCallback) -> None:
-        name, entering = self._absolute(topic), self._entering(callback)
-        self._taken.append(self._graph.topics.subscribe(name, type_name, self.name, entering).close)
+        enter = self._entering(callback)
+
+        def take(message: Message) -> None:
+            before = self._caution()
+            enter(message)
+            reasons = self.reasons
+            if before and self._caution() and reasons is not None and before not in reasons:
+                reasons.append(before)  # no line on /rosout: there may be a thousand messages a second
+
+        self._taken.append(self._graph.topics.subscribe(self._absolute(topic), type_name, self.name, take).close)
 
     def count_publishers(self, topic: str) -> int:
         return len(self._graph.topics.publishers(self._absolute(topic)))
@@ -204,6 +214,9 @@ class GraphNode:
                 closing.callback(close)
             for child in reversed(self._children):
                 closing.callback(child.shutdown)
+
+    def _caution(self) -> str:
+        return self.caution if self._parent is None else self._parent._caution()
 
     def _entering(self, callback: Callable[P, T]) -> Callable[P, T]:
         """The callback, before which all handles above are told that somebody is about to call into what they hold."""

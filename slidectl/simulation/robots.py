@@ -101,6 +101,8 @@ class SpawnedRobot:
     @emergency_stop.setter
     def emergency_stop(self, stopped: bool) -> None:
         self.cycle.emergency_stop = self.hardware.estop = stopped
+        text = f"emergency stop is on: {self.name}; slidectl estop release ends it"
+        self.node.caution = text if stopped else ""
 
     def look(self) -> None:
         """Read the joints outside of a cycle: after the world was changed, and before the first cycle."""

@@ -9,12 +9,13 @@ import json
 import math
 from typing import Any
 
+from slidectl import msgs
 from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message
 from slidectl.errors import BadMessage, Refused, UnknownName
+from slidectl.field_path import NoElement, Selection, select
 from slidectl.simulation.clock import Timer
 from slidectl.simulation.graph import Graph
-from slidectl.simulation.message_path import MessagePath, NoElement, as_number, parse
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.topics import Subscription
 
@@ -36,11 +37,21 @@ def wait(graph: Graph, request: Message) -> Pending:
     Raises:
         UnknownName: no such topic, field or condition. BadMessage: value, condition and field do not go together.
     """
-    path = parse(graph.topics.type_of(request["topic"]), request["field"])
+    type_name = graph.topics.type_of(request["topic"])
+    field = request["field"] or _only_field(type_name)
+    selection = select(lambda owner: msgs.fields(owner) if "/" in owner else (), type_name, field)
     condition = Condition(request["condition"], request["value"], request["tolerance"])
-    condition.check_type(f"{request['topic']}/{path.text}", path.type)
+    condition.check_type(f"{request['topic']}/{field}", selection.type + "[]" * selection.depth)
     hold_s, within_s = _duration("hold", request["hold"]), _duration("within", request["within"])
-    return Wait(graph, request["topic"], path, condition, hold_s, within_s).pending
+    return Wait(graph, request["topic"], field, selection, condition, hold_s, within_s).pending
+
+
+def _only_field(type_name: str) -> str:
+    """The name of the one field of a type. Raises UnknownName."""
+    fields = [field.name for field in msgs.fields(type_name)]
+    if len(fields) != 1:
+        raise UnknownName("field", "", fields, f"in {type_name}: say which")
+    return fields[0]
 
 
 def _duration(name: str, value: float) -> float:
@@ -119,16 +130,36 @@ def _shown(value: Any) -> str:
     return text if len(text) <= _LONGEST_SHOWN else text[: _LONGEST_SHOWN - 3] + "..."
 
 
+def as_number(value: Any) -> float | None:
+    """The value as a number (a time in seconds), or None when it is none."""
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        try:
+            return float(value)
+        except OverflowError:
+            return math.inf if value > 0 else -math.inf
+    if isinstance(value, dict) and value.keys() == {"secs", "nsecs"}:
+        return float(value["secs"] + 1e-9 * value["nsecs"])
+    return None
+
+
 class Wait:
     """One who waits. `hold_s` 0: the first message that fulfils the condition is enough; `within_s` 0: no limit."""
 
     def __init__(
-        self, graph: Graph, topic: str, path: MessagePath, condition: Condition, hold_s: float, within_s: float
+        self,
+        graph: Graph,
+        topic: str,
+        field: str,
+        selection: Selection,
+        condition: Condition,
+        hold_s: float,
+        within_s: float,
     ) -> None:
         self.pending = Pending(on_cancel=self._close)
         self._graph = graph
         self._topic = topic
-        self._path = path
+        self._path = f"{topic}/{field}"
+        self._take_value = selection.take
         self._condition = condition
         self._hold_s = hold_s
         self._within_s = within_s
@@ -146,7 +177,7 @@ class Wait:
         if self.pending.done:
             return
         try:
-            value = self._path.take(message)
+            value = self._take_value(message)
         except NoElement as error:
             self._close()
             self.pending.reject(error)
@@ -170,12 +201,11 @@ class Wait:
 
     def _finish(self, success: bool) -> None:
         self._close()
-        name = f"{self._topic}/{self._path.text}"
         condition = f"{self._condition} for {self._hold_s:g} s" if self._hold_s else str(self._condition)
         if success:
-            text = f"{name} is {_shown(self._last)} ({condition})"
+            text = f"{self._path} is {_shown(self._last)} ({condition})"
         else:
-            text = f"expected {name} {condition} within {self._within_s:g} s{self._why_not()}"
+            text = f"expected {self._path} {condition} within {self._within_s:g} s{self._why_not()}"
         self.pending.resolve(
             {
                 "success": success,

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from slidectl import msgs
-from slidectl.cli.schema import PRIMITIVES, Field, Schema
+from slidectl.cli.topics import Schema
+from slidectl.msgs.schema import PRIMITIVES, Field
 
 
 def schema(type_name: str) -> Schema:
@@ -16,6 +17,6 @@ def schema(type_name: str) -> Schema:
 def _collect(type_name: str, types: dict[str, tuple[Field, ...]]) -> None:
     if type_name in types or type_name in PRIMITIVES:
         return
-    types[type_name] = tuple(Field(field.name, field.type, field.array) for field in msgs.fields(type_name))
+    types[type_name] = msgs.fields(type_name)
     for field in types[type_name]:
         _collect(field.type, types)

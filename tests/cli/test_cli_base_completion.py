@@ -9,7 +9,7 @@ import pytest
 from command_line import CommandLine
 from fake_daemon import NEVER, FakeDaemon
 
-from slidectl.cli.live import fitting
+from slidectl.cli.completion import fitting
 
 
 def complete(slidectl: CommandLine, *words: str) -> list[str]:

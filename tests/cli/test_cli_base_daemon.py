@@ -61,12 +61,6 @@ def test_start_hands_its_options_to_the_world(slidectl: CommandLine) -> None:
     assert (status["speed"], status["paused"], status["timestep"]) == (0.0, True, 0.002)
 
 
-def test_a_world_may_have_hardly_any_gravity(slidectl: CommandLine) -> None:
-    slidectl.ok("daemon", "start", "--paused", "--gravity", "0", "0", "-1e-5")
-    answer = slidectl.ok("service", "call", "/gazebo/get_physics_properties", "--json")
-    assert json.loads(answer)["gravity"] == {"x": 0.0, "y": 0.0, "z": -1e-5}
-
-
 def test_restart_keeps_the_options_that_are_not_given_anew(slidectl: CommandLine) -> None:
     slidectl.ok(
         "daemon", "start", "--paused", "--timestep", "0.002", "--engine", "plain", "--gravity", "0", "0", "-1e-5"
@@ -140,15 +134,6 @@ def test_stopping_what_does_not_run_is_success(slidectl: CommandLine) -> None:
     done = slidectl("daemon", "stop")
     assert (done.returncode, done.stdout) == (0, "daemon default: does not run\n")
     assert json.loads(slidectl.ok("daemon", "stop", "--json"))["pid"] is None
-
-
-def test_restart_makes_a_new_and_empty_world(slidectl: CommandLine, runtime: Runtime) -> None:
-    assert "started" in slidectl.ok("daemon", "restart", "--paused")
-    first = runtime.pid
-    slidectl.ok("spawn", "slider")
-    slidectl.ok("daemon", "restart", "--paused")
-    assert runtime.pid not in (None, first)
-    assert slidectl.ok("robots", "--json") == ""
 
 
 def test_restart_with_a_bad_option_leaves_the_daemon_alone(slidectl: CommandLine, runtime: Runtime) -> None:
@@ -270,22 +255,6 @@ def test_without_a_log_there_is_nothing_to_print(slidectl: CommandLine) -> None:
     done = slidectl("daemon", "logs")
     assert done.returncode == 1
     assert "no daemon of this instance has run" in done.stderr
-
-
-def test_quiet_says_nothing(slidectl: CommandLine) -> None:
-    for words in (["start"], ["start", "--paused"], ["restart"], ["stop"], ["stop"]):
-        done = slidectl("-q", "daemon", *words)
-        assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
-
-
-def test_restart_says_which_options_it_keeps_and_lets_each_be_given_anew(slidectl: CommandLine) -> None:
-    slidectl.ok("daemon", "start", "--paused", "--rtf", "max", "--no-ground")
-    assert slidectl("daemon", "restart").stderr == "as before: --rtf max --paused --no-ground\n"
-    assert slidectl("daemon", "restart", "--running", "--rtf", "2").stderr == "as before: --no-ground\n"
-    status = json.loads(slidectl.ok("sim", "status", "--json"))
-    assert (status["paused"], status["speed"]) == (False, 2.0)
-    assert slidectl("daemon", "restart", "--rtf", "1", "--ground").stderr == ""
-    assert slidectl("daemon", "restart").stderr == ""
 
 
 def test_a_daemon_of_another_version_is_told_once_with_what_helps(slidectl: CommandLine) -> None:

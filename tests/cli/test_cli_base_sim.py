@@ -103,13 +103,6 @@ def test_a_step_that_takes_too_long_is_given_up(slidectl: CommandLine) -> None:
     assert slidectl.ok("sim", "step").endswith(" cycles\n")
 
 
-def test_pause_and_resume_say_what_is(slidectl: CommandLine) -> None:
-    assert json.loads(slidectl.ok("sim", "resume", "--json"))["paused"] is False
-    assert json.loads(slidectl.ok("sim", "pause", "--json"))["paused"] is True
-    assert slidectl.ok("sim", "pause").startswith("paused at ")
-    assert slidectl.ok("-q", "sim", "pause") == ""
-
-
 def test_speed_is_a_factor_or_max(slidectl: CommandLine) -> None:
     assert slidectl.ok("sim", "speed", "2.5") == "speed 2.5\n"
     assert status(slidectl)["speed"] == 2.5

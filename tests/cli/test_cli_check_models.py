@@ -88,22 +88,12 @@ def test_json_is_one_object_a_finding_with_stable_keys(slidectl: CommandLine, ro
     assert {**mass, "subject": "link 'cart'/<inertial>/<mass>", "text": 'value="1"'} in found
 
 
-def test_yaml_and_csv_hold_the_same(slidectl: CommandLine, robot: Path) -> None:
-    assert "- file: " in slidectl.ok("check", str(robot), "-o", "yaml")
-    assert slidectl.ok("check", str(robot), "-o", "csv").startswith("file,line,verdict,subject,text\n")
-
-
 def test_only_what_is_asked_for_is_printed_and_all_is_counted(slidectl: CommandLine, robot: Path) -> None:
     robot.write_text(WITH_IGNORED)
     lines = slidectl.ok("check", str(robot), "--only", "ignored", "--only", "wrong").splitlines()
     assert len(lines) == 3
     assert lines[0].startswith(f'{robot}:7  ignored    <gazebo reference="cart">/<kp>')
     assert ", 1 ignored, 0 wrong" in lines[2]
-
-
-def test_nothing_to_print_leaves_the_summary(slidectl: CommandLine, robot: Path) -> None:
-    (line,) = slidectl.ok("check", str(robot), "--only", "wrong").splitlines()
-    assert line.endswith("0 ignored, 0 wrong")
 
 
 def test_a_model_may_come_on_stdin(slidectl: CommandLine) -> None:
@@ -133,21 +123,6 @@ def test_shipped_files_go_by_their_names_in_any_folder(slidectl: CommandLine, tm
     assert (done.returncode, done.stderr) == (0, "")
     assert "0.01 has no effect without i_clamp" in done.stdout
     assert slidectl("check", "config/rrbot_control.yaml", cwd=tmp_path).returncode == 0
-
-
-def test_arguments_reach_the_model(slidectl: CommandLine) -> None:
-    assert "argument namespace: '/left', as given" in slidectl.ok("check", "slider", "namespace:=/left")
-
-
-def test_packages_are_found_as_everywhere(slidectl: CommandLine, tmp_path: Path) -> None:
-    package = tmp_path / "my pkg"
-    package.mkdir()
-    (package / "part.xacro").write_text('<robot><link name="world"/></robot>')
-    text = '<robot name="b" xmlns:xacro="x"><xacro:include filename="$(find pkg)/part.xacro"/></robot>'
-    (tmp_path / "b.xacro").write_text(text)
-    assert slidectl("check", str(tmp_path / "b.xacro")).returncode == 2
-    done = slidectl("check", str(tmp_path / "b.xacro"), "--package", f"pkg={package}")
-    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_another_reader_is_asked_on_demand_only(slidectl: CommandLine, robot: Path) -> None:

@@ -8,9 +8,8 @@ from typing import Any
 import pytest
 from cli_graph_types import schema
 
-from slidectl.cli.documents import split
-from slidectl.cli.expressions import ExpressionError
-from slidectl.cli.templates import Template
+from slidectl.cli.expressions import Template
+from slidectl.cli.values import split
 from slidectl.errors import UsageError
 
 
@@ -84,7 +83,7 @@ def test_without_expressions_only_nan_and_inf_are_numbers() -> None:
 
 
 def test_a_text_that_is_no_expression_is_refused_before_the_first_message() -> None:
-    with pytest.raises(ExpressionError, match="no name 'q'"):
+    with pytest.raises(UsageError, match="no name 'q'"):
         Template(schema("std_msgs/Float64"), ["q"], expressions=True)
 
 

@@ -10,7 +10,7 @@ import subprocess
 from collections.abc import Iterator
 
 import pytest
-from cli_graph_world import COMMAND, JOINT_STATES, World, slider_world
+from cli_graph_world import COMMAND, World, slider_world
 from daemon_fixture import running_daemon
 
 POSES = {
@@ -103,10 +103,6 @@ def test_offset_prints_times_relative_to_now(world: World) -> None:
     assert "secs: -" in world.slidectl.ok("echo", "/shown/late/stamp", "--offset", "-n", "1")
 
 
-def test_a_count_of_zero_prints_nothing(world: World) -> None:
-    assert world.slidectl.ok("echo", "joint_states", "-n", "0") == ""
-
-
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
@@ -136,26 +132,10 @@ def test_what_cannot_be_echoed_is_said_once_and_at_once(world: World, words: lis
     assert len(done.stderr.splitlines()) <= 3
 
 
-def test_no_daemon_is_exit_code_3(world: World) -> None:
-    done = world.slidectl("-i", "nowhere", "echo", "joint_states")
-    assert done.returncode == 3
-    assert "slidectl -i nowhere daemon start" in done.stderr
-
-
 def test_silence_for_longer_than_the_timeout_is_exit_code_4(world: World) -> None:
     done = world.slidectl("echo", "shown/number", "--timeout", "0.3")
     assert (done.returncode, done.stdout) == (4, "data: 1.25\n---\n")
     assert "no message came for 0.3 s" in done.stderr
-
-
-def test_a_paused_world_is_named_as_the_reason_for_silence() -> None:
-    with slider_world() as world:
-        world.slidectl.ok("sim", "pause")
-        with world.running("echo", "joint_states/name[0]", "-n", "1") as process:
-            assert process.stderr is not None
-            assert "the simulation is paused" in process.stderr.readline()
-            world.slidectl.ok("sim", "resume")
-            assert process.communicate(timeout=20)[0] == '"joint1"\n---\n'
 
 
 @pytest.mark.parametrize("words", [("echo", "joint_states/name[0]"), ("hz", "joint_states")])
@@ -228,11 +208,3 @@ def test_messages_that_came_too_fast_are_counted_on_stderr() -> None:
         assert process.returncode == 0
         assert dropped is not None, errors
         assert abs(received + int(dropped[1]) - cycles) <= 20
-
-
-def test_topic_echo_is_the_same_command(world: World) -> None:
-    assert world.slidectl.ok("topic", "echo", "shown/number", "-n", "1") == "data: 1.25\n---\n"
-
-
-def test_a_long_name_is_echoed_as_it_stands(world: World) -> None:
-    assert json.loads(world.slidectl.ok("echo", JOINT_STATES, "-n", "1", "--json"))["name"] == ["joint1"]

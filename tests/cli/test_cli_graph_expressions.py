@@ -9,7 +9,8 @@ import pytest
 from cli_graph_types import schema
 from command_line import CommandLine
 
-from slidectl.cli.expressions import EvaluationError, Expression, ExpressionError
+from slidectl.cli.expressions import Expression, Filter
+from slidectl.errors import Refused, UsageError
 
 JOINTS = schema("sensor_msgs/JointState")
 MESSAGE = {
@@ -61,14 +62,15 @@ def test_numbers_are_computed_with_the_names_of_the_math_module(text: str, value
         ("any([m.position[0] > 1, m.header.seq == 7])", True),
         ("m.name[0].startswith('sl') and m.header.frame_id.upper() == 'BASE'", True),
         ("m.position[m.name.index('slide')] == 0.4", True),
+        ("any(x.startswith('la') for x in m.name)", True),
     ],
 )
 def test_a_filter_sees_the_fields_of_the_message(text: str, value: bool) -> None:
-    assert Expression(text, ("m",), JOINTS)(m=MESSAGE) is value
+    assert Filter(text, JOINTS)(MESSAGE) is value
 
 
 def test_bytes_are_numbers_in_a_filter() -> None:
-    assert Expression("m.data[1] == 65", ("m",), schema("std_msgs/UInt8MultiArray"))(m={"data": "AEH/"})
+    assert Filter("m.data[1] == 65", schema("std_msgs/UInt8MultiArray"))({"data": "AEH/"})
 
 
 @pytest.mark.parametrize(
@@ -77,31 +79,17 @@ def test_bytes_are_numbers_in_a_filter() -> None:
         ("m.data ==", "invalid syntax"),
         ("m.positon[0] > 1", "Did you mean 'position'?"),
         ("m.header.stamp.hours", "fields: nsecs, secs"),
-        ("m.position.x", "has no field 'x'"),
-        ("m.header[0]", "is no array"),
         ("topic == 1", "no name 'topic'"),
-        ("__import__('os')", "there is no function"),
+        ("__import__('os')", "no name '__import__'"),
         ("m.__class__", "no field '__class__'"),
-        ("(lambda: 1)()", "there is no function"),
-        ("[x for x in m.name]", "there is no ListComp"),
-        ("open('/etc/passwd')", "there is no function 'open'"),
-        ("m.name.append('x')", "there is no function 'm.name.append'"),
-        ("m.name[0].format(1)", "there is no function"),
-        ("f'{m}'", "there is no JoinedStr"),
-        ("abs(*m.effort)", "plain arguments only"),
-        ("1 << 2", "no operator LShift"),
-        ("~1", "no operator ~"),
-        ("'a' * 3", "a text is no number"),
-        ("sin", "is a function"),
-        ("b'x'", "neither a number nor text"),
-        ("1" + "+1" * 1990, "nested too deeply"),
+        ("open('/etc/passwd')", "no name 'open'"),
         ("1" * 5000, "longer than"),
         ("(" * 300, "not a valid expression"),
     ],
 )
 def test_what_expressions_do_not_have_is_refused_before_the_start(text: str, reason: str) -> None:
-    with pytest.raises(ExpressionError) as caught:
-        Expression(text, ("m",), JOINTS)
+    with pytest.raises(UsageError) as caught:
+        Filter(text, JOINTS)
     assert reason in str(caught.value)
 
 
@@ -124,10 +112,13 @@ def test_what_expressions_do_not_have_is_refused_before_the_start(text: str, rea
         ("len(i)", {"i": 1}),
         ("i.lower()", {"i": 1}),
         ("i.lower()", {"i": ["A"]}),
+        ("i.__class__", {"i": 1}),
+        ("1" + "+1" * 1990, {}),
+        ("[0 for a in range(10 ** 4) for b in range(10 ** 4)]", {}),
     ],
 )
 def test_what_cannot_be_computed_says_so(text: str, names: dict[str, Any]) -> None:
-    with pytest.raises(EvaluationError, match="cannot compute"):
+    with pytest.raises(Refused, match="cannot compute"):
         Expression(text, ("i",))(**names)
 
 
@@ -149,5 +140,5 @@ def test_a_command_with_an_expression_that_would_never_end_ends(world: CommandLi
 
 
 def test_an_index_out_of_range_in_a_filter_is_an_error() -> None:
-    with pytest.raises(EvaluationError, match="cannot compute"):
-        Expression("m.position[5] > 0", ("m",), JOINTS)(m=MESSAGE)
+    with pytest.raises(Refused, match="cannot compute"):
+        Filter("m.position[5] > 0", JOINTS)(MESSAGE)

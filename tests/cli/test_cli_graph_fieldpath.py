@@ -5,12 +5,16 @@ from __future__ import annotations
 import pytest
 from cli_graph_types import schema
 
-from slidectl.cli import fieldpath
-from slidectl.cli.fieldpath import IndexOutOfRange
+from slidectl.cli.topics import Schema
 from slidectl.errors import UnknownName, UsageError
+from slidectl.field_path import NoElement, Selection, select
 
 JOINT_STATE = schema("sensor_msgs/JointState")
 POSES = schema("geometry_msgs/PoseArray")
+
+
+def selected(types: Schema, path: str) -> Selection:
+    return select(types.fields, types.root, path)
 
 
 @pytest.mark.parametrize(
@@ -26,20 +30,20 @@ POSES = schema("geometry_msgs/PoseArray")
     ],
 )
 def test_a_path_knows_the_type_it_leads_to(path: str, type_name: str, depth: int) -> None:
-    selection = fieldpath.select(JOINT_STATE, path)
+    selection = selected(JOINT_STATE, path)
     assert (selection.type, selection.depth) == (type_name, depth)
 
 
 def test_an_unknown_field_lists_the_fields_and_suggests_one() -> None:
     with pytest.raises(UnknownName) as caught:
-        fieldpath.select(JOINT_STATE, "positon[0]")
+        selected(JOINT_STATE, "positon[0]")
     assert "Did you mean 'position'?" in str(caught.value)
     assert "effort, header, name, position, velocity" in str(caught.value)
 
 
 def test_a_field_of_a_nested_message_is_looked_for_in_its_type() -> None:
     with pytest.raises(UnknownName, match="in geometry_msgs/Point"):
-        fieldpath.select(POSES, "poses[0]/position/w")
+        selected(POSES, "poses[0]/position/w")
 
 
 @pytest.mark.parametrize(
@@ -58,11 +62,11 @@ def test_a_field_of_a_nested_message_is_looked_for_in_its_type() -> None:
 )
 def test_text_that_is_no_path_is_refused_with_the_reason(path: str, reason: str) -> None:
     with pytest.raises(UsageError) as caught:
-        fieldpath.select(JOINT_STATE, path)
+        selected(JOINT_STATE, path)
     assert reason in str(caught.value)
 
 
 def test_an_index_out_of_range_says_how_long_the_array_is() -> None:
-    selection = fieldpath.select(JOINT_STATE, "position[7]")
-    with pytest.raises(IndexOutOfRange, match=r"position\[7\], but the message has 2 there"):
+    selection = selected(JOINT_STATE, "position[7]")
+    with pytest.raises(NoElement, match=r"position\[7\], but the message has 2 there"):
         selection.take({"position": [1.0, 2.0]})

@@ -29,17 +29,12 @@ def world() -> Iterator[World]:
         ("1", "1\n"),
         ("1.5", "1.5\n"),
         ("-0.5", "-0.5\n"),
-        ("-5", "-5\n"),
         ("1e-3", "0.001\n"),
-        ("1.0e-9", "1.0e-09\n"),
         ("hello", "hello\n"),
-        ("two words", "two words\n"),
-        ("pkg/Type", "pkg/Type\n"),
         ("", "''\n"),
         ("true", "true\n"),
         ("off", "false\n"),
         ('"1"', "'1'\n"),
-        ("3000000000", "3000000000\n"),
         ("deg(90)", "1.5707963267948966\n"),
         ("rad(pi/2)", "1.5707963267948966\n"),
         ("[1, 2.0, x]", "- 1\n- 2.0\n- x\n\n"),
@@ -88,10 +83,6 @@ def test_an_element_of_a_list_is_got_by_its_index(world: World) -> None:
     assert world.slidectl.ok("param", "get", "/numbers[0]") == "1\n"
     assert world.slidectl.ok("param", "get", "/numbers[-1][0]") == "2\n"
     assert "has no element [5]: it has 2" in world.slidectl("param", "get", "/numbers[5]").stderr
-
-
-def test_a_default_stands_for_what_is_not_set(world: World) -> None:
-    assert world.slidectl.ok("param", "get", "/not/set", "--default", "7.5") == "7.5\n"
 
 
 def test_list_prints_the_leaves_below_a_namespace(world: World) -> None:
@@ -176,14 +167,6 @@ def test_a_dump_that_does_not_fit_leaves_what_was_there(world: World, tmp_path: 
     assert file.stat().st_mode & 0o777 == 0o640
 
 
-def test_a_dump_goes_through_links_and_pipes(world: World, tmp_path: Path) -> None:
-    (tmp_path / "link").symlink_to(tmp_path / "file")
-    world.slidectl.ok("param", "dump", str(tmp_path / "link"), PID)
-    assert (tmp_path / "link").is_symlink()
-    assert "i_clamp_min" in (tmp_path / "file").read_text()
-    assert "i_clamp_min" in world.slidectl.ok("param", "dump", "/dev/stdout", PID)
-
-
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
@@ -226,10 +209,6 @@ def test_a_broken_file_is_named_with_its_line_and_sets_nothing(world: World, tex
     assert world.slidectl("param", "get", "/broken").returncode == 1
 
 
-def test_no_daemon_is_exit_code_3(world: World) -> None:
-    assert world.slidectl("-i", "nowhere", "param", "get", "/x").returncode == 3
-
-
 def test_a_negative_gain_and_one_without_effect_are_taken_with_a_warning(world: World) -> None:
     assert world.slidectl("param", "set", f"{PID}/d", "10.0").stderr == ""
     done = world.slidectl("param", "set", f"{PID}/i", "0.02")
@@ -264,16 +243,10 @@ def agrees(world: World) -> None:
     ("name", "value", "said"),
     [
         ("p", "abc", "must be a number, not the string 'abc'"),
-        ("p", "true", "must be a number, not True"),
         ("p", '"150"', "a number has no quotes"),
-        ("p", "[1.0]", "must be a number, not [1.0]"),
-        ("p", "{a: 1}", "must be a number"),
         ("p", ".nan", "parameters hold finite numbers"),
-        ("p", "-.inf", "parameters hold finite numbers"),
         ("i_clamp", "wide", "must be a number"),
         ("antiwindup", "1", "must be true or false, not 1"),
-        ("antiwindup", '"true"', "must be true or false"),
-        ("publish_state", "1", "must be true or false"),
     ],
 )
 def test_a_gain_that_the_controller_cannot_take_is_refused(world: World, name: str, value: str, said: str) -> None:
@@ -290,18 +263,12 @@ def test_a_gain_that_the_controller_cannot_take_is_refused(world: World, name: s
     [
         ("/rosapi/set_param", {"name": f"{PID}/p", "value": '"fast"'}, "must be a number"),
         ("/rosapi/set_param", {"name": f"{PID}/p", "value": "NaN"}, "no finite number"),
-        ("/rosapi/set_param", {"name": f"{PID}/p", "value": "-Infinity"}, "no finite number"),
         ("/rosapi/set_param", {"name": f"{PID}/p", "value": "null"}, "null is no value"),
         ("/rosapi/set_param", {"name": PID, "value": "5"}, "is a namespace of parameters"),
-        ("/rosapi/set_param", {"name": "/slider", "value": "[]"}, "is a namespace of parameters"),
         ("/rosapi/set_param", {"name": PID, "value": '{"p": "x", "i": 3}'}, "must be a number"),
         ("/slidectl/set_params", {"names": ["/x", f"{PID}/p"], "values": ["1", '"x"']}, "must be a number"),
         ("/slidectl/set_params", {"names": [f"{PID}/q"], "values": ["1"], "known_only": True}, "Did you mean"),
-        ("/slidectl/set_params", {"names": [f"{PID}/p"], "values": []}, "one value for each name"),
         ("/rosapi/delete_param", {"name": f"{PID}/d"}, "is a gain of a loaded controller"),
-        ("/rosapi/delete_param", {"name": "/slider"}, "is a gain of a loaded controller"),
-        ("/rosapi/delete_param", {"name": "/"}, "is a gain of a loaded controller"),
-        (f"{PID}/set_parameters", {"config": {"doubles": [{"name": "p", "value": None}]}}, "must be a number"),
         (f"{PID}/set_parameters", {"config": {"doubles": [{"name": "q", "value": 1.0}]}}, "no gain 'q'"),
     ],
 )
@@ -313,25 +280,6 @@ def test_what_is_refused_over_the_wire_changes_nothing(
         world.client.call(service, request_)
     assert world.client.call("/rosapi/get_param", {"name": "/slider"}) == before
     assert world.client.call("/rosapi/has_param", {"name": "/x"}) == {"exists": False}
-    agrees(world)
-
-
-@pytest.mark.parametrize(
-    ("service", "request_", "gains"),
-    [
-        ("/rosapi/set_param", {"name": f"{PID}/i_clamp_min", "value": "3"}, {"i_clamp_min": -3.0}),
-        ("/rosapi/set_param", {"name": f"{PID}/i_clamp_max", "value": "-3"}, {"i_clamp_max": 3.0}),
-        ("/rosapi/set_param", {"name": f"{PID}/i_clamp", "value": "-7"}, {"i_clamp_min": -7.0, "i_clamp_max": 7.0}),
-        ("/rosapi/set_param", {"name": PID, "value": '{"p": 12}'}, {"p": 12.0}),
-        (f"{PID}/set_parameters", {"config": {"doubles": [{"name": "d", "value": 1e9}]}}, {"d": 1000.0}),
-        (f"{PID}/set_parameters", {"config": {"bools": [{"name": "antiwindup", "value": True}]}}, {"antiwindup": True}),
-    ],
-)
-def test_what_is_taken_in_another_form_is_written_back(
-    world: World, service: str, request_: dict[str, Any], gains: dict[str, Any]
-) -> None:
-    world.client.call(service, request_)
-    assert gains.items() <= reported(world).items()
     agrees(world)
 
 

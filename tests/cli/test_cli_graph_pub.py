@@ -59,28 +59,18 @@ def heard(ears: dict[str, Subscription], topic: str) -> list[dict[str, Any]]:
         (["/f", "1.5"], {"data": 1.5}),
         (["f", "-5.0"], {"data": -5.0}),
         (["/f", "-1"], {"data": -1.0}),
-        (["/f", "1e-3"], {"data": 0.001}),
-        (["/f", "data: 1.0"], {"data": 1.0}),
-        (["/f", "{data: 2.5}"], {"data": 2.5}),
         (["/f", "std_msgs/Float64", "data: 1.0"], {"data": 1.0}),
         (["-1", "/f", "std_msgs/Float64", "2"], {"data": 2.0}),
         (["/f", "--once", "2"], {"data": 2.0}),
         (["/f", "2", "-1"], {"data": 2.0}),
         (["/f", "--", "-7"], {"data": -7.0}),
-        (["/f", "010"], {"data": 8.0}),
-        (["/i", "0x10"], {"data": 16}),
         (["/s", "hello"], {"data": "hello"}),
         (["/s", "data: 'a b'"], {"data": "a b"}),
-        (["/s", "a:=b"], {"data": "a:=b"}),
         (["/s", ""], {"data": ""}),
-        (["/s", "é"], {"data": "é"}),
         (["/s", "some_pkg/Thing"], {"data": "some_pkg/Thing"}),
         (["/s", '"5"'], {"data": "5"}),
         (["/b", "true"], {"data": True}),
-        (["/b", "1"], {"data": True}),
-        (["/b", "no"], {"data": False}),
         (["/e"], {}),
-        (["/e", "{}"], {}),
         (["/e", "-1"], {}),
         (["/pt", "1", "2", "3"], {"x": 1.0, "y": 2.0, "z": 3.0}),
         (["/pt", "1", "-2", "-1"], {"x": 1.0, "y": -2.0, "z": -1.0}),
@@ -133,32 +123,20 @@ def test_json_says_who_got_it(world: World) -> None:
         (["/new/topic", "1.0", "--allow-unheard"], 2, "give its TYPE"),
         (["/new/topic", "std_msgs/Nope", "1.0", "--allow-unheard"], 1, "std_msgs/Nope"),
         (["command", ".nan"], 1, "takes no command of nan"),
-        (["command", "nan"], 1, "takes no command of nan"),
         (["command", "abc"], 2, "data must be a number (float64), not the text 'abc'"),
-        (["command", "data: abc"], 2, "data must be a number (float64)"),
-        (["command", "data:1.0"], 2, "data must be a number (float64)"),
         (["command", "value: 1.0"], 2, "no field 'value'"),
         (["command", "1.0", "2.0"], 2, "too many arguments: 2 given, 1 expected"),
         (["/pt", "1", "2"], 2, "not enough arguments: 2 given, 3 expected"),
         (["/ps", "{pose: {position: {q: 1.0}}}"], 2, "no field 'pose.position.q'"),
-        (["/ps", "{header: foo}"], 2, "header must be"),
         (["/js", "{name: slide}"], 2, "name must be a list (string[])"),
-        (["/js", "{position: [a, b]}"], 2, "position[0] must be a number (float64)"),
         (["/u8", "300"], 2, "data must be"),
-        (["/i", "1.5"], 2, "data must be"),
-        (["/i", "99999999999"], 2, "data must be"),
-        (["/b", "7"], 2, "data must be"),
         (["/s", "5"], 2, "data must be text (string)"),
-        (["/s", "no"], 2, "data must be text (string)"),
-        (["/s", "2020-01-01"], 2, "is a date to YAML"),
         (["/e", "1"], 2, "too many arguments"),
         (["command", "data: [1"], 2, "not valid YAML"),
         (["command", "std_msgs/String", "hello"], 2, f"{COMMAND} has the type std_msgs/Float64, not std_msgs/String"),
         (["command"], 2, "it has the fields: data"),
-        (["command", "std_msgs/Float64"], 2, "it has the fields: data"),
         (["command", "-1", "-r", "5", "1.0"], 2, "-1 and -r exclude each other"),
         (["command", "-r", "0", "1.0"], 2, "0 is not above 0"),
-        (["command", "-r", "x", "1.0"], 2, "'x' is not a valid float"),
         (["command", "-n", "0", "1.0"], 2, "0 is not in the range"),
         (["command", "-r", "10", "sin(q)"], 2, "no name 'q'"),
         (["command", "-r", "10", "1/i"], 1, "cannot compute '1/i'"),
@@ -208,24 +186,11 @@ def test_an_expression_may_begin_with_a_minus(world: World, ears: dict[str, Subs
     assert len(heard(ears, "/f")) == 2
 
 
-def test_expressions_stand_in_mappings_and_lists_too(world: World, ears: dict[str, Subscription]) -> None:
-    world.slidectl.ok("pub", "/js", "-r", "500", "-n", "2", "{name: [i, t], position: [i, 2*i, 0.5]}")
-    assert [(m["name"], m["position"]) for m in heard(ears, "/js")] == [
-        (["i", "t"], [0.0, 0.0, 0.5]),
-        (["i", "t"], [1.0, 2.0, 0.5]),
-    ]
-
-
 def test_stamps_are_renewed_at_a_rate(world: World, ears: dict[str, Subscription]) -> None:
     world.slidectl.ok("pub", "/ps", "-r", "50", "-n", "3", "{header: auto}")
     stamps = [(m["header"]["stamp"]["secs"], m["header"]["stamp"]["nsecs"]) for m in heard(ears, "/ps")]
     assert stamps == sorted(set(stamps))
     assert len(stamps) == 3
-
-
-def test_a_count_without_a_rate_publishes_one_after_the_other(world: World, ears: dict[str, Subscription]) -> None:
-    world.slidectl.ok("pub", "/f", "3", "-n", "4")
-    assert heard(ears, "/f") == [{"data": 3.0}] * 4
 
 
 def test_a_rate_that_is_not_reached_is_told(world: World, ears: dict[str, Subscription]) -> None:
@@ -300,11 +265,6 @@ def test_a_file_without_a_message_is_an_error(world: World, tmp_path: Path, cont
     assert (done.returncode, done.stderr) == (2, f"error: {tmp_path}/odd.yaml: {reason}\n")
 
 
-def test_a_file_without_an_end_is_an_error(world: World) -> None:
-    done = world.slidectl("pub", "/f", "-f", "/dev/zero")
-    assert (done.returncode, done.stderr) == (2, "error: /dev/zero: holds more than 64 Mi characters\n")
-
-
 def test_stdin_that_ends_in_nonsense_publishes_what_came_before(world: World, ears: dict[str, Subscription]) -> None:
     done = world.slidectl("pub", "/f", "--stdin", stdin="data: 1.0\n---\ndata: [2\n---\n")
     assert done.returncode == 2
@@ -319,11 +279,6 @@ def test_stdin_without_an_end_of_line_is_an_error(world: World, words: tuple[str
     done = world.slidectl(*words, stdin="1" * (16 * 2**20))
     assert done.returncode == 2
     assert "stdin:1: a line longer than 16777216 characters" in done.stderr
-
-
-def test_empty_stdin_publishes_nothing(world: World, ears: dict[str, Subscription]) -> None:
-    assert world.slidectl("pub", "/f", "--stdin", stdin="").returncode == 0
-    assert heard(ears, "/f") == []
 
 
 @pytest.mark.parametrize("form", ["--json", "-o=text"])
@@ -401,6 +356,18 @@ def test_a_command_beyond_the_limits_is_taken_cut_and_said(world: World) -> None
         assert (done.returncode, done.stderr) == (0, said.format(value, side, f"{limit:g}"))
         state = json.loads(world.slidectl.ok("echo", "joint1_position_controller/state", "-n", "1", "--json"))
         assert state["set_point"] == limit
+    assert world.slidectl("pub", COMMAND, "0.5").stderr == ""
+
+
+def test_an_emergency_stop_is_said_by_what_it_makes_vain(world: World) -> None:
+    world.slidectl.ok("estop")
+    warning = "warning: emergency stop is on: slider; slidectl estop release ends it\n"
+    for words in (["pub", COMMAND, "0.5"], ["pub", COMMAND, "-r", "100", "-n", "5", "0.5"]):
+        done = world.slidectl(*words)
+        assert (done.returncode, done.stderr) == (0, warning)
+    done = world.slidectl("wait", "joint_states/position[0]", "--above", "-9")
+    assert (done.returncode, done.stderr) == (0, warning)
+    world.slidectl.ok("estop", "release")
     assert world.slidectl("pub", COMMAND, "0.5").stderr == ""
 
 

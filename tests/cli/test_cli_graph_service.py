@@ -69,10 +69,6 @@ def test_call_prints_the_response_as_rosservice_does(world: World) -> None:
     assert printed.endswith("        resources: \n          - joint1\n")
 
 
-def test_an_empty_response_prints_an_empty_line(world: World) -> None:
-    assert world.slidectl.ok("service", "call", "/gazebo/unpause_physics") == "\n"
-
-
 def test_call_as_json_is_one_object(world: World) -> None:
     record = json.loads(world.slidectl.ok("service", "call", "list_controllers", "--json"))
     assert [controller["state"] for controller in record["controller"]] == ["running", "running"]
@@ -110,10 +106,6 @@ def test_a_false_success_is_exit_code_1_with_its_message(world: World) -> None:
     assert done.returncode == 1
     assert "success: False\n" in done.stdout
     assert "no robot 'nope'" in done.stderr
-
-
-def test_an_empty_value_is_an_empty_text(world: World) -> None:
-    assert "success: True" in world.slidectl.ok("service", "call", "/gazebo/get_model_state", "slider", "")
 
 
 def test_stdin_gives_one_call_for_each_document(world: World) -> None:

@@ -15,7 +15,7 @@ from daemon_fixture import running_daemon
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slidectl.cli.frames import Frames, Pose, compose, inverse, roll_pitch_yaw
+from slidectl.cli.tf import Frames, Pose, compose, inverse, roll_pitch_yaw
 from slidectl.errors import AmbiguousName, Refused, UnknownName
 from slidectl.rotations import Quaternion, normalized
 
@@ -47,12 +47,6 @@ def test_a_pose_is_that_of_the_second_frame_in_the_first(frames: Frames) -> None
     assert view.pose.translation == pytest.approx((0.25, 0.0, 0.1))
     assert view.pose.rotation == pytest.approx(TURN)
     assert view.time_ns == 7 * 10**9
-
-
-def test_the_way_back_is_the_inverse(frames: Frames) -> None:
-    view = frames.look_up("slider", "base")
-    assert view.pose.translation == pytest.approx((-0.2165063509, 0.125, 0.0))
-    assert roll_pitch_yaw(view.pose.rotation) == pytest.approx((0.0, 0.0, -math.pi / 6))
 
 
 def test_static_ways_have_no_time_and_a_frame_is_at_itself(frames: Frames) -> None:
@@ -146,13 +140,6 @@ def test_echo_follows_the_joint(world: World) -> None:
     assert back["translation"][:2] == pytest.approx([-x for x in record["translation"][:2]])
 
 
-def test_echo_repeats_as_often_as_it_is_told(world: World) -> None:
-    lines = world.slidectl.ok("tf", "echo", "base_link", "link2", "-n", "3", "--rate", "50", "--json").splitlines()
-    times = [json.loads(line)["time"] for line in lines]
-    assert len(times) == 3
-    assert times == sorted(times)
-
-
 def test_echo_follow_goes_on_until_ctrl_c(world: World) -> None:
     with world.running("tf", "echo", "base_link", "link2", "--follow", "--rate", "50", "--json") as process:
         assert process.stdout is not None
@@ -240,13 +227,6 @@ def test_frames_that_are_not_there_are_named_at_once_in_a_still_world(still: Com
     done = still("tf", "echo", "world", "link9")
     assert done.returncode == 1
     assert "no frame 'link9'" in done.stderr
-
-
-def test_a_world_without_robots_has_no_frames() -> None:
-    with running_daemon() as daemon, daemon.client() as client:
-        done = World(daemon, client).slidectl("tf", "tree")
-        assert done.returncode == 1
-        assert "nobody publishes transforms" in done.stderr
 
 
 def test_static_frames_alone_are_complete_at_once() -> None:

@@ -47,13 +47,6 @@ def test_list_v_has_the_two_sections_of_rostopic(world: World) -> None:
     )
 
 
-def test_list_gives_types_and_nodes_as_json(world: World) -> None:
-    (row,) = map(json.loads, world.slidectl.ok("topic", "list", JOINT_STATES, "--json").splitlines())
-    assert row == {"topic": JOINT_STATES, "type": "sensor_msgs/JointState"}
-    (row,) = map(json.loads, world.slidectl.ok("topic", "list", COMMAND, "-v", "--json").splitlines())
-    assert row == {"topic": COMMAND, "type": "std_msgs/Float64", "publishers": [], "subscribers": ["/gazebo"]}
-
-
 def test_info_prints_the_block_of_rostopic(world: World) -> None:
     uri = f"unix://{world.daemon.paths.socket}"
     assert world.slidectl.ok("topic", "info", "joint_states") == (
@@ -75,13 +68,6 @@ def test_info_prints_the_block_of_rostopic(world: World) -> None:
 )
 def test_type_prints_the_type_of_a_topic_or_field(world: World, target: str, printed: str) -> None:
     assert world.slidectl.ok("topic", "type", target) == printed + "\n"
-
-
-def test_type_of_a_field_as_json(world: World) -> None:
-    record = json.loads(world.slidectl.ok("topic", "type", "joint_states/effort", "--json"))
-    assert record == {
-        "topic": JOINT_STATES, "type": "sensor_msgs/JointState", "field": "effort", "field_type": "float64[]",
-    }  # fmt: skip
 
 
 def test_find_lists_the_topics_of_a_type(world: World) -> None:
@@ -199,7 +185,3 @@ def test_a_topic_that_says_nothing_while_it_is_measured_is_exit_code_1() -> None
         done = World(daemon, client).slidectl("topic", "hz", "/silent", "--for", "0.1")
     assert done.returncode == 1
     assert "no messages on /silent" in done.stderr
-
-
-def test_no_daemon_is_exit_code_3(world: World) -> None:
-    assert world.slidectl("-i", "nowhere", "topic", "list").returncode == 3

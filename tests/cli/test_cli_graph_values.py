@@ -112,7 +112,3 @@ def test_everyday_values_do_not_load_yaml() -> None:
     reading = f"import sys\nfrom slidectl.cli.values import read\nfor text in {texts!r}: read(text)\n"
     script = reading + "sys.exit('yaml' in sys.modules)"
     subprocess.run([sys.executable, "-c", script], check=True)
-
-
-def test_documents_come_in_order() -> None:
-    assert list(values.read_documents("a: 1\n---\na: 1e-3\n", "file")) == [{"a": 1}, {"a": 0.001}]

@@ -39,21 +39,3 @@ cli._run, cli._ignore_interrupts = interrupted, second
 """
     )
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
-
-
-def test_an_interrupt_in_a_finalizer_is_heard_a_moment_later() -> None:
-    done = command(
-        """
-class Last:
-    def __del__(self):
-        os.kill(os.getpid(), signal.SIGINT)
-import slidectl.cli.main
-def run(*_):
-    last = Last()
-    del last
-    select.select([], [], [], 30)
-    raise AssertionError
-slidectl.cli.main.run = run
-"""
-    )
-    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")

@@ -112,12 +112,6 @@ def test_a_shell_does_not_run_in_a_shell(slidectl: CommandLine) -> None:
     assert slidectl("shell", stdin="shell\n").returncode == 2
 
 
-def test_an_open_quote_is_told(slidectl: CommandLine) -> None:
-    done = slidectl("shell", stdin="pub 'command\n")
-    assert done.returncode == 2
-    assert "No closing quotation" in done.stderr
-
-
 def test_a_script_may_start_restart_and_stop_the_daemon(slidectl: CommandLine) -> None:
     lines = ["daemon start --paused", "sim step 5", "sim status --json", "daemon restart --paused", "sim status --json"]
     try:
@@ -140,17 +134,6 @@ def remove_second(slider: CommandLine) -> None:
     """Its parameters would stay, as with ROS."""
     slider("delete", "second")
     slider.ok("param", "delete", "/second")
-
-
-def test_a_robot_of_the_line_before_makes_a_short_name_ambiguous(slider: CommandLine) -> None:
-    script = f"pub command 0.1\n{SECOND}\npub command 0.2\ndelete second\npub command 0.3\n"
-    try:
-        done = slider("-q", "shell", "--keep-going", stdin=script)
-    finally:
-        remove_second(slider)
-    assert done.returncode == 2
-    assert done.stderr.count("error:") == 1
-    assert "/second/joint1_position_controller/command" in done.stderr
 
 
 class Feeding:
@@ -213,30 +196,6 @@ def test_what_others_do_between_two_lines_counts_for_the_second(slider: CommandL
     finally:
         slider.ok("controller", "spawn", "joint1_position_controller")
     assert feeding.say(line)[1] == []
-
-
-def test_subscribers_in_the_output_are_those_of_now(slider: CommandLine, feeding: Feeding) -> None:
-    line = "pub /slider/joint1_position_controller/command 0.1"
-    nodes = json.loads(feeding.say(line)[0])["subscribers"]
-    with slider.client() as other, other.subscribe("/slider/joint1_position_controller/command"):
-        assert len(json.loads(feeding.say(line)[0])["subscribers"]) == len(nodes) + 1
-    slider.ok("sim", "status")
-    assert json.loads(feeding.say(line)[0])["subscribers"] == nodes
-
-
-def test_services_and_parameters_of_others_are_found_at_once(slider: CommandLine, feeding: Feeding) -> None:
-    assert "value" not in feeding.say("param get fresh/x")[0]
-    slider.ok("param", "set", "/some/fresh/x", "1")
-    assert json.loads(feeding.say("param get fresh/x")[0])["parameter"] == "/some/fresh/x"
-    slider.ok("param", "set", "/some/fresh/x", "2")
-    assert json.loads(feeding.say("param get fresh/x")[0])["value"] == 2
-    slider.ok("param", "set", "/other/fresh/x", "1")
-    assert "/other/fresh/x" in " ".join(feeding.say("param get fresh/x")[1])
-    with slider.client() as other:
-        assert "error" not in feeding.say("service call list_controllers")[1]
-        other._send(op="advertise_service", service="/mine/list_controllers", type="std_srvs/Empty")
-        other.flush()
-        assert "/mine/list_controllers" in " ".join(feeding.say("service call list_controllers")[1])
 
 
 def test_a_warning_of_the_log_belongs_to_its_line(slider: CommandLine, feeding: Feeding) -> None:

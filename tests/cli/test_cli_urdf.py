@@ -111,10 +111,6 @@ def test_the_users_package_goes_before_a_shipped_one_of_its_name(slidectl: Comma
     assert said in done.stderr
 
 
-def test_without_a_package_of_the_users_nothing_is_said(slidectl: CommandLine) -> None:
-    assert "also shipped" not in slidectl("launch", "my_slider", "slider.launch", "--dry-run").stderr
-
-
 def test_a_file_that_cannot_be_written_is_a_bad_file(slidectl: CommandLine) -> None:
     done = slidectl("urdf", "slider", "-o", "/dev/full")
     assert (done.returncode, done.stderr) == (2, "error: /dev/full: cannot be written: No space left on device\n")

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from slidectl.errors import BadMessage, Refused, UnknownName
+from slidectl.field_path import NoElement
 from slidectl.simulation import waits
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.pending import Pending
@@ -186,7 +187,7 @@ def test_what_does_not_exist_fails_at_once_and_names_what_does(scene: Scene) -> 
 def test_an_element_that_is_not_there_fails_at_the_first_message(scene: Scene) -> None:
     wait = scene.wait(field="position[3]")
     scene.play(0.0)
-    with pytest.raises(UnknownName, match=r"no element 'position\[3\]' in a message with 1 there"):
+    with pytest.raises(NoElement, match=r"position\[3\], but the message has 1 there"):
         wait.result()
     assert not scene.joints.wanted
 

@@ -16,11 +16,11 @@ from slidectl import names
 from slidectl.cli import output
 from slidectl.cli.context import Context
 from slidectl.cli.echo import Look, Write, predicate, writer
-from slidectl.cli.fieldpath import select
 from slidectl.cli.ros.failure import Failure
-from slidectl.cli.schema import TIMES, Field, Schema
-from slidectl.cli.stream import Event
+from slidectl.cli.topics import Event, Schema
 from slidectl.errors import SlidectlError
+from slidectl.field_path import select
+from slidectl.msgs.schema import TIMES, Field
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -161,7 +161,9 @@ def echo(ctx: Context, path: str, target: str | None, look: Look, condition: str
     with opened(path) as bag:
         fields = dict.fromkeys(bag.topics, "") if target is None else _chosen(bag, target, path)
         writers: Mapping[str, Write] = {
-            topic: writer(ctx, bag.schemas[topic], select(bag.schemas[topic], field), look)
+            topic: writer(
+                ctx, bag.schemas[topic], select(bag.schemas[topic].fields, bag.schemas[topic].root, field), look
+            )
             for topic, field in fields.items()
         }
         keeps = {topic: predicate(condition, bag.schemas[topic]) for topic in fields}
@@ -192,5 +194,5 @@ def definition(path: str, type_name: str, raw: bool) -> str:
 
 def _shown(schema: Schema, type_name: str, indent: str) -> Iterator[str]:
     for field in schema.fields(type_name):
-        yield f"{indent}{field.spelled} {field.name}"
+        yield f"{indent}{field.type_text} {field.name}"
         yield from _shown(schema, field.type, indent + "  ")

@@ -9,8 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from slidectl.cli.schema import FLOATS, INTEGERS, TIMES, Field, Schema, from_typedefs
+from slidectl.cli.topics import Schema, from_typedefs
 from slidectl.errors import BadMessage
+from slidectl.msgs.schema import FLOATS, INTEGER_RANGES, TIMES, Field
 
 if TYPE_CHECKING:
     from slidectl.cli.context import Context
@@ -98,7 +99,7 @@ def _completed(schema: Schema, field: Field, given: Any) -> Any:
 def _zero(schema: Schema, type_name: str) -> Any:
     if type_name in TIMES:
         return {"secs": 0, "nsecs": 0}
-    if type_name in FLOATS or type_name in INTEGERS:
+    if type_name in FLOATS or type_name in INTEGER_RANGES:
         return 0.0 if type_name in FLOATS else 0
     if type_name == "bool":
         return False
@@ -171,7 +172,7 @@ def _trouble(type_name: str, value: Any) -> str | None:
     whole = isinstance(value, int) and not isinstance(value, bool)
     if type_name in FLOATS:
         return None if whole or isinstance(value, float) else "must be float type"
-    if type_name in INTEGERS:
+    if type_name in INTEGER_RANGES:
         return _integer_trouble(type_name, value if whole else None)
     if type_name == "bool":
         return None if isinstance(value, bool) or value in (0, 1) else "is not a bool"

@@ -85,7 +85,7 @@ def _already(uri: str) -> Failure:
 
 def _set_parameters(ctx: Context, version: str) -> dict[str, Any]:
     """What a core sets; its texts end with a newline there."""
-    from slidectl.cli.configuration import store
+    from slidectl.cli.param import store
 
     parameters = {"/rosdistro": "noetic\n", "/rosversion": f"{version}\n"}
     store(ctx, parameters)

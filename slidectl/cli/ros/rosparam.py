@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from slidectl import names
-from slidectl.cli import output, parameters
+from slidectl.cli import output, param
 from slidectl.cli.context import Context
 from slidectl.cli.ros.arguments import Option, Parser
 from slidectl.cli.ros.failure import Failure
@@ -87,7 +87,7 @@ def set_parameter(ctx: Context, argv: Sequence[str]) -> None:
 
 def _typed(text: str) -> Any:
     try:
-        return parameters.typed(text)
+        return param.typed(text)
     except UsageError as error:
         keys = "YAML dictionaries must have string keys. Invalid dictionary is:"
         if "is not text" in error.message:
@@ -117,10 +117,10 @@ def _content(parser: Parser, file: str, binary: bool) -> str:
 
 def _store(ctx: Context, content: Any, full: str) -> dict[str, Any]:
     """Set it; a mapping is merged. The names and values that were set. Raises Failure for what cannot be set."""
-    from slidectl.cli.configuration import store
+    from slidectl.cli.param import store
 
     try:
-        chosen = parameters.settings(content, full)
+        chosen = param.settings(content, full)
         for name, value in chosen.items():
             _check_integers(name, value)
         store(ctx, chosen)
@@ -164,12 +164,12 @@ def _value(ctx: Context, full: str) -> Any:
     """Raises Failure when it is not set. The root is always there."""
     if full != "/" and not ctx.call("/rosapi/has_param", {"name": full})["exists"]:
         raise Failure(f"ERROR: Parameter [{full}] is not set")
-    return parameters.get(ctx, full)
+    return param.get_value(ctx, full)
 
 
 def printed(value: Any) -> str:
     """YAML with one more line end, as rosparam writes it; no `...` behind a scalar."""
-    text = parameters.dumped(value)
+    text = param.dumped(value)
     return text.removesuffix("...\n") if text.endswith("\n...\n") else text + "\n"
 
 
@@ -178,7 +178,7 @@ def pretty(value: Any, indent: str = "") -> str:
     if isinstance(value, str):
         return value
     if not isinstance(value, dict):
-        return parameters.dumped(value).removesuffix("\n...\n").removesuffix("\n")
+        return param.dumped(value).removesuffix("\n...\n").removesuffix("\n")
     return "\n".join(_named(key, value[key], indent) for key in sorted(value) if value[key] != {})
 
 
@@ -229,7 +229,7 @@ def load(ctx: Context, argv: Sequence[str]) -> None:
         output.write(f"reading parameters from [{file}]")
     inside = _full(ctx, namespace or "")
     try:
-        tree = parameters.tree(ctx, text, "stdin" if file == "-" else str(file), namespace is not None)
+        tree = param.parameters_in(ctx, text, "stdin" if file == "-" else str(file), namespace is not None)
     except BadFile as error:
         raise Failure(f"ERROR: {error}") from None
     if tree != {}:
@@ -239,7 +239,7 @@ def load(ctx: Context, argv: Sequence[str]) -> None:
 
 
 def _text(file: str) -> str:
-    from slidectl.cli.documents import text_of
+    from slidectl.cli.values import text_of
 
     if file != "-" and not os.path.isfile(file):
         raise Failure(f"ERROR: file [{file}] does not exist")
@@ -268,9 +268,9 @@ def dump(ctx: Context, argv: Sequence[str]) -> None:
         output.write(f"dumping namespace [{namespace or inside}] to file [{file}]")
     value = _value(ctx, inside)
     if file is None or file == "-":
-        return output.write(parameters.dumped(value))
+        return output.write(param.dumped(value))
     try:
-        write_whole(file, parameters.dumped(value))
+        write_whole(file, param.dumped(value))
     except OSError as error:
         raise Failure(f"ERROR: cannot write [{file}]: {error.strerror or error}") from None
     if given.verbose:

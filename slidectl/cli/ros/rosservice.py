@@ -8,14 +8,15 @@ from time import monotonic
 from typing import Any
 
 from slidectl import names
-from slidectl.cli import output, servicecall
+from slidectl.cli import output, service
 from slidectl.cli.context import Context
 from slidectl.cli.ros import genpy, yamltext
 from slidectl.cli.ros.arguments import Option, Parser
 from slidectl.cli.ros.failure import Failure
 from slidectl.cli.ros.naming import pause, resolve, without_remappings
 from slidectl.cli.ros.verbs import Tool, Verb
-from slidectl.cli.servicecall import Typedefs, argument_names, as_yaml, ask_each
+from slidectl.cli.service import argument_names, as_yaml, ask_each
+from slidectl.cli.topics import Typedefs, from_typedefs
 from slidectl.cli.values import check_quotes
 from slidectl.errors import Refused, TimedOut
 
@@ -78,7 +79,7 @@ def info(ctx: Context, argv: Sequence[str]) -> None:
     if not kind:
         raise Failure("ERROR: unknown service")
     node = _node(ctx, full)
-    arguments = argument_names(servicecall.request_typedefs(ctx, kind))
+    arguments = argument_names(service.typedefs(ctx, kind)[0])
     output.write(f"Node: {node}\nURI: {ctx.uri}\nType: {kind}\nArgs: {' '.join(arguments)}")
 
 
@@ -111,7 +112,7 @@ def _unknown(text: str) -> str:
 def args(ctx: Context, argv: Sequence[str]) -> None:
     """The fields of the request in one line."""
     full = _asked(ctx, argv, "args", "service must be specified")
-    output.write(" ".join(argument_names(servicecall.request_typedefs(ctx, _available(ctx, full)))))
+    output.write(" ".join(argument_names(service.typedefs(ctx, _available(ctx, full))[0])))
 
 
 def find(ctx: Context, argv: Sequence[str]) -> None:
@@ -143,7 +144,7 @@ def call(ctx: Context, argv: Sequence[str]) -> None:
     values = [_value(word) for word in given.words[1:]]
     full = resolve(ctx, given.words[0], "rosservice")
     kind = _awaited(ctx, full) if given.wait else _available(ctx, full)
-    request, response = servicecall.typedefs(ctx, kind)
+    request, response = service.typedefs(ctx, kind)
     check_quotes(given.words[1:], request[0]["fieldnames"])
     refusals: list[str] = []
     for each in _requests(values, bool(request[0]["fieldnames"])):
@@ -216,8 +217,6 @@ def _filled(ctx: Context, kind: str, request: Typedefs, values: Sequence[Any]) -
 
 
 def _printed(message: dict[str, Any], request: Typedefs) -> str:
-    from slidectl.cli.schema import from_typedefs
-
     schema = from_typedefs(request)
     return as_yaml(genpy.complete(schema, schema.root, message), request)
 
@@ -225,7 +224,7 @@ def _printed(message: dict[str, Any], request: Typedefs) -> str:
 def _call_once(ctx: Context, full: str, request: dict[str, Any], response: Typedefs) -> list[str]:
     """Call and print the response. The lines that say so when it says no. Raises Failure (2) when the call fails."""
     try:
-        answer = servicecall.call(ctx, full, request)
+        answer = service.call_service(ctx, full, request)
     except Refused as error:
         first, *rest = str(error).splitlines()
         text = repr(f"error processing request: {first}".encode())

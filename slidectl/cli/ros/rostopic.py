@@ -11,8 +11,7 @@ from slidectl.cli.ros.arguments import Arguments, Option, Parser
 from slidectl.cli.ros.failure import Failure
 from slidectl.cli.ros.naming import HOST, resolve, without_remappings
 from slidectl.cli.ros.verbs import Tool, Verb
-from slidectl.cli.topic_text import details, usage_of_topics
-from slidectl.cli.topics import PUBLISHERS, SUBSCRIBERS, look_up, users_of
+from slidectl.cli.topics import PUBLISHERS, SUBSCRIBERS, look_up, usage_of_topic, usage_of_topics, users_of
 from slidectl.errors import UnknownName
 
 TOOL = Tool(
@@ -86,7 +85,7 @@ def info(ctx: Context, argv: Sequence[str]) -> None:
     if kind is None:
         raise Failure(f"ERROR: Unknown topic {full}")
     publishers, subscribers = (users_of(ctx, [full], role)[full] for role in (PUBLISHERS, SUBSCRIBERS))
-    output.write(details(kind, publishers, subscribers, ctx.uri))
+    output.write(usage_of_topic(kind, publishers, subscribers, ctx.uri))
 
 
 def type_of(ctx: Context, argv: Sequence[str]) -> None:
@@ -102,9 +101,9 @@ def type_of(ctx: Context, argv: Sequence[str]) -> None:
         found = look_up(ctx, full, None)
         if not found.field:
             return output.write(found.type)
-        from slidectl.cli.fieldpath import select
+        from slidectl.field_path import select
 
-        selected = select(found.schema, found.field)
+        selected = select(found.schema.fields, found.type, found.field)
     except UnknownName:
         raise unknown from None
     return output.write(f"{found.type} {found.field} {selected.type}{'[]' * selected.depth}")

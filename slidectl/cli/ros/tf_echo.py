@@ -11,10 +11,9 @@ import click
 
 from slidectl.cli import output
 from slidectl.cli.context import Context
-from slidectl.cli.frames import Frames, View
 from slidectl.cli.ros.arguments import Arguments, Option, Parser
 from slidectl.cli.ros.naming import without_remappings
-from slidectl.cli.tf import Listener, open_stream, pose_text
+from slidectl.cli.tf import Frames, Listener, View, open_stream, pose_text
 from slidectl.errors import Refused, UnknownName
 
 _WRONG = 255

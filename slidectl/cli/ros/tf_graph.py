@@ -13,13 +13,11 @@ from time import monotonic
 
 from slidectl.cli import output
 from slidectl.cli.context import Context
-from slidectl.cli.frames import Frames
 from slidectl.cli.ros.arguments import Parser
 from slidectl.cli.ros.failure import Failure
 from slidectl.cli.ros.naming import without_remappings
-from slidectl.cli.stream import nanoseconds
-from slidectl.cli.tf import STATIC, open_stream
-from slidectl.cli.topics import PUBLISHERS, users_of
+from slidectl.cli.tf import STATIC, Frames, open_stream
+from slidectl.cli.topics import PUBLISHERS, nanoseconds, users_of
 from slidectl.errors import Refused
 
 _LISTEN_S = 1.0

@@ -10,10 +10,9 @@ import click
 
 from slidectl.cli import output
 from slidectl.cli.context import Context
-from slidectl.cli.frames import Frames
 from slidectl.cli.ros.naming import without_remappings
-from slidectl.cli.stream import Event, Stream, nanoseconds
-from slidectl.cli.tf import STATIC, open_stream
+from slidectl.cli.tf import STATIC, Frames, open_stream
+from slidectl.cli.topics import Event, Stream, nanoseconds
 
 _PERIOD_S = 0.25
 _UNKNOWN = "unknown_publisher"

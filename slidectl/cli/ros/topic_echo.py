@@ -9,13 +9,12 @@ from time import monotonic
 
 from slidectl.cli.context import Context
 from slidectl.cli.echo import Look, follow, predicate, writer
-from slidectl.cli.fieldpath import select
-from slidectl.cli.output import watch_reader
+from slidectl.cli.output import check_reader
 from slidectl.cli.ros.arguments import Arguments, Option, Parser
 from slidectl.cli.ros.naming import pause, resolve, without_remappings
-from slidectl.cli.stream import Stream
-from slidectl.cli.topics import Target, look_up
+from slidectl.cli.topics import Stream, Target, look_up
 from slidectl.errors import TimedOut, UnknownName
+from slidectl.field_path import select
 
 _LOOK_AGAIN_S = 0.1
 
@@ -49,7 +48,7 @@ def echo(ctx: Context, argv: Sequence[str]) -> None:
         return bag.echo(ctx, given.bag, None if given.everything else name, look, given.condition, count)
     found = wait_for_topic(ctx, name)
     schema = found.schema
-    write = writer(ctx, schema, select(schema, found.field), look)
+    write = writer(ctx, schema, select(schema.fields, schema.root, found.field), look)
     keep = predicate(given.condition, schema)
     needs_clock = look.offset or (look.form == "csv" and not schema.has_header)
     if count is not None and count <= 0:
@@ -93,8 +92,8 @@ def wait_for_topic(ctx: Context, full: str) -> Target:
         except UnknownName as error:
             if not warned:
                 print(f"WARNING: topic [{full}] does not appear to be published yet", file=sys.stderr, flush=True)
-                watch_reader()
                 warned = True
             if monotonic() >= deadline:
                 raise TimedOut(f"nobody published {full} within {limit:g} s", error.hint) from None
+        check_reader()
         pause(ctx, _LOOK_AGAIN_S)

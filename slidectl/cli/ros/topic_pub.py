@@ -12,7 +12,7 @@ from typing import Any
 
 from slidectl.cli import output
 from slidectl.cli.context import Context
-from slidectl.cli.publication import Publication
+from slidectl.cli.pub import Publication
 from slidectl.cli.ros import genpy, yamltext
 from slidectl.cli.ros.arguments import Arguments, Option, Parser, begins_as_number
 from slidectl.cli.ros.failure import Failure
@@ -257,7 +257,7 @@ class _Run:
         output.write(f"publishing and latching {what}{end}")
 
     def _text(self, message: _Message) -> str:
-        from slidectl.cli.yamlform import YamlForm
+        from slidectl.cli.forms import YamlForm
 
         schema = self._target.schema
         return YamlForm(schema).printer(schema.root)(genpy.complete(schema, schema.root, message))

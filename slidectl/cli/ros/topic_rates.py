@@ -17,9 +17,8 @@ from slidectl.cli.ros.arguments import Option, Parser
 from slidectl.cli.ros.failure import Failure
 from slidectl.cli.ros.naming import resolve, without_remappings
 from slidectl.cli.ros.topic_echo import wait_for_topic
-from slidectl.cli.stream import Event, Stream, nanoseconds
 from slidectl.cli.topic_measure import REPORT_PERIOD_S, time_ns
-from slidectl.cli.topics import Target
+from slidectl.cli.topics import Event, Stream, Target, nanoseconds
 
 AnyMeter = TypeVar("AnyMeter", bound=Meter)
 

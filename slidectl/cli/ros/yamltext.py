@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import Any, TextIO
 
 from slidectl.cli import values
-from slidectl.cli.documents import bounded
+from slidectl.cli.values import bounded
 from slidectl.errors import SlidectlError
 
 

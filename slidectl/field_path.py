@@ -1,0 +1,118 @@
+"""Field paths: what `position[0]`, `pose/position/x`, `header.stamp` or `poses[:]/position` selects in messages.
+
+Components are separated by `/` or `.`; indices and slices are Python's. A path is checked against the type before
+the first message; only an index can turn out wrong later. It knows no message definition: the caller gives the fields.
+"""
+
+from __future__ import annotations
+
+import re
+from binascii import a2b_base64
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple
+
+from slidectl.errors import Refused, UnknownName, UsageError
+
+_LONGEST = 1000
+_STEP = re.compile(r"(\w+)((?:\[[^\]]*\])*)\Z")
+_INTEGER = re.compile(r"\s*-?\d+\s*\Z")
+_TIME_PARTS = {
+    "time": {"secs": ("uint32", -1), "nsecs": ("uint32", -1)},
+    "duration": {"secs": ("int32", -1), "nsecs": ("int32", -1)},
+}
+_BYTES = ("uint8", "char")
+
+
+Fields = Callable[[str], Iterable[tuple[str, str, int]]]
+"""Name, type and array length (-1 for a single value) of the fields of a type; none for a primitive."""
+
+
+class Selection(NamedTuple):
+    """What a path leads to: values of `type` in `depth` nested lists; `take` gets them out of a message."""
+
+    type: str
+    depth: int
+    take: Callable[[Any], Any]
+
+
+class NoElement(Refused):
+    """A message whose array is shorter than the index."""
+
+    def __init__(self, step: str, length: int) -> None:
+        super().__init__(f"index out of range: {step}, but the message has {length} there")
+
+
+class _Step(NamedTuple):
+    name: str
+    is_packed: bool
+    indices: Sequence[int | slice]
+    is_list: bool
+
+    def of(self, message: Any) -> Any:
+        value = byte_values(message[self.name]) if self.is_packed else message[self.name]
+        for index in self.indices:
+            try:
+                value = value[index]
+            except IndexError:
+                raise NoElement(f"{self.name}[{index}]", len(value)) from None
+        return value
+
+
+def byte_values(value: Any) -> list[int]:
+    """A uint8[] or char[] field as numbers, from base64 text or a list."""
+    return list(a2b_base64(value)) if isinstance(value, str) else list(value)
+
+
+def select(fields_of: Fields, root: str, text: str) -> Selection:
+    """What the path `text` (may be empty) selects in messages of the type `root`.
+
+    Raises:
+        UnknownName: no such field; it lists those that exist. UsageError: no path, or an index where there is no array.
+    """
+    if len(text) > _LONGEST:
+        raise UsageError(f"the path of a field is longer than {_LONGEST} characters")
+    here, depth, steps = root, 0, []
+    for part in re.split(r"[/.](?![^\[]*\])", text) if text else ():
+        match = _STEP.match(part)
+        if match is None:
+            reason = "']' is missing" if "[" in part and "]" not in part else "write name, name[0] or name[1:3]"
+            raise UsageError(f"{part!r} is not a field: {reason}")
+        name, indices = match[1], [_index(inside, part) for inside in re.findall(r"\[([^\]]*)\]", match[2])]
+        owner, here, array = here, *_field(fields_of, here, name)
+        is_list = array >= 0
+        for index, inside in zip(indices, re.findall(r"\[[^\]]*\]", match[2]), strict=True):
+            if not is_list:
+                kind = here + ("" if array < 0 else f"[{array or ''}]")
+                raise UsageError(f"{name!r} of {owner} is {kind}, which has no element {name}{inside}")
+            is_list = isinstance(index, slice)
+        steps.append(_Step(name, array >= 0 and here in _BYTES, indices, is_list))
+        depth += is_list
+    return Selection(here, depth, lambda message: _take(message, steps))
+
+
+def _index(text: str, part: str) -> int | slice:
+    numbers = text.split(":")
+    if len(numbers) > 3 or not all(_INTEGER.match(n) or (not n.strip() and len(numbers) > 1) for n in numbers):
+        raise UsageError(f"{part!r} is not a field: an index is a number or a slice, [0], [-1], [1:3] or [::2]")
+    values = [int(n) if n.strip() else None for n in numbers]
+    if len(values) == 3 and values[2] == 0:
+        raise UsageError(f"{part!r} is not a field: the step of a slice cannot be 0")
+    return int(text) if len(values) == 1 else slice(*values)
+
+
+def _field(fields_of: Fields, owner: str, name: str) -> tuple[str, int]:
+    """The type and the array length of a field."""
+    known = _TIME_PARTS.get(owner) or {field: (kind, array) for field, kind, array in fields_of(owner)}
+    if not known:
+        raise UsageError(f"{owner} has no fields, so there is no {name!r} in it")
+    if name not in known:
+        raise UnknownName("field", name, list(known), f"in {owner}")
+    return known[name]
+
+
+def _take(value: Any, steps: Sequence[_Step]) -> Any:
+    for number, step in enumerate(steps, 1):
+        value = step.of(value)
+        if step.is_list and number < len(steps):
+            return [_take(each, steps[number:]) for each in value]
+    return value
