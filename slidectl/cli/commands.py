@@ -136,6 +136,9 @@ class _Shared(click.Command):
         super().__init__(*args, **attributes)
         self.examples = tuple(examples)
 
+    def get_help_option_names(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
+        return ["-h", "--help"]
+
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         own = super().get_params(ctx)
         taken = {name for param in own for name in param.opts}
@@ -145,7 +148,8 @@ class _Shared(click.Command):
         common = common_options()
         for title, is_common in (("Options", False), ("Common options", True)):
             params = [param for param in self.get_params(ctx) if (param in common) is is_common]
-            records = [record for param in params if (record := param.get_help_record(ctx)) is not None]
+            options = [param for param in params if isinstance(param, click.Option)]
+            records = [record for option in options if (record := option.get_help_record(ctx)) is not None]
             if records:
                 with formatter.section(title):
                     formatter.write_dl(records)

@@ -63,24 +63,12 @@ def completer(ask: Callable[[Context], Iterable[str]]) -> Completer:
     return complete
 
 
-def _controllers(context: Context) -> list[str]:
-    from slidectl.cli.controller import managers
-
-    return [name for manager in managers(context) for name in manager.known()]
-
-
-def _managers(context: Context) -> list[str]:
-    from slidectl.cli.controller import managers
-
-    return [manager.namespace for manager in managers(context)]
-
-
 topics = completer(lambda context: context.names("topic"))
 services = completer(lambda context: context.names("service"))
 parameters = completer(lambda context: context.names("parameter"))
 robots = completer(lambda context: context.names("robot"))
-controllers = completer(_controllers)
-managers = completer(_managers)
+controllers = completer(lambda context: [name for manager in context.managers() for name in manager.known()])
+managers = completer(lambda context: [manager.namespace for manager in context.managers()])
 
 
 def files(_context: click.Context, _param: click.Parameter, incomplete: str) -> list[Any]:

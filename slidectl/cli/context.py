@@ -15,6 +15,7 @@ from slidectl.errors import UsageError
 
 if TYPE_CHECKING:
     from slidectl.client import Client
+    from slidectl.client.manager import Manager
     from slidectl.paths import InstancePaths
 
 DEFAULT_TIMEOUT_S = 10.0
@@ -103,6 +104,19 @@ class Context:
     def call(self, service: str, request: dict[str, Any] | None = None, timeout: float | None = None) -> dict[str, Any]:
         """Call a service. Raises Refused, TimedOut or NoDaemon as Client.call does."""
         return self.client.call(service, request, timeout=timeout)
+
+    def manager(self, namespace: str) -> Manager:
+        """The controller manager of a namespace; what it warns of goes to stderr."""
+        from slidectl.client.manager import Manager
+
+        return Manager(self.client, namespace, self.warn, timeout_s=self.timeout or 0.0)
+
+    def managers(self) -> list[Manager]:
+        """All controller managers, by namespace."""
+        request, name = {"type": "controller_manager_msgs/ListControllers"}, "/controller_manager/list_controllers"
+        services = self.call("/rosapi/services_for_type", request)["services"]
+        found = sorted(service.removesuffix(name) or "/" for service in services if service.endswith(name))
+        return [self.manager(namespace) for namespace in found]
 
     # --- names --------------------------------------------------------------------------------------------------
 

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 WAIT_S = 30.0
 _LOOK_AGAIN_S = 0.2
-_LIST = "controller_manager/list_controllers"
 
 Decorator = Callable[[Any], Any]
 
@@ -65,7 +64,7 @@ def _rests(function: Any) -> Any:
     return zero(hold(with_rest))
 
 
-class Report:
+class ChangeReport:
     """Says for each controller what it was and what it is, also when the action between failed half way."""
 
     def __init__(self, context: Context, manager: Manager, controllers: Sequence[str]) -> None:
@@ -74,7 +73,7 @@ class Report:
         self.names = list(dict.fromkeys(controllers))
         self.before: dict[str, str] = {}
 
-    def __enter__(self) -> Report:
+    def __enter__(self) -> ChangeReport:
         self.before = self.manager.states()
         return self
 
@@ -200,7 +199,7 @@ def load(ctx: Context, manager: str | None, names: tuple[str, ...]) -> None:
     """Load controllers; they are ready to be started."""
     target, local = owner(ctx, manager, names)
     _warn_unknown(ctx, target.namespace, local)
-    with Report(ctx, target, local):
+    with ChangeReport(ctx, target, local):
         target.loaded(target.ask_to_load(local))
 
 
@@ -211,7 +210,7 @@ def load(ctx: Context, manager: str | None, names: tuple[str, ...]) -> None:
 def unload(ctx: Context, manager: str | None, names: tuple[str, ...]) -> None:
     """Unload controllers that are stopped."""
     target, local = owner(ctx, manager, names)
-    with Report(ctx, target, local):
+    with ChangeReport(ctx, target, local):
         each(target.unload, local)
 
 
@@ -299,7 +298,7 @@ def _switch(
     known = local if strict else [name for name in local if name in target.known()]
     after = Rest(ctx, target, stopping, rest)
     after.check(starting)
-    with Report(ctx, target, known):
+    with ChangeReport(ctx, target, known):
         target.switch(starting, stopping, STRICT if strict else BEST_EFFORT, asap)
         if strict:
             target.check_started(starting)
@@ -327,7 +326,7 @@ def spawn(ctx: Context, manager: str | None, stopped: bool, wait: bool, names: t
         wait_for_owner(ctx, manager, names)
     target, local = owner(ctx, manager, names)
     _warn_unknown(ctx, target.namespace, local)
-    with Report(ctx, target, local):
+    with ChangeReport(ctx, target, local):
         target.bring_up(local, start=not stopped)
 
 
@@ -342,7 +341,7 @@ def unspawn(ctx: Context, manager: str | None, rest: str | None, names: tuple[st
     As in ROS the last commands stay with the hardware; --zero and --hold set others, as with 'controller stop'.
     """
     target, local = owner(ctx, manager, names)
-    with Report(ctx, target, local) as report:
+    with ChangeReport(ctx, target, local) as report:
         running = [name for name in local if report.before.get(name) in ("running", "waiting")]
         after = Rest(ctx, target, [name for name in local if name in report.before], rest)
         after.check()
@@ -418,22 +417,9 @@ def _warn_unknown(ctx: Context, namespace: str, controllers: Sequence[str]) -> N
 # --- managers and names -----------------------------------------------------------------------------------------------
 
 
-def manager_in(context: Context, namespace: str) -> Manager:
-    """The controller manager of a namespace; what it warns of goes to stderr."""
-    return Manager(context.client, namespace, context.warn, timeout_s=context.timeout or 0.0)
-
-
-def managers(context: Context) -> list[Manager]:
-    """All controller managers, by namespace."""
-    request = {"type": "controller_manager_msgs/ListControllers"}
-    services = context.call("/rosapi/services_for_type", request)["services"]
-    found = sorted(name.removesuffix(_LIST).rstrip("/") or "/" for name in services if name.endswith("/" + _LIST))
-    return [manager_in(context, namespace) for namespace in found]
-
-
 def chosen(context: Context, wanted: str | None) -> list[Manager]:
     """The managers that the options leave: that of `--cm`, else that of `--ns`, else all. Raises UnknownName."""
-    every = managers(context)
+    every = context.managers()
     known = {manager.namespace: manager for manager in every}
     if wanted is not None:
         name = wanted.rstrip("/").removesuffix("controller_manager").rstrip("/") or "/"
@@ -477,7 +463,7 @@ def owner_of_some(context: Context, wanted: str | None, controllers: Sequence[st
 def next_step(context: Context, topic: str) -> str | None:
     """The command that is missing before a controller takes messages on `topic`; None when none is."""
     controller = parent(join("/", topic)).strip("/").rpartition("/")[2]
-    found = managers(context)
+    found = context.managers()
     idle = {}
     for manager in found:
         states, configured = manager.states(), manager.configured()

@@ -118,7 +118,7 @@ def _length_of(shown: str, type_name: str, value: Any) -> str:
     return f'"<array type: {shown}, length: {len(byte_values(value) if type_name in BYTES else value)}>"'
 
 
-class Row(NamedTuple):
+class CsvRow(NamedTuple):
     """One message: its header line without line end (it starts with `%time`) and its line of values."""
 
     header: str
@@ -138,11 +138,11 @@ class CsvForm:
         self.strings = strings
         self.offset_ns = 0
 
-    def row(self, value: Any, type_name: str, depth: int, time_ns: int) -> Row:
+    def row(self, value: Any, type_name: str, depth: int, time_ns: int) -> CsvRow:
         """The row of a value that is wrapped in `depth` lists; `time_ns` is its time in nanoseconds."""
         cells = list(self._chosen(value, type_name, depth, "field"))
         names = ",".join(name for name, _ in cells)
-        return Row(f"%time,{names}", f"{time_ns - self.offset_ns}," + ",".join(text for _, text in cells))
+        return CsvRow(f"%time,{names}", f"{time_ns - self.offset_ns}," + ",".join(text for _, text in cells))
 
     def _chosen(self, value: Any, type_name: str, depth: int, name: str) -> Iterator[tuple[str, str]]:
         """What was asked for by itself is there, be it a list or text; options are for what is in it."""

@@ -176,7 +176,7 @@ root = Root(
     "slidectl",
     help=HELP,
     examples=["slidectl daemon start", "slidectl spawn slider --controllers config/slider_control.yaml"],
-    context_settings={"max_content_width": 110, "help_option_names": ["-h", "--help"]},
+    context_settings={"max_content_width": 110},
     params=[
         click.Option(
             ["--version"],

@@ -48,16 +48,15 @@ def robots(ctx: Context, name: str | None) -> None:
     type, interface, position, velocity, effort, lower, upper, max_velocity, max_effort), controllers, estop (true in
     an emergency stop), and report (verdict, subject, text, file, line) when a name is given.
     """
-    found = all_robots(ctx)
-    shown = found if name is None else [find(found, name)]
-    warn_stopped(ctx, [robot["name"] for robot in shown if robot["estop"]])
+    found = all_robots(ctx) if name is None else [find(all_robots(ctx), name)]
+    warn_stopped(ctx, [robot["name"] for robot in found if robot["estop"]])
     if name is None:
         rows = [record(robot, with_report=False) for robot in found]
         if ctx.format in ("text", "csv"):
             rows = [{**row, "joints": moving(row)} for row in rows]
         ctx.emit_rows(rows, ["name", "namespace", "fixed", "joints", "controllers"], empty=_NONE)
         return
-    one = record(find(found, name))
+    one = record(found[0])
     if ctx.format == "csv":
         ctx.emit_rows(one["joints"], _JOINT_COLUMNS)
     else:
@@ -66,11 +65,10 @@ def robots(ctx: Context, name: str | None) -> None:
 
 def record(robot: Robot, with_report: bool = True) -> Robot:
     """A slidectl/RobotInfo with the keys that this command line promises."""
-    joints = [_joint(joint) for joint in robot["joints"]]
-    keys = ("name", "namespace", "fixed", "pose", "links")
-    result = {key: robot[key] for key in keys}
-    result |= {"joints": joints, "controllers": robot["controllers"], "estop": robot["estop"]}
-    return result | ({"report": robot["report"]} if with_report else {})
+    joints = [{**joint, "interface": joint["hardware_interface"]} for joint in robot["joints"]]
+    shown = {**robot, "joints": [{key: joint[key] for key in _JOINT_COLUMNS} for joint in joints]}
+    keys = ("name", "namespace", "fixed", "pose", "links", "joints", "controllers", "estop", "report")
+    return {key: shown[key] for key in (keys if with_report else keys[:-1])}
 
 
 def warn_stopped(ctx: Context, stopped: Sequence[str]) -> None:
@@ -82,10 +80,6 @@ def warn_stopped(ctx: Context, stopped: Sequence[str]) -> None:
 def moving(robot: Robot) -> list[str]:
     """The names of its joints, without the fixed ones."""
     return [joint["name"] for joint in robot["joints"] if joint["type"] != "fixed"]
-
-
-def _joint(joint: dict[str, Any]) -> dict[str, Any]:
-    return {key: joint["hardware_interface" if key == "interface" else key] for key in _JOINT_COLUMNS}
 
 
 def robot_text(robot: Robot, with_report: bool) -> str:

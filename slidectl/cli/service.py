@@ -56,10 +56,9 @@ def info(ctx: Context, name: str) -> None:
     JSON keys: service, node, uri, type, args.
     """
     found = ctx.resolve("service", name)
-    full, kind, (node,) = found["name"], found["type"], found["nodes"]
-    arguments = argument_names(found["typedefs"])
-    record = {"service": full, "node": node, "uri": ctx.uri, "type": kind, "args": arguments}
-    ctx.emit(record, f"Node: {node}\nURI: {ctx.uri}\nType: {kind}\nArgs: {' '.join(arguments)}")
+    (node,), arguments = found["nodes"], argument_names(found["typedefs"])
+    record = {"service": found["name"], "node": node, "uri": ctx.uri, "type": found["type"], "args": arguments}
+    ctx.emit(record, f"Node: {node}\nURI: {ctx.uri}\nType: {found['type']}\nArgs: {' '.join(arguments)}")
 
 
 @service.command("type", examples=["slidectl service type list_controllers"])

@@ -17,7 +17,7 @@ from slidectl import names
 from slidectl.cli import completion, output, robots
 from slidectl.cli.commands import Variadic, command, looks_like_number
 from slidectl.cli.context import Context
-from slidectl.cli.controller import manager_in, read_parameters
+from slidectl.cli.controller import read_parameters
 from slidectl.cli.param import store
 from slidectl.client import spawning
 from slidectl.client.client import SPAWN_LIMIT_S, Manager
@@ -98,7 +98,7 @@ def spawn(
         except NotThere as error:
             missing.note(error, "the parameters of controllers are left out")
             missing.refuse()
-    manager = manager_in(ctx, namespace)
+    manager = ctx.manager(namespace)
     there = _configured(manager, start, missing)
     warnings = ctx.client.spawn_urdf(wanted, xml, pose, timeout=ctx.wait_limit(SPAWN_LIMIT_S))
     loads = {} if keep_going else manager.ask_to_load(there)  # the robot is new: it has none yet

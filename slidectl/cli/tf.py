@@ -30,7 +30,7 @@ _ROUNDS = 3
 # --- frames ---------------------------------------------------------------------------------------------------------
 
 
-class Pose(NamedTuple):
+class FramePose(NamedTuple):
     """Where a frame is in another one."""
 
     translation: Vector
@@ -41,7 +41,7 @@ class Edge(NamedTuple):
     """A frame's place in its parent. `time_ns` is its stamp; a static one holds for all times."""
 
     parent: str
-    pose: Pose
+    pose: FramePose
     time_ns: int
     is_static: bool
 
@@ -49,11 +49,11 @@ class Edge(NamedTuple):
 class View(NamedTuple):
     """A pose between two frames, and the time up to which it is known (None when nothing on the way moves)."""
 
-    pose: Pose
+    pose: FramePose
     time_ns: int | None
 
 
-ORIGIN = Pose((0.0, 0.0, 0.0), IDENTITY)
+ORIGIN = FramePose((0.0, 0.0, 0.0), IDENTITY)
 
 
 class Frames:
@@ -130,7 +130,7 @@ class Frames:
         pose = compose(inverse(self._along(up)), self._along(down))
         return View(pose, min(times) if times else None)
 
-    def _along(self, way: Iterable[str]) -> Pose:
+    def _along(self, way: Iterable[str]) -> FramePose:
         """The pose of the first frame of the way in the parent of the last one."""
         pose = ORIGIN
         for name in way:
@@ -143,9 +143,9 @@ def _plain(frame: str) -> str:
     return frame.removeprefix("/")
 
 
-def _pose(transform: Mapping[str, Mapping[str, float]]) -> Pose:
+def _pose(transform: Mapping[str, Mapping[str, float]]) -> FramePose:
     t, q = transform["translation"], transform["rotation"]
-    return Pose((t["x"], t["y"], t["z"]), normalized((q["x"], q["y"], q["z"], q["w"])))
+    return FramePose((t["x"], t["y"], t["z"]), normalized((q["x"], q["y"], q["z"], q["w"])))
 
 
 def rotate(q: Quaternion, v: Vector) -> Vector:
@@ -154,18 +154,18 @@ def rotate(q: Quaternion, v: Vector) -> Vector:
     return x, y, z
 
 
-def compose(outer: Pose, inner: Pose) -> Pose:
+def compose(outer: FramePose, inner: FramePose) -> FramePose:
     """The pose of `inner`'s frame where `outer` says how its parent stands."""
     ox, oy, oz = outer.translation
     x, y, z = rotate(outer.rotation, inner.translation)
-    return Pose((ox + x, oy + y, oz + z), multiply(outer.rotation, inner.rotation))
+    return FramePose((ox + x, oy + y, oz + z), multiply(outer.rotation, inner.rotation))
 
 
-def inverse(pose: Pose) -> Pose:
+def inverse(pose: FramePose) -> FramePose:
     """The pose of the parent in the frame."""
     back = conjugate(pose.rotation)
     tx, ty, tz = rotate(back, pose.translation)
-    return Pose((-tx, -ty, -tz), back)
+    return FramePose((-tx, -ty, -tz), back)
 
 
 def roll_pitch_yaw(q: Quaternion) -> Vector:
@@ -346,7 +346,7 @@ def _tell(ctx: Context, reference: str, target: str, view: View) -> None:
     ctx.emit(record, f"At time {time or 0.0:.3f}\n{pose_text(view.pose)}")
 
 
-def pose_text(pose: Pose, digits: int = 3) -> str:
+def pose_text(pose: FramePose, digits: int = 3) -> str:
     """The lines of tf_echo below the time: where the frame is, in m, and how it is turned."""
     rpy = roll_pitch_yaw(pose.rotation)
     degrees = [math.degrees(angle) for angle in rpy]

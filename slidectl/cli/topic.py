@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import click
@@ -42,34 +41,30 @@ def list_topics(ctx: Context, namespace: str | None, published: bool, subscribed
         raise UsageError("-p and -s exclude each other")
     types = ctx.client.topics()
     if namespace is not None:
-        types = {name: types[name] for name in types if names.is_under(name, _namespace(ctx, namespace, types))}
-    rows = [{"topic": name, "type": types[name]} for name in sorted(types)]
+        text = namespace.rstrip("/") or "/"
+        inside = names.join(ctx.namespace, text)  # below `--ns`, else as it stands
+        inside = inside if any(names.is_under(name, inside) for name in types) else names.join("/", text)
+        types = {name: kind for name, kind in types.items() if names.is_under(name, inside)}
+    rows: list[dict[str, Any]] = [{"topic": name, "type": types[name]} for name in sorted(types)]
+    columns = ["topic", "type"]
     if published or subscribed or ctx.verbose:
-        _show_users(ctx, rows, published, subscribed)
-    elif ctx.format != "text":
-        ctx.emit_rows(rows, ["topic", "type"])
+        for role in (PUBLISHERS, SUBSCRIBERS):
+            users = users_of(ctx, types, role)
+            rows = [{**row, role: users[row["topic"]]} for row in rows]
+        rows = [r for r in rows if (r[PUBLISHERS] or not published) and (r[SUBSCRIBERS] or not subscribed)]
+        columns += [PUBLISHERS, SUBSCRIBERS]
+    if ctx.format != "text":
+        ctx.emit_rows(rows, columns)
+    elif ctx.verbose:
+        roles = [None if off else role for off, role in ((subscribed, PUBLISHERS), (published, SUBSCRIBERS))]
+        output.write(
+            usage_of_topics(
+                {row["topic"]: row["type"] for row in rows},
+                *(None if role is None else {row["topic"]: row[role] for row in rows} for role in roles),
+            )
+        )
     elif rows:
         ctx.emit_names([row["topic"] for row in rows], "topic")
-
-
-def _namespace(ctx: Context, text: str, known: Mapping[str, str]) -> str:
-    """The namespace that is meant: as it stands, or below `--ns`."""
-    inside = names.join(ctx.namespace, text.rstrip("/") or "/")
-    return inside if any(names.is_under(name, inside) for name in known) else names.join("/", text.rstrip("/") or "/")
-
-
-def _show_users(ctx: Context, rows: list[dict[str, Any]], published: bool, subscribed: bool) -> None:
-    every = [row["topic"] for row in rows]
-    publishers, subscribers = users_of(ctx, every, PUBLISHERS), users_of(ctx, every, SUBSCRIBERS)
-    full = [{**r, PUBLISHERS: publishers[r["topic"]], SUBSCRIBERS: subscribers[r["topic"]]} for r in rows]
-    kept = [r for r in full if (r[PUBLISHERS] or not published) and (r[SUBSCRIBERS] or not subscribed)]
-    if ctx.format != "text":
-        ctx.emit_rows(kept, ["topic", "type", PUBLISHERS, SUBSCRIBERS])
-    elif ctx.verbose:
-        types = {row["topic"]: row["type"] for row in kept}
-        output.write(usage_of_topics(types, None if subscribed else publishers, None if published else subscribers))
-    elif kept:
-        ctx.emit_names([row["topic"] for row in kept], "topic")
 
 
 @topic.command("info", examples=["slidectl topic info joint_states", "slidectl topic info command --json"])

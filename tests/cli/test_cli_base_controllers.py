@@ -191,16 +191,6 @@ def test_types_are_listed(slider: CommandLine) -> None:
     assert list(record) == ["type", "base_class"]
 
 
-def test_config_loads_parameters_into_the_namespace_of_the_robot(slider: CommandLine, tmp_path: Path) -> None:
-    file = tmp_path / "gains.yaml"
-    file.write_text(
-        "joint1_position_controller:\n  type: effort_controllers/JointPositionController\n  pid: {p: 90.0}\n"
-    )
-    record = json.loads(slider.ok("controller", "config", str(file), "--json"))
-    assert record == {"file": str(file), "parameters": 2}
-    slider.ok("controller", "load", POSITION)
-
-
 @pytest.mark.parametrize("text", ["slider: [1, 2", "- 1\n- 2\n", "a: {type: x/Y, p: .inf}\n", "1: {type: x}\n"])
 def test_a_file_that_holds_no_parameters_is_refused(slider: CommandLine, tmp_path: Path, text: str) -> None:
     file = tmp_path / "bad.yaml"

@@ -88,10 +88,6 @@ def test_instance_and_socket_exclude_each_other(slidectl: CommandLine) -> None:
     assert "exclude each other" in done.stderr
 
 
-def test_an_instance_name_must_be_a_plain_file_name(slidectl: CommandLine) -> None:
-    assert slidectl("-i", "../evil", "robots").returncode == 2
-
-
 @pytest.mark.parametrize("option", ["--instance", "--socket"])
 def test_an_empty_variable_does_not_mean_another_daemon(slidectl: CommandLine, option: str) -> None:
     slidectl.ok("daemon", "start")
@@ -124,12 +120,6 @@ def test_a_daemon_that_dies_meanwhile_is_no_daemon(slidectl: CommandLine, fake: 
     done = slidectl("robots")
     assert (done.returncode, done.stdout) == (3, "")
     assert len(done.stderr.splitlines()) <= 3
-
-
-def test_a_service_that_fails_is_refused_with_its_reason(slidectl: CommandLine, fake: FakeDaemon) -> None:
-    done = slidectl("robots")
-    assert (done.returncode, done.stderr) == (1, "error: no service '/slidectl/list_robots'\n")
-    assert not fake.calls("/slidectl/status")
 
 
 def test_ctrl_c_ends_with_130_and_without_a_word(slidectl: CommandLine, fake: FakeDaemon) -> None:

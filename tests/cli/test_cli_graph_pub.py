@@ -186,13 +186,6 @@ def test_an_expression_may_begin_with_a_minus(world: World, ears: dict[str, Subs
     assert len(heard(ears, "/f")) == 2
 
 
-def test_stamps_are_renewed_at_a_rate(world: World, ears: dict[str, Subscription]) -> None:
-    world.slidectl.ok("pub", "/ps", "-r", "50", "-n", "3", "{header: auto}")
-    stamps = [(m["header"]["stamp"]["secs"], m["header"]["stamp"]["nsecs"]) for m in heard(ears, "/ps")]
-    assert stamps == sorted(set(stamps))
-    assert len(stamps) == 3
-
-
 def test_a_rate_that_is_not_reached_is_told(world: World, ears: dict[str, Subscription]) -> None:
     assert ears
     done = world.slidectl("pub", "/f", "-r", "1e9", "-n", "200", "1.0")

@@ -15,7 +15,7 @@ from daemon_fixture import running_daemon
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slidectl.cli.tf import Frames, Pose, compose, inverse, roll_pitch_yaw
+from slidectl.cli.tf import FramePose, Frames, compose, inverse, roll_pitch_yaw
 from slidectl.errors import AmbiguousName, Refused, UnknownName
 from slidectl.rotations import Quaternion, normalized
 
@@ -51,7 +51,7 @@ def test_a_pose_is_that_of_the_second_frame_in_the_first(frames: Frames) -> None
 
 def test_static_ways_have_no_time_and_a_frame_is_at_itself(frames: Frames) -> None:
     assert frames.look_up("world", "base").time_ns is None
-    assert frames.look_up("slider", "slider").pose == Pose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    assert frames.look_up("slider", "slider").pose == FramePose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
 
 def test_frames_of_two_trees_are_not_connected(frames: Frames) -> None:
@@ -89,24 +89,26 @@ def test_a_ring_of_frames_ends(frames: Frames) -> None:
 
 numbers = st.floats(-10, 10, allow_subnormal=False)
 poses = st.builds(
-    lambda t, q: Pose(t, normalized(q)),
+    lambda t, q: FramePose(t, normalized(q)),
     st.tuples(numbers, numbers, numbers),
     st.tuples(numbers, numbers, numbers, numbers),
 )
 
 
 @given(poses)
-def test_a_pose_and_its_inverse_cancel(pose: Pose) -> None:
+def test_a_pose_and_its_inverse_cancel(pose: FramePose) -> None:
     x, y, z, w = compose(pose, inverse(pose)).rotation
     assert compose(pose, inverse(pose)).translation == pytest.approx((0, 0, 0), abs=1e-9)
     assert (x, y, z, abs(w)) == pytest.approx((0, 0, 0, 1), abs=1e-9)
 
 
 @given(poses)
-def test_angles_make_the_same_rotation_again(pose: Pose) -> None:
+def test_angles_make_the_same_rotation_again(pose: FramePose) -> None:
     roll, pitch, yaw = (angle / 2 for angle in roll_pitch_yaw(pose.rotation))
     about = [(1, 0, 0, roll), (0, 1, 0, pitch), (0, 0, 1, yaw)]
-    turns = [Pose((0, 0, 0), (x * math.sin(h), y * math.sin(h), z * math.sin(h), math.cos(h))) for x, y, z, h in about]
+    turns = [
+        FramePose((0, 0, 0), (x * math.sin(h), y * math.sin(h), z * math.sin(h), math.cos(h))) for x, y, z, h in about
+    ]
     again = compose(compose(turns[2], turns[1]), turns[0]).rotation
     assert abs(sum(a * b for a, b in zip(again, pose.rotation, strict=True))) == pytest.approx(1.0, abs=1e-9)
 
