@@ -17,7 +17,7 @@ from slidectl.cli import output
 from slidectl.cli.context import Context
 from slidectl.cli.echo import Look, Write, predicate, writer
 from slidectl.cli.fieldpath import select
-from slidectl.cli.ros.failure import Failure
+from slidectl.cli.ros.arguments import Failure
 from slidectl.cli.schema import TIMES, Field, Schema
 from slidectl.cli.stream import Event
 from slidectl.errors import SlidectlError

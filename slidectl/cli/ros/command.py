@@ -5,6 +5,7 @@ It knows the tools by name only, and prints how one ended badly.
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -13,12 +14,11 @@ from typing import Any
 
 import click
 
-from slidectl.cli.commands import Command, command
+from slidectl.cli.commands import command
 from slidectl.cli.context import Context
-from slidectl.cli.ros.failure import told
-from slidectl.errors import SlidectlError, UsageError, closest
+from slidectl.errors import NoDaemon, SlidectlError, UsageError, closest
 
-# name -> module in this package, whose `main` takes the Context and the words. Its `PREFIX` begins errors.
+# name -> module in this package, where the tool is called as it is here. Its `PREFIX` begins errors.
 TOOLS = {
     "roslaunch": "roslaunch",
     "rostopic": "rostopic",
@@ -27,18 +27,9 @@ TOOLS = {
     "rosrun": "rosrun",
     "rosnode": "rosnode",
     "rosmsg": "rosmsg",
-    "rossrv": "rossrv",
-    "roscore": "roscore",
-    "rosclean": "rosclean",
+    "rossrv": "rosmsg",
+    "roscore": "roslaunch",
 }
-
-
-class RawCommand(Command):
-    """Whatever stands behind the first word belongs to the tool, options too."""
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        ctx.allow_interspersed_args = False
-        return super().parse_args(ctx, args)
 
 
 def _complete(click_context: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
@@ -46,7 +37,8 @@ def _complete(click_context: click.Context, _param: click.Parameter, incomplete:
 
 
 @command(
-    cls=RawCommand,
+    # Whatever stands behind the first word belongs to the tool, options too.
+    context_settings={"allow_interspersed_args": False},
     examples=[
         "slidectl ros rostopic pub -1 /slider/joint1_position_controller/command std_msgs/Float64 'data: 1.0'",
         "slidectl ros rosservice call /slider/controller_manager/list_controllers",
@@ -58,8 +50,8 @@ def _complete(click_context: click.Context, _param: click.Parameter, incomplete:
 def ros(ctx: Context, words: tuple[str, ...]) -> None:
     """Run a ROS command word for word.
 
-    NAME is one of roslaunch, rostopic, rosservice, rosparam, rosrun, rosnode, rosmsg, rossrv, roscore and rosclean;
-    ARGUMENTs are theirs, and so are output and exit codes, save that 0 means done: 3 is no daemon, 130 Ctrl-C.
+    NAME is one of roslaunch, rostopic, rosservice, rosparam, rosrun, rosnode, rosmsg, rossrv and roscore; ARGUMENTs
+    are theirs, and so are output and exit codes, save that 0 means done: 3 is no daemon, 130 Ctrl-C.
     Options of slidectl stand before NAME. 'slidectl ros-commands' makes shell functions of these names.
     """
     name, *argv = words
@@ -72,22 +64,27 @@ def ros(ctx: Context, words: tuple[str, ...]) -> None:
 
 def run(ctx: Context, name: str, argv: Sequence[str]) -> None:
     """Run one tool; how it failed goes to stderr in its own words. Raises click's Exit with the code then."""
-    _heed_interrupts()
+    # SIGINT ends a node also in the background of a script, where shells start programs with it ignored.
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     if isinstance(sys.stdin, TextIOWrapper):
         sys.stdin.reconfigure(errors="surrogateescape")  # what is no text is for the reader of YAML to refuse
-    tool: Any = import_module(f"slidectl.cli.ros.{TOOLS[name]}")
+    module: Any = import_module(f"slidectl.cli.ros.{TOOLS[name]}")
     try:
-        tool.main(ctx, list(argv))
+        getattr(module, name)(ctx, list(argv))
     except SlidectlError as error:
         if ctx.verbose >= 2:
             raise
-        print(told(error, getattr(tool, "PREFIX", "ERROR: ")), file=sys.stderr, flush=True)
+        print(_told(error, getattr(module, "PREFIX", "ERROR: ")), file=sys.stderr, flush=True)
         raise click.exceptions.Exit(error.exit_code) from None
 
 
-def _heed_interrupts() -> None:
-    """SIGINT ends a node also in the background of a script, where shells start programs with it ignored."""
-    import signal
+def _told(error: SlidectlError, prefix: str) -> str:
+    """What a tool prints about an error: `prefix` stands before what is not in its own words."""
+    from slidectl.cli.ros.arguments import Failure
 
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    if isinstance(error, Failure):
+        return error.message
+    if isinstance(error, NoDaemon):
+        return f"ERROR: Unable to communicate with master!\n{error}"
+    return f"{prefix}{error}"
