@@ -126,13 +126,6 @@ def _leaves(value: Any) -> Iterator[Any]:
         yield from _leaves(each)
 
 
-def paths(typedefs: Typedefs) -> str:
-    """All fields, nested ones as `header.seq`, with blanks between: what `Args are: [...]` shows."""
-    from slidectl.msgs.fill import field_paths, fields_from
-
-    return " ".join(field_paths(fields_from(typedefs), str(typedefs[0]["type"])))
-
-
 def as_yaml(typedefs: Typedefs, message: Message) -> str:
     """The message as `-v` shows it: fields that were not given at their defaults."""
     from slidectl import msgs

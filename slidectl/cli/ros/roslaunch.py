@@ -10,8 +10,10 @@ import os
 import select
 import signal
 from collections.abc import Sequence
-from optparse import Values
+from optparse import Option, Values
 from typing import Any
+
+import click
 
 from slidectl.cli import output
 from slidectl.cli.context import Context
@@ -28,28 +30,6 @@ _EXCLUSIVE = ("nodes", "find_node", "args", "ros_args")
 _START_LIMIT_S = 30.0
 _STOP_LIMIT_S = 10.0
 
-# Those of `slidectl launch`, by the same names.
-_PASSED_ON = (
-    option("--files", "print the files that are used"),
-    option("--args", "print the command line of a node", "NODE_NAME"),
-    option("--nodes", "print the names of the nodes"),
-    option("--find-node", "print the file that a node is written in", "NODE_NAME"),
-    option("--dump-params", "print all parameters as YAML"),
-    option("--ros-args", "print the arguments of the file"),
-    option("--screen", "show what all nodes print"),
-    option("--log", "what all nodes print goes into logs"),
-    option("--required", "the end of any node is the end of all"),
-    option("--wait", "wait for a daemon instead of starting one"),
-    option("--pid", "write the process id into a file", "PID_FN"),
-    option("--sigint-timeout", "how long nodes may take to end on SIGINT (15)", "TIMEOUT"),
-    option("--sigterm-timeout", "how long they may take on SIGTERM (2)", "TIMEOUT"),
-    option("--dry-run", "print the steps, and start nothing"),
-    option("--detach", "return when everything runs"),
-    option("--package", "where a package is", "NAME=PATH"),
-    option("--keep-going", "leave out all that is not there, and list it at the end"),
-    option("--skip-unknown", "leave out nodes that can neither be done nor run here"),
-    option("--no-commands", "refuse <param command=...> that is not xacro"),
-)
 _NOTHING_TO_SAY = (
     option("--local", "no effect: everything is local"),
     option("--no-summary", "no effect: there is no summary"),
@@ -71,7 +51,14 @@ def roslaunch(ctx: Context, argv: Sequence[str]) -> None:
     """Launch, or print what is asked for. Raises what `slidectl launch` raises."""
     from slidectl.cli.launch import launch
 
-    parser = Parser("roslaunch", _USAGE, *_PASSED_ON, *_NOTHING_TO_SAY, _CORE, *_IDLE, _VERBOSE)
+    own = [param for param in launch.params if isinstance(param, click.Option)]
+    passed_on = [
+        Option(param.opts[0], help=param.help, action="store_true")
+        if param.is_flag
+        else Option(param.opts[0], help=param.help, action="append", metavar=param.metavar)
+        for param in own
+    ]
+    parser = Parser("roslaunch", _USAGE, *passed_on, *_NOTHING_TO_SAY, _CORE, *_IDLE, _VERBOSE)
     given = parser.parse(argv)
     files = [word for word in given.words if ":=" not in word]
     if sum(bool(getattr(given, dest)) for dest in _EXCLUSIVE) > 1:
@@ -82,10 +69,9 @@ def roslaunch(ctx: Context, argv: Sequence[str]) -> None:
         parser.error("Only a single instance of the dash ('-') may be specified.")
     _warn_idle(ctx, given)
     words: list[str] = []
-    for each in _PASSED_ON:
-        value = getattr(given, str(each.dest))
-        if value is not None:
-            words.append(each.get_opt_string() + (f"={value}" if each.takes_value() else ""))
+    for each in passed_on:
+        values = getattr(given, str(each.dest)) or []
+        words += [each.get_opt_string()] if values is True else [f"{each.get_opt_string()}={v}" for v in values]
     ctx.verbose += bool(given.verbose)
     with launch.make_context("roslaunch", [*words, "--", *given.words], obj=ctx) as click_context:
         try:

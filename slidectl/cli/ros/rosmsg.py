@@ -5,7 +5,6 @@ They ask no daemon; only `show -b` reads a bag.
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Sequence
 
@@ -121,17 +120,12 @@ class _Types:
         try:
             self._kind.source(wanted)  # the list of all types would take longer than everything else here
         except UnknownName:
-            raise Failure(f"{trouble}: {self._not_located(wanted)}{self._suggestion(wanted)}") from None
+            package, _, word = wanted.partition("/")
+            where = f" in package [{package}]"
+            if package not in _packages():
+                where = f": unknown package [{package}] on search path [{_packages()}]"
+            raise Failure(f"{trouble}: Cannot locate message [{word}]{where}{self._suggestion(wanted)}") from None
         return [wanted]
-
-    def _not_located(self, wanted: str) -> str:
-        package, _, word = wanted.partition("/")
-        if package not in _packages():
-            return f"Cannot locate message [{word}]: unknown package [{package}] on search path [{_packages()}]"
-        from slidectl import msgs
-
-        folder = os.path.join(os.path.dirname(msgs.__file__), "data", package, self._suffix)
-        return f"Cannot locate message [{word}] in package [{package}] with paths [[{folder!r}]]"
 
     def _suggestion(self, wanted: str) -> str:
         near = closest(wanted, self._kind.names())

@@ -28,9 +28,6 @@ _PATIENCE_S = 10.0
 _LOOK_AGAIN_S = 0.05
 
 
-# --- list, machine, cleanup -------------------------------------------------------------------------------------------
-
-
 def list_nodes(ctx: Context, argv: Sequence[str]) -> None:
     """Names, or where they answer."""
     parser = Parser(
@@ -62,9 +59,6 @@ def cleanup(ctx: Context, argv: Sequence[str]) -> None:
     """Nothing to do: a node that has gone is in no list."""
     Parser("rosnode", "rosnode cleanup").parse(argv)
     ctx.names("node")
-
-
-# --- info -------------------------------------------------------------------------------------------------------------
 
 
 def info(ctx: Context, argv: Sequence[str]) -> None:
@@ -119,9 +113,6 @@ def _connections(ctx: Context, full: str, details: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n\n"
 
 
-# --- ping -------------------------------------------------------------------------------------------------------------
-
-
 def ping(ctx: Context, argv: Sequence[str]) -> None:
     """Round trips, one a second until Ctrl-C or -c."""
     parser = Parser(
@@ -172,9 +163,6 @@ def _ping(ctx: Context, full: str, is_first: bool) -> float:
         raise Failure(f"ERROR: [{full}] has gone")
     output.write(f"xmlrpc reply from {ctx.uri}\ttime={milliseconds:f}ms")
     return milliseconds
-
-
-# --- kill -------------------------------------------------------------------------------------------------------------
 
 
 def kill(ctx: Context, argv: Sequence[str]) -> None:

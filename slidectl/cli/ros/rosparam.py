@@ -33,9 +33,6 @@ def _full(ctx: Context, name: str) -> str:
     return "/" + "/".join(part for part in parts if part)
 
 
-# --- set --------------------------------------------------------------------------------------------------------------
-
-
 def set_parameter(ctx: Context, argv: Sequence[str]) -> None:
     """A value in YAML, or with -t and -b what a file holds."""
     parser = Parser(
@@ -116,9 +113,6 @@ def _check_integers(name: str, value: Any) -> None:
             raise Failure(f"ERROR: parameter [{name}] cannot be {each}: integers have 32 bits; write {float(each)!r}")
 
 
-# --- get, delete, list ------------------------------------------------------------------------------------------------
-
-
 def get(ctx: Context, argv: Sequence[str]) -> None:
     """The value as YAML."""
     pretty_option = option("-p", "for reading: text without quotes", dest="pretty")
@@ -181,9 +175,6 @@ def list_parameters(ctx: Context, argv: Sequence[str]) -> None:
     inside = _full(ctx, words[0]) if words else "/"
     known = ctx.names("parameter")
     output.write("\n".join(name for name in known if names.is_under(name, inside) and name != inside))
-
-
-# --- load, dump -------------------------------------------------------------------------------------------------------
 
 
 def load(ctx: Context, argv: Sequence[str]) -> None:

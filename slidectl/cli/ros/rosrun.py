@@ -56,16 +56,8 @@ Usage: static_transform_publisher x y z qx qy qz qw frame_id child_frame_id{peri
 _USAGES = {
     ("controller_manager", "controller_manager"): """Usage: controller_manager <command> [name...]
 
-Commands:
-    load <name>              load the controller
-    unload <name>            unload the controller
-    start <name>             start the controller
-    stop <name>              stop the controller
-    spawn | sp <name>        load and start the controller
-    kill | kl <name>         stop and unload the controller
-    list | lc                list the loaded controllers
-    list-types | lt          list the types that can be loaded
-    reload-libraries [--restore]
+Commands: load, unload, start, stop, spawn (or sp: load and start), kill (or kl: stop and unload),
+          list (or lc), list-types (or lt), reload-libraries [--restore]
 """,
     ("controller_manager", "unspawner"): """Usage: unspawner <name>...
 
@@ -74,28 +66,16 @@ Stops the controllers as long as it runs, and starts them again at its end.
     ("controller_manager", "spawner"): """usage: spawner [-h] [--stopped] [--wait-for TOPIC] [--namespace NS]
                [--timeout S] [--no-timeout] controllers [controllers ...]
 
-Loads and starts controllers, and stops and unloads them at its end.
-
-controllers         their names, or YAML files whose controllers are meant
---stopped           load them, and do not start them
---wait-for TOPIC    not before a true std_msgs/Bool comes on TOPIC
---namespace NS      where the controller manager is
---timeout S         how long to wait for it, in s (30; 0 is for ever)
---no-timeout        wait for ever
+Loads and starts controllers (their names, or YAML files), and stops and unloads them at its end.
+It waits 30 s for the controller manager, and with --wait-for until a true std_msgs/Bool comes.
 """,
     ("gazebo_ros", "spawn_model"): """usage: spawn_model [-h] -urdf (-param NAME | -file FILE) -model NAME
                    [-x X] [-y Y] [-z Z] [-R R] [-P P] [-Y Y] [-J JOINT POSITION]
                    [-robot_namespace NS] [-reference_frame FRAME] [-unpause]
                    [-wait MODEL] [-package_to_model] [-b]
 
-Puts a robot into the world: its URDF is in a parameter or a file.
-
--x -y -z            where, in m
--R -P -Y            roll, pitch and yaw, in rad
--J JOINT POSITION   where a joint begins, in rad or m; may repeat
--unpause            let the world go on afterwards
--wait MODEL         not before there is a robot of that name
--b                  stay, and take the robot away at the end
+Puts a robot into the world: its URDF is in a parameter or a file. Metres, radians. -J may repeat;
+-wait waits for another robot; with -b it stays, and takes the robot away at its end.
 """,
     ("tf", "static_transform_publisher"): _STATIC_USAGE.format(period=" period(milliseconds)"),
     ("tf2_ros", "static_transform_publisher"): _STATIC_USAGE.format(period=""),

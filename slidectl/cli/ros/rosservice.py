@@ -3,32 +3,20 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from time import monotonic
 from typing import Any
 
 from slidectl.cli import output, servicecall
 from slidectl.cli.context import Context
 from slidectl.cli.ros import genpy
-from slidectl.cli.ros.arguments import (
-    Failure,
-    Parser,
-    Tool,
-    below,
-    option,
-    pause,
-    resolve,
-    without_remappings,
-)
+from slidectl.cli.ros.arguments import Failure, Parser, Tool, below, option, pause, resolve, without_remappings
 from slidectl.cli.servicecall import Typedefs, argument_names, as_yaml, ask_each
 from slidectl.cli.values import check_quotes
 from slidectl.errors import Refused, TimedOut
 
 _FAILED = 2
 _LOOK_AGAIN_S = 0.1
-
-
-# --- looking ----------------------------------------------------------------------------------------------------------
 
 
 def list_services(ctx: Context, argv: Sequence[str]) -> None:
@@ -70,28 +58,17 @@ def info(ctx: Context, argv: Sequence[str]) -> None:
     output.write(f"Node: {_node(ctx, full)}\nURI: {ctx.uri}\nType: {kind}\nArgs: {' '.join(arguments)}")
 
 
-def type_of(ctx: Context, argv: Sequence[str]) -> None:
-    """The type."""
-    full = _asked(ctx, argv, "type")
-    _write_known(_type(ctx, full), f"Unknown service [{full}]")
+def _fact(verb: str, ask: Callable[[Context, str], str], unknown: str) -> Callable[[Context, Sequence[str]], None]:
+    """A verb that prints one text about a service; `unknown` is the error when it is empty."""
 
+    def tell(ctx: Context, argv: Sequence[str]) -> None:
+        full = _asked(ctx, argv, verb)
+        text = ask(ctx, full)
+        if not text:
+            raise Failure(unknown.format(full))
+        output.write(text)
 
-def uri(ctx: Context, argv: Sequence[str]) -> None:
-    """Where it answers."""
-    full = _asked(ctx, argv, "uri")
-    _write_known(_type(ctx, full) and ctx.uri, f"Unknown service: {full}")
-
-
-def node(ctx: Context, argv: Sequence[str]) -> None:
-    """Who provides it."""
-    full = _asked(ctx, argv, "node")
-    _write_known(_node(ctx, full), f"Unknown service: {full}")
-
-
-def _write_known(text: str, unknown: str) -> None:
-    if not text:
-        raise Failure(unknown)
-    output.write(text)
+    return tell
 
 
 def args(ctx: Context, argv: Sequence[str]) -> None:
@@ -105,9 +82,6 @@ def find(ctx: Context, argv: Sequence[str]) -> None:
     complaints = "please specify a message type", "you may only specify one message type"
     given = Parser("rosservice", "rosservice find msg-type").parse(without_remappings(argv), 1, 1, *complaints)
     output.write("\n".join(ctx.call("/rosapi/services_for_type", {"type": given.words[0]})["services"]))
-
-
-# --- calling ----------------------------------------------------------------------------------------------------------
 
 
 def call(ctx: Context, argv: Sequence[str]) -> None:
@@ -176,7 +150,7 @@ def _filled(ctx: Context, kind: str, request: Typedefs, values: Sequence[Any]) -
         given = "".join(f" * {value} (type {type(value).__name__})\n" for value in values)
         raise Failure(
             f"ERROR: Incompatible arguments to call service:\n{error}\nProvided arguments are:\n{given}\n"
-            f"Service arguments are: [{genpy.paths(request)}]",
+            f"Service arguments are: [{' '.join(argument_names(request))}]",
             _FAILED,
         ) from None
     except genpy.WrongType as error:
@@ -213,8 +187,11 @@ rosservice = Tool(
         "find": (find, "list services by type"),
         "info": (info, "show who provides a service, its type and arguments"),
         "list": (list_services, "list services"),
-        "node": (node, ""),
-        "type": (type_of, "print the type of a service"),
-        "uri": (uri, "print where a service answers"),
+        "node": (_fact("node", _node, "Unknown service: {}"), ""),
+        "type": (_fact("type", _type, "Unknown service [{}]"), "print the type of a service"),
+        "uri": (
+            _fact("uri", lambda ctx, full: _type(ctx, full) and ctx.uri, "Unknown service: {}"),
+            "print where a service answers",
+        ),
     },
 )

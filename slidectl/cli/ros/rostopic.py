@@ -14,17 +14,7 @@ from typing import TYPE_CHECKING
 
 from slidectl.cli import output
 from slidectl.cli.context import Context
-from slidectl.cli.ros.arguments import (
-    HOST,
-    Failure,
-    Parser,
-    Tool,
-    below,
-    option,
-    pause,
-    resolve,
-    without_remappings,
-)
+from slidectl.cli.ros.arguments import HOST, Failure, Parser, Tool, below, option, pause, resolve, without_remappings
 from slidectl.cli.topic_text import details, usage_of_topics
 from slidectl.cli.topics import PUBLISHERS, SUBSCRIBERS, Target, look_up, users_of
 from slidectl.errors import TimedOut, UnknownName

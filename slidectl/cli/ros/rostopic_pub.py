@@ -16,6 +16,7 @@ from slidectl.cli.context import Context
 from slidectl.cli.publication import Publication
 from slidectl.cli.ros import genpy
 from slidectl.cli.ros.arguments import Failure, Parser, option, resolve_remapped, without_remappings
+from slidectl.cli.servicecall import argument_names
 from slidectl.cli.topics import SUBSCRIBERS, Target, details, look_up, users_of
 from slidectl.cli.values import check_quotes
 from slidectl.errors import BadMessage, Refused, SlidectlError, UnknownName, Unused, UsageError
@@ -228,7 +229,7 @@ class _Run:
         try:
             return genpy.filled(self._ctx, typedefs, values)
         except genpy.Misfit as error:
-            raise Failure(f"ERROR: {error}\n\nArgs are: [{genpy.paths(typedefs)}]") from None
+            raise Failure(f"ERROR: {error}\n\nArgs are: [{' '.join(argument_names(typedefs))}]") from None
         except genpy.WrongType as error:
             from slidectl import msgs
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from time import monotonic
 
 import click
@@ -24,9 +24,6 @@ coordinates of target_frame into source_frame. Again and again, echo_rate times 
 second (1 if it is left out), until Ctrl-C.
 """
 
-Report = Callable[[str, View | None, str, Frames], None]
-"""Prints one look-up: the time now in s, the pose or None, why there is none, and all frames."""
-
 
 def tf_echo(ctx: Context, argv: Sequence[str]) -> None:
     """`tf_echo SOURCE TARGET [HZ]`, until Ctrl-C."""
@@ -38,15 +35,13 @@ def tf_echo(ctx: Context, argv: Sequence[str]) -> None:
     if not rate > 0:
         print("Echo rate must be > 0.0", file=sys.stderr, flush=True)
         raise click.exceptions.Exit(_WRONG)
-
-    def report(now: str, view: View | None, why_not: str, frames: Frames) -> None:
+    for now, view, why_not, frames in _look_ups(ctx, words[0], words[1], rate):
         if view is not None:
-            return output.write(f"At time {(view.time_ns or 0) / 1e9:.3f}\n{pose_text(view.pose)}")
-        edges = sorted(frames.edges.items())
-        listing = "".join(f"Frame {name} exists with parent {edge.parent}.\n" for name, edge in edges)
-        return output.write(f"Failure at {now}\nException thrown:{why_not}\nThe current list of frames is:\n{listing}")
-
-    _repeat(ctx, words[0], words[1], rate, math.inf, report)
+            output.write(f"At time {(view.time_ns or 0) / 1e9:.3f}\n{pose_text(view.pose)}")
+            continue
+        listing = [f"Frame {name} exists with parent {edge.parent}.\n" for name, edge in sorted(frames.edges.items())]
+        error = f"Failure at {now}\nException thrown:{why_not}\nThe current list of frames is:\n"
+        output.write(error + "".join(listing) + "\n")
 
 
 def echo_py(ctx: Context, argv: Sequence[str]) -> None:
@@ -73,17 +68,16 @@ def echo_py(ctx: Context, argv: Sequence[str]) -> None:
     idle = [f"-{dest[0]}" for dest in ("cache", "offset", "time") if getattr(given, dest) is not None]
     if idle:
         ctx.warn(f"{', '.join(idle)} without effect: the latest transforms are looked up")
-
-    def report(now: str, view: View | None, why_not: str, _frames: Frames) -> None:
+    source, target = given.words
+    for count, (now, view, why_not, _) in enumerate(_look_ups(ctx, source, target, rate), start=1):
         if view is None:
             text = f"At time 0.0, (current time {now}) {why_not}"
-            return print(f"[ERROR] [{now}]: {text}", file=sys.stderr, flush=True)
-        times = f"At time {(view.time_ns or 0) / 1e9}, (current time {float(now)})"
-        return output.write(f"{times}\n{pose_text(view.pose, digits)}")
-
-    source, target = given.words
-    if not _repeat(ctx, source, target, rate, limit, report):
-        raise click.exceptions.Exit(1)
+            print(f"[ERROR] [{now}]: {text}", file=sys.stderr, flush=True)
+        else:
+            times = f"At time {(view.time_ns or 0) / 1e9}, (current time {float(now)})"
+            output.write(f"{times}\n{pose_text(view.pose, digits)}")
+        if count >= limit:
+            raise click.exceptions.Exit(1 if view is None else 0)
 
 
 def _rate(text: str) -> float:
@@ -93,31 +87,29 @@ def _rate(text: str) -> float:
         return 0.0
 
 
-def _repeat(ctx: Context, source: str, target: str, rate: float, limit: float, report: Report) -> bool:
-    """Look up the pose of the target in the source so many times; whether the last look-up found one."""
+def _look_ups(ctx: Context, source: str, target: str, rate: float) -> Iterator[tuple[str, View | None, str, Frames]]:
+    """The poses of the target in the source, for ever.
+
+    Yields:
+        The simulated time in s, the pose or None, the reason when there is none, and all frames.
+    """
     source, target = source.removeprefix("/"), target.removeprefix("/")
-    found = True
     stream, topics = open_stream(ctx)
     with stream:
         listener = Listener(ctx, stream, topics)
         # A publisher repeats itself: what is not there after a while is not there.
         listener.listen(lambda frames: frames.are_connected(source, target))
         due = monotonic()
-        while limit > 0:
+        while True:
             time = ctx.call("/rosapi/get_time")["time"]
             now = f"{time['secs']}.{time['nsecs']:09d}"
             frames = listener.frames
             try:
-                view, why_not = frames.look_up(source, target), ""
+                yield now, frames.look_up(source, target), "", frames
             except (UnknownName, Refused):
-                view, why_not = None, _why_not(frames, source, target)
-            report(now, view, why_not, frames)
-            found = view is not None
-            limit -= 1
-            if limit > 0:
-                due += 1.0 / rate
-                listener.until(due)
-    return found
+                yield now, None, _why_not(frames, source, target), frames
+            due += 1.0 / rate
+            listener.until(due)
 
 
 def _why_not(frames: Frames, source: str, target: str) -> str:
