@@ -155,7 +155,7 @@ def any_shell(request: pytest.FixtureRequest, shell: Shell) -> OtherShell:
 
 
 WORDS = [
-    ("rosparam set /w \"name: 'x'\"; rosparam get /w", "name: x\n\n"),
+    ("rosparam set /named \"name: 'x'\"; rosparam get /named", "name: x\n\n"),
     ("rosparam set /w '{a: [b, c d], e: \"\"}'; rosparam get /w/a", "- b\n- c d\n\n"),
     ("rosparam set /w ''; rosparam get /w", "''\n\n"),
     ("rosparam set /w 'two  words, * and $HOME \\n'; rosparam get -p /w", "two  words, * and $HOME \\n\n"),
