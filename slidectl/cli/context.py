@@ -15,7 +15,7 @@ from slidectl.errors import UsageError
 
 if TYPE_CHECKING:
     from slidectl.client import Client
-    from slidectl.client.manager import Manager
+    from slidectl.client.client import Manager
     from slidectl.paths import InstancePaths
 
 DEFAULT_TIMEOUT_S = 10.0
@@ -107,7 +107,7 @@ class Context:
 
     def manager(self, namespace: str) -> Manager:
         """The controller manager of a namespace; what it warns of goes to stderr."""
-        from slidectl.client.manager import Manager
+        from slidectl.client.client import Manager
 
         return Manager(self.client, namespace, self.warn, timeout_s=self.timeout or 0.0)
 

@@ -71,7 +71,7 @@ COMMANDS = {
     "msg": Entry("Topics, services, parameters", "msg", "Show message types."),
     "srv": Entry("Topics, services, parameters", "msg", "Show service types."),
     "ros": Entry("The ROS commands", "ros.command", "Run a ROS command word for word."),
-    "ros-commands": Entry("The ROS commands", "ros.shells", "Print shell functions named as the ROS commands."),
+    "ros-commands": Entry("The ROS commands", "ros.command", "Print shell functions named as the ROS commands."),
     "shell": Entry("slidectl", "shell", "Run many commands in one process."),
     "completion": Entry("slidectl", "completion", "Print the completion script of a shell."),
     "version": Entry("slidectl", "version", "Print the version."),

@@ -1,8 +1,12 @@
-"""`slidectl topic hz | bw | delay`: how often, how much and how late, in reports as rostopic prints them."""
+"""`slidectl topic hz | bw | delay`: how often, how much and how late messages come.
+
+The figures are measured here for `rostopic hz`, `bw` and `delay` too, which print them in lines of their own.
+"""
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Sequence
 from time import monotonic, monotonic_ns
 from typing import Any
@@ -13,71 +17,299 @@ from slidectl.cli import completion, output
 from slidectl.cli.commands import command, simulated_seconds
 from slidectl.cli.context import Context
 from slidectl.cli.echo import predicate
-from slidectl.cli.measure import DelayMeter, Meter, RateMeter, SizeMeter, size_counter
-from slidectl.cli.topics import PUBLISHERS, Event, Stream, Target, look_up, nanoseconds
+from slidectl.cli.topics import PUBLISHERS, Event, Schema, Stream, Target, look_up, nanoseconds
 from slidectl.errors import NoDaemon, Refused, TimedOut
+from slidectl.msgs.schema import BYTES, TIMES
 
-REPORT_PERIOD_S = 1.0
+Record = dict[str, Any]
+Render = Callable[[Sequence[Record]], str]
+"""What a report prints of the records of all topics; nothing when it is empty."""
+
+NOTHING_NEW = "no new messages"
+_REPORT_PERIOD_S = 1.0
 _LARGEST_WINDOW = 10_000_000
+_SIZES = {
+    "bool": 1, "int8": 1, "uint8": 1, "byte": 1, "char": 1, "int16": 2, "uint16": 2, "int32": 4, "uint32": 4,
+    "float32": 4, "int64": 8, "uint64": 8, "float64": 8, "time": 8, "duration": 8,
+}  # fmt: skip
 
-Take = Callable[[Event], None]
+
+# --- the figures ------------------------------------------------------------------------------------------------------
 
 
-class Session:
-    """Takes messages into meters and prints a report each second of wall time, or one at the end of `sim_seconds`."""
+class Meter:
+    """Figures of the last `window` messages of a topic. `take` has a message with the simulated time when it came."""
 
-    def __init__(self, ctx: Context, meters: Sequence[Meter], reports: int | None, once_at_end: bool) -> None:
-        self._ctx = ctx
-        self._meters = meters
-        self._left = math.inf if reports is None else reports
-        self._period = math.inf if once_at_end and reports is None else REPORT_PERIOD_S
+    def __init__(self, topic: str, window: int) -> None:
+        self.topic = topic
+        self.total = self.new = 0
+        """Messages in all, and since the last report."""
+        self._numbers: deque[float] = deque(maxlen=window)
 
-    def run(self, stream: Stream, take: Take, now: Callable[[], float]) -> None:
-        """Until the reports are done or the stream ends. Raises TimedOut, and Refused when not one message came."""
-        start = heard = monotonic()
-        due = start + self._period
-        while self._left > 0 and not stream.ended:
-            event = stream.next(min(due, heard + self._patience))
-            if event is not None:
-                take(event)
-                heard = monotonic()
-            elif monotonic() >= heard + self._patience:
-                raise TimedOut(f"no message came for {self._patience:g} s")
-            if monotonic() >= due or stream.ended:
-                due += self._period
-                self._report(now())
-        self._check_heard()
+    def take(self, event: Event) -> None:
+        raise NotImplementedError
 
-    @property
-    def _patience(self) -> float:
-        return math.inf if self._ctx.timeout is None else self._ctx.timeout
+    def record(self) -> Record:
+        """The figures by name; those that cannot be told yet are None."""
+        raise NotImplementedError
 
-    def _report(self, now: float) -> None:
-        self._left -= 1
-        for meter in self._meters:
-            meter.now = now
-        if self._ctx.format == "text":
-            output.write(self._text())
-        for meter in self._meters:
-            self._ctx.emit(meter.record(), "")
-            meter.new = 0
+    def _count(self) -> None:
+        self.total += 1
+        self.new += 1
 
-    def _text(self) -> str:
-        if len(self._meters) == 1:
-            return self._meters[0].text()
-        rows = [meter.record() for meter in self._meters if meter.total > 1]
-        columns = ["topic", "rate", "min", "max", "std_dev", "window"]
-        return output.table(rows, columns) + "\n" if rows else "no new messages"
+    def _record(self, figures: Record, spread: Sequence[str], window: int) -> Record:
+        found = spread_of(self._numbers) if self._numbers else {}
+        shown = {name: found.get(name) for name in spread}
+        return {"topic": self.topic, **figures, **shown, "window": window, "new": self.new}
 
-    def _check_heard(self) -> None:
-        silent = [meter.topic for meter in self._meters if not meter.total]
-        if len(silent) == len(self._meters):
-            raise Refused(f"no messages on {', '.join(silent)}", "is the simulation paused? see: slidectl sim status")
 
-    def last_words(self, now: float) -> None:
-        """The report of a session that was cut off, as rostopic gives one on Ctrl-C."""
-        if any(meter.new for meter in self._meters):
-            self._report(now)
+class RateMeter(Meter):
+    """Intervals between messages; a silent topic keeps its rate. A clock that jumps back starts the window anew.
+
+    `time_ns` gives a message's time, `keep` whether it counts.
+    """
+
+    def __init__(
+        self,
+        topic: str,
+        window: int,
+        time_ns: Callable[[Event], int],
+        keep: Callable[[dict[str, Any]], bool] = lambda _: True,
+    ) -> None:
+        super().__init__(topic, window - 1)
+        self._time_ns = time_ns
+        self._keep = keep
+        self._last: int | None = None
+
+    def take(self, event: Event) -> None:
+        if not self._keep(event.message):
+            return
+        self._count()
+        at_ns = self._time_ns(event)
+        if self._last is not None and at_ns < self._last:
+            self._numbers.clear()
+        elif self._last is not None:
+            self._numbers.append((at_ns - self._last) / 1e9)
+        self._last = at_ns
+
+    def record(self) -> Record:
+        """`rate` in Hz (None when all messages came at one time), and of the intervals in s."""
+        mean = math.fsum(self._numbers) / len(self._numbers) if self._numbers else 0.0
+        window = len(self._numbers) + 1 if self.total else 0
+        return self._record({"rate": 1.0 / mean if mean > 0 else None}, ("min", "max", "std_dev", "p50", "p99"), window)
+
+
+class SizeMeter(Meter):
+    """Bytes in ROS 1's serialisation, and how many a second from the oldest message of the window to `now()`."""
+
+    def __init__(
+        self, topic: str, window: int, size: Callable[[dict[str, Any]], int], now: Callable[[], float]
+    ) -> None:
+        super().__init__(topic, window)
+        self._size = size
+        self._now = now
+        self._times: deque[float] = deque(maxlen=window)
+
+    def take(self, event: Event) -> None:
+        self._count()
+        now = self._now()
+        if self._times and now < self._times[-1]:
+            self._times.clear()
+            self._numbers.clear()
+        self._times.append(now)
+        self._numbers.append(self._size(event.message))
+
+    def record(self) -> Record:
+        """`rate` in bytes a second, and of the sizes in bytes."""
+        passed = self._now() - self._times[0] if len(self._times) > 1 else 0.0
+        rate = sum(self._numbers) / passed if passed > 0 else None
+        return self._record({"rate": rate}, ("mean", "min", "max"), len(self._numbers))
+
+
+class DelayMeter(Meter):
+    """Simulated time from a message's stamp to its arrival."""
+
+    def take(self, event: Event) -> None:
+        self._count()
+        self._numbers.append((event.time_ns - nanoseconds(event.message["header"]["stamp"])) / 1e9)
+
+    def record(self) -> Record:
+        """`delay`, the mean, and the others in s."""
+        mean = math.fsum(self._numbers) / len(self._numbers) if self._numbers else None
+        return self._record({"delay": mean}, ("min", "max", "std_dev", "p50", "p99"), len(self._numbers))
+
+
+def spread_of(numbers: Sequence[float]) -> dict[str, float]:
+    """Mean, minimum, maximum, population standard deviation and percentiles of one number at least."""
+    ordered = sorted(numbers)
+    count = len(ordered)
+    mean = math.fsum(ordered) / count
+    return {
+        "mean": mean,
+        "min": ordered[0],
+        "max": ordered[-1],
+        "std_dev": math.sqrt(math.fsum((number - mean) ** 2 for number in ordered) / count),
+        "p50": ordered[(count - 1) // 2],
+        "p99": ordered[math.ceil(0.99 * count) - 1],
+    }
+
+
+def size_counter(schema: Schema) -> Callable[[dict[str, Any]], int]:
+    """The function that gives the bytes of a message in ROS 1's serialisation (what rostopic bw counts)."""
+    return lambda message: _size(schema, schema.root, message)
+
+
+def _size(schema: Schema, type_name: str, value: Any) -> int:
+    if type_name in _SIZES:
+        return _SIZES[type_name]
+    if type_name == "string":
+        return 4 + len(value.encode("utf-8", "surrogatepass"))
+    return sum(_field_size(schema, f.type, f.array, value[f.name]) for f in schema.fields(type_name))
+
+
+def _field_size(schema: Schema, type_name: str, array: int, value: Any) -> int:
+    if array < 0:
+        return _size(schema, type_name, value)
+    prefix = 4 if array == 0 else 0
+    if type_name in BYTES and isinstance(value, str):
+        return prefix + len(value.rstrip("=")) * 3 // 4
+    if type_name in _SIZES or type_name in TIMES:
+        return prefix + _SIZES[type_name] * len(value)
+    return prefix + sum(_size(schema, type_name, element) for element in value)
+
+
+# --- text -------------------------------------------------------------------------------------------------------------
+
+
+def rates_text(records: Sequence[Record]) -> str:
+    """A report of hz in rostopic's form with microseconds; a table for several topics."""
+    if len(records) > 1:
+        rows = [record for record in records if record["min"] is not None]
+        table = output.table(rows, ["topic", "rate", "min", "max", "std_dev", "window"])
+        return table + "\n" if rows else NOTHING_NEW
+    (record,) = records
+    if not record["new"] or record["min"] is None:
+        return NOTHING_NEW
+    shown = "inf" if record["rate"] is None else f"{record['rate']:.3f}"
+    return f"average rate: {shown}\n{seconds_line(record)}"
+
+
+def sizes_text(records: Sequence[Record]) -> str:
+    """A report of bw, each number in the unit that suits it."""
+    (record,) = records
+    if record["rate"] is None:
+        return NOTHING_NEW
+    mean, least, most = (in_bytes(record[key], record[key]) for key in ("mean", "min", "max"))
+    rate = in_bytes(record["rate"], record["rate"])
+    return f"average: {rate}/s\n\tmean: {mean} min: {least} max: {most} window: {record['window']}"
+
+
+def delays_text(records: Sequence[Record]) -> str:
+    """A report of delay with microseconds."""
+    (record,) = records
+    return f"average delay: {record['delay']:.6f}\n{seconds_line(record)}" if record["new"] else NOTHING_NEW
+
+
+def seconds_line(record: Record, digits: int = 6, digits_of_deviation: int = 6) -> str:
+    """The second line of a report, as rostopic indents it."""
+    least, most = (f"{record[key]:.{digits}f}s" for key in ("min", "max"))
+    deviation = f"{record['std_dev']:.{digits_of_deviation}f}s"
+    return f"\tmin: {least} max: {most} std dev: {deviation} window: {record['window']}"
+
+
+def in_bytes(number: float, like: float) -> str:
+    """The number in the unit that suits `like`."""
+    divisor, unit = (1, "B") if like < 1000 else (1000, "KB") if like < 1_000_000 else (1_000_000, "MB")
+    return f"{number / divisor:.2f}{unit}"
+
+
+# --- measuring --------------------------------------------------------------------------------------------------------
+
+
+def measure(
+    ctx: Context,
+    stream: Stream,
+    meters: Sequence[Meter],
+    text: Render,
+    say: Callable[[str], None],
+    reports: int | None = None,
+    once_at_end: bool = False,
+) -> None:
+    """Take messages into the meters and report each second of wall time, until all is reported or the stream ends.
+
+    Args:
+        say: tells that it listens.
+        reports: how many; None for no end but that of the stream.
+        once_at_end: one report at the end of the stream instead, unless `reports` says how many.
+
+    Raises:
+        TimedOut: no message came for `--timeout`. Refused: not one message came. NoDaemon.
+    """
+    by_topic = {meter.topic: meter for meter in meters}
+    patience = math.inf if ctx.timeout is None else ctx.timeout
+    left = math.inf if reports is None else reports
+    with stream:
+        say("\n".join(f"subscribed to [{topic}]" for topic in by_topic))
+        heard = monotonic()
+        period = math.inf if once_at_end and reports is None else _REPORT_PERIOD_S
+        due = heard + period
+        try:
+            while left > 0 and not stream.ended:
+                event = stream.next(min(due, heard + patience))
+                if event is not None:
+                    by_topic[event.topic].take(event)
+                    heard = monotonic()
+                elif monotonic() >= heard + patience:
+                    raise TimedOut(f"no message came for {patience:g} s")
+                if monotonic() >= due or stream.ended:
+                    due += period
+                    left -= 1
+                    _report(ctx, meters, text)
+        except (KeyboardInterrupt, NoDaemon):
+            if any(meter.new for meter in meters):  # the report that was cut off, as rostopic gives one on Ctrl-C
+                _report(ctx, meters, text)
+            raise
+    if not any(meter.total for meter in meters):
+        raise Refused(f"no messages on {', '.join(by_topic)}", "is the simulation paused? see: slidectl sim status")
+
+
+def _report(ctx: Context, meters: Sequence[Meter], text: Render) -> None:
+    records = [meter.record() for meter in meters]
+    shown = text(records) if ctx.format == "text" else ""
+    if shown:
+        output.write(shown)
+    for record in records:
+        ctx.emit(record, "")
+    for meter in meters:
+        meter.new = 0
+
+
+def rates(
+    ctx: Context,
+    targets: Sequence[Target],
+    window: int,
+    condition: str | None,
+    wall_time: bool,
+    sim_seconds: float | None = None,
+) -> tuple[Stream, list[RateMeter]]:
+    """What measures how often messages come, each topic once.
+
+    Their times are the stamps of their headers, else the clock when they came; with `wall_time` the computer's clock.
+    """
+    found = {target.topic: (target, target.schema) for target in targets}
+
+    def time_of(schema: Schema) -> Callable[[Event], int]:
+        if wall_time:
+            return lambda _: monotonic_ns()
+        if schema.has_header:
+            return lambda event: nanoseconds(event.message["header"]["stamp"])
+        return lambda event: event.time_ns
+
+    meters = [
+        RateMeter(topic, window, time_of(schema), predicate(condition, schema)) for topic, (_, schema) in found.items()
+    ]
+    clock = not wall_time and not all(schema.has_header for _, schema in found.values())
+    return Stream(ctx, list(found), with_clock=clock, sim_seconds=sim_seconds), meters
 
 
 def _options(function: Callable[..., None]) -> Callable[..., None]:
@@ -91,34 +323,6 @@ def _options(function: Callable[..., None]) -> Callable[..., None]:
     ):  # fmt: skip
         function = option(function)
     return function
-
-
-def _measure(
-    ctx: Context,
-    meters: Sequence[Meter],
-    stream: Stream,
-    take: Take,
-    now: Callable[[], float],
-    reports: int | None,
-    once: bool,
-) -> None:
-    session = Session(ctx, meters, reports, once)
-    with stream:
-        ctx.say("\n".join(f"subscribed to [{meter.topic}]" for meter in meters))
-        try:
-            session.run(stream, take, now)
-        except (KeyboardInterrupt, NoDaemon):
-            session.last_words(now())
-            raise
-
-
-def time_ns(target: Target, wall_time: bool) -> Callable[[Event], int]:
-    """The function that gives a message's time: the stamp of its header, else the clock when it came."""
-    if wall_time:
-        return lambda _: monotonic_ns()
-    if target.schema.has_header:
-        return lambda event: nanoseconds(event.message["header"]["stamp"])
-    return lambda event: event.time_ns
 
 
 @command(
@@ -152,29 +356,14 @@ def hz(
     computer's clock. A report is printed each second of wall time. Exits 1 when it ends and not one message has come.
     JSON keys: topic, rate (Hz), min, max, std_dev, p50, p99 (of the intervals, s), window, new (since the last report).
     """
-    found = {target.topic: target for target in (look_up(ctx, text, PUBLISHERS) for text in topics)}
-    meters = {topic: RateMeter(topic, window) for topic in found}
-    times = {topic: time_ns(target, wall_time) for topic, target in found.items()}
-    keeps = {topic: predicate(condition, target.schema) for topic, target in found.items()}
-    clock = not wall_time and not all(target.schema.has_header for target in found.values())
-    stream = Stream(ctx, list(found), with_clock=clock, sim_seconds=sim_seconds)
-
-    def take(event: Event) -> None:
-        if keeps[event.topic](event.message):
-            meters[event.topic].take(times[event.topic](event))
-
-    _measure(ctx, list(meters.values()), stream, take, monotonic, reports, sim_seconds is not None)
-    _check_rates(meters.values(), least, most)
-
-
-def _check_rates(meters: Any, least: float | None, most: float | None) -> None:
+    targets = [look_up(ctx, text, PUBLISHERS) for text in topics]
+    stream, meters = rates(ctx, targets, window, condition, wall_time, sim_seconds)
+    measure(ctx, stream, meters, rates_text, ctx.say, reports, sim_seconds is not None)
+    limits = [f"{word} {limit:g}" for word, limit in (("at least", least), ("at most", most)) if limit is not None]
     for meter in meters:
-        rate = meter.rate() or 0.0
+        rate = meter.record()["rate"] or 0.0
         if (least is not None and rate < least) or (most is not None and rate > most):
-            bounds = [
-                f"{word} {limit:g}" for word, limit in (("at least", least), ("at most", most)) if limit is not None
-            ]
-            raise Refused(f"{meter.topic} comes at {rate:.3f} Hz; expected {' and '.join(bounds)}")
+            raise Refused(f"{meter.topic} comes at {rate:.3f} Hz; expected {' and '.join(limits)}")
 
 
 @command(examples=["slidectl topic bw joint_states --for 2", "slidectl topic bw /gazebo/link_states -n 3 --json"])
@@ -189,18 +378,10 @@ def bw(ctx: Context, topic: str, window: int, reports: int | None, sim_seconds: 
     messages are JSON. JSON keys: topic, rate (bytes/s), mean, min, max (bytes), window, new.
     """
     target = look_up(ctx, topic, PUBLISHERS)
-    meter, size = SizeMeter(target.topic, window), size_counter(target.schema)
     stream = Stream(ctx, [target.topic], with_clock=not wall_time, sim_seconds=sim_seconds)
     now = monotonic if wall_time else lambda: stream.time_ns / 1e9
-    _measure(
-        ctx,
-        [meter],
-        stream,
-        lambda event: meter.take(now(), size(event.message)),
-        now,
-        reports,
-        sim_seconds is not None,
-    )
+    meter = SizeMeter(target.topic, window, size_counter(target.schema), now)
+    measure(ctx, stream, [meter], sizes_text, ctx.say, reports, sim_seconds is not None)
 
 
 @command(examples=["slidectl topic delay joint_states --for 2", "slidectl topic delay joint_states -n 3 --json"])
@@ -216,10 +397,5 @@ def delay(ctx: Context, topic: str, window: int, reports: int | None, sim_second
     target = look_up(ctx, topic, PUBLISHERS)
     if not target.schema.has_header:
         raise Refused(f"{target.topic} has no header ({target.type}), so there is no stamp to measure from")
-    meter = DelayMeter(target.topic, window)
     stream = Stream(ctx, [target.topic], with_clock=True, sim_seconds=sim_seconds)
-
-    def take(event: Event) -> None:
-        meter.take((event.time_ns - nanoseconds(event.message["header"]["stamp"])) / 1e9)
-
-    _measure(ctx, [meter], stream, take, monotonic, reports, sim_seconds is not None)
+    measure(ctx, stream, [DelayMeter(target.topic, window)], delays_text, ctx.say, reports, sim_seconds is not None)

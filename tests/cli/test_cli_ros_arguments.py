@@ -15,45 +15,35 @@ from hypothesis import strategies as st
 from slidectl.cli import values
 from slidectl.cli.context import Context
 from slidectl.cli.ros import genpy
-from slidectl.cli.ros.arguments import Arguments, Option, Parser
-from slidectl.cli.ros.failure import Failure
-from slidectl.cli.ros.naming import resolve, resolve_remapped, without_remappings
+from slidectl.cli.ros.arguments import Failure, Parser, option, resolve, resolve_remapped, without_remappings
 
 PARSER = Parser(
     "tool",
     "tool verb [options] WORD...",
-    [
-        Option(("-v",), "verbose", "say more"),
-        Option(("-l", "--latch"), "latch", "stay"),
-        Option(("-n",), "count", "so many", "COUNT"),
-        Option(("-r", "--rate"), "rate", "how often", "HZ"),
-        Option(("--noarr",), "noarr", "no arrays"),
-        Option(("--nostr",), "nostr", "no strings"),
-    ],
+    option("-v", "say more", dest="verbose"),
+    option("-l --latch", "stay"),
+    option("-n", "so many", "COUNT", dest="count"),
+    option("-r --rate", "how often", "HZ"),
+    option("--noarr", "no arrays"),
+    option("--nostr", "no strings"),
 )
 
 
 def given_by(*words: str) -> tuple[dict[str, Any], list[str]]:
     """The options that were given, and the words."""
-    arguments: Arguments = PARSER.parse(words)
-    values = {key: value for key, value in vars(arguments).items() if key != "words" and value not in (None, False)}
-    return values, arguments.words
+    given = vars(PARSER.parse(words))
+    rest = given.pop("words")
+    return {name: value for name, value in given.items() if value is not None}, rest
 
 
 @pytest.mark.parametrize(
     ("words", "values", "rest"),
     [
-        ("a -v b", {"verbose": True}, ["a", "b"]),
-        ("-n 1 a", {"count": "1"}, ["a"]),
-        ("-n1 a", {"count": "1"}, ["a"]),
         ("-vln1 a", {"verbose": True, "latch": True, "count": "1"}, ["a"]),
-        ("--rate 5 a", {"rate": "5"}, ["a"]),
-        ("--rate=5 a", {"rate": "5"}, ["a"]),
         ("--ra 5 a", {"rate": "5"}, ["a"]),
-        ("--noa a", {"noarr": True}, ["a"]),
         ("-r -1 a", {"rate": "-1"}, ["a"]),
         ("-n -v a", {"count": "-v"}, ["a"]),
-        ("a -5.0 -1e-3 -.inf", {}, ["a", "-5.0", "-1e-3", "-.inf"]),
+        ("a -5.0 -1e-3 -.inf -0x10 -1:30", {}, ["a", "-5.0", "-1e-3", "-.inf", "-0x10", "-1:30"]),
         ("a -- -v --bogus", {}, ["a", "-v", "--bogus"]),
         ("- a", {}, ["-", "a"]),
     ],
@@ -65,12 +55,9 @@ def test_options_and_words(words: str, values: dict[str, Any], rest: list[str]) 
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        ("-z", "no such option: -z"),
         ("-vz", "no such option: -z"),
-        ("--bogus", "no such option: --bogus"),
         ("--no", "ambiguous option: --no (--noarr, --nostr?)"),
         ("-n", "-n option requires 1 argument"),
-        ("--rate", "--rate option requires 1 argument"),
         ("--latch=5", "--latch option does not take a value"),
     ],
 )
@@ -87,7 +74,7 @@ def test_help_shows_every_option(capsys: pytest.CaptureFixture[str]) -> None:
     text = capsys.readouterr().out
     assert text.startswith("Usage: tool verb [options] WORD...\n\nOptions:\n")
     assert "  -r HZ, --rate=HZ  how often\n" in text
-    assert "  -h, --help        show this and exit\n" in text
+    assert "  -h, --help        show this help message and exit\n" in text
 
 
 @given(st.lists(st.text(alphabet="-=abnrv1.:", max_size=6), max_size=6))
@@ -149,15 +136,6 @@ def test_remappings_rename_what_is_published(monkeypatch: pytest.MonkeyPatch, wo
 # --- messages ---------------------------------------------------------------------------------------------------------
 
 
-def test_a_message_is_completed_with_defaults() -> None:
-    pose = schema("geometry_msgs/PoseStamped")
-    full = genpy.complete(pose, pose.root, {"pose": {"position": {"x": 1.0}}})
-    assert full["header"] == {"seq": 0, "stamp": {"secs": 0, "nsecs": 0}, "frame_id": ""}
-    assert full["pose"]["position"] == {"x": 1.0, "y": 0.0, "z": 0.0}
-    covariance = schema("geometry_msgs/PoseWithCovariance")
-    assert genpy.complete(covariance, covariance.root, {})["covariance"] == [0.0] * 36
-
-
 MISFITS = [
     ("geometry_msgs/PoseWithCovariance", [{"covariance": [1.0]}], "incorrect number of elements: 1 != 36"),
     ("geometry_msgs/PoseStamped", [{"header": {"stamp": "later"}}], "No key named [later]"),
@@ -170,7 +148,7 @@ MISFITS = [
 @pytest.mark.parametrize(("kind", "values", "text"), MISFITS, ids=[text for _, _, text in MISFITS])
 def test_a_misfit_is_explained_in_genpys_words(kind: str, values: list[Any], text: str) -> None:
     with pytest.raises(genpy.Misfit) as caught:
-        genpy._explain(schema(kind), values)
+        genpy.explain(schema(kind), values)
     assert text in str(caught.value)
 
 
@@ -188,7 +166,7 @@ WRONG = [
 @pytest.mark.parametrize(("kind", "value", "text"), WRONG, ids=[f"{kind} {value}" for kind, value, _ in WRONG])
 def test_a_wrong_type_is_explained_in_genpys_words(kind: str, value: Any, text: str) -> None:
     with pytest.raises(genpy.WrongType) as caught:
-        genpy._explain(schema(kind), [value])
+        genpy.explain(schema(kind), [value])
     assert str(caught.value) == text
 
 

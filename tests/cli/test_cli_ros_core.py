@@ -1,4 +1,4 @@
-"""`roscore` and `rosclean`."""
+"""`roscore`."""
 
 from __future__ import annotations
 
@@ -89,10 +89,3 @@ def test_it_takes_no_arguments(shell: Shell) -> None:
     expected = usage("roscore x", "roscore [options]", "roscore does not take arguments")
     done = shell.run(expected.line)
     assert (done.stdout, done.stderr, done.returncode) == (expected.stdout, expected.stderr, expected.code)
-
-
-def test_there_is_nothing_to_clean(shell: Shell) -> None:
-    for words in ("check", "purge -y", ""):
-        done = shell.run(f"rosclean {words}")
-        assert (done.stdout, done.returncode) == ("", 1)
-        assert "slidectl/default/log" in done.stderr

@@ -16,7 +16,6 @@ HEAVY = {
     "mujoco",
     "rich",
     "asyncio",
-    "optparse",
     "argparse",
     "pathlib",
     "ast",

@@ -126,13 +126,6 @@ def test_wrong_usage(slide: SlideWorld, session: tuple[str, str, str, int]) -> N
     assert (done.stdout, done.stderr, done.returncode) == (session[1], session[2], session[3])
 
 
-@pytest.mark.parametrize("verb", ["list", "info", "ping", "kill", "machine", "cleanup"])
-def test_every_verb_has_a_help(slide: SlideWorld, verb: str) -> None:
-    done = slide(f"rosnode {verb} -h")
-    assert (done.stderr, done.returncode) == ("", 0)
-    assert done.stdout.startswith(f"Usage: rosnode {verb}")
-
-
 def test_ping_without_a_node_lists_them(slide: SlideWorld) -> None:
     done = slide("rosnode ping")
     assert done.returncode == 2

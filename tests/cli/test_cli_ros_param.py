@@ -303,13 +303,6 @@ def test_without_a_verb_the_list_of_verbs_is_success(shell: tuple[Shell, Path]) 
             assert f"rosparam {verb}" in done.stdout
 
 
-@pytest.mark.parametrize("verb", ["set", "get", "load", "dump", "delete", "list"])
-def test_every_verb_has_a_help(shell: tuple[Shell, Path], verb: str) -> None:
-    done = shell[0].run(f"rosparam {verb} -h")
-    assert (done.stderr, done.returncode) == ("", 0)
-    assert done.stdout.startswith(f"Usage: rosparam {verb}")
-
-
 def test_without_a_daemon_the_code_is_3(shell: tuple[Shell, Path]) -> None:
     for words in ("list", "get /a", "set /a 1", "delete /a", "dump x.yaml", "dump"):
         done = shell[0].slidectl("-i", "nobody", "ros", "rosparam", *words.split())

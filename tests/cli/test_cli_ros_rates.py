@@ -9,8 +9,9 @@ from collections.abc import Iterator
 import pytest
 from cli_ros_world import SlideWorld, slide_world
 
-from slidectl.cli.measure import RateMeter, SizeMeter
-from slidectl.cli.ros import topic_rates
+from slidectl.cli.ros import rostopic
+from slidectl.cli.stream import Event
+from slidectl.cli.topic_measure import RateMeter, Record
 
 MS = 1_000_000
 SPREAD = r"\tmin: \d\.\d{3}s max: \d\.\d{3}s std dev: \d\.\d{5}s window: \d+\n"
@@ -119,22 +120,22 @@ def test_an_unknown_topic_is_waited_for_with_a_warning(slide: SlideWorld) -> Non
         assert process.returncode == 130
 
 
-def meter(topic: str, intervals_ms: list[float]) -> RateMeter:
-    result = RateMeter(topic, 100)
-    at = 0
+def record(topic: str, intervals_ms: list[float]) -> Record:
+    meter = RateMeter(topic, 100, lambda event: event.time_ns)
+    at_ns = 0
     for interval in [0.0, *intervals_ms]:
-        at += round(interval * MS)
-        result.take(at)
-    return result
+        at_ns += round(interval * MS)
+        meter.take(Event(topic, {}, at_ns))
+    return meter.record()
 
 
 def test_the_table_is_laid_out_as_the_recorded_one() -> None:
-    meters = [
-        meter("/slide/joint_states", [19.64, 20.39, 20.0, 20.0]),
-        meter("/slide/position", [19.59, 20.46]),
-        RateMeter("/slide/command", 100),
+    records = [
+        record("/slide/joint_states", [19.64, 20.39, 20.0, 20.0]),
+        record("/slide/position", [19.59, 20.46]),
+        record("/slide/command", []),
     ]
-    assert topic_rates._rates(meters) == (
+    assert rostopic._rates_text(records) == (
         "       topic           rate   min_delta   max_delta    std_dev    window\n"
         "========================================================================\n"
         "/slide/joint_states   49.98   0.01964     0.02039     0.0002653   5     \n"
@@ -142,12 +143,14 @@ def test_the_table_is_laid_out_as_the_recorded_one() -> None:
     )
 
 
-def test_rates_below_a_kilobyte_are_bytes_and_above_a_megabyte_megabytes() -> None:
-    for size, text in ((98, "average: 980.00B/s\n\tmean: 98.00B min: 98.00B max: 98.00B window: 10"),
-                       (98_000, "average: 980.00KB/s\n\tmean: 98.00KB min: 98.00KB max: 98.00KB window: 10"),
-                       (980_000, "average: 9.80MB/s\n\tmean: 0.98MB min: 0.98MB max: 0.98MB window: 10")):  # fmt: skip
-        meter = SizeMeter("/t", 100)
-        for index in range(10):
-            meter.take(index / 10, size)
-        meter.now = 1.0
-        assert topic_rates._sizes([meter]) == text
+@pytest.mark.parametrize(
+    ("size", "text"),
+    [
+        (98, "average: 980.00B/s\n\tmean: 98.00B min: 98.00B max: 98.00B window: 10"),
+        (98_000, "average: 980.00KB/s\n\tmean: 98.00KB min: 98.00KB max: 98.00KB window: 10"),
+        (980_000, "average: 9.80MB/s\n\tmean: 0.98MB min: 0.98MB max: 0.98MB window: 10"),
+    ],
+)
+def test_sizes_have_the_unit_of_the_rate(size: int, text: str) -> None:
+    sizes = {"rate": size * 10, "mean": size, "min": size, "max": size, "window": 10}
+    assert rostopic._sizes_text([sizes]) == text

@@ -159,13 +159,6 @@ def test_without_a_verb_the_list_of_verbs_goes_to_stdout_with_exit_code_64(slide
             assert f"rosservice {verb}" in done.stdout
 
 
-@pytest.mark.parametrize("verb", ["args", "call", "find", "info", "list", "node", "type", "uri"])
-def test_every_verb_has_a_help(slide: SlideWorld, verb: str) -> None:
-    done = slide(f"rosservice {verb} -h")
-    assert (done.stderr, done.returncode) == ("", 0)
-    assert done.stdout.startswith(f"Usage: rosservice {verb}")
-
-
 def called(slide: SlideWorld, provider: Client) -> subprocess.Popen[str]:
     """A `rosservice call` whose request has reached the provider, which does not answer."""
     provider._send(op="advertise_service", service="/slide/slow", type="std_srvs/Empty")

@@ -155,7 +155,7 @@ def any_shell(request: pytest.FixtureRequest, shell: Shell) -> OtherShell:
 
 
 WORDS = [
-    ("rosparam set /w \"name: 'x'\"; rosparam get /w", "name: x\n\n"),
+    ("rosparam set /named \"name: 'x'\"; rosparam get /named", "name: x\n\n"),
     ("rosparam set /w '{a: [b, c d], e: \"\"}'; rosparam get /w/a", "- b\n- c d\n\n"),
     ("rosparam set /w ''; rosparam get /w", "''\n\n"),
     ("rosparam set /w 'two  words, * and $HOME \\n'; rosparam get -p /w", "two  words, * and $HOME \\n\n"),
@@ -233,5 +233,5 @@ def test_a_tool_imports_no_other(nobody: CommandLine, tmp_path: Path) -> None:
     argv[1:3] = ["-X", "importtime", "-m", "slidectl"]
     done = subprocess.run(argv, capture_output=True, text=True, env=nobody.environment, cwd=tmp_path, check=True)
     imported = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines()}
-    assert "slidectl.cli.ros.type_tool" in imported
+    assert "slidectl.cli.ros.rosmsg" in imported
     assert not {"slidectl.cli.topics", "slidectl.client", "slidectl.launch", "yaml", "rosbags"} & imported

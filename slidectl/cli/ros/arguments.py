@@ -1,179 +1,193 @@
-"""Options as the ROS tools read them, which is Python's optparse (argparse for two verbs), and their usage errors.
+"""What every ROS tool has in common: its verbs, its options, its names, and how it fails.
 
-Options before and behind positionals, abbreviated long options, `-n1`, `--`; unlike there a negative number is a
-value. The standard library's modules would cost more time than a whole command may take.
+Options are read by optparse, as the tools themselves do.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any, NamedTuple
+import os
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from optparse import Option, OptionParser, Values
+from time import monotonic
+from typing import Any, NamedTuple, NoReturn
 
 import click
 
+from slidectl import names
 from slidectl.cli import output
 from slidectl.cli.commands import looks_like_number
-from slidectl.cli.ros.failure import Failure
-from slidectl.errors import EXIT_USAGE
+from slidectl.cli.context import Context
+from slidectl.errors import EXIT_REFUSED, EXIT_USAGE, SlidectlError
+
+HOST = "localhost"
+"""The machine of every node and service."""
+NO_SUCH_VERB = 64
+"""EX_USAGE of sysexits.h, which most of the tools give."""
+
+_YAML_NUMBER = re.compile(r"-(0[xX][0-9a-fA-F_]+|[0-9][0-9_]*(:[0-5]?[0-9])+(\.[0-9]*)?)\Z")
+# No word of a command line holds a NUL.
+_MARK = "\0"
+_REMAPPING = re.compile(r"[A-Za-z0-9_~/]+:=")
+_NODE_ARGUMENT = re.compile(r"__(name|ns|log|ip|hostname|master):=")
 
 
-class Option(NamedTuple):
-    """One option. `value` is the metavar of what it takes, empty for a flag."""
+class Failure(SlidectlError):
+    """An end with an exit code. The text is complete: nothing is put before it."""
 
-    names: tuple[str, ...]
-    dest: str
-    help: str
-    value: str = ""
-
-
-class Arguments:
-    """What was given: options as attributes (None or False when absent), `words` for the rest."""
-
-    def __init__(self, options: Iterable[Option]) -> None:
-        self.words: list[str] = []
-        for option in options:
-            setattr(self, option.dest, None if option.value else False)
-
-    def __getattr__(self, name: str) -> Any:
-        raise AttributeError(name)
+    def __init__(self, text: str, exit_code: int = EXIT_REFUSED) -> None:
+        super().__init__(text)
+        self.exit_code = exit_code
 
 
-IsValue = Callable[[str, Sequence[str]], bool]
-"""Whether a word that begins with `-` is a value; the second argument holds the positionals before it."""
+# --- options ----------------------------------------------------------------------------------------------------------
 
 
-def begins_as_number(token: str) -> bool:
-    """True for `-5`, `-.5`, and for `-0x10` and `-1:30`, which YAML knows."""
-    return looks_like_number(token) or (token[:1] == "-" and token[1:2].isdigit())
+def option(names: str, text: str, value: str = "", dest: str | None = None) -> Option:
+    """One option: its names with blanks between, its help, and the metavar of its value (empty for a flag)."""
+    kind: dict[str, Any] = {"metavar": value} if value else {"action": "store_true"}
+    return Option(*names.split(), help=text, dest=dest, **kind)
 
 
-class Parser:
-    """Reads the words of one verb. `tool` is the program's name in errors, `usage` what follows `Usage: `.
+class Parser(OptionParser):
+    """The options of one verb.
 
-    `modern` writes usage errors as argparse does, for the verbs that use that.
+    Args:
+        tool: the program's name in errors.
+        usage: what follows `Usage: `.
+        modern: usage errors are written as argparse writes them, for the verbs that use that.
     """
 
-    def __init__(
-        self,
-        tool: str,
-        usage: str,
-        options: Sequence[Option] = (),
-        about: str = "",
-        *,
-        modern: bool = False,
-        is_value: IsValue | None = None,
-    ) -> None:
-        self.tool = tool
-        self.usage = usage
-        self.options = [*options, Option(("-h", "--help"), "help", "show this and exit")]
-        self.about = about
+    def __init__(self, tool: str, usage: str, *options: Option, modern: bool = False) -> None:
+        super().__init__(usage, options, prog=tool)
         self.modern = modern
-        self._is_value = is_value or self._is_number
 
-    def parse(self, argv: Sequence[str]) -> Arguments:
-        """The options and words. `-h` prints the help and ends; Failure (2) for wrong usage."""
-        arguments = Arguments(self.options)
-        rest = list(argv)
-        while rest:
-            token = rest.pop(0)
-            if token == "--":
-                arguments.words += rest
-                break
-            if not self._is_option(token, arguments.words):
-                arguments.words.append(token)
-            elif token.startswith("--"):
-                self._long(token, rest, arguments)
-            else:
-                self._short(token, rest, arguments)
-        return arguments
+    def parse(
+        self, argv: Sequence[str], least: int = 0, most: float = float("inf"), missing: str = "", extra: str = ""
+    ) -> Values:
+        """The options as attributes (None when absent), and the other words as `words`. `-h` prints the help and ends.
 
-    def _is_option(self, token: str, before: Sequence[str]) -> bool:
-        return token.startswith("-") and token != "-" and not self._is_value(token, before)
-
-    def _is_number(self, token: str, _before: Sequence[str]) -> bool:
-        return begins_as_number(token) and not any(token in option.names for option in self.options)
-
-    def _long(self, token: str, rest: list[str], arguments: Arguments) -> None:
-        name, equals, value = token.partition("=")
-        option = self._find_long(name)
-        if not option.value:
-            if equals:
-                self.error(f"{option.names[-1]} option does not take a value")
-            self._store(option, True, arguments)
-        else:
-            self._store(option, value if equals else self._next(option.names[-1], rest), arguments)
-
-    def _find_long(self, name: str) -> Option:
-        long = {each: option for option in self.options for each in option.names if each.startswith("--")}
-        if name in long:
-            return long[name]
-        near = sorted(each for each in long if each.startswith(name))
-        if len(near) > 1:
-            self.error(f"ambiguous option: {name} ({', '.join(near)}?)")
-        return long[near[0]] if near else self.error(f"no such option: {name}")
-
-    def _short(self, token: str, rest: list[str], arguments: Arguments) -> None:
-        """A cluster such as `-lv`, or an option with its value behind it such as `-n1`."""
-        for index, letter in enumerate(token[1:], start=2):
-            name = "-" + letter
-            option = next((option for option in self.options if name in option.names), None)
-            if option is None:
-                self.error(f"no such option: {name}")
-            elif option.value:
-                self._store(option, token[index:] or self._next(name, rest), arguments)
-                return
-            else:
-                self._store(option, True, arguments)
-
-    def _next(self, name: str, rest: list[str]) -> str:
-        return rest.pop(0) if rest else self.error(f"{name} option requires 1 argument")
-
-    def _store(self, option: Option, value: Any, arguments: Arguments) -> None:
-        if option.dest == "help":
-            output.write(self.help())
-            raise click.exceptions.Exit(0)
-        setattr(arguments, option.dest, value)
-
-    def error(self, text: str) -> Any:
-        """Raise the usage error that the tool would print."""
-        if self.modern:
-            raise Failure(f"usage: {self.usage}\n{text}", EXIT_USAGE)
-        raise Failure(f"Usage: {self.usage}\n\n{self.tool}: error: {text}", EXIT_USAGE)
+        Raises Failure (2) for wrong usage; `missing` complains of fewer words than `least`, `extra` of more than `most`
+        """
+        # optparse takes each word that begins with a dash for an option. The mark hides negative numbers from it.
+        hidden = [_MARK + word if is_number(word) and not self.has_option(word) else word for word in argv]
+        given, words = self.parse_args(hidden)
+        for dest, value in vars(given).items():
+            if isinstance(value, str):
+                setattr(given, dest, value.removeprefix(_MARK))
+        given.words = [word.removeprefix(_MARK) for word in words]
+        if len(words) < least:
+            self.error(missing)
+        if len(words) > most:
+            self.error(extra.format(" ".join(given.words[least:])))
+        return given
 
     def integer(self, text: str | None, default: int, complaint: str) -> int:
         """The whole number that an option was given. A usage error with `complaint` when it is none."""
         try:
             return default if text is None else int(text)
         except ValueError:
-            return int(self.error(complaint))
-
-    def at_most(self, arguments: Arguments, count: int, complaint: str) -> list[str | None]:
-        """The words, filled up with None to `count`. A usage error with `complaint` when there are more."""
-        if len(arguments.words) > count:
             self.error(complaint)
-        return [*arguments.words, *[None] * (count - len(arguments.words))]
 
-    def only_word(self, argv: Sequence[str], missing: str, extra: str) -> str:
-        """The one word of a verb that takes one and has no options; the texts complain when it is not so."""
-        words = self.parse(argv).words
-        if not words:
-            self.error(missing)
-        if len(words) > 1:
-            self.error(extra.format(" ".join(words[1:])))
-        return words[0]
+    def error(self, msg: str) -> NoReturn:
+        """Raise the usage error that the tool would print."""
+        usage, gap = ("usage", "\n") if self.modern else ("Usage", "\n\n")
+        raise Failure(f"{usage}: {self.usage}{gap}{self.prog}: error: {msg}", EXIT_USAGE)
 
-    def help(self) -> str:
-        """Usage, what it does, and the options in two columns."""
-        rows = [(f"  {_spelled(option)}", option.help) for option in self.options]
-        width = max(len(left) for left, _ in rows) + 2
-        lines = [f"{left:<{width}}{text}" for left, text in rows]
-        about = [self.about, ""] if self.about else []
-        return "\n".join([f"Usage: {self.usage}", "", *about, "Options:", *lines])
+    def print_help(self, file: object = None) -> None:  # noqa: ARG002
+        output.write(self.format_help().rstrip("\n"))
+
+    def exit(self, status: int = 0, msg: str | None = None) -> NoReturn:  # noqa: ARG002
+        raise click.exceptions.Exit(status)
 
 
-def _spelled(option: Option) -> str:
-    """`-r RATE, --rate=RATE`."""
-    if not option.value:
-        return ", ".join(option.names)
-    value = option.value
-    return ", ".join(f"{name}={value}" if name.startswith("--") else f"{name} {value}" for name in option.names)
+def is_number(word: str) -> bool:
+    """True for `-5` and `-.5`, and for `-0x10` and `-1:30`, which YAML knows."""
+    return word[:1] == "-" and (looks_like_number(word) or bool(_YAML_NUMBER.match(word)))
+
+
+# --- verbs ------------------------------------------------------------------------------------------------------------
+
+
+class Tool(NamedTuple):
+    """A tool with verbs. Without one, or with one that there is not, it prints the list of them on stdout.
+
+    `verbs` has a function and a help for each; one without help is not listed. `without` and `unknown` are the exit
+    codes for no verb and for one that there is not; `help_options` ask for the list.
+    """
+
+    name: str
+    about: str
+    verbs: Mapping[str, tuple[Callable[[Context, list[str]], None], str]]
+    without: int = NO_SUCH_VERB
+    unknown: int = NO_SUCH_VERB
+    help_options: Sequence[str] = ()
+
+    def __call__(self, ctx: Context, argv: Sequence[str]) -> None:
+        """Run the verb with the words behind it. Raises what it raises, and click's Exit."""
+        if argv and argv[0] in self.verbs:
+            function, _ = self.verbs[argv[0]]
+            return function(ctx, list(argv[1:]))
+        width = max(map(len, self.verbs))
+        listed = [f"\t{self.name} {name:<{width}}  {text}" for name, (_, text) in self.verbs.items() if text]
+        last = f"'{self.name} <command> -h' tells more of one of them.\n"
+        output.write("\n".join([self.about, "", "Commands:", *listed, "", last]))
+        raise click.exceptions.Exit(self.without if not argv else 0 if argv[0] in self.help_options else self.unknown)
+
+
+# --- names ------------------------------------------------------------------------------------------------------------
+
+
+def resolve(ctx: Context, name: str, tool: str) -> str:
+    """The absolute name: below ROS_NAMESPACE (or `--ns`), and there below the tool's own name for `~private`.
+
+    Exact, as in ROS: the unique end of a name is not enough.
+    """
+    namespace = os.environ.get("ROS_NAMESPACE") or ctx.namespace
+    if name.startswith("~"):
+        return names.join(names.join(namespace, tool), name[1:])
+    return names.join(namespace, name)
+
+
+def below(ctx: Context, known: Iterable[str], namespace: str | None, tool: str) -> list[str]:
+    """The names that are in a namespace; all for None."""
+    inside = resolve(ctx, namespace, tool).rstrip("/") or "/" if namespace else "/"
+    return [name for name in known if names.is_under(name, inside)]
+
+
+def without_remappings(words: Sequence[str], payload_from: int | None = None) -> list[str]:
+    """The words without `from:=to`, `_parameter:=value` and `__name:=name`.
+
+    From the positional number `payload_from` on only `__name:=` and its like go: `a:=b` may be a text to publish.
+    """
+    return _parted(words, payload_from)[0]
+
+
+def resolve_remapped(ctx: Context, name: str, tool: str, words: Sequence[str], payload_from: int | None = None) -> str:
+    """`resolve`, and then as the last `from:=to` renames it: for a tool that publishes, as a node does."""
+    full = resolve(ctx, name, tool)
+    pairs = [word.split(":=", 1) for word in _parted(words, payload_from)[1] if not word.startswith("_")]
+    renamed = {resolve(ctx, source, tool): resolve(ctx, target, tool) for source, target in pairs if target}
+    return renamed.get(full, full)
+
+
+def _parted(words: Sequence[str], payload_from: int | None) -> tuple[list[str], list[str]]:
+    """The words for the tool, and those that rename."""
+    kept: list[str] = []
+    taken: list[str] = []
+    positionals = 0
+    for word in words:
+        is_payload = payload_from is not None and positionals >= payload_from
+        if (_NODE_ARGUMENT if is_payload else _REMAPPING).match(word):
+            taken.append(word)
+            continue
+        positionals += not word.startswith("-")
+        kept.append(word)
+    return kept, taken
+
+
+def pause(ctx: Context, seconds: float) -> None:
+    """Wait, but notice at once when the daemon goes away."""
+    deadline = monotonic() + seconds
+    while (left := deadline - monotonic()) > 0:
+        next(ctx.client.events(left), None)

@@ -1,24 +1,27 @@
-"""`slidectl ros NAME ...`: runs a ROS tool with the words behind its name untouched.
+"""`slidectl ros NAME ...` and `slidectl ros-commands`: the ROS tools by name, and shell functions of their names.
 
-It knows the tools by name only, and prints how one ended badly.
+A tool is run with the words behind its name untouched. Nothing of a tool is known here but its name and its errors.
 """
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
 from collections.abc import Sequence
 from importlib import import_module
 from io import TextIOWrapper
+from shlex import quote
 from typing import Any
 
 import click
 
-from slidectl.cli.commands import Command, command
+from slidectl.cli import output
+from slidectl.cli.commands import command
 from slidectl.cli.context import Context
-from slidectl.cli.ros.failure import told
-from slidectl.errors import SlidectlError, UsageError, closest
+from slidectl.errors import NoDaemon, SlidectlError, UsageError, closest
 
-# name -> module in this package, whose `main` takes the Context and the words. Its `PREFIX` begins errors.
+# name -> module in this package, where the tool is called as it is here. Its `PREFIX` begins errors.
 TOOLS = {
     "roslaunch": "roslaunch",
     "rostopic": "rostopic",
@@ -27,18 +30,9 @@ TOOLS = {
     "rosrun": "rosrun",
     "rosnode": "rosnode",
     "rosmsg": "rosmsg",
-    "rossrv": "rossrv",
-    "roscore": "roscore",
-    "rosclean": "rosclean",
+    "rossrv": "rosmsg",
+    "roscore": "roslaunch",
 }
-
-
-class RawCommand(Command):
-    """Whatever stands behind the first word belongs to the tool, options too."""
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        ctx.allow_interspersed_args = False
-        return super().parse_args(ctx, args)
 
 
 def _complete(click_context: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
@@ -46,7 +40,8 @@ def _complete(click_context: click.Context, _param: click.Parameter, incomplete:
 
 
 @command(
-    cls=RawCommand,
+    # Whatever stands behind the first word belongs to the tool, options too.
+    context_settings={"allow_interspersed_args": False},
     examples=[
         "slidectl ros rostopic pub -1 /slider/joint1_position_controller/command std_msgs/Float64 'data: 1.0'",
         "slidectl ros rosservice call /slider/controller_manager/list_controllers",
@@ -58,8 +53,8 @@ def _complete(click_context: click.Context, _param: click.Parameter, incomplete:
 def ros(ctx: Context, words: tuple[str, ...]) -> None:
     """Run a ROS command word for word.
 
-    NAME is one of roslaunch, rostopic, rosservice, rosparam, rosrun, rosnode, rosmsg, rossrv, roscore and rosclean;
-    ARGUMENTs are theirs, and so are output and exit codes, save that 0 means done: 3 is no daemon, 130 Ctrl-C.
+    NAME is one of roslaunch, rostopic, rosservice, rosparam, rosrun, rosnode, rosmsg, rossrv and roscore; ARGUMENTs
+    are theirs, and so are output and exit codes, save that 0 means done: 3 is no daemon, 130 Ctrl-C.
     Options of slidectl stand before NAME. 'slidectl ros-commands' makes shell functions of these names.
     """
     name, *argv = words
@@ -72,22 +67,118 @@ def ros(ctx: Context, words: tuple[str, ...]) -> None:
 
 def run(ctx: Context, name: str, argv: Sequence[str]) -> None:
     """Run one tool; how it failed goes to stderr in its own words. Raises click's Exit with the code then."""
-    _heed_interrupts()
+    # SIGINT ends a node also in the background of a script, where shells start programs with it ignored.
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     if isinstance(sys.stdin, TextIOWrapper):
         sys.stdin.reconfigure(errors="surrogateescape")  # what is no text is for the reader of YAML to refuse
-    tool: Any = import_module(f"slidectl.cli.ros.{TOOLS[name]}")
+    module: Any = import_module(f"slidectl.cli.ros.{TOOLS[name]}")
     try:
-        tool.main(ctx, list(argv))
+        getattr(module, name)(ctx, list(argv))
     except SlidectlError as error:
         if ctx.verbose >= 2:
             raise
-        print(told(error, getattr(tool, "PREFIX", "ERROR: ")), file=sys.stderr, flush=True)
+        print(_told(error, getattr(module, "PREFIX", "ERROR: ")), file=sys.stderr, flush=True)
         raise click.exceptions.Exit(error.exit_code) from None
 
 
-def _heed_interrupts() -> None:
-    """SIGINT ends a node also in the background of a script, where shells start programs with it ignored."""
-    import signal
+def _told(error: SlidectlError, prefix: str) -> str:
+    """What a tool prints about an error: `prefix` stands before what is not in its own words."""
+    from slidectl.cli.ros.arguments import Failure
 
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    if isinstance(error, Failure):
+        return error.message
+    if isinstance(error, NoDaemon):
+        return f"ERROR: Unable to communicate with master!\n{error}"
+    return f"{prefix}{error}"
+
+
+# --- shell functions --------------------------------------------------------------------------------------------------
+
+SHELLS = ("bash", "zsh", "fish")
+# Shells that read the functions of bash.
+_LIKE_BASH = ("sh", "dash", "ash", "ksh", "mksh")
+
+
+@command(
+    "ros-commands",
+    examples=['eval "$(slidectl ros-commands)"', "slidectl ros-commands --shell fish | source"],
+)
+@click.option(
+    "--shell", type=click.Choice(SHELLS), help="For which shell; by default the one that calls this, else $SHELL."
+)
+@click.pass_obj
+def ros_commands(ctx: Context, shell: str | None) -> None:
+    """Print shell functions named as the ROS commands.
+
+    With eval "$(slidectl ros-commands)" the lines of a ROS tutorial work in this shell, and in bash scripts that it
+    starts. Each function calls 'slidectl ros NAME'; the daemon that --instance or --socket choose here is theirs.
+    """
+    prefix = " ".join(map(quote, _program(ctx)))
+    output.write(_fish(prefix) if (shell or _that_calls() or _of_the_user()) == "fish" else _posix(prefix))
+
+
+def _that_calls() -> str | None:
+    """The shell that has started this program, which need not be that of $SHELL; None when it was no shell."""
+    try:
+        with open(f"/proc/{os.getppid()}/comm", encoding="utf-8") as file:
+            name = file.read().strip()
+    except (OSError, UnicodeDecodeError):
+        return None
+    return name if name in SHELLS or name in _LIKE_BASH else None
+
+
+def _of_the_user() -> str:
+    """`bash`, `zsh` or `fish` by $SHELL. Raises UsageError for a shell that has no such functions."""
+    name = os.path.basename(os.environ.get("SHELL") or "bash")
+    if name in SHELLS or name in _LIKE_BASH:
+        return name
+    raise UsageError(f"no functions for the shell {name!r} ($SHELL)", f"give --shell {' or '.join(SHELLS)}")
+
+
+def _program(ctx: Context) -> list[str]:
+    """The command line before `ros`: this program, from wherever it was started, with the options of this call."""
+    started = os.path.abspath(sys.argv[0])
+    is_script = os.access(started, os.X_OK) and os.path.basename(started) == "slidectl"
+    words = [started] if is_script else [sys.executable, "-m", "slidectl"]
+    for option, value in (("--instance", ctx.instance), ("--socket", ctx.socket)):
+        words += [option, os.path.abspath(value) if option == "--socket" else value] if value else []
+    if ctx.namespace != "/":
+        words += ["--ns", ctx.namespace]
+    return words
+
+
+# A function that runs in the background of a script is a shell of its own, which the script knows by $!. What is sent
+# to it must reach the command. Shells ignore SIGQUIT in such a shell, which tells it from one in a pipe.
+_POSIX = """\
+_slidectl_ros() {{
+  if ! _slidectl_is_job; then {prefix} ros "$@"; return; fi
+  local child= code=0
+  trap 'kill -INT "$child" 2>/dev/null' INT; trap 'kill -TERM "$child" 2>/dev/null' TERM
+  {prefix} ros "$@" <&0 &
+  child=$!
+  while :; do wait "$child" && code=0 || code=$?; kill -0 "$child" 2>/dev/null || break; done
+  trap - INT TERM
+  return "$code"
+}}
+_slidectl_is_job() {{
+  [ "${{BASHPID:-$$}}" != "$$" ] || [ "${{ZSH_SUBSHELL:-0}}" != 0 ] || return 1
+  [ -r /proc/self/status ] || return 1
+  local key value
+  while read -r key value; do
+    case $key:$value in SigIgn::*[4567cdef]) return 0 ;; esac
+  done </proc/self/status
+  return 1
+}}
+{functions}
+if [ -n "${{BASH_VERSION:-}}" ]; then export -f _slidectl_ros _slidectl_is_job {names}; fi"""
+
+
+def _posix(prefix: str) -> str:
+    """bash, zsh and their kin. bash exports functions to the scripts that it starts."""
+    functions = "\n".join(f'{name}() {{ _slidectl_ros {name} "$@"; }}' for name in TOOLS)
+    return _POSIX.format(prefix=prefix, functions=functions, names=" ".join(TOOLS))
+
+
+def _fish(prefix: str) -> str:
+    return "\n".join(f"function {name}; {prefix} ros {name} $argv; end" for name in TOOLS)

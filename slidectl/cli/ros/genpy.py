@@ -1,16 +1,19 @@
-"""Messages and requests from the values of a command line, with the errors that genpy and rospy word.
+"""Messages and requests from the YAML of a command line, a file or stdin, with the errors that genpy and PyYAML word.
 
-The filling itself is `msgs.fill`'s; what is said here is why values do not fit. Field names are paths as there:
-`pose.position.x`, `position[]`.
+The values are read by cli.values and filled in by msgs.fill. PyYAML is asked again only for its report, and types are
+walked here only to say why values do not fit. Field names are paths as there: `pose.position.x`, `position[]`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from itertools import chain
+from typing import TYPE_CHECKING, Any, TextIO
 
+from slidectl.cli import values as typed_values
 from slidectl.cli.topics import Schema, from_typedefs
-from slidectl.errors import BadMessage
+from slidectl.cli.values import bounded
+from slidectl.errors import BadMessage, SlidectlError
 from slidectl.msgs.schema import FLOATS, INTEGER_RANGES, TIMES, Field
 
 if TYPE_CHECKING:
@@ -22,12 +25,66 @@ Message = dict[str, Any]
 _KEYWORDS = ("now", "auto")
 
 
+class NotYaml(Exception):
+    """Text that is no YAML, or holds what no message can. Its text is the report."""
+
+
 class Misfit(Exception):
     """Values whose number, names or nesting do not fit the type."""
 
 
 class WrongType(Exception):
     """A value of the wrong kind, or out of its range."""
+
+
+# --- reading ----------------------------------------------------------------------------------------------------------
+
+
+def read(text: str) -> Any:
+    """The value of one document. Raises NotYaml."""
+    try:
+        return typed_values.read(text)
+    except SlidectlError as error:
+        raise _report(text.rstrip("\n"), error) from None
+
+
+def read_file(file: TextIO) -> list[Any]:
+    """The values of all documents of an open file. Raises NotYaml."""
+    try:
+        return list(typed_values.read_documents(file.read(), "file"))
+    except SlidectlError as error:
+        file.seek(0)
+        raise _report(file, error) from None
+
+
+def documents(file: TextIO) -> Iterator[Sequence[Any]]:
+    """The values of each document that `---` ends, as they come; the last one needs none. Raises NotYaml, BadFile.
+
+    A document that is a list has one value for each field.
+    """
+    pending: list[str] = []
+    for line in chain(bounded(file, "stdin"), ["---"]):
+        if line.rstrip() != "---":
+            pending.append(line)
+            continue
+        if any(each.strip() for each in pending):
+            document = read("".join(pending))
+            yield document if isinstance(document, list) else [document]
+        pending = []
+
+
+def _report(source: str | TextIO, error: SlidectlError) -> NotYaml:
+    """What PyYAML says of the text, or of the file, which it names; `error` where PyYAML would take it."""
+    import yaml
+
+    try:
+        list(yaml.safe_load_all(source))
+    except (yaml.YAMLError, ValueError, RecursionError) as problem:
+        return NotYaml(str(problem))
+    return NotYaml(str(error))
+
+
+# --- filling ----------------------------------------------------------------------------------------------------------
 
 
 def filled(ctx: Context, typedefs: Typedefs, values: Sequence[Any]) -> Message:
@@ -39,21 +96,17 @@ def filled(ctx: Context, typedefs: Typedefs, values: Sequence[Any]) -> Message:
     from slidectl.msgs.fill import fields_from, fill
 
     values = [_without_nulls(value) for value in values]
-    if None in leaves(values):  # an empty argument is null there, and null fits nothing
-        _explain(from_typedefs(typedefs), values)
+    if None in _leaves(values):  # an empty argument is null there, and null fits nothing
+        explain(from_typedefs(typedefs), values)
+    now = None
+    if any(leaf in _KEYWORDS for leaf in _leaves(values)):
+        time = ctx.call("/rosapi/get_time")["time"]
+        now = time["secs"], time["nsecs"]
     try:
-        return fill(fields_from(typedefs), str(typedefs[0]["type"]), values, _now(ctx, values))
+        return fill(fields_from(typedefs), str(typedefs[0]["type"]), values, now)
     except BadMessage:
-        _explain(from_typedefs(typedefs), values)
+        explain(from_typedefs(typedefs), values)
         raise
-
-
-def _now(ctx: Context, values: Sequence[Any]) -> tuple[int, int] | None:
-    """The simulated time, when a value may stand for it."""
-    if not any(leaf in _KEYWORDS for leaf in leaves(values)):
-        return None
-    time = ctx.call("/rosapi/get_time")["time"]
-    return time["secs"], time["nsecs"]
 
 
 def _without_nulls(value: Any) -> Any:
@@ -63,7 +116,7 @@ def _without_nulls(value: Any) -> Any:
     return [_without_nulls(each) for each in value] if isinstance(value, list | tuple) else value
 
 
-def leaves(value: Any) -> Iterator[Any]:
+def _leaves(value: Any) -> Iterator[Any]:
     """The scalars in nested lists and mappings."""
     if isinstance(value, Mapping):
         value = list(value.values())
@@ -71,72 +124,53 @@ def leaves(value: Any) -> Iterator[Any]:
         yield value
         return
     for each in value:
-        yield from leaves(each)
+        yield from _leaves(each)
 
 
-def paths(typedefs: Typedefs) -> str:
-    """All fields, nested ones as `header.seq`, with blanks between: what `Args are: [...]` shows."""
-    from slidectl.msgs.fill import field_paths, fields_from
+def as_yaml(typedefs: Typedefs, message: Message) -> str:
+    """The message as `-v` shows it: fields that were not given at their defaults."""
+    from slidectl import msgs
+    from slidectl.cli.forms import YamlForm
 
-    return " ".join(field_paths(fields_from(typedefs), str(typedefs[0]["type"])))
-
-
-def complete(schema: Schema, type_name: str, given: Mapping[str, Any]) -> Message:
-    """The message with the fields that were not given at their defaults."""
-    return {field.name: _completed(schema, field, given.get(field.name)) for field in schema.fields(type_name)}
-
-
-def _completed(schema: Schema, field: Field, given: Any) -> Any:
-    if field.array >= 0:
-        if given is None:
-            return [_zero(schema, field.type) for _ in range(field.array)]
-        return [complete(schema, field.type, each) for each in given] if schema.fields(field.type) else given
-    if schema.fields(field.type):
-        return complete(schema, field.type, given or {})
-    return _zero(schema, field.type) if given is None else given
-
-
-def _zero(schema: Schema, type_name: str) -> Any:
-    if type_name in TIMES:
-        return {"secs": 0, "nsecs": 0}
-    if type_name in FLOATS or type_name in INTEGER_RANGES:
-        return 0.0 if type_name in FLOATS else 0
-    if type_name == "bool":
-        return False
-    return "" if type_name == "string" else complete(schema, type_name, {})
+    schema = from_typedefs(typedefs)
+    return YamlForm(schema).printer(schema.root)(msgs.check(schema.root, message))
 
 
 # --- why values do not fit --------------------------------------------------------------------------------------------
 
 
-def _explain(schema: Schema, values: Sequence[Any]) -> None:
+def explain(schema: Schema, values: Sequence[Any]) -> None:
     """Raise Misfit or WrongType with what genpy would say; return when it would take the values."""
     root: Any = values[0] if len(values) == 1 and isinstance(values[0], Mapping) else list(values)
-    _check_shape(schema, schema.root, root, "")
-    _check_types(schema, schema.root, root, "")
+    wrong = list(_wrong(schema, schema.root, root, ""))  # to the end: a misfit anywhere goes before a wrong type
+    if wrong:
+        raise WrongType(wrong[0])
 
 
-def _check_shape(schema: Schema, type_name: str, given: Any, prefix: str) -> None:
+def _wrong(schema: Schema, type_name: str, given: Any, prefix: str) -> Iterator[str]:
+    """What is wrong with the types of values. Raises Misfit."""
     for field, value in _paired(schema, type_name, given, prefix):
-        name = prefix + field.name
+        name = _plain(prefix) + field.name
         if field.array >= 0 and not isinstance(value, list | tuple):
             raise Misfit(f"Field [{name}] must be a list or tuple instead of: {type(value).__name__}")
         if field.array > 0 and len(value) != field.array:
             raise Misfit(f"Field [{name}] has incorrect number of elements: {len(value)} != {field.array}")
-        if field.type in TIMES or schema.fields(field.type):
-            for each in value if field.array >= 0 else [value]:
-                _check_nested(schema, field, each, name)
+        path = prefix + field.name + ("[]" if field.array >= 0 else "")
+        for each in value if field.array >= 0 else [value]:
+            if field.type not in TIMES and not schema.fields(field.type):
+                trouble = _trouble(field.type, each)
+                if trouble is not None:
+                    yield f"field {path} {trouble}"
+            elif isinstance(each, str):
+                if each != {"std_msgs/Header": "auto", "time": "now"}.get(field.type):
+                    raise Misfit(f"No key named [{each}]")
+            elif field.type not in TIMES or not isinstance(each, int) or isinstance(each, bool):
+                yield from _wrong(schema, field.type, each, f"{path}.")
 
 
-def _check_nested(schema: Schema, field: Field, value: Any, name: str) -> None:
-    if isinstance(value, str):
-        keyword = "auto" if field.type == "std_msgs/Header" else "now" if field.type == "time" else None
-        if value != keyword:
-            raise Misfit(f"No key named [{value}]")
-    elif isinstance(value, int) and not isinstance(value, bool) and field.type in TIMES:
-        return
-    else:
-        _check_shape(schema, field.type, value, f"{name}.")
+def _plain(prefix: str) -> str:
+    """genpy does not mark arrays where names or counts are wrong."""
+    return prefix.replace("[]", "")
 
 
 def _paired(schema: Schema, type_name: str, given: Any, prefix: str) -> Iterator[tuple[Field, Any]]:
@@ -146,7 +180,7 @@ def _paired(schema: Schema, type_name: str, given: Any, prefix: str) -> Iterator
     if isinstance(given, Mapping):
         for name, value in given.items():
             if name not in names:
-                raise Misfit(f"No field name [{prefix}{name}]")
+                raise Misfit(f"No field name [{_plain(prefix)}{name}]")
             yield fields[names.index(name)], value
     elif isinstance(given, list | tuple):
         if len(given) != len(names):
@@ -157,33 +191,17 @@ def _paired(schema: Schema, type_name: str, given: Any, prefix: str) -> Iterator
         raise Misfit(f"invalid msg_args type: {given}")
 
 
-def _check_types(schema: Schema, type_name: str, given: Any, prefix: str) -> None:
-    for field, value in _paired(schema, type_name, given, prefix):
-        name = prefix + field.name + ("[]" if field.array >= 0 else "")
-        for each in value if field.array >= 0 else [value]:
-            if schema.fields(field.type) and not isinstance(each, str):
-                _check_types(schema, field.type, each, f"{name}.")
-            elif (trouble := _trouble(field.type, each)) is not None:
-                raise WrongType(f"field {name} {trouble}")
-
-
 def _trouble(type_name: str, value: Any) -> str | None:
     """What is wrong with the value of a primitive."""
     whole = isinstance(value, int) and not isinstance(value, bool)
     if type_name in FLOATS:
         return None if whole or isinstance(value, float) else "must be float type"
-    if type_name in INTEGER_RANGES:
-        return _integer_trouble(type_name, value if whole else None)
     if type_name == "bool":
         return None if isinstance(value, bool) or value in (0, 1) else "is not a bool"
-    if type_name == "string":
+    if type_name not in INTEGER_RANGES:
         return None if isinstance(value, str) else "must be of type bytes or an ascii string"
-    return None
-
-
-def _integer_trouble(type_name: str, value: int | None) -> str | None:
     unsigned = type_name.startswith("uint") or type_name == "char"
-    if value is None or (unsigned and value < 0):
+    if not whole or (unsigned and value < 0):
         return "must be unsigned integer type" if unsigned else "must be an integer type"
     bits = int(type_name.lstrip("uint") or 8) if "int" in type_name else 8
     limit = 2**bits if unsigned else 2 ** (bits - 1)

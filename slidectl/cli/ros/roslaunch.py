@@ -1,16 +1,23 @@
-"""`roslaunch`: its options, handed to `slidectl launch`, which does the work.
+"""`roslaunch` and `roscore`.
 
-An option of roslaunch's that means nothing here is accepted; one that asks for ports or threads is said to have no
-effect. Those of `slidectl launch` are understood, too.
+`roslaunch` hands its options to `slidectl launch`, which does the work. An option that means nothing here is accepted;
+one that asks for ports or threads is said to have no effect. `roscore` is a daemon for as long as the command runs.
 """
 
 from __future__ import annotations
 
+import os
+import select
+import signal
 from collections.abc import Sequence
+from optparse import Option, Values
+from typing import Any
 
+import click
+
+from slidectl.cli import output
 from slidectl.cli.context import Context
-from slidectl.cli.ros.arguments import Arguments, Option, Parser
-from slidectl.cli.ros.failure import Failure
+from slidectl.cli.ros.arguments import Failure, Parser, option
 from slidectl.errors import BadFile, SlidectlError, UnknownName
 
 PREFIX = "RLException: "
@@ -19,81 +26,70 @@ _USAGE = """roslaunch [options] [package] <filename> [arg_name:=value...]
        roslaunch [options] <filename> [<filename>...] [arg_name:=value...]
 
 If <filename> is a single dash ('-'), launch XML is read from standard input."""
-# dest -> option of `slidectl launch`
-_FLAGS = {
-    "nodes": "--nodes", "files": "--files", "dump_params": "--dump-params", "ros_args": "--ros-args",
-    "screen": "--screen", "log": "--log", "required": "--required", "wait": "--wait", "dry_run": "--dry-run",
-    "detach": "--detach", "skip_unknown": "--skip-unknown", "keep_going": "--keep-going",
-    "no_commands": "--no-commands",
-}  # fmt: skip
-_VALUES = {
-    "args": "--args", "find_node": "--find-node", "pid": "--pid", "sigint_timeout": "--sigint-timeout",
-    "sigterm_timeout": "--sigterm-timeout", "package": "--package",
-}  # fmt: skip
-_WITHOUT_EFFECT = {
-    "port": "-p", "core": "--core", "workers": "-w", "socket_timeout": "-t", "logger_level": "--master-logger-level",
-}  # fmt: skip
-_PLACES = ("package", "launch file", "shipped launch file")
 _EXCLUSIVE = ("nodes", "find_node", "args", "ros_args")
+_START_LIMIT_S = 30.0
+_STOP_LIMIT_S = 10.0
 
-_PARSER = Parser(
-    "roslaunch",
-    _USAGE,
-    [
-        Option(("--files",), "files", "print the files that are used"),
-        Option(("--args",), "args", "print the command line of a node", "NODE_NAME"),
-        Option(("--nodes",), "nodes", "print the names of the nodes"),
-        Option(("--find-node",), "find_node", "print the file that a node is written in", "NODE_NAME"),
-        Option(("--dump-params",), "dump_params", "print all parameters as YAML"),
-        Option(("--ros-args",), "ros_args", "print the arguments of the file"),
-        Option(("--screen",), "screen", "show what all nodes print"),
-        Option(("--log",), "log", "what all nodes print goes into logs"),
-        Option(("--required",), "required", "the end of any node is the end of all"),
-        Option(("--local",), "local", "no effect: everything is local"),
-        Option(("--wait",), "wait", "wait for a daemon instead of starting one"),
-        Option(("-p", "--port"), "port", "no effect: there are no ports", "PORT"),
-        Option(("--core",), "core", "no effect: the daemon is all cores"),
-        Option(("-w", "--numworkers"), "workers", "no effect: there is one thread", "NUM_WORKERS"),
-        Option(("-t", "--timeout"), "socket_timeout", "no effect: there are no ports", "TIMEOUT"),
-        Option(("--master-logger-level",), "logger_level", "no effect", "LEVEL"),
-        Option(("--pid",), "pid", "write the process id into a file", "PID_FN"),
-        Option(("--no-summary",), "no_summary", "no effect: there is no summary"),
-        Option(("--skip-log-check",), "skip_log_check", "no effect: the log does not grow without end"),
-        Option(("--disable-title",), "disable_title", "no effect: the terminal's title stays"),
-        Option(("-v",), "verbose", "say more"),
-        Option(("--sigint-timeout",), "sigint_timeout", "how long nodes may take to end on SIGINT (15)", "TIMEOUT"),
-        Option(("--sigterm-timeout",), "sigterm_timeout", "how long they may take on SIGTERM (2)", "TIMEOUT"),
-        Option(("--dry-run",), "dry_run", "print the steps, and start nothing"),
-        Option(("--detach",), "detach", "return when everything runs"),
-        Option(("--package",), "package", "where a package is", "NAME=PATH"),
-        Option(("--keep-going",), "keep_going", "leave out all that is not there, and list it at the end"),
-        Option(("--skip-unknown",), "skip_unknown", "leave out nodes that can neither be done nor run here"),
-        Option(("--no-commands",), "no_commands", "refuse <param command=...> that is not xacro"),
-    ],
+_NOTHING_TO_SAY = (
+    option("--local", "no effect: everything is local"),
+    option("--no-summary", "no effect: there is no summary"),
+    option("--skip-log-check", "no effect: the log does not grow without end"),
+    option("--disable-title", "no effect: the terminal's title stays"),
+)
+_CORE = option("--core", "no effect: the daemon is all cores")
+_VERBOSE = option("-v", "say more", dest="verbose")
+# What both tools take; it is said that they have no effect.
+_IDLE = (
+    option("-p --port", "no effect: there are no ports", "PORT"),
+    option("-w --numworkers", "no effect: there is one thread", "NUM_WORKERS"),
+    option("-t --timeout", "no effect: there are no ports", "TIMEOUT"),
+    option("--master-logger-level", "no effect", "LEVEL"),
 )
 
 
-def main(ctx: Context, argv: Sequence[str]) -> None:
+def roslaunch(ctx: Context, argv: Sequence[str]) -> None:
     """Launch, or print what is asked for. Raises what `slidectl launch` raises."""
     from slidectl.cli.launch import launch
 
-    given = _PARSER.parse(argv)
-    _check(ctx, given)
-    words = [option for dest, option in _FLAGS.items() if getattr(given, dest)]
-    values = {option: getattr(given, dest) for dest, option in _VALUES.items()}
-    words += [f"{option}={value}" for option, value in values.items() if value is not None]
+    own = [param for param in launch.params if isinstance(param, click.Option)]
+    passed_on = [
+        Option(param.opts[0], help=param.help, action="store_true")
+        if param.is_flag
+        else Option(param.opts[0], help=param.help, action="append", metavar=param.metavar)
+        for param in own
+    ]
+    parser = Parser("roslaunch", _USAGE, *passed_on, *_NOTHING_TO_SAY, _CORE, *_IDLE, _VERBOSE)
+    given = parser.parse(argv)
+    files = [word for word in given.words if ":=" not in word]
+    if sum(bool(getattr(given, dest)) for dest in _EXCLUSIVE) > 1:
+        parser.error("only one of [--nodes, --find-node, --args --ros-args] may be specified")
+    if not files:
+        parser.error("you must specify at least one input file")
+    if files.count("-") > 1:
+        parser.error("Only a single instance of the dash ('-') may be specified.")
+    _warn_idle(ctx, given)
+    words: list[str] = []
+    for each in passed_on:
+        values = getattr(given, str(each.dest)) or []
+        words += [each.get_opt_string()] if values is True else [f"{each.get_opt_string()}={v}" for v in values]
     ctx.verbose += bool(given.verbose)
     with launch.make_context("roslaunch", [*words, "--", *given.words], obj=ctx) as click_context:
         try:
             launch.invoke(click_context)
         except (UnknownName, BadFile) as error:
-            raise _in_its_words(error, [word for word in given.words if ":=" not in word]) from None
+            raise _in_its_words(error, files) from None
+
+
+def _warn_idle(ctx: Context, given: Values) -> None:
+    idle = [each.get_opt_string() for each in (_CORE, *_IDLE) if getattr(given, str(each.dest), None) is not None]
+    if idle:
+        ctx.warn(f"{', '.join(idle)} {'has' if len(idle) == 1 else 'have'} no effect here")
 
 
 def _in_its_words(error: UnknownName | BadFile, names: Sequence[str]) -> SlidectlError:
     """A launch file that is not there is refused with roslaunch's own line; what else there is stands below it."""
     if isinstance(error, UnknownName):
-        is_missing = error.kind in _PLACES and error.name in names
+        is_missing = error.kind in ("package", "launch file", "shipped launch file") and error.name in names
     else:
         is_missing = error.file in names and error.reason == "no such launch file"
     if not is_missing:
@@ -105,14 +101,63 @@ def _in_its_words(error: UnknownName | BadFile, names: Sequence[str]) -> Slidect
     return Failure(f"{PREFIX}{text}\n{error}")
 
 
-def _check(ctx: Context, given: Arguments) -> None:
-    """Usage errors in roslaunch's words, and remarks on options without effect."""
-    if sum(bool(getattr(given, dest)) for dest in _EXCLUSIVE) > 1:
-        _PARSER.error("only one of [--nodes, --find-node, --args --ros-args] may be specified")
-    if not [word for word in given.words if ":=" not in word]:
-        _PARSER.error("you must specify at least one input file")
-    if given.words.count("-") > 1:
-        _PARSER.error("Only a single instance of the dash ('-') may be specified.")
-    idle = [option for dest, option in _WITHOUT_EFFECT.items() if getattr(given, dest)]
-    if idle:
-        ctx.warn(f"{', '.join(idle)} {'has' if len(idle) == 1 else 'have'} no effect here")
+# --- roscore ----------------------------------------------------------------------------------------------------------
+
+
+def roscore(ctx: Context, argv: Sequence[str]) -> None:
+    """Start the daemon and stay until it ends, or Ctrl-C or SIGTERM ends both with exit code 0."""
+    from slidectl.daemon import lifecycle
+
+    parser = Parser(
+        "roscore",
+        "roscore [options]",
+        *_IDLE,
+        _VERBOSE,
+        option("--sigint-timeout", "how long the daemon may take to end", "TIMEOUT"),
+        option("--sigterm-timeout", "no effect", "TIMEOUT"),
+    )
+    given = parser.parse(argv, most=0, extra="roscore does not take arguments")
+    _warn_idle(ctx, given)
+    limit = _STOP_LIMIT_S if given.sigint_timeout is None else float(given.sigint_timeout)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        pid = _start(ctx)
+        process = os.pidfd_open(pid)
+        select.select([process], [], [])
+    except KeyboardInterrupt:
+        output.write("[master] killing on exit\nshutting down processing monitor...")
+        lifecycle.stop(ctx.paths, ctx.wait_limit(limit))
+        return output.write("... shutting down processing monitor complete\ndone")
+    code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+    if code:
+        raise Failure(f"[master] process has died [pid {pid}, exit code {code}]")
+    return output.write("[master] process has finished cleanly")
+
+
+def _start(ctx: Context) -> int:
+    """The process id of a new daemon, with the parameters that a core sets. Raises Failure when one runs already."""
+    from slidectl import __version__
+    from slidectl.cli.param import store
+    from slidectl.daemon import lifecycle
+    from slidectl.daemon.options import DaemonOptions
+
+    uri = f"unix://{ctx.paths.socket_text}"
+    already = lifecycle.running(ctx.paths) is not None
+    if not already:
+        output.write(f"... logging to {ctx.paths.log}\nPress Ctrl-C to interrupt\nstarted roslaunch server {uri}")
+        pid, already = lifecycle.start(ctx.paths, DaemonOptions(child=True), ctx.wait_limit(_START_LIMIT_S))
+    if already:
+        raise Failure(
+            f"{PREFIX}roscore cannot run as another roscore/master is already running. \n"
+            f"Please kill other roscore/master processes before relaunching.\nThe ROS_MASTER_URI is {uri}"
+        )
+    # Their texts end with a newline in ROS.
+    parameters: dict[str, Any] = {"/rosdistro": "noetic\n", "/rosversion": f"{__version__}\n"}
+    store(ctx, parameters)
+    listed = "".join(f" * {name}: {value}" for name, value in parameters.items())
+    output.write(
+        f"slidectl version {__version__}\n\n\nSUMMARY\n========\n\nPARAMETERS\n{listed}\nNODES\n\n"
+        f"auto-starting new master\nprocess[master]: started with pid [{pid}]\n"
+        f"ROS_MASTER_URI={uri}\nstarted core service [/rosout]"
+    )
+    return pid

@@ -1,19 +1,153 @@
-"""`rosmsg`: what message types are made of."""
+"""`rosmsg` and `rossrv`: what message and service types are made of.
+
+They ask no daemon; only `show -b` reads a bag.
+"""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 
+from slidectl.cli import output
 from slidectl.cli.context import Context
-from slidectl.cli.msg import messages
-from slidectl.cli.ros.type_tool import Types, tool
+from slidectl.cli.msg import Kind, messages, services
+from slidectl.cli.ros.arguments import NO_SUCH_VERB, Failure, Parser, Tool, option
+from slidectl.errors import UnknownName, closest
 
-TOOL = tool("rosmsg", "message type")
-_TYPES = Types("rosmsg", "message", "msg", messages)
-show, list_types, md5 = _TYPES.show, _TYPES.list_types, _TYPES.md5
-package, packages = _TYPES.package, _TYPES.packages
+_PLEASE = "Please refer to msg/srv types as 'package_name/Type'."
+_SINGLE_LINE = option("-s", "all on one line", dest="single_line")
 
 
-def main(ctx: Context, argv: Sequence[str]) -> None:
-    """Run a verb."""
-    TOOL.run(ctx, argv)
+class _Types:
+    """The verbs for one kind of type. `suffix` is that of its files."""
+
+    def __init__(self, name: str, suffix: str, kind: Kind) -> None:
+        self.name = name
+        self._suffix = suffix
+        self._kind = kind
+
+    def __call__(self, ctx: Context, argv: Sequence[str]) -> None:
+        noun = self._kind.noun
+        verbs = {
+            "show": (self.show, f"show the fields of a {noun}"),
+            "info": (self.show, "the same as show"),
+            "list": (self.list_types, f"list all {noun}s"),
+            "md5": (self.md5, f"print the md5 sum of a {noun}"),
+            "package": (self.package, f"list the {noun}s of a package"),
+            "packages": (self.packages, f"list the packages that have {noun}s"),
+        }
+        Tool(self.name, f"{self.name} shows {noun}s.", verbs, without=0, help_options=("-h", "--help"))(ctx, argv)
+
+    def show(self, ctx: Context, argv: Sequence[str]) -> None:  # noqa: ARG002
+        """Fields, nested ones indented, or with -r the definition as it was written."""
+        parser = Parser(
+            self.name,
+            f"{self.name} show [options] <{self._kind.noun}>",
+            option("-r --raw", "the definition as it was written"),
+            option("-b --bag", "as a bag has it", "BAGFILE"),
+        )
+        given = parser.parse(argv, most=1, extra=f"you may only specify one {self._kind.noun}")
+        wanted = self._wanted(parser, given.words)
+        if given.bag:
+            from slidectl.cli.ros import bag
+
+            return output.write(bag.definition(given.bag, wanted, bool(given.raw)).rstrip("\n") + "\n\n")
+        text = self._kind.source if given.raw else self._kind.show
+        for found in self._found(wanted):
+            body = text(found).rstrip("\n")
+            heading = "" if "/" in wanted else f"[{found}]:\n"
+            output.write(heading + (f"{body}\n\n" if body else "\n"))
+        return None
+
+    def list_types(self, ctx: Context, argv: Sequence[str]) -> None:  # noqa: ARG002
+        """All of them."""
+        Parser(self.name, f"{self.name} list").parse(argv)
+        output.write("\n".join(sorted(self._kind.names())))
+
+    def md5(self, ctx: Context, argv: Sequence[str]) -> None:  # noqa: ARG002
+        """The sum that peers compare."""
+        parser = Parser(self.name, f"{self.name} md5 <{self._kind.noun}>")
+        words = parser.parse(argv, most=1, extra=f"you may only specify one {self._kind.noun}").words
+        wanted = self._wanted(parser, words)
+        if _is_invalid(wanted):
+            raise Failure(f"Invalid type: 'invalid name [{wanted}]'\n{_PLEASE}", NO_SUCH_VERB)
+        try:
+            found = self._found(wanted)
+        except Failure:
+            raise Failure(f"Cannot locate [{wanted}]{self._suggestion(wanted)}") from None
+        for each in found:
+            output.write(("" if "/" in wanted else f"[{each}]: ") + self._kind.md5(each))
+
+    def package(self, ctx: Context, argv: Sequence[str]) -> None:  # noqa: ARG002
+        """Those of one package."""
+        parser = Parser(self.name, f"{self.name} package <package>", _SINGLE_LINE)
+        given = parser.parse(argv, 1, 1, "package name must be specified", "you may only specify one package")
+        (package,) = given.words
+        known = _packages()
+        if package not in known:
+            raise Failure(f"Invalid package: {package}\npackages: {' '.join(known)}", NO_SUCH_VERB)
+        mine = sorted(name for name in self._kind.names() if name.startswith(f"{package}/"))
+        output.write((" " if given.single_line else "\n").join(mine))
+
+    def packages(self, ctx: Context, argv: Sequence[str]) -> None:  # noqa: ARG002
+        """The packages that have any."""
+        given = Parser(self.name, f"{self.name} packages", _SINGLE_LINE).parse(argv)
+        known = sorted({name.partition("/")[0] for name in self._kind.names()})
+        output.write((" " if given.single_line else "\n").join(known))
+
+    def _wanted(self, parser: Parser, words: Sequence[str]) -> str:
+        """The type that was given, or the one on stdin. A usage error for what cannot be one."""
+        noun = self._kind.noun
+        wanted = words[0] if words else sys.stdin.readline().strip()
+        if not wanted:
+            parser.error(f"no {noun} given, and none on stdin")
+        if "::" in wanted:
+            parser.error(f"{self.name} does not understand C++-style namespaces (i.e. '::').\n{_PLEASE}")
+        if "." in wanted:
+            parser.error(f"invalid {noun} '{wanted}'.\n{_PLEASE}")
+        return wanted
+
+    def _found(self, wanted: str) -> list[str]:
+        """The types that are meant: one, or those of every package for a bare name. Raises Failure."""
+        if "/" not in wanted:
+            found = [each for each in self._kind.names() if each.endswith("/" + wanted)]
+            if found:
+                return found
+            raise Failure(f"Could not find {self._suffix} '{wanted}'{self._suggestion(wanted)}")
+        trouble = f"{'Unable to load msg' if self._suffix == 'msg' else 'Unknown srv type'} [{wanted}]"
+        if _is_invalid(wanted):
+            raise Failure(f"{trouble}: invalid name [{wanted}]\n{_PLEASE}")
+        try:
+            self._kind.source(wanted)  # the list of all types would take longer than everything else here
+        except UnknownName:
+            package, _, word = wanted.partition("/")
+            where = f" in package [{package}]"
+            if package not in _packages():
+                where = f": unknown package [{package}] on search path [{_packages()}]"
+            raise Failure(f"{trouble}: Cannot locate message [{word}]{where}{self._suggestion(wanted)}") from None
+        return [wanted]
+
+    def _suggestion(self, wanted: str) -> str:
+        near = closest(wanted, self._kind.names())
+        return f"\nDid you mean {near!r}?" if near else ""
+
+
+def _is_invalid(wanted: str) -> bool:
+    return wanted.count("/") > 1 or wanted.startswith("/") or wanted.endswith("/")
+
+
+def _packages() -> list[str]:
+    """All packages that have types of any kind."""
+    from slidectl import msgs
+
+    return sorted({name.partition("/")[0] for name in [*msgs.type_names(), *msgs.service_names()]})
+
+
+def rosmsg(ctx: Context, argv: Sequence[str]) -> None:
+    """Run a verb on message types."""
+    _Types("rosmsg", "msg", messages())(ctx, argv)
+
+
+def rossrv(ctx: Context, argv: Sequence[str]) -> None:
+    """Run a verb on service types."""
+    _Types("rossrv", "srv", services())(ctx, argv)

@@ -14,29 +14,12 @@ from contextlib import suppress
 from time import monotonic
 from typing import Any
 
-from slidectl import names
 from slidectl.cli import output
 from slidectl.cli.context import Context
-from slidectl.cli.ros.arguments import Option, Parser
-from slidectl.cli.ros.failure import Failure
-from slidectl.cli.ros.naming import HOST, pause, resolve
-from slidectl.cli.ros.verbs import Tool, Verb
+from slidectl.cli.ros.arguments import HOST, Failure, Parser, Tool, below, option, pause, resolve
 from slidectl.cli.topics import PUBLISHERS, SUBSCRIBERS, users_of
 from slidectl.errors import NoDaemon, TimedOut
 
-TOOL = Tool(
-    "rosnode",
-    "rosnode shows, tests and ends nodes.",
-    {
-        "ping": Verb("rosnode:ping", "test whether a node answers"),
-        "list": Verb("rosnode:list_nodes", "list nodes"),
-        "info": Verb("rosnode:info", "show topics, services and connections of nodes"),
-        "machine": Verb("rosnode:machine", "list the machines, or the nodes of one"),
-        "kill": Verb("rosnode:kill", "end nodes"),
-        "cleanup": Verb("rosnode:cleanup", "forget nodes that do not answer (there are none here)"),
-    },
-    help_options=("--help",),
-)
 _RULE = "-" * 80
 _STATE_PUBLISHER = "/robot_state_publisher"
 _CLIENT = re.compile(r"/slidectl_(?P<pid>\d+)_\d+\Z")
@@ -45,26 +28,17 @@ _PATIENCE_S = 10.0
 _LOOK_AGAIN_S = 0.05
 
 
-def main(ctx: Context, argv: Sequence[str]) -> None:
-    """Run a verb."""
-    TOOL.run(ctx, argv)
-
-
-# --- list, machine, cleanup -------------------------------------------------------------------------------------------
-
-
 def list_nodes(ctx: Context, argv: Sequence[str]) -> None:
     """Names, or where they answer."""
-    options = [
-        Option(("-u",), "uris", "where they answer, instead of their names"),
-        Option(("-a", "--all"), "everything", "where they answer, and their names"),
-    ]
-    parser = Parser("rosnode", "rosnode list", options)
-    given = parser.parse(argv)
-    (namespace,) = parser.at_most(given, 1, "invalid args: you may only specify one namespace")
-    inside = resolve(ctx, namespace, "rosnode").rstrip("/") or "/" if namespace else "/"
-    chosen = [node for node in ctx.names("node") if names.is_under(node, inside)]
-    if given.everything:
+    parser = Parser(
+        "rosnode",
+        "rosnode list",
+        option("-u", "where they answer, instead of their names", dest="uris"),
+        option("-a --all", "where they answer, and their names"),
+    )
+    given = parser.parse(argv, most=1, extra="invalid args: you may only specify one namespace")
+    chosen = below(ctx, ctx.names("node"), given.words[0] if given.words else None, "rosnode")
+    if given.all:
         chosen = [f"{ctx.uri} \t{node}" for node in chosen]
     elif given.uris:
         chosen = [ctx.uri for _ in chosen]
@@ -74,14 +48,11 @@ def list_nodes(ctx: Context, argv: Sequence[str]) -> None:
 def machine(ctx: Context, argv: Sequence[str]) -> None:
     """The one machine that there is."""
     parser = Parser("rosnode", "rosnode machine [machine-name]")
-    given = parser.parse(argv)
-    (host,) = parser.at_most(given, 1, "please enter only one machine name")
+    words = parser.parse(argv, most=1, extra="please enter only one machine name").words
     nodes = ctx.names("node")
-    if host is None:
-        return output.write(HOST)
-    if host not in (HOST, "127.0.0.1", "::1", os.uname().nodename):
-        raise Failure(f"ERROR: cannot resolve machine name [{host}] to address")
-    return output.write("\n".join(nodes))
+    if words and words[0] not in (HOST, "127.0.0.1", "::1", os.uname().nodename):
+        raise Failure(f"ERROR: cannot resolve machine name [{words[0]}] to address")
+    output.write("\n".join(nodes) if words else HOST)
 
 
 def cleanup(ctx: Context, argv: Sequence[str]) -> None:
@@ -90,16 +61,12 @@ def cleanup(ctx: Context, argv: Sequence[str]) -> None:
     ctx.names("node")
 
 
-# --- info -------------------------------------------------------------------------------------------------------------
-
-
 def info(ctx: Context, argv: Sequence[str]) -> None:
     """Topics, services, connections. Raises Failure when one of the nodes is unknown."""
-    option = Option(("-q", "--quiet"), "quiet", "without the connections")
-    parser = Parser("rosnode", "rosnode info [options] node1 [node2...]", [option])
-    given = parser.parse(argv)
-    if not given.words:
-        parser.error("You must specify at least one node name")
+    parser = Parser(
+        "rosnode", "rosnode info [options] node1 [node2...]", option("-q --quiet", "without the connections")
+    )
+    given = parser.parse(argv, 1, missing="You must specify at least one node name")
     unknown = []
     for word in given.words:
         full = resolve(ctx, word, "rosnode")
@@ -132,7 +99,8 @@ def _block(title: str, items: Sequence[str]) -> str:
 
 
 def _connections(ctx: Context, full: str, details: dict[str, Any]) -> str:
-    lines = ["", f"contacting node {ctx.uri} ...", f"Pid: {_pid(ctx, full)}"]
+    client = _CLIENT.match(full)
+    lines = ["", f"contacting node {ctx.uri} ...", f"Pid: {client['pid'] if client else ctx.client.daemon_pid}"]
     listed: list[tuple[str, str, str]] = []
     for key, way, role in (("publishing", "outbound", SUBSCRIBERS), ("subscribing", "inbound", PUBLISHERS)):
         peers = users_of(ctx, details[key], role)
@@ -140,52 +108,38 @@ def _connections(ctx: Context, full: str, details: dict[str, Any]) -> str:
     if listed:
         lines.append("Connections:")
     for topic, peer, way in listed:
-        transport = "UNIX" if _CLIENT.match(peer) or _CLIENT.match(full) else "INTRAPROCESS"
+        transport = "UNIX" if client or _CLIENT.match(peer) else "INTRAPROCESS"
         lines += [f" * topic: {topic}", f"    * to: {peer}", f"    * direction: {way}", f"    * transport: {transport}"]
     return "\n".join(lines) + "\n\n"
 
 
-def _pid(ctx: Context, full: str) -> int:
-    match = _CLIENT.match(full)
-    return int(match["pid"]) if match else ctx.client.daemon_pid
-
-
-# --- ping -------------------------------------------------------------------------------------------------------------
-
-
 def ping(ctx: Context, argv: Sequence[str]) -> None:
     """Round trips, one a second until Ctrl-C or -c."""
-    options = [
-        Option(("-a", "--all"), "everything", "all nodes, once"),
-        Option(("-c",), "count", "so many times; not with -a", "COUNT"),
-    ]
-    parser = Parser("rosnode", "rosnode ping [options] <node>", options)
-    given = parser.parse(argv)
+    parser = Parser(
+        "rosnode",
+        "rosnode ping [options] <node>",
+        option("-a --all", "all nodes, once"),
+        option("-c", "so many times; not with -a", "COUNT", dest="count"),
+    )
+    given = parser.parse(argv, most=1, extra="you may only specify one input node")
     count = parser.integer(given.count, 0, f"option -c: invalid integer value: '{given.count}'")
-    if given.everything:
-        if given.count is not None:
-            parser.error("-c may not be used with --all")
+    if given.all and given.count is not None:
+        parser.error("-c may not be used with --all")
+    if given.all:
         return _ping_all(ctx)
     if not given.words:
         known = "\n".join(ctx.names("node"))
         parser.error(f"Please enter a node to ping. Available nodes are:\n{known}")
-    if len(given.words) > 1:
-        parser.error("you may only specify one input node")
     full = resolve(ctx, given.words[0], "rosnode")
     output.write(f"rosnode: node is [{full}]")
     if full not in ctx.names("node"):
         raise Failure(f"cannot ping [{full}]: unknown node")
-    return _ping(ctx, full, count or float("inf"))
-
-
-def _ping(ctx: Context, full: str, count: float) -> None:
     times: list[float] = []
-    output.write(_start(full))
     try:
-        while len(times) < count:
+        while not count or len(times) < count:
             if times:
                 pause(ctx, _PERIOD_S)
-            times.append(_round_trip(ctx, full))
+            times.append(_ping(ctx, full, is_first=not times))
     finally:
         if len(times) > 1:
             output.write(f"ping average: {sum(times) / len(times):f}ms")
@@ -195,16 +149,13 @@ def _ping_all(ctx: Context) -> None:
     nodes = ctx.names("node")
     output.write("Will ping the following nodes: \n" + "".join(f" * {node}\n" for node in nodes) + "\n")
     for node in nodes:
-        output.write(_start(node))
-        _round_trip(ctx, node)
+        _ping(ctx, node, is_first=True)
 
 
-def _start(node: str) -> str:
-    return f"pinging {node} with a timeout of 3.0s"
-
-
-def _round_trip(ctx: Context, full: str) -> float:
+def _ping(ctx: Context, full: str, is_first: bool) -> float:
     """Milliseconds until the daemon has said that the node is there. Raises Failure when it is not any more."""
+    if is_first:
+        output.write(f"pinging {full} with a timeout of 3.0s")
     began = monotonic()
     details = ctx.call("/rosapi/node_details", {"node": full}, 3.0)
     milliseconds = (monotonic() - began) * 1000
@@ -214,15 +165,11 @@ def _round_trip(ctx: Context, full: str) -> float:
     return milliseconds
 
 
-# --- kill -------------------------------------------------------------------------------------------------------------
-
-
 def kill(ctx: Context, argv: Sequence[str]) -> None:
     """End nodes: a client by SIGINT, as Ctrl-C would; a state publisher by its parameter; others with the daemon."""
-    option = Option(("-a", "--all"), "everything", "all nodes")
-    given = Parser("rosnode", "rosnode kill [node]...", [option]).parse(argv)
+    given = Parser("rosnode", "rosnode kill [node]...", option("-a --all", "all nodes")).parse(argv)
     known = ctx.names("node")
-    if given.everything:
+    if given.all:
         chosen = known
     elif given.words:
         chosen = [resolve(ctx, word, "rosnode") for word in given.words]
@@ -272,9 +219,11 @@ def _end(ctx: Context, node: str) -> None:
     match = _CLIENT.match(node)
     if match is None and node.endswith(_STATE_PUBLISHER):
         ctx.call("/rosapi/set_param", {"name": f"{node}/enabled", "value": "false"})
-        return None
+        return
     if match is None:
-        return _end_of_simulation(ctx)
+        with suppress(NoDaemon):
+            ctx.call("/slidectl/shutdown")
+        return
     try:
         with suppress(ProcessLookupError):
             os.kill(int(match["pid"]), signal.SIGINT)
@@ -285,9 +234,18 @@ def _end(ctx: Context, node: str) -> None:
         if monotonic() > deadline:
             raise TimedOut(f"{node} is still there after {_PATIENCE_S:g} s", f"kill -KILL {match['pid']}")
         pause(ctx, _LOOK_AGAIN_S)
-    return None
 
 
-def _end_of_simulation(ctx: Context) -> None:
-    with suppress(NoDaemon):
-        ctx.call("/slidectl/shutdown")
+rosnode = Tool(
+    "rosnode",
+    "rosnode shows, tests and ends nodes.",
+    {
+        "ping": (ping, "test whether a node answers"),
+        "list": (list_nodes, "list nodes"),
+        "info": (info, "show topics, services and connections of nodes"),
+        "machine": (machine, "list the machines, or the nodes of one"),
+        "kill": (kill, "end nodes"),
+        "cleanup": (cleanup, "forget nodes that do not answer (there are none here)"),
+    },
+    help_options=("--help",),
+)

@@ -6,46 +6,21 @@ Without a verb it prints the list of them and exits 0, as rosparam does.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from slidectl import names
 from slidectl.cli import output, param
 from slidectl.cli.context import Context
-from slidectl.cli.ros.arguments import Option, Parser
-from slidectl.cli.ros.failure import Failure
-from slidectl.cli.ros.naming import resolve
-from slidectl.cli.ros.verbs import Tool, Verb
+from slidectl.cli.ros.arguments import Failure, Parser, Tool, option, resolve
 from slidectl.errors import BadFile, Refused, UsageError
 from slidectl.writing import write_whole
 
-TOOL = Tool(
-    "rosparam",
-    "rosparam gets and sets parameters.",
-    {
-        "set": Verb("rosparam:set_parameter", "set a parameter"),
-        "get": Verb("rosparam:get", "print a parameter, or all below a namespace"),
-        "load": Verb("rosparam:load", "set the parameters of a file"),
-        "dump": Verb("rosparam:dump", "write parameters to a file"),
-        "delete": Verb("rosparam:delete", "delete a parameter"),
-        "list": Verb("rosparam:list_parameters", "list parameters"),
-    },
-    without=0,
-    unknown=0,
-)
-_VERBOSE = Option(("-v",), "verbose", "say what is done")
+_VERBOSE = option("-v", "say what is done", dest="verbose")
 _INT32 = range(-(2**31), 2**31)
 _NO_NAME = "invalid arguments. Please specify a parameter name"
 _TOO_MANY = "too many arguments"
-
-
-def main(ctx: Context, argv: Sequence[str]) -> None:
-    """Run a verb."""
-    TOOL.run(ctx, argv)
-
-
-def _parser(usage: str, *options: Option) -> Parser:
-    return Parser("rosparam", f"rosparam {usage}", [*options, _VERBOSE])
 
 
 def _shown(ctx: Context, name: str) -> str:
@@ -58,20 +33,17 @@ def _full(ctx: Context, name: str) -> str:
     return "/" + "/".join(part for part in parts if part)
 
 
-# --- set --------------------------------------------------------------------------------------------------------------
-
-
 def set_parameter(ctx: Context, argv: Sequence[str]) -> None:
     """A value in YAML, or with -t and -b what a file holds."""
-    parser = _parser(
-        "set [options] parameter value",
-        Option(("-t", "--textfile"), "textfile", "the text of a file as the value", "TEXT_FILE"),
-        Option(("-b", "--binfile"), "binfile", "the bytes of a file as the value, in base64", "BINARY_FILE"),
+    parser = Parser(
+        "rosparam",
+        "rosparam set [options] parameter value",
+        option("-t --textfile", "the text of a file as the value", "TEXT_FILE"),
+        option("-b --binfile", "the bytes of a file as the value, in base64", "BINARY_FILE"),
+        _VERBOSE,
     )
-    given = parser.parse(argv)
+    given = parser.parse(argv, 1, missing=_NO_NAME)
     file = given.textfile or given.binfile
-    if not given.words:
-        parser.error(_NO_NAME)
     if len(given.words) == 1 and file is None:
         parser.error("invalid arguments. Please specify a parameter value")
     if len(given.words) > (2 if file is None else 1):
@@ -85,21 +57,26 @@ def set_parameter(ctx: Context, argv: Sequence[str]) -> None:
         output.write("\n".join(f"set parameter [{name}] to [{value}]" for name, value in chosen.items()))
 
 
-def _typed(text: str) -> Any:
+@contextmanager
+def _failures() -> Iterator[None]:
+    """What a file, a value or a controller is refused with ends rosparam with 1."""
     try:
-        return param.typed(text)
-    except UsageError as error:
-        keys = "YAML dictionaries must have string keys. Invalid dictionary is:"
-        if "is not text" in error.message:
-            raise Failure(f"ERROR: {keys}\n{_python(text)}") from None
+        yield
+    except (BadFile, UsageError, Refused) as error:
         raise Failure(f"ERROR: {error}") from None
 
 
-def _python(text: str) -> str:
-    """The value as Python writes it, which is how rosparam shows it."""
-    import yaml
+def _typed(text: str) -> Any:
+    try:
+        with _failures():
+            return param.typed(text)
+    except Failure as error:
+        if "is not text" not in error.message:
+            raise
+        import yaml
 
-    return str(yaml.safe_load(text))
+        keys = "YAML dictionaries must have string keys. Invalid dictionary is:"
+        raise Failure(f"ERROR: {keys}\n{yaml.safe_load(text)}") from None
 
 
 def _content(parser: Parser, file: str, binary: bool) -> str:
@@ -119,13 +96,11 @@ def _store(ctx: Context, content: Any, full: str) -> dict[str, Any]:
     """Set it; a mapping is merged. The names and values that were set. Raises Failure for what cannot be set."""
     from slidectl.cli.param import store
 
-    try:
+    with _failures():
         chosen = param.settings(content, full)
         for name, value in chosen.items():
             _check_integers(name, value)
         store(ctx, chosen)
-    except (UsageError, Refused) as error:
-        raise Failure(f"ERROR: {error}") from None
     return chosen
 
 
@@ -138,22 +113,12 @@ def _check_integers(name: str, value: Any) -> None:
             raise Failure(f"ERROR: parameter [{name}] cannot be {each}: integers have 32 bits; write {float(each)!r}")
 
 
-# --- get, delete, list ------------------------------------------------------------------------------------------------
-
-
-def _one_name(parser: Parser, words: Sequence[str]) -> str:
-    if not words:
-        parser.error(_NO_NAME)
-    if len(words) > 1:
-        parser.error(_TOO_MANY)
-    return words[0]
-
-
 def get(ctx: Context, argv: Sequence[str]) -> None:
     """The value as YAML."""
-    parser = _parser("get [options] parameter", Option(("-p",), "pretty", "for reading: text without quotes"))
-    given = parser.parse(argv)
-    full = _full(ctx, _one_name(parser, given.words))
+    pretty_option = option("-p", "for reading: text without quotes", dest="pretty")
+    parser = Parser("rosparam", "rosparam get [options] parameter", pretty_option, _VERBOSE)
+    given = parser.parse(argv, 1, 1, _NO_NAME, _TOO_MANY)
+    full = _full(ctx, given.words[0])
     if given.verbose:
         output.write(f"getting parameter [{_shown(ctx, given.words[0])}]")
     value = _value(ctx, full)
@@ -193,9 +158,9 @@ def _named(key: str, value: Any, indent: str) -> str:
 
 def delete(ctx: Context, argv: Sequence[str]) -> None:
     """A parameter or a namespace."""
-    parser = _parser("delete [options] parameter")
-    given = parser.parse(argv)
-    full = _full(ctx, _one_name(parser, given.words))
+    parser = Parser("rosparam", "rosparam delete [options] parameter", _VERBOSE)
+    given = parser.parse(argv, 1, 1, _NO_NAME, _TOO_MANY)
+    full = _full(ctx, given.words[0])
     if full != "/" and not ctx.call("/rosapi/has_param", {"name": full})["exists"]:
         raise Failure(f"ERROR: parameter [{full}] is not set")
     ctx.call("/rosapi/delete_param", {"name": full})
@@ -206,47 +171,32 @@ def delete(ctx: Context, argv: Sequence[str]) -> None:
 
 def list_parameters(ctx: Context, argv: Sequence[str]) -> None:
     """Names below a namespace, without the namespace itself."""
-    parser = Parser("rosparam", "rosparam list [namespace]")
-    given = parser.parse(argv)
-    (namespace,) = parser.at_most(given, 1, _TOO_MANY)
-    inside = "/" if namespace is None else _full(ctx, namespace)
+    words = Parser("rosparam", "rosparam list [namespace]").parse(argv, most=1, extra=_TOO_MANY).words
+    inside = _full(ctx, words[0]) if words else "/"
     known = ctx.names("parameter")
     output.write("\n".join(name for name in known if names.is_under(name, inside) and name != inside))
 
 
-# --- load, dump -------------------------------------------------------------------------------------------------------
-
-
 def load(ctx: Context, argv: Sequence[str]) -> None:
     """The parameters of a YAML file or of stdin, below a namespace."""
-    parser = _parser("load [options] file [namespace]")
-    given = parser.parse(argv)
-    file, namespace = parser.at_most(given, 2, _TOO_MANY)
-    if file is None:
-        parser.error("invalid arguments. Please specify a file name or - for stdin")
-    text = _text(str(file))
+    from slidectl.cli.values import text_of
+
+    parser = Parser("rosparam", "rosparam load [options] file [namespace]", _VERBOSE)
+    given = parser.parse(argv, 1, 2, "invalid arguments. Please specify a file name or - for stdin", _TOO_MANY)
+    file, namespace = (*given.words, None)[:2]
+    if file != "-" and not os.path.isfile(file):
+        raise Failure(f"ERROR: file [{file}] does not exist")
+    with _failures():
+        text = text_of(file)
     if given.verbose:
         output.write(f"reading parameters from [{file}]")
     inside = _full(ctx, namespace or "")
-    try:
-        tree = param.parameters_in(ctx, text, "stdin" if file == "-" else str(file), namespace is not None)
-    except BadFile as error:
-        raise Failure(f"ERROR: {error}") from None
+    with _failures():
+        tree = param.parameters_in(ctx, text, "stdin" if file == "-" else file, namespace is not None)
     if tree != {}:
         _store(ctx, tree, inside)
     if given.verbose:
         _show(tree, inside)
-
-
-def _text(file: str) -> str:
-    from slidectl.cli.values import text_of
-
-    if file != "-" and not os.path.isfile(file):
-        raise Failure(f"ERROR: file [{file}] does not exist")
-    try:
-        return text_of(file)
-    except BadFile as error:
-        raise Failure(f"ERROR: {error}") from None
 
 
 def _show(tree: Any, inside: str) -> None:
@@ -260,9 +210,9 @@ def _show(tree: Any, inside: str) -> None:
 
 def dump(ctx: Context, argv: Sequence[str]) -> None:
     """All parameters, or those below a namespace, into a file or to stdout."""
-    parser = _parser("dump [options] file [namespace]")
-    given = parser.parse(argv)
-    file, namespace = parser.at_most(given, 2, _TOO_MANY)
+    parser = Parser("rosparam", "rosparam dump [options] file [namespace]", _VERBOSE)
+    given = parser.parse(argv, most=2, extra=_TOO_MANY)
+    file, namespace = (*given.words, None, None)[:2]
     inside = "/" if namespace is None else _full(ctx, namespace)
     if given.verbose and file not in (None, "-"):
         output.write(f"dumping namespace [{namespace or inside}] to file [{file}]")
@@ -276,3 +226,19 @@ def dump(ctx: Context, argv: Sequence[str]) -> None:
     if given.verbose:
         _show(value, inside)
     return None
+
+
+rosparam = Tool(
+    "rosparam",
+    "rosparam gets and sets parameters.",
+    {
+        "set": (set_parameter, "set a parameter"),
+        "get": (get, "print a parameter, or all below a namespace"),
+        "load": (load, "set the parameters of a file"),
+        "dump": (dump, "write parameters to a file"),
+        "delete": (delete, "delete a parameter"),
+        "list": (list_parameters, "list parameters"),
+    },
+    without=0,
+    unknown=0,
+)

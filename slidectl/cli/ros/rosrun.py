@@ -1,139 +1,289 @@
-"""`rosrun PACKAGE EXECUTABLE`: programs of ROS that have a counterpart here, and those of the user's own packages."""
+"""`rosrun PACKAGE EXECUTABLE`: programs of ROS that have a counterpart here, and those of the user's own packages.
+
+A node is what `slidectl launch` would make of it in a launch file, until it is done or Ctrl-C: a plan with one node.
+"""
 
 from __future__ import annotations
 
 import os
+import re
 import shlex
+import signal
 import sys
-from collections.abc import Callable, Sequence
-from importlib import import_module
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from slidectl import names
 from slidectl.cli import output
 from slidectl.cli.context import Context
-from slidectl.cli.ros.failure import Failure
+from slidectl.cli.launch_run import Daemon, Terminal
+from slidectl.cli.ros.arguments import Failure, Parser, option, without_remappings
 from slidectl.cli.spawn import tell_own_packages
-from slidectl.errors import BadFile
+from slidectl.cli.values import read
+from slidectl.description.packages import Packages
+from slidectl.errors import BadFile, Refused, SlidectlError, UsageError
+from slidectl.launch.kinds import counterparts, has_counterpart, tasks
+from slidectl.launch.nodes.manager_scripts import ManagerScript, is_command
+from slidectl.launch.plan import Node, Place, Plan, Remap, Setting
+from slidectl.writing import write_whole
 
 if TYPE_CHECKING:
-    from slidectl.description.packages import Packages
+    from slidectl.client import Client
+    from slidectl.launch.world import WorldSettings
 
-_USAGE = """Usage: rosrun [--prefix cmd] [--debug] PACKAGE EXECUTABLE [ARGS]
+_USAGE = """rosrun [--prefix cmd] [--debug] PACKAGE EXECUTABLE [ARGS]
   rosrun will locate PACKAGE and try to find an executable named EXECUTABLE in it,
-  else the counterpart that slidectl has of it, and run it with the given ARGS.
-"""
+  else the counterpart that slidectl has of it, and run it with the given ARGS."""
+_NOT_A_NAME = 1
 _NO_PACKAGE = 2
 _NO_EXECUTABLE = 3
-_NOT_A_NAME = 1
-
-# (package, executable) -> `module:function` in this package, which takes the Context and the words
-_PROGRAMS = {
-    ("controller_manager", "controller_manager"): "rosrun_scripts:controller_manager",
-    ("controller_manager", "spawner"): "rosrun_scripts:spawner",
-    ("controller_manager", "unspawner"): "rosrun_scripts:unspawner",
-    ("gazebo_ros", "spawn_model"): "rosrun_scripts:spawn_model",
-    ("tf", "tf_echo"): "tf_echo:tf_echo",
-    ("tf", "tf_monitor"): "tf_monitor:tf_monitor",
-    ("tf", "view_frames"): "tf_graph:view_frames",
-    ("tf2_tools", "echo.py"): "tf_echo:echo_py",
-    ("tf2_tools", "view_frames.py"): "tf_graph:view_frames_py",
-    ("tf", "static_transform_publisher"): "rosrun_scripts:static_transform",
-    ("tf2_ros", "static_transform_publisher"): "rosrun_scripts:static_transform_tf2",
-    ("xacro", "xacro"): "rosrun_scripts:xacro",
-    ("xacro", "xacro.py"): "rosrun_scripts:xacro",
-}
+_WRONG_COUNT = 255
+_HELP = frozenset(("-h", "--help"))
+_PLACE = Place("rosrun", None)
+_ASSIGNMENT = re.compile(r"(?P<name>[A-Za-z0-9_~/]+):=(?P<value>.*)\Z", re.DOTALL)
 _TOOLS = ("rostopic", "rosservice", "rosparam", "rosnode", "rosmsg", "rossrv", "roslaunch")
+_WINDOWS = (("rviz", "rviz"), ("rqt_gui", "rqt_gui"), ("rqt_plot", "rqt_plot"))
+_STATIC_USAGE = """Puts child_frame_id into frame_id, for as long as it runs. Metres, radians:
+Usage: static_transform_publisher x y z yaw pitch roll frame_id child_frame_id{period}
+or with a quaternion:
+Usage: static_transform_publisher x y z qx qy qz qw frame_id child_frame_id{period}
+"""
+# Nodes with a usage of their own.
+_USAGES = {
+    ("controller_manager", "controller_manager"): """Usage: controller_manager <command> [name...]
+
+Commands: load, unload, start, stop, spawn (or sp: load and start), kill (or kl: stop and unload),
+          list (or lc), list-types (or lt), reload-libraries [--restore]
+""",
+    ("controller_manager", "unspawner"): """Usage: unspawner <name>...
+
+Stops the controllers as long as it runs, and starts them again at its end.
+""",
+    ("controller_manager", "spawner"): """usage: spawner [-h] [--stopped] [--wait-for TOPIC] [--namespace NS]
+               [--timeout S] [--no-timeout] controllers [controllers ...]
+
+Loads and starts controllers (their names, or YAML files), and stops and unloads them at its end.
+It waits 30 s for the controller manager, and with --wait-for until a true std_msgs/Bool comes.
+""",
+    ("gazebo_ros", "spawn_model"): """usage: spawn_model [-h] -urdf (-param NAME | -file FILE) -model NAME
+                   [-x X] [-y Y] [-z Z] [-R R] [-P P] [-Y Y] [-J JOINT POSITION]
+                   [-robot_namespace NS] [-reference_frame FRAME] [-unpause]
+                   [-wait MODEL] [-package_to_model] [-b]
+
+Puts a robot into the world: its URDF is in a parameter or a file. Metres, radians. -J may repeat;
+-wait waits for another robot; with -b it stays, and takes the robot away at its end.
+""",
+    ("tf", "static_transform_publisher"): _STATIC_USAGE.format(period=" period(milliseconds)"),
+    ("tf2_ros", "static_transform_publisher"): _STATIC_USAGE.format(period=""),
+}
+# What is neither a node nor a tool.
+_PROGRAMS = (("tf", "tf_echo"), ("tf2_tools", "echo.py"), ("xacro", "xacro"), ("xacro", "xacro.py"))
 
 
-def main(ctx: Context, argv: Sequence[str]) -> None:
-    """Run a program."""
-    words = list(argv)
-    prefix: list[str] = []
-    debug = False
-    while words and words[0].startswith("-"):
-        option = words.pop(0)
-        if option == "--prefix" and words:
-            prefix = shlex.split(words.pop(0))
-        elif option.startswith("--prefix="):
-            prefix = shlex.split(option.partition("=")[2])
-        elif option in ("--debug", "-d"):
-            debug = True
-        else:
-            words.clear()
-    if len(words) < 2:
-        return output.write(_USAGE)
-    package, executable, *arguments = words
+def rosrun(ctx: Context, argv: Sequence[str]) -> None:
+    """Run a program of ours, in this process unless there is a prefix; else one of the user's in its place."""
+    parser = Parser(
+        "rosrun",
+        _USAGE,
+        option("--prefix", "run it behind this command", "cmd"),
+        option("-d --debug", "show where it is looked for"),
+    )
+    parser.disable_interspersed_args()  # what follows PACKAGE is the program's
+    given = parser.parse(argv)
+    if len(given.words) < 2:
+        return parser.print_help()
+    package, executable, *words = given.words
+    prefix = shlex.split(given.prefix or "")
     if executable.endswith("/"):
         output.write(f"Invalid filename:  {executable}")
         raise click.exceptions.Exit(_NOT_A_NAME)
-    return _run(ctx, package, executable, arguments, prefix, debug)
+    is_tool = package == executable and package in _TOOLS
+    is_ours = is_tool or (package, executable) in _PROGRAMS or has_counterpart(package, executable)
+    if not is_ours:
+        return _execute([*prefix, str(_find(ctx, package, executable, bool(given.debug))), *words])
+    if prefix:
+        chosen = (("--instance", ctx.instance), ("--socket", ctx.socket))
+        options = [word for name, value in chosen if value for word in (name, value)]
+        command = [sys.executable, "-m", "slidectl", *options, "ros", "rosrun", package, executable]
+        return _execute([*prefix, *command, *words])
+    if is_tool:
+        from slidectl.cli.ros.command import run
+
+        return run(ctx, package, words)
+    if package == "xacro":
+        return _xacro(ctx, words)
+    if (package, executable) in _PROGRAMS:
+        from slidectl.cli.ros import tf_echo
+
+        return tf_echo.tf_echo(ctx, words) if package == "tf" else tf_echo.echo_py(ctx, words)
+    code = _code_of_usage(package, executable, without_remappings(words))
+    if code is not None:
+        output.write(_USAGES[package, executable])
+        raise click.exceptions.Exit(code)
+    return _run_node(ctx, package, executable, words)
 
 
-def _run(ctx: Context, package: str, executable: str, arguments: list[str], prefix: list[str], debug: bool) -> None:
-    """A program of ours, in this process unless there is a prefix; else one of the user's in place of this process."""
-    action = _ours(ctx, package, executable, arguments)
-    if action is not None and not prefix:
-        return action()
-    if action is not None:
-        itself = [sys.executable, "-m", "slidectl", *_options(ctx), "ros", "rosrun", package, executable]
-        return _execute([*prefix, *itself, *arguments])
-    path = _find(ctx, package, executable, debug)
-    return _execute([*prefix, str(path), *arguments])
-
-
-def _ours(ctx: Context, package: str, executable: str, arguments: list[str]) -> Callable[[], None] | None:
-    """What runs a program that has a counterpart here."""
-    place = _PROGRAMS.get((package, executable))
-    if place is not None:
-        module, _, function = place.partition(":")
-        return lambda: getattr(import_module(f"slidectl.cli.ros.{module}"), function)(ctx, arguments)
-    if package == executable and package in _TOOLS:
-        from slidectl.cli.ros import command
-
-        return lambda: command.run(ctx, package, arguments)
-    from slidectl.launch.kinds import has_counterpart
-
-    if not has_counterpart(package, executable):
+def _code_of_usage(package: str, executable: str, words: Sequence[str]) -> int | None:
+    """The exit code with which a node prints its usage; None when it runs."""
+    if (package, executable) not in _USAGES:
         return None
-    from slidectl.cli.ros import nodes
+    if executable == "controller_manager":
+        return None if words and is_command(words[0]) else int(bool(words))
+    if executable == "unspawner":
+        return None if words and words[0] not in _HELP else 1
+    if executable == "static_transform_publisher":
+        return None if len(words) in ((9, 10) if package == "tf" else (8, 9)) else _WRONG_COUNT
+    return None if _HELP.isdisjoint(words) else 0
 
-    return lambda: nodes.run(ctx, package, executable, arguments, packages())
 
-
-def packages() -> Packages:
-    """The lookup of packages, upwards from the working folder."""
-    from slidectl.description.packages import Packages
-
+def _lookup() -> Packages:
+    """Packages upwards from the working folder."""
     return Packages(start=Path.cwd())
 
 
-def _options(ctx: Context) -> list[str]:
-    """The options that pick the daemon."""
-    pairs = (("--instance", ctx.instance), ("--socket", ctx.socket))
-    return [word for option, value in pairs if value for word in (option, value)]
+# --- nodes ------------------------------------------------------------------------------------------------------------
+
+
+class _OneNode(Terminal):
+    """What the node says: its steps without the name of the one node that there is."""
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self.is_live = False
+
+    def step(self, event: str, text: str, **details: Any) -> None:
+        if event == "node":
+            output.write(text.removeprefix(f"{details['node']}: "))
+
+    def warn(self, text: str) -> None:
+        super().warn(text.removeprefix("rosrun: "))
+
+
+class _Running:
+    """The door to a daemon that runs already."""
+
+    def __init__(self, context: Context) -> None:
+        self.context = context
+
+    def begin(self, settings: WorldSettings) -> bool:  # noqa: ARG002
+        return False
+
+    def connect(self) -> tuple[Client, bool]:
+        return self.context.client, False
+
+    def stop(self) -> None:
+        """It is not ours."""
+
+
+def _plan(ctx: Context, package: str, kind: str, words: Sequence[str]) -> Plan:
+    """A plan with the one node, and its private parameters (`_name:=value`). `__name` and `__ns` name it."""
+    given = {match["name"]: match["value"] for word in words if (match := _ASSIGNMENT.match(word))}
+    namespace = given.pop("__ns", os.environ.get("ROS_NAMESPACE") or ctx.namespace)
+    node = Node(package, kind, given.pop("__name", kind.partition(".")[0]), names.join("/", namespace), _PLACE)
+    node.words = [word for word in words if not _ASSIGNMENT.match(word)]
+    node.remaps = tuple(Remap(name, value, _PLACE) for name, value in given.items() if not name.startswith("_"))
+    settings = [
+        Setting(names.join(node.full_name, name[1:]), _PLACE, f"{name}:=", partial(read, value))
+        for name, value in given.items()
+        if re.match(r"_[^_]", name)
+    ]
+    return Plan(settings=settings, nodes=[node])
+
+
+def _run_node(ctx: Context, package: str, kind: str, words: Sequence[str]) -> None:
+    """Carry the node out; returns when it is done.
+
+    Raises:
+        BadFile: its arguments make no sense. StepFailed: it could not be done. NoDaemon.
+    """
+    from slidectl.launch.interrupts import Interrupted, Interrupts
+    from slidectl.launch.session import Session
+    from slidectl.launch.task import Options, Run
+    from slidectl.launch.watch import Watch
+
+    plan, packages = _plan(ctx, package, kind, words), _lookup()
+    try:
+        made = tasks(plan, packages)
+    except SlidectlError as error:
+        raise _plain(error) from None
+    for task in made:
+        if task.family == "notice":  # a launch goes on without it; here it was all that was asked for
+            raise Refused(f"{package}/{kind} cannot be run here", task.text.removeprefix("left out: "))
+        if isinstance(task, ManagerScript):
+            task.goes_on = True  # the script goes on after a failure where a launch ends
+    # A Gazebo brings its world with it; everything else needs one that is there.
+    is_world = package == "gazebo_ros" and kind in ("gazebo", "gzserver", "debug", "perf")
+    door = Daemon(ctx, child=True, wait=False) if is_world else _Running(ctx)
+    with Interrupts() as interrupts:
+        folder = str(ctx.paths.folder / "launch")
+        session = Session(Run(plan, packages, _OneNode(ctx), Options(), Watch(), interrupts, folder), made, door)
+        try:
+            session.bring_up()
+            session.watch()
+        except Interrupted as interrupted:
+            if interrupted.number == signal.SIGINT:
+                raise KeyboardInterrupt from None
+        except SlidectlError as error:
+            raise _plain(error) from None
+        finally:
+            session.shut_down()
+
+
+def _plain(error: SlidectlError) -> SlidectlError:
+    """Without the place: there is one node, and no file that it stands in."""
+    error.message = re.sub(r"^rosrun: (node \S+ \(\S+\): |\S+: )?", "", error.message)
+    return error
+
+
+# --- programs ---------------------------------------------------------------------------------------------------------
+
+
+def _xacro(ctx: Context, argv: Sequence[str]) -> None:
+    """Print the expanded model, or write it into the file of `-o`. Raises what loading it raises; BadFile mostly."""
+    from slidectl import description
+
+    parser = Parser(
+        "xacro",
+        "rosrun xacro xacro [-o FILE] MODEL.xacro [name:=value...]",
+        option("-o", "write the URDF that the model makes into a file", "FILE", dest="file"),
+        option("-i --inorder --xacro-ns --check-order --debug -q -v", "no effect", dest="idle"),
+    )
+    given = parser.parse(argv)
+    models = [word for word in given.words if ":=" not in word]
+    if len(models) != 1:
+        raise UsageError(f"xacro takes one file, not {len(models)}", parser.get_usage().strip())
+    lookup = _lookup()
+    document = description.load(models[0], dict(word.split(":=", 1) for word in given.words if ":=" in word), lookup)
+    tell_own_packages(ctx, lookup)
+    for notice in document.report:
+        ctx.warn(str(notice))
+    if given.file is None:
+        return output.write(document.urdf)
+    try:
+        return write_whole(given.file, document.urdf)
+    except OSError as error:
+        raise Failure(f"ERROR: cannot write {given.file}: {error.strerror}") from None
 
 
 def _find(ctx: Context, package: str, executable: str, debug: bool) -> Path:
     """The user's program. Raises Failure: no such package (2), no such program in it (3)."""
     from slidectl.launch import executables
-    from slidectl.launch.plan import Node, Place
 
-    lookup = packages()
+    lookup = _lookup()
     folders = list(lookup.candidates(package))
-    here = sorted({name for known, name in _known() if known == package})
+    ours = [*_PROGRAMS, *_USAGES, *counterparts(), *((tool, tool) for tool in _TOOLS), *_WINDOWS]
+    here = sorted({name for known, name in ours if known == package})
     if not folders and not here:
-        known = sorted({name for name, _ in _known()} | set(lookup.names()))
+        known = sorted({name for name, _ in ours} | set(lookup.names()))
         raise Failure(f"[rospack] Error: package '{package}' not found\nthere are: {' '.join(known)}", _NO_PACKAGE)
     if debug:
         output.write("\n".join(["[rosrun] Looking in:", *map(str, folders)]))
-    node = Node(package, executable, executable, "/", Place("rosrun", None))
     try:
-        path = executables.find(node, lookup)
-        tell_own_packages(ctx, lookup)
-        return path
+        path = executables.find(Node(package, executable, executable, "/", _PLACE), lookup)
     except executables.NeedsRos as error:
         reason = error.reason.partition(": ")[2]
         raise Failure(f"[rosrun] {reason}\n{(error.hint or '').partition(chr(10))[0]}") from None
@@ -141,14 +291,8 @@ def _find(ctx: Context, package: str, executable: str, debug: bool) -> Path:
         output.write(f"[rosrun] Couldn't find executable named {executable} below {folders[0] if folders else package}")
         programs = f"slidectl has of {package}: {', '.join(here)}" if here else (error.hint or "").partition("\n")[0]
         raise Failure(programs or error.message, _NO_EXECUTABLE) from None
-
-
-def _known() -> list[tuple[str, str]]:
-    """Package and executable of all that has a counterpart."""
-    from slidectl.launch.kinds import counterparts
-
-    windows = [("rviz", "rviz"), ("rqt_gui", "rqt_gui"), ("rqt_plot", "rqt_plot")]
-    return [*_PROGRAMS, *counterparts(), *((tool, tool) for tool in _TOOLS), *windows]
+    tell_own_packages(ctx, lookup)
+    return path
 
 
 def _execute(command: list[str]) -> None:

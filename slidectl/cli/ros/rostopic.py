@@ -1,39 +1,32 @@
-"""`rostopic`: its verbs, and those of them that only look: list, info, type and find."""
+"""`rostopic`: its verbs. Publishing has a module of its own.
+
+A topic that nobody publishes yet is waited for by those that follow one. Rates are in simulated time, as they are in
+ROS with /use_sim_time.
+"""
 
 from __future__ import annotations
 
+import math
+import sys
 from collections.abc import Sequence
+from time import monotonic
+from typing import TYPE_CHECKING
 
-from slidectl import names
 from slidectl.cli import output
 from slidectl.cli.context import Context
-from slidectl.cli.ros.arguments import Arguments, Option, Parser
-from slidectl.cli.ros.failure import Failure
-from slidectl.cli.ros.naming import HOST, resolve, without_remappings
-from slidectl.cli.ros.verbs import Tool, Verb
-from slidectl.cli.topics import PUBLISHERS, SUBSCRIBERS, look_up, usage_of_topic, usage_of_topics, users_of
-from slidectl.errors import UnknownName
+from slidectl.cli.ros.arguments import HOST, Failure, Parser, Tool, below, option, pause, resolve, without_remappings
+from slidectl.cli.topics import PUBLISHERS, SUBSCRIBERS, Target, look_up, usage_of_topic, usage_of_topics, users_of
+from slidectl.errors import TimedOut, UnknownName
 
-TOOL = Tool(
-    "rostopic",
-    "rostopic shows topics, and publishes and measures messages.",
-    {
-        "bw": Verb("topic_rates:bw", "measure how many bytes come"),
-        "delay": Verb("topic_rates:delay", "measure how late messages come, by their headers"),
-        "echo": Verb("topic_echo:echo", "print messages"),
-        "find": Verb("rostopic:find", "list topics by type"),
-        "hz": Verb("topic_rates:hz", "measure how often messages come"),
-        "info": Verb("rostopic:info", "show who publishes and who subscribes"),
-        "list": Verb("rostopic:list_topics", "list topics"),
-        "pub": Verb("topic_pub:pub", "publish messages"),
-        "type": Verb("rostopic:type_of", "print the type of a topic or of a field"),
-    },
-)
+if TYPE_CHECKING:
+    from slidectl.cli.topic_measure import Record
+
+_LOOK_AGAIN_S = 0.1
+_LONGEST_WINDOW = 50_000
+_BW_WINDOW = 100
 
 
-def main(ctx: Context, argv: Sequence[str]) -> None:
-    """Run a verb."""
-    TOOL.run(ctx, argv)
+# --- looking ----------------------------------------------------------------------------------------------------------
 
 
 def list_topics(ctx: Context, argv: Sequence[str]) -> None:
@@ -41,46 +34,37 @@ def list_topics(ctx: Context, argv: Sequence[str]) -> None:
     parser = Parser(
         "rostopic",
         "rostopic list [/namespace]",
-        [
-            Option(("-b", "--bag"), "bag", "the topics of a bag", "BAGFILE"),
-            Option(("-v", "--verbose"), "verbose", "types, and how many use them"),
-            Option(("-p",), "published", "only those that somebody publishes"),
-            Option(("-s",), "subscribed", "only those that somebody subscribes to"),
-            Option(("--host",), "host", "below the name of the machine"),
-        ],
+        option("-b --bag", "the topics of a bag", "BAGFILE"),
+        option("-v --verbose", "types, and how many use them"),
+        option("-p", "only those that somebody publishes", dest="published"),
+        option("-s", "only those that somebody subscribes to", dest="subscribed"),
+        option("--host", "below the name of the machine"),
     )
-    given = parser.parse(without_remappings(argv))
-    (namespace,) = parser.at_most(given, 1, "you may only specify one input topic")
+    given = parser.parse(without_remappings(argv), most=1, extra="you may only specify one input topic")
+    namespace = given.words[0] if given.words else None
     if given.published and given.subscribed:
         parser.error("you may only specify one of -p, -s")
-    if namespace is not None:
-        namespace = resolve(ctx, namespace, "rostopic").rstrip("/") or "/"
     if given.bag:
         from slidectl.cli.ros import bag
 
-        return bag.list_topics(given.bag, namespace)
+        return bag.list_topics(given.bag, namespace and (resolve(ctx, namespace, "rostopic").rstrip("/") or "/"))
     types = ctx.client.topics()
-    chosen = [name for name in sorted(types) if namespace is None or names.is_under(name, namespace)]
-    users = {role: users_of(ctx, chosen, role) for role in _asked(given)}
+    chosen = below(ctx, sorted(types), namespace, "rostopic")
+    wanted = {PUBLISHERS: given.published, SUBSCRIBERS: given.subscribed}
+    roles = [role for role in wanted if wanted[role]] or (list(wanted) if given.verbose else [])
+    users = {role: users_of(ctx, chosen, role) for role in roles}
     if given.verbose:
-        shown_types = {name: types[name] for name in chosen}
-        return output.write(usage_of_topics(shown_types, users.get(PUBLISHERS), users.get(SUBSCRIBERS)))
-    shown = [name for name in chosen if all(found[name] for found in users.values())]
-    return output.write("\n".join([f"Host [{HOST}]:", *(f"  {n}" for n in shown)] if given.host else shown))
-
-
-def _asked(given: Arguments) -> list[str]:
-    """The roles that matter: that of -p or -s, for -v both."""
-    if given.published or given.subscribed:
-        return [PUBLISHERS if given.published else SUBSCRIBERS]
-    return [PUBLISHERS, SUBSCRIBERS] if given.verbose else []
+        shown = {name: types[name] for name in chosen}
+        return output.write(usage_of_topics(shown, users.get(PUBLISHERS), users.get(SUBSCRIBERS)))
+    used = [name for name in chosen if all(found[name] for found in users.values())]
+    return output.write("\n".join([f"Host [{HOST}]:", *(f"  {name}" for name in used)] if given.host else used))
 
 
 def info(ctx: Context, argv: Sequence[str]) -> None:
     """Type, publishers, subscribers."""
-    parser = Parser("rostopic", "rostopic info /topic")
     complaints = "you must specify a topic name", "you may only specify one topic name"
-    full = resolve(ctx, parser.only_word(without_remappings(argv), *complaints), "rostopic")
+    given = Parser("rostopic", "rostopic info /topic").parse(without_remappings(argv), 1, 1, *complaints)
+    full = resolve(ctx, given.words[0], "rostopic")
     kind = ctx.client.topics().get(full)
     if kind is None:
         raise Failure(f"ERROR: Unknown topic {full}")
@@ -90,28 +74,228 @@ def info(ctx: Context, argv: Sequence[str]) -> None:
 
 def type_of(ctx: Context, argv: Sequence[str]) -> None:
     """The type of a topic; for a field the topic's type, the path, and the field's type."""
-    parser = Parser("rostopic", "rostopic type [-h] topic_or_field", modern=True)
-    complaints = (
-        "rostopic type: error: the following arguments are required: topic_or_field",
-        "rostopic type: error: unrecognized arguments: {}",
-    )
-    full = resolve(ctx, parser.only_word(without_remappings(argv), *complaints), "rostopic")
-    unknown = Failure(f"unknown topic type [{full}]")
+    parser = Parser("rostopic type", "rostopic type [-h] topic_or_field", modern=True)
+    complaints = "the following arguments are required: topic_or_field", "unrecognized arguments: {}"
+    given = parser.parse(without_remappings(argv), 1, 1, *complaints)
+    full = resolve(ctx, given.words[0], "rostopic")
     try:
         found = look_up(ctx, full, None)
         if not found.field:
             return output.write(found.type)
         from slidectl.field_path import select
 
-        selected = select(found.schema.fields, found.type, found.field)
+        selected = select(found.schema.fields, found.schema.root, found.field)
     except UnknownName:
-        raise unknown from None
+        raise Failure(f"unknown topic type [{full}]") from None
     return output.write(f"{found.type} {found.field} {selected.type}{'[]' * selected.depth}")
 
 
 def find(ctx: Context, argv: Sequence[str]) -> None:
     """The topics of a type."""
-    parser = Parser("rostopic", "rostopic find msg-type")
     complaints = "please specify a message type", "you may only specify one message type"
-    kind = parser.only_word(without_remappings(argv), *complaints)
-    output.write("\n".join(ctx.call("/rosapi/topics_for_type", {"type": kind})["topics"]))
+    given = Parser("rostopic", "rostopic find msg-type").parse(without_remappings(argv), 1, 1, *complaints)
+    output.write("\n".join(ctx.call("/rosapi/topics_for_type", {"type": given.words[0]})["topics"]))
+
+
+# --- following --------------------------------------------------------------------------------------------------------
+
+
+def awaited(ctx: Context, name: str) -> Target:
+    """The topic that is meant, as soon as somebody publishes or subscribes it; a warning says that there is none yet.
+
+    Raises TimedOut after `--timeout`; without it the wait has no limit, as with rostopic.
+    """
+    full = resolve(ctx, name, "rostopic")
+    limit = ctx.wait_limit(math.inf)
+    deadline = monotonic() + limit
+    warned = False
+    while True:
+        try:
+            return look_up(ctx, full, None)
+        except UnknownName as error:
+            if not warned:
+                print(f"WARNING: topic [{full}] does not appear to be published yet", file=sys.stderr, flush=True)
+                warned = True
+            if monotonic() >= deadline:
+                raise TimedOut(f"nobody published {full} within {limit:g} s", error.hint) from None
+        output.check_reader()
+        pause(ctx, _LOOK_AGAIN_S)
+
+
+def echo(ctx: Context, argv: Sequence[str]) -> None:
+    """Print messages until -n are printed or Ctrl-C comes."""
+    from slidectl.cli.echo import Look, follow, predicate, writer
+    from slidectl.cli.topics import Stream
+    from slidectl.field_path import select
+
+    parser = Parser(
+        "rostopic",
+        "rostopic echo [options] /topic",
+        option("-b --bag", "messages of a bag", "BAGFILE"),
+        option("-p", "CSV, for plotting", dest="plot"),
+        option("-w", "characters of a number", "NUM_WIDTH", dest="width"),
+        option("--filter", "only messages for which it is true; m is the message", "EXPR", dest="condition"),
+        option("--nostr", "without the contents of strings"),
+        option("--noarr", "without the contents of arrays"),
+        option("-c --clear", "clear the screen before each message"),
+        option("-a --all", "with -b: all topics of the bag"),
+        option("-n", "end after so many messages", "COUNT", dest="count"),
+        option("--offset", "times as difference from now"),
+    )
+    given = parser.parse(without_remappings(argv), most=1, extra="you may only specify one input topic")
+    if given.all and not given.bag:
+        parser.error("Display all option is only valid when echoing from bag files")
+    if given.offset and given.bag:
+        parser.error("offset time option is not valid with bag files")
+    if not given.words and not given.all:
+        parser.error("topic must be specified")
+    count = None if given.count is None else parser.integer(given.count, 0, "COUNT must be an integer")
+    width = None if given.width is None else parser.integer(given.width, 0, "NUM_WIDTH must be an integer")
+    if width is not None and width < 2:
+        parser.error("Fixed width for numeric values must be at least 2")
+    form = "csv" if given.plot else "text"
+    look = Look(
+        form, not given.noarr, not given.nostr, width, bool(given.clear), bool(given.offset), from_bag=bool(given.bag)
+    )
+    if given.bag:
+        from slidectl.cli.ros import bag
+
+        name = None if given.all else resolve(ctx, given.words[0], "rostopic")
+        return bag.echo(ctx, given.bag, name, look, given.condition, count)
+    found = awaited(ctx, given.words[0])
+    schema = found.schema
+    write = writer(ctx, schema, select(schema.fields, schema.root, found.field), look)
+    keep = predicate(given.condition, schema)
+    needs_clock = look.offset or (look.form == "csv" and not schema.has_header)
+    if count is not None and count <= 0:
+        return None
+    with Stream(ctx, [found.topic], with_clock=needs_clock) as stream:
+        return follow(stream, keep, write, count, ctx.timeout)
+
+
+# --- measuring --------------------------------------------------------------------------------------------------------
+
+_WINDOW = option("-w --window", "how many messages to count in", "WINDOW")
+_NODELAY = option("--tcpnodelay", "no effect: there is no TCP")
+
+
+def _window(parser: Parser, text: str | None, default: int) -> int:
+    argparse_text = f"argument -w/--window: invalid int value: {text!r}"
+    window = parser.integer(text, default, argparse_text if parser.modern else "window size must be an integer")
+    return window if window > 1 else default
+
+
+def hz(ctx: Context, argv: Sequence[str]) -> None:
+    """How often messages come."""
+    from slidectl.cli.topic_measure import measure, rates
+
+    parser = Parser(
+        "rostopic",
+        "rostopic hz [options] /topic_0 [/topic_1 [topic_2 [..]]]",
+        _WINDOW,
+        option("--filter", "only count messages for which it is true; m is the message", "EXPR", dest="condition"),
+        option("--wall-time", "rates on the computer's clock, not in simulated time"),
+        _NODELAY,
+    )
+    given = parser.parse(without_remappings(argv), 1, missing="topic must be specified")
+    window = _window(parser, given.window, _LONGEST_WINDOW)
+    targets = [awaited(ctx, name) for name in given.words]
+    stream, meters = rates(ctx, targets, window, given.condition, bool(given.wall_time))
+    measure(ctx, stream, meters, _rates_text, output.write)
+
+
+def bw(ctx: Context, argv: Sequence[str]) -> None:
+    """How many bytes come, on the wall clock."""
+    from slidectl.cli.topic_measure import SizeMeter, measure, size_counter
+    from slidectl.cli.topics import Stream
+
+    parser = Parser("rostopic", "rostopic bw /topic", _WINDOW)
+    complaints = "topic must be specified", "you may only specify one input topic"
+    given = parser.parse(without_remappings(argv), 1, 1, *complaints)
+    window = _window(parser, given.window, _BW_WINDOW)
+    target = awaited(ctx, given.words[0])
+    meter = SizeMeter(target.topic, window, size_counter(target.schema), monotonic)
+    measure(ctx, Stream(ctx, [target.topic]), [meter], _sizes_text, output.write)
+
+
+def delay(ctx: Context, argv: Sequence[str]) -> None:
+    """How late messages come, in simulated time, by the stamps of their headers."""
+    from slidectl.cli.topic_measure import DelayMeter, measure
+    from slidectl.cli.topics import Stream
+
+    parser = Parser("rostopic", "rostopic delay [options] /topic", _WINDOW, _NODELAY, modern=True)
+    complaints = "the following arguments are required: topic", "unrecognized arguments: {}"
+    given = parser.parse(without_remappings(argv), 1, 1, *complaints)
+    window = _window(parser, given.window, _LONGEST_WINDOW)
+    target = awaited(ctx, given.words[0])
+    if not target.schema.has_header:
+        output.write(f"subscribed to [{target.topic}]")
+        raise Failure("[ERROR] msg does not have header")
+    stream = Stream(ctx, [target.topic], with_clock=True)
+    measure(ctx, stream, [DelayMeter(target.topic, window)], _delays_text, output.write)
+
+
+def _rates_text(records: Sequence[Record]) -> str:
+    """rostopic's lines; for several topics a row for each that has a rate, the headings centred over their columns."""
+    from slidectl.cli.topic_measure import NOTHING_NEW, seconds_line
+
+    if len(records) == 1:
+        (record,) = records
+        if not record["new"] or record["rate"] is None:
+            return NOTHING_NEW
+        return f"average rate: {record['rate']:.3f}\n{seconds_line(record, 3, 5)}"
+    header = ["topic", "rate", "min_delta", "max_delta", "std_dev", "window"]
+    rows = [
+        [r["topic"], *(f"{r[key]:.4}" for key in ("rate", "min", "max", "std_dev")), str(r["window"])]
+        for r in records
+        if r["rate"] is not None
+    ]
+    if not rows:
+        return NOTHING_NEW
+    widths = [max(map(len, column)) for column in zip(header, *rows, strict=True)]
+    lines = ["   ".join(name.center(width) for name, width in zip(header, widths, strict=True))]
+    lines.append("=" * (sum(widths) + 3 * (len(widths) - 1)))
+    lines += ["   ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
+    return "\n".join(lines) + "\n\n"
+
+
+def _sizes_text(records: Sequence[Record]) -> str:
+    """All four figures in the unit of the rate."""
+    from slidectl.cli.topic_measure import in_bytes
+
+    rate = records[0]["rate"]
+    if rate is None:
+        return ""
+    shown, mean, least, most = (in_bytes(records[0][key], rate) for key in ("rate", "mean", "min", "max"))
+    return f"average: {shown}/s\n\tmean: {mean} min: {least} max: {most} window: {records[0]['window']}"
+
+
+def _delays_text(records: Sequence[Record]) -> str:
+    from slidectl.cli.topic_measure import NOTHING_NEW, seconds_line
+
+    (record,) = records
+    return f"average delay: {record['delay']:.3f}\n{seconds_line(record, 3, 5)}" if record["new"] else NOTHING_NEW
+
+
+def pub(ctx: Context, argv: Sequence[str]) -> None:
+    """Publish messages."""
+    from slidectl.cli.ros import rostopic_pub
+
+    rostopic_pub.pub(ctx, argv)
+
+
+rostopic = Tool(
+    "rostopic",
+    "rostopic shows topics, and publishes and measures messages.",
+    {
+        "bw": (bw, "measure how many bytes come"),
+        "delay": (delay, "measure how late messages come, by their headers"),
+        "echo": (echo, "print messages"),
+        "find": (find, "list topics by type"),
+        "hz": (hz, "measure how often messages come"),
+        "info": (info, "show who publishes and who subscribes"),
+        "list": (list_topics, "list topics"),
+        "pub": (pub, "publish messages"),
+        "type": (type_of, "print the type of a topic or of a field"),
+    },
+)

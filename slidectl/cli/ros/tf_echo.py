@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from time import monotonic
 
 import click
 
 from slidectl.cli import output
 from slidectl.cli.context import Context
-from slidectl.cli.ros.arguments import Arguments, Option, Parser
-from slidectl.cli.ros.naming import without_remappings
+from slidectl.cli.ros.arguments import Parser, option, without_remappings
 from slidectl.cli.tf import Frames, Listener, View, open_stream, pose_text
 from slidectl.errors import Refused, UnknownName
 
 _WRONG = 255
-_FIRST_WAIT_S = 1.0
 _USAGE = """tf_echo source_frame target_frame [echo_rate]
 
 Prints where target_frame is in source_frame, and how it is turned there: what takes
@@ -36,15 +34,49 @@ def tf_echo(ctx: Context, argv: Sequence[str]) -> None:
     if not rate > 0:
         print("Echo rate must be > 0.0", file=sys.stderr, flush=True)
         raise click.exceptions.Exit(_WRONG)
-    with _Listening(ctx, words[0], words[1]) as frames:
-        while True:
-            try:
-                view = frames.view()
-            except (UnknownName, Refused):
-                output.write(f"Failure at {frames.now()}\nException thrown:{frames.why_not()}\n{frames.listing()}\n")
-            else:
-                output.write(f"At time {(view.time_ns or 0) / 1e9:.3f}\n{pose_text(view.pose)}")
-            frames.listen(1.0 / rate)
+    for now, view, why_not, frames in _look_ups(ctx, words[0], words[1], rate):
+        if view is not None:
+            output.write(f"At time {(view.time_ns or 0) / 1e9:.3f}\n{pose_text(view.pose)}")
+            continue
+        listing = [f"Frame {name} exists with parent {edge.parent}.\n" for name, edge in sorted(frames.edges.items())]
+        error = f"Failure at {now}\nException thrown:{why_not}\nThe current list of frames is:\n"
+        output.write(error + "".join(listing) + "\n")
+
+
+def echo_py(ctx: Context, argv: Sequence[str]) -> None:
+    """tf2_tools' `echo.py`. With a limit it ends with 1 when the last look-up failed."""
+    parser = Parser(
+        "echo.py",
+        "echo.py [-h] [-r RATE] [-c CACHE_TIME] [-o OFFSET] [-t TIME] [-l LIMIT] [-p PRECISION] "
+        "source_frame target_frame",
+        option("-r --rate", "how often, in Hz (1)", "RATE"),
+        option("-c --cache_time", "no effect: the latest transforms are looked up", "SECONDS", dest="cache"),
+        option("-o --offset", "no effect: the latest transforms are looked up", "SECONDS"),
+        option("-t --time", "no effect: the latest transforms are looked up", "SECONDS"),
+        option("-l --limit", "end after so many", "COUNT"),
+        option("-p --precision", "decimals (3)", "DIGITS"),
+        modern=True,
+    )
+    complaint = "the following arguments are required: source_frame, target_frame"
+    given = parser.parse(without_remappings(argv), 2, 2, complaint, complaint)
+    rate = 1.0 if given.rate is None else _rate(given.rate)
+    if not rate > 0:
+        parser.error("the rate must be above 0")
+    limit = math.inf if given.limit is None else parser.integer(given.limit, 0, "limit: no integer")
+    digits = parser.integer(given.precision, 3, "precision: no integer")
+    idle = [f"-{dest[0]}" for dest in ("cache", "offset", "time") if getattr(given, dest) is not None]
+    if idle:
+        ctx.warn(f"{', '.join(idle)} without effect: the latest transforms are looked up")
+    source, target = given.words
+    for count, (now, view, why_not, _) in enumerate(_look_ups(ctx, source, target, rate), start=1):
+        if view is None:
+            text = f"At time 0.0, (current time {now}) {why_not}"
+            print(f"[ERROR] [{now}]: {text}", file=sys.stderr, flush=True)
+        else:
+            times = f"At time {(view.time_ns or 0) / 1e9}, (current time {float(now)})"
+            output.write(f"{times}\n{pose_text(view.pose, digits)}")
+        if count >= limit:
+            raise click.exceptions.Exit(1 if view is None else 0)
 
 
 def _rate(text: str) -> float:
@@ -54,111 +86,37 @@ def _rate(text: str) -> float:
         return 0.0
 
 
-class _Listening:
-    """The frames as they come. `source` and `target` are tf_echo's: the pose of the target in the source."""
+def _look_ups(ctx: Context, source: str, target: str, rate: float) -> Iterator[tuple[str, View | None, str, Frames]]:
+    """The poses of the target in the source, for ever.
 
-    def __init__(self, ctx: Context, source: str, target: str) -> None:
-        self._ctx = ctx
-        self.source, self.target = source.removeprefix("/"), target.removeprefix("/")
-        self._stream, topics = open_stream(ctx)
-        self._listener = Listener(ctx, self._stream, topics)
-        self._due = 0.0
-
-    def __enter__(self) -> _Listening:
-        self._stream.__enter__()
+    Yields:
+        The simulated time in s, the pose or None, the reason when there is none, and all frames.
+    """
+    source, target = source.removeprefix("/"), target.removeprefix("/")
+    stream, topics = open_stream(ctx)
+    with stream:
+        listener = Listener(ctx, stream, topics)
         # A publisher repeats itself: what is not there after a while is not there.
-        self._listener.listen(lambda frames: frames.are_connected(self.source, self.target))
-        self._due = monotonic()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._stream.__exit__(*error)  # type: ignore[arg-type]
-
-    @property
-    def _frames(self) -> Frames:
-        return self._listener.frames
-
-    def listen(self, seconds: float) -> None:
-        """Until the next report is due."""
-        self._due += seconds
-        self._listener.until(self._due)
-
-    def view(self) -> View:
-        """Raises UnknownName, Refused."""
-        return self._frames.look_up(self.source, self.target)
-
-    def now(self) -> str:
-        """The simulated time in seconds."""
-        time = self._ctx.call("/rosapi/get_time")["time"]
-        return f"{time['secs']}.{time['nsecs']:09d}"
-
-    def why_not(self) -> str:
-        """The reason in tf's words."""
-        for name, role in ((self.source, "target_frame"), (self.target, "source_frame")):
-            if name not in self._frames.names:
-                return f'"{name}" passed to lookupTransform argument {role} does not exist. '
-        return (
-            f"Could not find a connection between '{self.source}' and '{self.target}' because they are not part of "
-            "the same tree.Tf has two or more unconnected trees."
-        )
-
-    def listing(self) -> str:
-        """All frames that have a parent."""
-        lines = [f"Frame {name} exists with parent {edge.parent}." for name, edge in sorted(self._frames.edges.items())]
-        return "\n".join(["The current list of frames is:", *lines, ""])
+        listener.listen(lambda frames: frames.are_connected(source, target))
+        due = monotonic()
+        while True:
+            time = ctx.call("/rosapi/get_time")["time"]
+            now = f"{time['secs']}.{time['nsecs']:09d}"
+            frames = listener.frames
+            try:
+                yield now, frames.look_up(source, target), "", frames
+            except (UnknownName, Refused):
+                yield now, None, _why_not(frames, source, target), frames
+            due += 1.0 / rate
+            listener.until(due)
 
 
-_PARSER = Parser(
-    "echo.py",
-    "echo.py [-h] [-r RATE] [-c CACHE_TIME] [-o OFFSET] [-t TIME] [-l LIMIT] [-p PRECISION] source_frame target_frame",
-    [
-        Option(("-r", "--rate"), "rate", "how often, in Hz (1)", "RATE"),
-        Option(("-c", "--cache_time"), "cache", "no effect: the latest transforms are looked up", "SECONDS"),
-        Option(("-o", "--offset"), "offset", "no effect: the latest transforms are looked up", "SECONDS"),
-        Option(("-t", "--time"), "time", "no effect: the latest transforms are looked up", "SECONDS"),
-        Option(("-l", "--limit"), "limit", "end after so many", "COUNT"),
-        Option(("-p", "--precision"), "precision", "decimals (3)", "DIGITS"),
-    ],
-    modern=True,
-)
-
-
-def echo_py(ctx: Context, argv: Sequence[str]) -> None:
-    """tf2_tools' `echo.py`. With a limit it ends with 1 when the last look-up failed."""
-    given = _PARSER.parse(without_remappings(argv))
-    if len(given.words) != 2:
-        _PARSER.error("echo.py: error: the following arguments are required: source_frame, target_frame")
-    rate, limit, digits = _numbers(ctx, given)
-    failed = False
-    with _Listening(ctx, *given.words) as frames:
-        while limit > 0:
-            failed = not _echo_once(frames, digits)
-            limit -= 1
-            if limit > 0:
-                frames.listen(1.0 / rate)
-    if failed:
-        raise click.exceptions.Exit(1)
-
-
-def _numbers(ctx: Context, given: Arguments) -> tuple[float, float, int]:
-    rate = 1.0 if given.rate is None else _rate(given.rate)
-    if not rate > 0:
-        _PARSER.error("echo.py: error: the rate must be above 0")
-    limit = math.inf if given.limit is None else _PARSER.integer(given.limit, 0, "echo.py: error: limit: no integer")
-    idle = [f"-{dest[0]}" for dest in ("cache", "offset", "time") if getattr(given, dest) is not None]
-    if idle:
-        ctx.warn(f"{', '.join(idle)} without effect: the latest transforms are looked up")
-    return rate, limit, _PARSER.integer(given.precision, 3, "echo.py: error: precision: no integer")
-
-
-def _echo_once(frames: _Listening, digits: int) -> bool:
-    """Print one pose on stdout, or on stderr why there is none."""
-    now = frames.now()
-    try:
-        view = frames.view()
-    except (UnknownName, Refused):
-        text = f"At time 0.0, (current time {now}) {frames.why_not()}"
-        print(f"[ERROR] [{now}]: {text}", file=sys.stderr, flush=True)
-        return False
-    output.write(f"At time {(view.time_ns or 0) / 1e9}, (current time {float(now)})\n{pose_text(view.pose, digits)}")
-    return True
+def _why_not(frames: Frames, source: str, target: str) -> str:
+    """The reason in tf's words."""
+    for name, role in ((source, "target_frame"), (target, "source_frame")):
+        if name not in frames.names:
+            return f'"{name}" passed to lookupTransform argument {role} does not exist. '
+    return (
+        f"Could not find a connection between '{source}' and '{target}' because they are not part of "
+        "the same tree.Tf has two or more unconnected trees."
+    )

@@ -1,0 +1,241 @@
+"""`rostopic pub`: its options, forms and lines, over the publication that `slidectl pub` uses.
+
+It never makes a script wait: a single message is done when the subscribers have it, with -1 and without; only -l stays.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from itertools import chain
+from optparse import Option, OptionParser
+from typing import Any
+
+from slidectl.cli import output
+from slidectl.cli.context import Context
+from slidectl.cli.pub import Publication
+from slidectl.cli.ros import genpy
+from slidectl.cli.ros.arguments import Failure, Parser, option, resolve_remapped, without_remappings
+from slidectl.cli.service import argument_names
+from slidectl.cli.topics import SUBSCRIBERS, Target, details, look_up, users_of
+from slidectl.cli.values import check_quotes
+from slidectl.errors import BadMessage, Refused, SlidectlError, UnknownName, Unused, UsageError
+
+_ONCE = "-1"
+_PAYLOAD = 2
+"""The number of the first word that is a value."""
+_DOCUMENTS_HZ = 10.0
+
+
+def _once(_option: Option, name: str, _value: None, parser: OptionParser) -> None:
+    """`-1` is an option before the values. Behind TYPE it may be a value, which only the number of fields can tell."""
+    assert parser.largs is not None
+    assert parser.values is not None
+    if name == _ONCE and len(parser.largs) >= _PAYLOAD:
+        parser.largs.append(_ONCE)
+    else:
+        parser.values.once = True
+
+
+_PARSER = Parser(
+    "rostopic",
+    "rostopic pub /topic type [args...]",
+    option("-v", "show each message", dest="verbose"),
+    option("-r --rate", "again and again, so many a second; 10 for documents of a file or of stdin", "RATE"),
+    Option("-1", "--once", dest="once", action="callback", callback=_once, help="only one message"),
+    option("-f --file", "messages from a YAML file", "FILE"),
+    option("-l --latch", "stay, with the message latched for those who subscribe later"),
+    option("-s --substitute-keywords", "with -r: 'now' and 'auto' anew in each message", dest="renew"),
+    option("--use-rostime", "no effect: stamps are always of the simulated time"),
+)
+
+
+def pub(ctx: Context, argv: Sequence[str]) -> None:
+    """Publish the values of the command line, of a file or of stdin."""
+    given = _PARSER.parse(without_remappings(argv, _PAYLOAD))
+    rate = _rate(given)
+    if len(given.words) < _PAYLOAD:
+        _PARSER.error("topic type must be specified" if given.words else "/topic must be specified")
+    topic, type_name, *words = given.words
+    if given.file is not None and words:
+        _PARSER.error("args conflict with -f setting")
+    _check_quotes(words)
+    values = [_value(word) for word in words]
+    target, nobody = _target(ctx, resolve_remapped(ctx, topic, "rostopic", argv, _PAYLOAD), type_name)
+    fields = target.typedefs[0]["fieldnames"]
+    _check_quotes(words, fields)
+    if _ONCE in words:
+        from slidectl.cli.pub import without_once
+
+        kept, marked = without_once(words, len(fields))
+        values = [_value(word) for word in kept]
+        given.once = given.once or marked
+    run = _Run(ctx, given, target, nobody)
+    if values or not fields:
+        return run.values(values, rate)
+    if given.file is None and sys.stdin.isatty():
+        _PARSER.error("Please specify message values")
+    return run.documents(rate)
+
+
+def _rate(given: Any) -> float | None:
+    if given.rate is None:
+        return None
+    if given.once:
+        _PARSER.error("You cannot select both -r and -1 (--once)")
+    try:
+        rate = float(given.rate)
+    except ValueError:
+        _PARSER.error("rate must be a number")
+    if not rate > 0:
+        _PARSER.error("rate must be greater than zero")
+    return rate
+
+
+def _check_quotes(words: Sequence[str], fields: Sequence[str] = ()) -> None:
+    try:
+        check_quotes(words, fields)
+    except UsageError as error:
+        raise Failure(f"ERROR: {error}") from None
+
+
+def _value(word: str) -> Any:
+    try:
+        return genpy.read(word)
+    except genpy.NotYaml as error:
+        _PARSER.error(f"Argument error: {error}")
+
+
+def _target(ctx: Context, topic: str, type_name: str) -> tuple[Target, SlidectlError | None]:
+    """The topic, and the error that says so when nobody subscribes to it. Raises Failure for the type."""
+    if "/" not in type_name:
+        raise Failure(f"ERROR: invalid topic type: {type_name}")
+    try:
+        target = look_up(ctx, topic, SUBSCRIBERS, with_field=False)
+    except (UnknownName, Unused) as nobody:
+        return Target(topic, type_name, "", _typedefs(ctx, type_name), []), nobody
+    if target.type != type_name:
+        _typedefs(ctx, type_name)
+        raise Failure(f"ERROR: topic types do not match: [{target.type}] vs. [{type_name}]")
+    return target, None
+
+
+def _typedefs(ctx: Context, type_name: str) -> list[dict[str, Any]]:
+    try:
+        return details(ctx, type_name)
+    except Refused:
+        package = type_name.partition("/")[0]
+        raise Failure(
+            f"ERROR: invalid message type: {type_name}.\n"
+            f"If this is a valid message type, perhaps you need to type 'rosmake {package}'"
+        ) from None
+
+
+class _Run:
+    """One `rostopic pub` with what it was given. `nobody` is the error that says that nobody subscribes."""
+
+    def __init__(self, ctx: Context, given: Any, target: Target, nobody: SlidectlError | None) -> None:
+        self._ctx = ctx
+        self._given = given
+        self._target = target
+        self._nobody = nobody
+        self._latch = given.latch and not given.once
+
+    def values(self, values: Sequence[Any], rate: float | None) -> None:
+        """Those of the command line: once, or again and again at a rate."""
+        message = self._message(values)
+        if rate is not None:
+            return self._publish(self._again(values, message, rate), rate)
+        self._announce(message, for_a_while=self._given.once)
+        if self._nobody is not None and not self._latch:
+            raise self._nobody
+        self._publish(iter([message]), None, self._latch)
+        if not self._given.once:
+            self._ctx.say(f"taken in by {', '.join(self._target.users)}; -l would keep it latched until Ctrl-C")
+        return None
+
+    def documents(self, rate: float | None) -> None:
+        """Those of a file or of stdin: one for each period, the only one of a file again and again."""
+        given = self._given
+        if rate is None and not given.latch and not given.once:
+            rate = _DOCUMENTS_HZ
+        source = self._documents()
+        first = next(source, None)
+        if first is None:
+            return None
+        stays = self._latch and rate is None
+        is_single = given.once or stays
+        second = None if is_single else next(source, None)
+        if given.file is not None and second is None and rate is not None:
+            output.write("Got one message and a rate, publishing repeatedly")
+            return self.values(first, rate)
+        every = chain([first], [] if second is None else [second], [] if is_single else source)
+        self._publish(self._announced(every, not stays), rate, stays)
+        topic = self._target.topic
+        # Somebody may have come while the documents went out.
+        if self._nobody is not None and not users_of(self._ctx, [topic], SUBSCRIBERS)[topic]:
+            raise self._nobody
+        return None
+
+    def _documents(self) -> Iterator[Sequence[Any]]:
+        """The values of each document. One of a file is one value, also when it is a list."""
+        file_name = self._given.file
+        try:
+            if file_name is None:
+                yield from genpy.documents(sys.stdin)
+                return
+            with open(file_name, encoding="utf-8") as file:
+                yield from [[document] for document in genpy.read_file(file) if document is not None]
+        except FileNotFoundError:
+            raise Failure(f"ERROR: file does not exist: {file_name}") from None
+        except (OSError, UnicodeDecodeError) as error:
+            why = error.strerror if isinstance(error, OSError) else f"it is no text: {error}"
+            raise Failure(f"ERROR: cannot read {file_name}: {why}") from None
+        except genpy.NotYaml as error:
+            what = "Invalid YAML" if file_name is None else "ERROR: invalid YAML in file"
+            raise Failure(f"{what}: {error}") from None
+
+    def _announced(self, every: Iterator[Sequence[Any]], for_a_while: bool) -> Iterator[genpy.Message]:
+        for values in every:
+            message = self._message(values)
+            self._announce(message, for_a_while)
+            yield message
+
+    def _again(self, values: Sequence[Any], message: genpy.Message, rate: float) -> Iterator[genpy.Message]:
+        """For ever; the times in it stay those of the first one without -s."""
+        if self._nobody is not None:
+            self._ctx.say(f"nobody subscribes to {self._target.topic} yet; publishing at {rate:g} Hz")
+        while True:
+            if self._given.verbose:
+                output.write(f"publishing {genpy.as_yaml(self._target.typedefs, message)}")
+            yield message
+            if self._given.renew:
+                message = self._message(values)
+
+    def _publish(self, messages: Iterator[genpy.Message], rate: float | None, stays: bool = False) -> None:
+        advertise = self._latch or self._nobody is not None
+        with Publication(self._ctx, self._target, rate, latch=self._latch, advertise=advertise) as run:
+            run.publish([message] for message in messages)
+            if stays:
+                run.hold()
+
+    def _announce(self, message: genpy.Message, for_a_while: bool) -> None:
+        what = f"[{genpy.as_yaml(self._target.typedefs, message)}]" if self._given.verbose else "message"
+        end = " for 3.0 seconds" if for_a_while else ". Press ctrl-C to terminate"
+        output.write(f"publishing and latching {what}{end}")
+
+    def _message(self, values: Sequence[Any]) -> genpy.Message:
+        typedefs = self._target.typedefs
+        try:
+            return genpy.filled(self._ctx, typedefs, values)
+        except genpy.Misfit as error:
+            raise Failure(f"ERROR: {error}\n\nArgs are: [{' '.join(argument_names(typedefs))}]") from None
+        except genpy.WrongType as error:
+            from slidectl import msgs
+
+            raise Failure(
+                "ERROR: Unable to publish message. One of the fields has an incorrect type:\n"
+                f"  {error}\n\nmsg file:\n{msgs.definition(self._target.type).strip()}"
+            ) from None
+        except BadMessage as error:
+            raise Failure(f"ERROR: {error}") from None
