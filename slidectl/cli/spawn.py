@@ -145,11 +145,12 @@ def in_package(
     if file is None:
         return model, arguments
     from slidectl.description import models
+    from slidectl.description.packages import shown
     from slidectl.launch import files
 
     if model == "-" or models.looks_like_path(model) or model in models.shipped():
         raise UsageError(f"{file!r} is not KEY:=VALUE", f"slidectl {command} --help shows the order of arguments")
-    return files.shown(files.find_in_package(model, file, packages)), arguments
+    return shown(files.find_in_package(model, file, packages)), arguments
 
 
 def _document(

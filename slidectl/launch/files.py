@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from slidectl import paths
 from slidectl.description.models import read_file
-from slidectl.description.packages import Packages, UnknownPackage, is_file
+from slidectl.description.packages import Packages, UnknownPackage, is_file, shown
 from slidectl.description.xml_tree import MOST_BYTES
 from slidectl.errors import BadFile, NotThere, UnknownName, UsageError, listing
 
@@ -25,7 +25,7 @@ SUFFIX = ".launch"
 
 
 @dataclass(frozen=True)
-class Source:
+class LaunchFile:
     """The raw text of a launch file; `shown` is its name in messages."""
 
     path: Path
@@ -33,22 +33,11 @@ class Source:
     shown: str
 
 
-def shown(path: str | Path) -> str:
-    """A file's name in messages: relative when it lies below the working folder."""
-    absolute = os.path.abspath(path)
-    try:
-        here = os.getcwd()
-    except OSError:  # the working folder was deleted
-        return absolute
-    inside = absolute.startswith(here.rstrip("/") + "/")
-    return os.path.relpath(absolute, here) if inside else absolute
-
-
-def read(path: str, tag: Tag) -> Source:
+def included(path: str, tag: Tag) -> LaunchFile:
     """An included file; a relative path is one from the working folder."""
     found = Path(os.path.abspath(path))
     try:
-        return Source(found, read_file(found), shown(found))
+        return LaunchFile(found, read_file(found), shown(found))
     except NotThere as error:
         beside = is_file(tag.scope.file.parent / path)
         hint = f'there is one beside this file: file="$(dirname)/{path}"' if beside else None
@@ -57,12 +46,7 @@ def read(path: str, tag: Tag) -> Source:
         raise tag.error(f"{path}: {error.reason}") from None
 
 
-def from_stdin() -> Source:
-    """What `-` means."""
-    return Source(Path.cwd() / "<stdin>", sys.stdin.buffer.read(MOST_BYTES + 1), "<stdin>")
-
-
-def find(words: Sequence[str], packages: Packages) -> list[Source]:
+def find(words: Sequence[str], packages: Packages) -> list[LaunchFile]:
     """The launch files that the words of a command line mean.
 
     Raises:
@@ -91,24 +75,28 @@ def find_in_package(package: str, file: str, packages: Packages) -> Path:
     if path is not None:
         return path
     folder = packages.find(package)
-    alike = [found.name for found in _below(folder) if found.suffix == Path(file).suffix]
+    alike = [found.name for found in below(folder) if found.suffix == Path(file).suffix]
     raise UnknownName("file", file, sorted(set(alike)), f"in the package {package} ({shown(folder)})")
 
 
-def _given(word: str, packages: Packages) -> Source:
-    return from_stdin() if word == "-" else _source(_single(word, packages))
+def _given(word: str, packages: Packages) -> LaunchFile:
+    if word == "-":
+        return LaunchFile(Path.cwd() / "<stdin>", sys.stdin.buffer.read(MOST_BYTES + 1), "<stdin>")
+    return _source(_single(word, packages))
 
 
-def _source(path: Path) -> Source:
+def _source(path: Path) -> LaunchFile:
+    """Only of a shell's `<(...)` a pipe is read: it has its writer, and the open does not wait for one."""
     absolute = Path(os.path.abspath(path))
-    return Source(absolute, read_file(absolute, pipes=True), shown(absolute))
+    is_the_shells = absolute.parent in (Path("/dev/fd"), Path("/proc/self/fd"))
+    return LaunchFile(absolute, read_file(absolute, pipes=is_the_shells), shown(absolute))
 
 
 def _in_package(package: str, file: str, packages: Packages) -> Path | None:
     """The file in the package, wherever in it; None when there is no such package or file."""
     for folder in packages.candidates(package) if "/" not in package else ():
         directs = (folder / file, folder / "launch" / file) if "/" in file else ()
-        found = [path for path in directs if is_file(path)][:1] or [p for p in _below(folder) if p.name == file]
+        found = [path for path in directs if is_file(path)][:1] or [p for p in below(folder) if p.name == file]
         if len(found) > 1:
             places = ", ".join(str(path.relative_to(folder)) for path in found)
             raise UsageError(f"package {package} has several {file}: {places}", "give the path inside the package")
@@ -137,13 +125,13 @@ def _which_of(package: str, packages: Packages) -> UsageError:
 
 
 def _launch_files(folder: Path) -> list[str]:
-    return sorted(path.name for path in _below(folder) if path.suffix == SUFFIX)
+    return sorted(path.name for path in below(folder) if path.suffix == SUFFIX)
 
 
 def _single(word: str, packages: Packages) -> Path:
     """A file, else a shipped launch file by its name, else the only one of a shipped package."""
     path = Path(os.path.expanduser(word))
-    if is_file(path) or _is_pipe(path):
+    if is_file(path) or _is_fifo(path):
         return path
     known = shipped()
     if word in known:
@@ -158,8 +146,7 @@ def _single(word: str, packages: Packages) -> Path:
     raise UnknownName("shipped launch file", word, sorted(known), "(and no file of that name here)")
 
 
-def _is_pipe(path: Path) -> bool:
-    """What a shell makes of `<(xacro robot.launch.xacro)`."""
+def _is_fifo(path: Path) -> bool:
     try:
         return path.is_fifo()
     except (OSError, ValueError):
@@ -178,8 +165,8 @@ def shipped() -> dict[str, Path]:
     return found
 
 
-def _below(folder: Path) -> list[Path]:
-    """All files in a package, without those of folders that begin with a dot."""
+def below(folder: Path) -> list[Path]:
+    """All files in a folder, without those of folders that begin with a dot."""
     found = []
     for here, folders, files in os.walk(folder, followlinks=True):
         folders[:] = sorted(name for name in folders if not name.startswith("."))

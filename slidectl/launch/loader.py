@@ -1,28 +1,40 @@
 """Launch files into a plan: each tag in the order of the file, depth first, as roslaunch reads them.
 
-The tags that make up the file's shape are here; parameters and nodes have modules of their own. Nothing is started
-and nothing but files is read.
+Parameters are py's affair, and what a node does when it runs that of nodes/. Nothing is started and
+nothing but files is read.
 """
 
 from __future__ import annotations
 
+import math
+import os
+import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
+from slidectl import names
 from slidectl.description import xml_tree
 from slidectl.description.missing import Missing
 from slidectl.description.packages import Packages
-from slidectl.errors import BadFile, NotThere, UnknownName, UsageError
-from slidectl.launch import node_tags, parameter_tags
-from slidectl.launch.files import Source, read
-from slidectl.launch.plan import Argument, Plan
-from slidectl.launch.protected import plain
-from slidectl.launch.scope import Launch, Parse, Scope, missing_argument
-from slidectl.launch.tag import Tag
+from slidectl.errors import BadFile, NotThere, UnknownName, UsageError, closest
+from slidectl.launch.files import LaunchFile, included
+from slidectl.launch.parameter_tags import param, rosparam
+from slidectl.launch.plan import Argument, LaunchPlan, Node, Remap
+from slidectl.launch.substitution import absent_packages, plain
+from slidectl.launch.tag import Launch, Parse, Scope, Tag
+
+NODE_ATTRIBUTES = (
+    "pkg", "type", "name", "args", "ns", "output", "respawn", "respawn_delay", "required", "cwd", "launch-prefix",
+    "machine", "clear_params",
+)  # fmt: skip
+NOT_FOR_TESTS = ("output", "respawn", "respawn_delay")
+HERE = ("localhost", "127.0.0.1", "::1")
+ALL_HERE = "leave it out: all nodes run on this one"
 
 
 def load(
-    sources: Sequence[Source],
+    sources: Sequence[LaunchFile],
     arguments: Mapping[str, str],
     packages: Packages | None = None,
     *,
@@ -31,7 +43,7 @@ def load(
     namespace: str = "/",
     parse: Parse = xml_tree.read,
     missing: Missing | None = None,
-) -> Plan:
+) -> LaunchPlan:
     """The plan of one or several launch files.
 
     Args:
@@ -45,7 +57,7 @@ def load(
     Raises:
         BadFile: with file and line. UsageError: an argument that no file declares.
     """
-    plan = Plan(missing=Missing() if missing is None else missing)
+    plan = LaunchPlan(missing=Missing() if missing is None else missing)
     places = (packages or Packages()).starting_at(Path.cwd())
     launch = Launch(places, run_commands=run_commands, parse=parse, plan=plan)
     declared: set[str] = set()
@@ -70,7 +82,7 @@ def load(
     return plan
 
 
-def _root(source: Source, scope: Scope) -> Tag:
+def _root(source: LaunchFile, scope: Scope) -> Tag:
     element = scope.launch.parse(source.text, source.shown)
     tag = Tag(element, scope)
     if element.tag != "launch":
@@ -81,25 +93,26 @@ def _root(source: Source, scope: Scope) -> Tag:
     return tag
 
 
-def _read(source: Source, scope: Scope) -> None:
+def _read(source: LaunchFile, scope: Scope) -> None:
     scope.launch.plan.files.append(str(source.path))
     root = _root(source, scope)
     root.knows(["deprecated"], conditions=False)
     if (reason := root.element.get("deprecated")) is not None:
         root.notice("wrong", f"is deprecated: {reason}")
-    _contents(root)
+    _contents(root, _TAGS)
 
 
-def _contents(parent: Tag) -> None:
-    for tag in parent.children(_TAGS):
+def _contents(parent: Tag, known: Mapping[str, Callable[[Tag], None]], whose: str = "") -> None:
+    """Read the tags inside. What needs a thing that is not there is left out, and noted."""
+    for tag in parent.children(known):
         try:
             if tag.applies:
-                _TAGS[tag.name](tag)
+                known[tag.name](tag)
         except NotThere as error:
-            tag.plan.missing.note(error, f"the <{tag.name}> is left out")
+            tag.plan.missing.note(error, f"the <{tag.name}>{whose} is left out")
 
 
-# --- arguments ------------------------------------------------------------------------------------------------------
+# --- arguments -------------------------------------------------------------------------------------------------------
 
 
 def _arg(tag: Tag) -> None:
@@ -119,8 +132,18 @@ def _arg(tag: Tag) -> None:
             )
         value = scope.arguments.get(name, default)
     if value is None:
-        raise missing_argument(scope, name, tag)
+        raise _missing_argument(scope, name, tag)
     scope.arguments[name] = value
+
+
+def _missing_argument(scope: Scope, name: str, tag: Tag) -> BadFile:
+    """The error of a required argument that nobody gave."""
+    if scope.trail:
+        hint = f'give it at the include: <arg name="{name}" value="..."/>'
+        return tag.error(f"the included file requires the argument {name!r}", hint)
+    near = closest(name, [given for given in scope.given if given not in scope.declared])
+    slip = f"; was {near}:={scope.given[near]} meant to be that?" if near else ""
+    return tag.error(f"the argument {name!r} is required", f"give {name}:=VALUE{slip}")
 
 
 def _value_or_default(tag: Tag) -> tuple[str | None, str | None]:
@@ -131,7 +154,7 @@ def _value_or_default(tag: Tag) -> tuple[str | None, str | None]:
     return tag.raw("value", hands_on=True), tag.raw("default", hands_on=True)
 
 
-def _read_arguments(source: Source, scope: Scope) -> None:
+def _read_arguments(source: LaunchFile, scope: Scope) -> None:
     """Only the args of the file, in groups too, but for those whose own condition is known to be false."""
     scope.launch.plan.files.append(str(source.path))
     root = _root(source, scope)
@@ -175,7 +198,7 @@ def _as_far_as_known(tag: Tag, attribute: str) -> str | None:
 def _group(tag: Tag) -> None:
     tag.knows(["ns", "clear_params"])
     _clear(tag, tag.namespace())
-    _contents(Tag(tag.element, tag.scope.group(tag.namespace())))
+    _contents(Tag(tag.element, tag.scope.group(tag.namespace())), _TAGS)
 
 
 def _clear(tag: Tag, namespace: str) -> None:
@@ -200,10 +223,13 @@ def _include(tag: Tag) -> None:
             if name in own and not lenient:
                 raise child.error(f"the argument {name!r} is given twice")
             own[name] = child
-            value, default = _passed(child)
+            child.knows(["name", "value", "default", "doc"])
+            value, default = _value_or_default(child)
+            if value is None and default is None:
+                raise child.error("the attribute 'value' is missing")
             if value is not None or name not in given:
                 given[name] = str(default if value is None else value)
-    source = read(tag.required("file"), tag)
+    source = included(tag.required("file"), tag)
     _clear(tag, tag.namespace())
     scope = inner.including(source.path, tag, given, lenient)
     _read(source, scope)
@@ -213,31 +239,160 @@ def _include(tag: Tag) -> None:
             raise child.error(error.message, error.hint)
 
 
-def _passed(child: Tag) -> tuple[str | None, str | None]:
-    """Value and default of an arg in an include: a default does not count where all args are passed on, with this one.
-
-    Raises:
-        BadFile: it has neither.
-    """
-    child.knows(["name", "value", "default", "doc"])
-    value, default = _value_or_default(child)
-    if value is None and default is None:
-        raise child.error("the attribute 'value' is missing")
-    return value, default
-
-
 # --- what applies to later nodes -------------------------------------------------------------------------------------
 
 
 def _env(tag: Tag) -> None:
-    tag.scope.environment = (*tag.scope.environment, node_tags.environment_of(tag))
+    tag.knows(["name", "value"])
+    value = tag.get("value")
+    if value is None:
+        raise tag.error("the attribute 'value' is missing")
+    name = tag.required("name")
+    if "=" in name or "\0" in name + value:
+        raise tag.error(f"{name!r} cannot be the name of an environment variable")
+    tag.scope.environment = (*tag.scope.environment, (name, value))
 
 
 def _remap(tag: Tag) -> None:
-    tag.scope.remaps = node_tags.with_remap(tag.scope.remaps, tag)
+    """Of several for one name the last counts."""
+    tag.knows(["from", "to"])
+    source, target = (_remapped(tag, attribute) for attribute in ("from", "to"))
+    others = (remap for remap in tag.scope.remaps if remap.source != source)
+    tag.scope.remaps = (*others, Remap(source, target, tag.place))
+
+
+def _remapped(tag: Tag, attribute: str) -> str:
+    name = tag.required(attribute)
+    if not names.is_legal(re.sub("//+", "/", name).rstrip("/") or "/"):
+        raise tag.error(f"{attribute}: {name!r} is not a legal name", "names are letters, digits, '_' and '/'")
+    return name
+
+
+# --- nodes -----------------------------------------------------------------------------------------------------------
+
+
+def _node_tag(tag: Tag) -> None:
+    """Add the node to the plan, and its parameters."""
+    tag.knows(NODE_ATTRIBUTES)
+    made = _node(tag)
+    for other in tag.plan.nodes:
+        if other.full_name == made.full_name:
+            hint = "give one of them another name, or $(anon NAME)"
+            raise tag.error(f"there is a node {made.full_name} already, at {other.place}", hint)
+    inner = _filled(tag, made.namespace, made.full_name)
+    made.remaps, made.environment = inner.remaps, inner.environment
+    tag.plan.nodes.append(made)
+
+
+def _test(tag: Tag) -> None:
+    """`<test>` is for rostest and starts nothing; its parameters are set all the same, as roslaunch does it."""
+    tag.knows([*(name for name in NODE_ATTRIBUTES if name not in NOT_FOR_TESTS), "test-name", "time-limit", "retry"])
+    tag.notice("ignored", "is for rostest: it is not run, its parameters are set, as roslaunch does")
+    for attribute in NOT_FOR_TESTS:
+        if tag.element.get(attribute) is not None:
+            raise tag.error(f"a test has no {attribute!r}")
+    for attribute in ("pkg", "type", "test-name"):
+        tag.required(attribute)
+    if not _fits(tag.get("time-limit"), float, least=1e-9) or not _fits(tag.get("retry"), int):
+        raise tag.error("time-limit is a number of seconds, retry a whole number")
+    namespace = tag.namespace()
+    _filled(tag, namespace, names.join(namespace, _name(tag, tag.get("name") or tag.required("test-name"))))
+
+
+def _fits(text: str | None, kind: type[float], least: float = -math.inf) -> bool:
+    try:
+        return not text or kind(text) >= least
+    except ValueError:
+        return False
+
+
+def _filled(tag: Tag, namespace: str, full_name: str) -> Scope:
+    """What a node has inside: its parameters go into the plan; remaps and environment are those of the scope.
+
+    Of one name a `<param>` counts, wherever it stands, then one of the surroundings with `~`, then a `<rosparam>`.
+    """
+    inner = tag.scope.group(namespace)
+    if tag.clears:
+        tag.plan.clear.append((full_name, tag.place))
+    settings = tag.plan.settings
+    before = len(settings)
+    known = {
+        "param": lambda child: param(child, full_name),
+        "rosparam": lambda child: rosparam(child, full_name),
+        "remap": _remap,
+        "env": _env,
+    }
+    _contents(Tag(tag.element, inner), known, f" of {full_name}")
+    own = settings[before:]
+    settings[before:] = [
+        *(setting for setting in own if not setting.is_whole),
+        *(replace(setting, name=tag.within(full_name, setting.name)) for setting in tag.scope.private),
+        *(setting for setting in own if setting.is_whole),
+    ]
+    return inner
+
+
+def _name(tag: Tag, name: str) -> str:
+    if "/" in name:
+        raise tag.error(f"the name {name!r} of a node cannot hold a namespace", "use ns=")
+    if not names.is_legal(name) or name.startswith("~"):
+        raise tag.error(f"{name!r} cannot be the name of a node", "names are letters, digits and '_', a letter first")
+    return name
+
+
+def _node(tag: Tag) -> Node:
+    name = _name(tag, tag.required("name"))
+    if (chosen := tag.get("machine")) and chosen not in (*HERE, *tag.scope.launch.machines):
+        raise tag.error(f"there is no machine {chosen!r}", ALL_HERE)
+    words = tag.words("args", hands_on=True)
+    absent = {package: tag.absence_of(package) for word in words for package in absent_packages(word)}
+    respawn, required = tag.flag("respawn"), tag.flag("required")
+    if respawn and required:
+        raise tag.error("respawn and required exclude each other")
+    return Node(
+        package=tag.required("pkg"),
+        type=tag.required("type"),
+        name=name,
+        namespace=tag.namespace(),
+        place=tag.place,
+        words=[word for word in words if not absent_packages(word)],
+        output=_one_of(tag, "output", "log", "screen"),
+        respawn=respawn,
+        respawn_delay_s=_seconds(tag, "respawn_delay"),
+        required=required,
+        cwd=_one_of(tag, "cwd", "node", "ROS_HOME", "ros_home"),
+        launch_prefix=tag.words("launch-prefix"),
+        file=str(tag.scope.file),
+        absent=tuple(absent.values()),
+    )
+
+
+def _seconds(tag: Tag, attribute: str) -> float:
+    text = tag.get(attribute)
+    value = float(text or 0.0) if _fits(text, float, least=0.0) else math.inf
+    if text == "" or value >= 1e9:
+        raise tag.error(f"{attribute} is a number of seconds, 0 or more, not {text!r}")
+    return value
+
+
+def _one_of(tag: Tag, attribute: str, *known: str) -> str | None:
+    value = tag.get(attribute)
+    if value is not None and value not in known:
+        raise tag.error(f"{attribute} is one of {', '.join(known)}, not {value!r}")
+    return value
 
 
 # --- what has no effect ----------------------------------------------------------------------------------------------
+
+
+def _machine(tag: Tag) -> None:
+    """`<machine>`: one that is this machine is known by its name; others cannot be reached."""
+    tag.knows(["name", "address", "env-loader", "user", "password", "ssh-port", "timeout", "default"])
+    name, address = tag.required("name"), tag.required("address")
+    if address not in HERE and address != os.uname().nodename:
+        raise tag.error(f"there are no other machines here (name={name!r}, address={address!r})", ALL_HERE)
+    tag.scope.launch.machines.add(name)
+    tag.notice("ignored", "is this machine, where all nodes run")
 
 
 def _master(tag: Tag) -> None:
@@ -246,14 +401,14 @@ def _master(tag: Tag) -> None:
 
 _TAGS: dict[str, Callable[[Tag], None]] = {
     "arg": _arg,
-    "param": parameter_tags.param,
-    "rosparam": parameter_tags.rosparam,
+    "param": param,
+    "rosparam": rosparam,
     "include": _include,
     "group": _group,
-    "node": node_tags.node,
+    "node": _node_tag,
     "remap": _remap,
     "env": _env,
-    "test": node_tags.test,
-    "machine": node_tags.machine,
+    "test": _test,
+    "machine": _machine,
     "master": _master,
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -102,6 +103,13 @@ def test_a_dash_is_standard_input(workspace: Workspace, monkeypatch: pytest.Monk
     assert source.text == text
 
 
+def test_a_fifo_is_refused_instead_of_waited_for(workspace: Workspace) -> None:
+    path = workspace.package / "pipe.launch"
+    os.mkfifo(path)
+    with pytest.raises(BadFile, match="pipe.launch: is a pipe, and only regular files are read"):
+        found(workspace, str(path))
+
+
 @pytest.mark.parametrize("name", AWKWARD)
 def test_a_path_of_any_letters_stays_one_word_through_arguments_includes_and_commands(
     tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
@@ -163,11 +171,11 @@ def test_meshes_are_found_in_packages_the_same_way(workspace: Workspace) -> None
 
 
 def test_every_shipped_launch_file_makes_a_plan_without_a_complaint() -> None:
-    from slidectl.launch import kinds, loader
+    from slidectl.launch import loader, node_kinds
 
     for path in set(files.shipped().values()):
         plan = loader.load(files.find([str(path)], Packages()), {}, Packages())
-        kinds.tasks(plan, Packages())
+        node_kinds.tasks(plan, Packages())
         plan.parameters()
         assert [notice for notice in plan.notices if notice.verdict == "wrong"] == []
 

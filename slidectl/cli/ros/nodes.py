@@ -21,10 +21,10 @@ from slidectl.errors import Refused, SlidectlError
 if TYPE_CHECKING:
     from slidectl.client import Client
     from slidectl.description.packages import Packages
-    from slidectl.launch.plan import Node, Plan
-    from slidectl.launch.session import Door
+    from slidectl.launch.execution import Door
+    from slidectl.launch.nodes.gazebo import WorldSettings
+    from slidectl.launch.plan import LaunchPlan, Node
     from slidectl.launch.task import Task
-    from slidectl.launch.world import WorldSettings
 
 _ASSIGNMENT = re.compile(r"(?P<name>[A-Za-z0-9_~/]+):=(?P<value>.*)\Z", re.DOTALL)
 _WORLDS = ("gazebo", "gzserver", "debug", "perf")
@@ -74,11 +74,11 @@ class Running:
         """It is not ours."""
 
 
-def plan_of(ctx: Context, package: str, kind: str, words: Sequence[str]) -> tuple[Plan, Node]:
+def plan_of(ctx: Context, package: str, kind: str, words: Sequence[str]) -> tuple[LaunchPlan, Node]:
     """A plan with the one node, and its private parameters (`_name:=value`). `__name` and `__ns` name it."""
-    from slidectl.launch.plan import Node, Place, Plan, Remap, Setting
+    from slidectl.launch.plan import LaunchPlan, Location, Node, Remap, Setting
 
-    place = Place("rosrun", None)
+    place = Location("rosrun", None)
     given = {match["name"]: match["value"] for word in words if (match := _ASSIGNMENT.match(word))}
     namespace = given.pop("__ns", os.environ.get("ROS_NAMESPACE") or ctx.namespace)
     node = Node(package, kind, given.pop("__name", kind.partition(".")[0]), names.join("/", namespace), place)
@@ -89,7 +89,7 @@ def plan_of(ctx: Context, package: str, kind: str, words: Sequence[str]) -> tupl
         Setting(names.join(node.full_name, name[1:]), place, f"{name}:=", partial(read, value))
         for name, value in parameters.items()
     ]
-    return Plan(settings=settings, nodes=[node]), node
+    return LaunchPlan(settings=settings, nodes=[node]), node
 
 
 def run(ctx: Context, package: str, kind: str, words: Sequence[str], packages: Packages) -> None:
@@ -98,11 +98,10 @@ def run(ctx: Context, package: str, kind: str, words: Sequence[str], packages: P
     Raises:
         BadFile: its arguments make no sense. StepFailed: it could not be done. NoDaemon.
     """
-    from slidectl.launch.interrupts import Interrupted, Interrupts
-    from slidectl.launch.kinds import tasks
-    from slidectl.launch.session import Session
+    from slidectl.launch.execution import Execution
+    from slidectl.launch.node_kinds import tasks
+    from slidectl.launch.supervision import Interrupted, Interrupts
     from slidectl.launch.task import Options, Run
-    from slidectl.launch.watch import Watch
 
     plan, _ = plan_of(ctx, package, kind, words)
     try:
@@ -115,8 +114,8 @@ def run(ctx: Context, package: str, kind: str, words: Sequence[str], packages: P
     _adapt(made)
     with Interrupts() as interrupts:
         folder = str(ctx.paths.folder / "launch")
-        session = Session(
-            Run(plan, packages, Speech(ctx), Options(), Watch(), interrupts, folder), made, _door(ctx, package, kind)
+        session = Execution(
+            Run(plan, packages, Speech(ctx), Options(), interrupts, folder), made, _door(ctx, package, kind)
         )
         try:
             session.bring_up()
@@ -132,7 +131,7 @@ def run(ctx: Context, package: str, kind: str, words: Sequence[str], packages: P
 
 def _adapt(made: Sequence[Task]) -> None:
     """The script goes on after a failure where a launch ends."""
-    from slidectl.launch.nodes.manager_scripts import ManagerScript
+    from slidectl.launch.nodes.controller_nodes import ManagerScript
 
     for task in made:
         if isinstance(task, ManagerScript):
@@ -142,9 +141,9 @@ def _adapt(made: Sequence[Task]) -> None:
 def _door(ctx: Context, package: str, kind: str) -> Door:
     """A Gazebo brings its world with it; everything else needs one that is there."""
     if package == "gazebo_ros" and kind in _WORLDS:
-        from slidectl.cli.launch_run import Daemon
+        from slidectl.cli.launch import DaemonDoor
 
-        return Daemon(ctx, child=True, wait=False)
+        return DaemonDoor(ctx, child=True, wait=False)
     return Running(ctx)
 
 

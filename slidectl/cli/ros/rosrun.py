@@ -94,7 +94,7 @@ def _ours(ctx: Context, package: str, executable: str, arguments: list[str]) -> 
         from slidectl.cli.ros import command
 
         return lambda: command.run(ctx, package, arguments)
-    from slidectl.launch.kinds import has_counterpart
+    from slidectl.launch.node_kinds import has_counterpart
 
     if not has_counterpart(package, executable):
         return None
@@ -118,8 +118,8 @@ def _options(ctx: Context) -> list[str]:
 
 def _find(ctx: Context, package: str, executable: str, debug: bool) -> Path:
     """The user's program. Raises Failure: no such package (2), no such program in it (3)."""
-    from slidectl.launch import executables
-    from slidectl.launch.plan import Node, Place
+    from slidectl.launch import node_kinds
+    from slidectl.launch.plan import Location, Node
 
     lookup = packages()
     folders = list(lookup.candidates(package))
@@ -129,12 +129,12 @@ def _find(ctx: Context, package: str, executable: str, debug: bool) -> Path:
         raise Failure(f"[rospack] Error: package '{package}' not found\nthere are: {' '.join(known)}", _NO_PACKAGE)
     if debug:
         output.write("\n".join(["[rosrun] Looking in:", *map(str, folders)]))
-    node = Node(package, executable, executable, "/", Place("rosrun", None))
+    node = Node(package, executable, executable, "/", Location("rosrun", None))
     try:
-        path = executables.find(node, lookup)
+        path = node_kinds.find(node, lookup)
         tell_own_packages(ctx, lookup)
         return path
-    except executables.NeedsRos as error:
+    except node_kinds.NeedsRos as error:
         reason = error.reason.partition(": ")[2]
         raise Failure(f"[rosrun] {reason}\n{(error.hint or '').partition(chr(10))[0]}") from None
     except BadFile as error:
@@ -145,10 +145,10 @@ def _find(ctx: Context, package: str, executable: str, debug: bool) -> Path:
 
 def _known() -> list[tuple[str, str]]:
     """Package and executable of all that has a counterpart."""
-    from slidectl.launch.kinds import counterparts
+    from slidectl.launch.node_kinds import COUNTERPARTS
 
     windows = [("rviz", "rviz"), ("rqt_gui", "rqt_gui"), ("rqt_plot", "rqt_plot")]
-    return [*_PROGRAMS, *counterparts(), *((tool, tool) for tool in _TOOLS), *windows]
+    return [*_PROGRAMS, *COUNTERPARTS, *((tool, tool) for tool in _TOOLS), *windows]
 
 
 def _execute(command: list[str]) -> None:

@@ -70,7 +70,7 @@ Usage: static_transform_publisher x y z qx qy qz qw frame_id child_frame_id{peri
 
 def controller_manager(ctx: Context, argv: Sequence[str]) -> None:
     """The script `controller_manager`: its usage without a command (0) or with a wrong one (1)."""
-    from slidectl.launch.nodes.manager_scripts import is_command
+    from slidectl.launch.nodes.controller_nodes import is_command
 
     words = without_remappings(argv)
     if not words or not is_command(words[0]):

@@ -11,13 +11,11 @@ from typing import Any
 from slidectl import description, names, rotations
 from slidectl.description import source_note
 from slidectl.description.joints import STARTS_OUTSIDE, place_of_limit
-from slidectl.description.packages import Packages, is_file
+from slidectl.description.packages import Packages, is_file, shown
 from slidectl.description.report import needs_telling
 from slidectl.errors import BadFile, BadName, Refused, SlidectlError
-from slidectl.launch.files import shown
-from slidectl.launch.options import Words, number, parse
-from slidectl.launch.plan import Leaf, Node, Plan
-from slidectl.launch.task import HOOK_LIMIT_S, SPAWN_LIMIT_S, Run, Task
+from slidectl.launch.plan import LaunchPlan, Leaf, Node
+from slidectl.launch.task import HOOK_LIMIT_S, SPAWN_LIMIT_S, Run, Task, Words, number, parse
 
 _OPTIONS = {
     "-urdf": 0, "-sdf": 0, "-trimesh": 0, "-file": 1, "-param": 1, "-database": 1, "-stdin": 0, "-model": 1,
@@ -40,7 +38,7 @@ class SpawnModel(Task):
 
     family = "robot"
 
-    def __init__(self, node: Node, plan: Plan) -> None:
+    def __init__(self, node: Node, plan: LaunchPlan) -> None:
         super().__init__(node, plan)
         self.words = words = parse(node, _OPTIONS)
         for option, reason in _REFUSED.items():
@@ -54,7 +52,10 @@ class SpawnModel(Task):
             raise self._error("needs a name for the robot: -model NAME")
         if words.one("-gazebo_namespace", "/gazebo").strip("/") != "gazebo":
             raise self._error("there is one world, and it is in /gazebo", "leave -gazebo_namespace out")
-        self.model = self._name()
+        try:
+            self.model = names.check_robot(words.one("-model"))
+        except BadName as error:
+            raise self._error(error.message, "give it another name (-model NAME)") from None
         self.pose = _pose(words)
         self.joints = {
             joint.removeprefix(f"{self.model}::"): number(node, f"-J {joint}", value)
@@ -66,12 +67,6 @@ class SpawnModel(Task):
     def start_of(self, joint: str) -> float:
         """Where a joint is when the robot is there: -J says it, by the joint's name or `robot::joint`."""
         return next((value for name, value in self.joints.items() if name.rpartition("::")[2] == joint), 0.0)
-
-    def _name(self) -> str:
-        try:
-            return names.check_robot(self.words.one("-model"))
-        except BadName as error:
-            raise self._error(error.message, "give it another name (-model NAME)") from None
 
     @property
     def asked_namespace(self) -> str | None:
@@ -94,7 +89,11 @@ class SpawnModel(Task):
 
     def _is_spoken_to(self, nodes: Sequence[Node]) -> bool:
         """Whether a node speaks to a controller manager in this one's namespace, and none to one in the model's."""
-        managers = {_manager_of(node) for node in nodes if node.package == "controller_manager"}
+        managers = set()
+        for node in (node for node in nodes if node.package == "controller_manager"):
+            given = [after for word, after in pairwise([*node.words, ""]) if word == "--namespace"]
+            given += [word.partition("=")[2] for word in node.words if word.startswith("--namespace=")]
+            managers.add(names.join(node.namespace, given[-1]) if given else node.namespace)
         return self.node.namespace in managers and names.join("/", self.model) not in managers
 
     def _error(self, message: str, hint: str | None = None) -> SlidectlError:
@@ -110,7 +109,7 @@ class SpawnModel(Task):
         """The full name of the parameter with the description; None when that is in a file."""
         return self.node.resolve(self.words.one("-param")) if self.words.has("-param") else None
 
-    def look_ahead(self, plan: Plan, packages: Packages, parameters: Mapping[str, Leaf]) -> None:
+    def look_ahead(self, plan: LaunchPlan, packages: Packages, parameters: Mapping[str, Leaf]) -> None:
         source: Any = Path(self.words.one("-file"))
         if self.parameter is not None:
             source = parameters[self.parameter][0] if self.parameter in parameters else None
@@ -167,16 +166,22 @@ class SpawnModel(Task):
         if not _is_xml(xml):
             raise Refused(f"the parameter {name} holds no XML")
         if own is None:
-            return description.load(_noted(run, xml), {}, packages, missing=missing)
+            note = run.call("/slidectl/sources", {"digest": source_note.digest(xml)})[
+                "note"
+            ]  # what the daemon knows of it
+            return description.load(source_note.join(xml, note), {}, packages, missing=missing)
         setting = next((one for one in reversed(run.plan.settings) if one.name == name), None)
         title = shown(setting.source) if setting is not None and setting.source else f"parameter {name}"
         return description.load(xml, {}, packages, missing=missing, title=title)
 
     def _spawn(self, run: Run, document: description.Document) -> None:
+        namespace = self.asked_namespace or ""  # empty where the plugin says it, or the robot's name does
+        if not namespace and self._is_spoken_to(run.plan.nodes):
+            namespace = self.home(description.parse(document.xml), run.plan.nodes)
         request: dict[str, Any] = {
             "model_name": self.model,
             "model_xml": document.xml,
-            "robot_namespace": self._asked_namespace(run, document),
+            "robot_namespace": namespace,
             "initial_pose": self.pose,
             "reference_frame": self.words.one("-reference_frame"),
         }
@@ -194,13 +199,6 @@ class SpawnModel(Task):
             if halt:
                 run.call("/gazebo/unpause_physics")
 
-    def _asked_namespace(self, run: Run, document: description.Document) -> str:
-        """Empty where the plugin says it, or the robot's name does."""
-        if self.asked_namespace is not None:
-            return self.asked_namespace
-        is_open = self._is_spoken_to(run.plan.nodes)
-        return self.home(description.parse(document.xml), run.plan.nodes) if is_open else ""
-
     def _set_joints(self, run: Run) -> None:
         request = {
             "model_name": self.model,
@@ -217,7 +215,7 @@ class SpawnModel(Task):
     def _tell(self, run: Run) -> None:
         """Where it is, and what became of its tags: what needs telling in full, the others counted unless `-v`."""
         run.heard()  # the same is said here
-        robot = run.call("/slidectl/list_robots", {"name": self.model})["robots"][0]
+        [robot] = run.call("/slidectl/list_robots", {"name": self.model})["robots"]
         # What -J put elsewhere is between its limits: set_model_configuration refuses all else.
         put = {place_of_limit(joint.rpartition("::")[2]) for joint in self.joints}
         ignored = 0
@@ -244,19 +242,6 @@ class SpawnModel(Task):
 
 def _is_xml(text: str) -> bool:
     return text.lstrip("\ufeff \t\r\n").startswith("<")
-
-
-def _manager_of(node: Node) -> str:
-    """The namespace in which a node of the package controller_manager looks for one."""
-    given = [after for word, after in pairwise([*node.words, ""]) if word == "--namespace"]
-    given += [word.partition("=")[2] for word in node.words if word.startswith("--namespace=")]
-    return names.join(node.namespace, given[-1]) if given else node.namespace
-
-
-def _noted(run: Run, xml: str) -> str:
-    """A description with what the daemon knows of its sources."""
-    answer = run.call("/slidectl/sources", {"digest": source_note.digest(xml)})
-    return source_note.join(xml, answer["note"])
 
 
 def _act(run: Run, service: str, request: dict[str, Any], timeout: float | None = None) -> list[str]:

@@ -7,8 +7,8 @@ from typing import Any
 from slidectl import names
 from slidectl.errors import closest
 from slidectl.launch.nodes.spawn_model import SpawnModel
-from slidectl.launch.plan import Node, Place, Plan
-from slidectl.launch.task import HOOK_LIMIT_S, Run, Task
+from slidectl.launch.plan import LaunchPlan, Node
+from slidectl.launch.task import HOOK_LIMIT_S, LeftOut, Run, Task
 
 HONOURED = ("publish_frequency", "tf_prefix")
 """The parameters of the node that count."""
@@ -28,7 +28,7 @@ class RobotStatePublisher(Task):
     family = "frames"
     waits_lightly = True
 
-    def __init__(self, node: Node, plan: Plan) -> None:
+    def __init__(self, node: Node, plan: LaunchPlan) -> None:
         super().__init__(node, plan)
         self.copied: list[str] = []
 
@@ -42,7 +42,7 @@ class RobotStatePublisher(Task):
         return self.node.resolve("joint_states")
 
     def start(self, run: Run) -> str | None:
-        robots: list[dict[str, Any]] = run.call("/slidectl/list_robots", {"name": ""})["robots"]
+        robots = run.robots()
         robot = self._by_namespace(robots)
         coming = [task for task in _spawns(run) if task not in run.left_out]
         awaited = [task.model for task in coming if task.model not in run.spawned]
@@ -63,7 +63,8 @@ class RobotStatePublisher(Task):
         if run.parameter(names.join(place, "enabled")) is False:  # `rosnode kill` has ended it
             run.call("/rosapi/delete_param", {"name": names.join(place, "enabled")})
         for parameter in HONOURED:
-            own = self._honoured(run, parameter)
+            full = names.join(self.node.full_name, parameter)
+            own = _found(run, full) if parameter in SEARCHED else full
             value = None if own is None else run.parameter(own)
             if value is not None and names.join(place, parameter) != own:
                 run.set_parameter(names.join(place, parameter), value)
@@ -74,11 +75,6 @@ class RobotStatePublisher(Task):
         frequency = run.parameter(names.join(place, "publish_frequency"))
         rate = f"{frequency:g}" if isinstance(frequency, int | float) else "50"
         self.settled(run, f"the simulation publishes the frames of {robot['name']} at {rate} Hz")
-
-    def _honoured(self, run: Run, parameter: str) -> str | None:
-        """The name of a parameter of the node that counts, None when it is not set."""
-        own = names.join(self.node.full_name, parameter)
-        return _found(run, own) if parameter in SEARCHED else own
 
     def _by_namespace(self, robots: list[dict[str, Any]]) -> dict[str, Any] | None:
         """The robot in the namespace of the topic, else in that of the node; the root says nothing yet."""
@@ -134,18 +130,13 @@ class RobotStatePublisher(Task):
         ]
         near = closest(self._topic, there) or (there[0] if len(there) == 1 else None)
         suggestion = f"; did you mean {near}?" if near else ""
-        place, what = self._origin()
+        place, what = self.node.place, "it listens to"
+        if (remap := self.node.remap_of("joint_states")) is not None:
+            place, what = remap.place, f"{remap.source} is remapped to"
         run.console.warn(
             f"{place}: {self.node.full_name}: {what} {self._topic}, which nobody publishes{suggestion}"
             " (frames are right all the same: the simulation reads the joints themselves)"
         )
-
-    def _origin(self) -> tuple[Place, str]:
-        full = self.node.absolute("joint_states")
-        for remap in reversed(self.node.remaps):
-            if self.node.absolute(remap.source) == full:
-                return remap.place, f"{remap.source} is remapped to"
-        return self.node.place, "it listens to"
 
     def stop(self, run: Run) -> None:
         for name in self.copied:
@@ -170,32 +161,23 @@ def _found(run: Run, name: str) -> str | None:
         namespace = names.parent(namespace)
 
 
-class JointStatePublisher(Task):
+class JointStatePublisher(LeftOut):
     """A second source of joint states would contradict the world: it is left out, with a warning."""
 
-    family = "notice"
-    keeps_running = False
-
-    def __init__(self, node: Node, plan: Plan) -> None:
+    def __init__(self, node: Node, plan: LaunchPlan) -> None:
         super().__init__(node, plan)
         self._is_launched = bool(plan.files)
         self._has_robot = any(other.type in ("spawn_model", "spawn_model.py") for other in plan.nodes)
 
     @property
     def text(self) -> str:
-        return f"left out: {self._reason}"
-
-    @property
-    def _reason(self) -> str:
         if self._has_robot:
-            where = "the joints of a simulated robot are where the world has them"
-            return f"{where}, and its joint_state_controller says so"
+            return (
+                "left out: the joints of a simulated robot are where the world has them,"
+                " and its joint_state_controller says so"
+            )
         none = ", and this launch spawns none" if self._is_launched else ""
         return (
-            f"joints are those of a robot in the world here{none};"
+            f"left out: joints are those of a robot in the world here{none};"
             " spawn it (slidectl spawn MODEL) with a joint_state_controller, and move it with slidectl pub"
         )
-
-    def start(self, run: Run) -> str | None:
-        self.warn(run, self.text)
-        return None

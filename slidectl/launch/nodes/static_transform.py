@@ -11,11 +11,9 @@ from typing import Any
 from slidectl import rotations
 from slidectl.client import Client
 from slidectl.errors import BadFile
-from slidectl.launch.options import number, parse
-from slidectl.launch.plan import Node, Plan
-from slidectl.launch.task import Run, Task
+from slidectl.launch.plan import LaunchPlan, Node
+from slidectl.launch.task import Run, Task, number, parse
 
-_WITH_QUATERNION = 7
 _TOLERANCE = 10e-3
 """Of the square of a quaternion's length, as in tf2."""
 _USAGE = {
@@ -24,24 +22,13 @@ _USAGE = {
 }
 
 
-def _unit(node: Node, quaternion: list[float]) -> list[float]:
-    """The quaternion with its last digits put right. Raises BadFile for one that tf refuses as no rotation."""
-    length = math.sqrt(sum(part * part for part in quaternion))
-    if abs(length * length - 1.0) > _TOLERANCE:
-        raise node.place.error(
-            f"{node.full_name}: the quaternion has the length {length:g}, and a rotation has 1",
-            "tf drops such a transform; give qx qy qz qw of length 1, or yaw pitch roll",
-        )
-    return [part / length for part in quaternion]
-
-
 class StaticTransform(Task):
     """It is there as long as the node."""
 
     family = "frames"
     needs_presence = True
 
-    def __init__(self, node: Node, plan: Plan) -> None:
+    def __init__(self, node: Node, plan: LaunchPlan) -> None:
         super().__init__(node, plan)
         words = parse(node, {}).rest
         try:
@@ -58,8 +45,14 @@ class StaticTransform(Task):
         self.parent, self.child = parent.lstrip("/"), child.lstrip("/")
         if self.parent == self.child:
             raise node.place.error(f"{node.full_name}: {self.child} is its own parent", "the two frames must differ")
-        if len(self.numbers) == _WITH_QUATERNION:
-            self.numbers[3:] = _unit(node, self.numbers[3:])
+        if len(turn := self.numbers[3:]) == 4:
+            length = math.hypot(*turn)
+            if abs(length * length - 1.0) > _TOLERANCE:
+                raise node.place.error(
+                    f"{node.full_name}: the quaternion has the length {length:g}, and a rotation has 1",
+                    "tf drops such a transform; give qx qy qz qw of length 1, or yaw pitch roll",
+                )
+            self.numbers[3:] = [part / length for part in turn]
         self._client: Client | None = None
 
     @property
@@ -68,9 +61,10 @@ class StaticTransform(Task):
 
     def start(self, run: Run) -> str | None:
         x, y, z, *turn = self.numbers
-        rotation = rotations.message(rotations.from_rpy((turn[2], turn[1], turn[0])))
         if len(turn) == 4:
             rotation = dict(zip("xyzw", turn, strict=True))
+        else:
+            rotation = rotations.message(rotations.from_rpy((turn[2], turn[1], turn[0])))
         transform: dict[str, Any] = {
             "header": {"stamp": run.call("/rosapi/get_time")["time"], "frame_id": self.parent},
             "child_frame_id": self.child,

@@ -1,8 +1,8 @@
-"""rviz, rqt and their like: windows that there are not; a warning names the commands that show the same."""
+"""rviz, rqt, gzclient and their like: windows that there are not; the texts name the commands that show the same."""
 
 from __future__ import annotations
 
-from slidectl.launch.task import Run, Task
+from slidectl.launch.task import LeftOut, Run
 
 _SHOWS = {
     "rqt_plot": "slidectl echo -p TOPIC/FIELD prints the numbers as CSV",
@@ -13,27 +13,27 @@ _SHOWS = {
     "rqt_console": "slidectl echo /rosout shows the log",
     "rqt_tf_tree": "slidectl tf tree shows the frames",
 }
-_RQT = "slidectl pub -r (expressions), slidectl echo -p (numbers to plot) and slidectl param set (live gains)"
+_RQT = "in its place: slidectl pub -r (expressions), echo -p (numbers to plot) and param set (live gains)"
 _ROBOT = "slidectl robots NAME, slidectl echo joint_states and slidectl tf tree show the robot"
 
 
-class Viewer(Task):
+class Viewer(LeftOut):
     """Nothing is shown, which is a warning."""
-
-    family = "notice"
-    keeps_running = False
-
-    @property
-    def instead(self) -> str:
-        """What shows the same here."""
-        if self.node.package.startswith("rqt"):
-            return _SHOWS.get(self.node.package) or f"in its place: {_RQT}"
-        return _ROBOT
 
     @property
     def text(self) -> str:
-        return f"left out: there are no windows here; {self.instead}"
+        package = self.node.package
+        instead = _SHOWS.get(package, _RQT) if package.startswith("rqt") else _ROBOT
+        return f"left out: there are no windows here; {instead}"
+
+
+class Window(LeftOut):
+    """gzclient: there is no window, and launch files start it by default, so that is no warning."""
+
+    @property
+    def text(self) -> str:
+        return "there is no window here; slidectl sim status, slidectl robots and slidectl echo show the world"
 
     def start(self, run: Run) -> str | None:
-        self.warn(run, self.text)
+        self.settled(run, self.text)
         return None

@@ -1,37 +1,293 @@
-"""The nodes of a launch and what they look for: robots to spawn, controllers to load, topics to listen to.
+"""Checks launch files: tags, parameters, robots, controllers, and whether what nodes look for is there.
 
-Makes the launch room's own tasks, which read the arguments of their nodes. Nothing is started.
+Reads the files as `slidectl launch` does, through its loader, whose reading is traced, so that nothing of its rules is
+said twice; and makes its tasks, which read the arguments of their nodes. It starts nothing and runs no program.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, TypeVar
 
-from slidectl import names
-from slidectl.check import model
+from slidectl import description, names, paths
+from slidectl.check import kinds, model
+from slidectl.check.controllers import ControllerCheck
 from slidectl.check.findings import Findings
-from slidectl.check.launch_parameters import LaunchParameters
-from slidectl.check.launch_tags import LaunchTags
 from slidectl.check.model import Model
-from slidectl.check.traced import plain
+from slidectl.check.parameter_file import ParameterFile
+from slidectl.check.tags import Tags
+from slidectl.check.traced import Trace, TracedElement, plain
+from slidectl.description import xml_tree
 from slidectl.description.joints import STARTS_OUTSIDE, place_of_limit
-from slidectl.description.packages import Packages, is_file
-from slidectl.description.robot import Verdict
-from slidectl.errors import BadFile, closest, listing
-from slidectl.launch.files import shown
-from slidectl.launch.kinds import tasks
-from slidectl.launch.nodes.process import Process
+from slidectl.description.models import read_file
+from slidectl.description.packages import Packages, is_file, shown
+from slidectl.description.robot import Notice, Verdict
+from slidectl.description.xml_tree import Element
+from slidectl.errors import BadFile, NotThere, closest, listing
+from slidectl.launch import loader
+from slidectl.launch.files import LaunchFile, find
+from slidectl.launch.node_kinds import tasks
+from slidectl.launch.nodes.controller_nodes import Spawner
+from slidectl.launch.nodes.programs import Process, ToolProcess
 from slidectl.launch.nodes.spawn_model import SpawnModel
-from slidectl.launch.nodes.spawner import Spawner
 from slidectl.launch.nodes.state_publishers import HONOURED, SEARCHED, WITHOUT_EFFECT, RobotStatePublisher
-from slidectl.launch.nodes.tools import Tool
-from slidectl.launch.plan import Node, Place, Plan, Remap
+from slidectl.launch.plan import LaunchPlan, Location, Node, Remap, Setting, leaves
 from slidectl.launch.task import Task
 
+_ATTRIBUTE = re.compile(r"attribute '([^']*)'")
 _JOINT_STATES = "joint_state_controller/JointStateController"
 _VERDICTS: dict[str, Verdict] = {"refused": "wrong", "notice": "ignored"}
+F = TypeVar("F", bound=BadFile)
+Places = dict[str, tuple[str, int | None]]
+
+
+def check(
+    words: Sequence[str],
+    arguments: Mapping[str, str],
+    packages: Packages,
+    findings: Findings,
+    text: bytes | None = None,
+    ask_others: bool = False,
+    strict: bool = False,
+) -> None:
+    """Add what there is to say of launch files, which `words` mean as for `slidectl launch`; `text` is the file itself.
+
+    Raises:
+        UsageError, UnknownName, UnknownPackage, BadFile: there is no such file, or no such argument.
+    """
+    sources = find(words, packages) if text is None else [LaunchFile(Path.cwd() / words[0], text, words[0])]
+    tags = LaunchTags(arguments)
+    try:
+        plan = loader.load(sources, arguments, packages, parse=tags.parse, missing=findings.missing)
+    except BadFile as error:
+        findings.fail("launch file", error)
+        return
+    findings.begin_with(shown(file) for file in plan.files)
+    parameters = LaunchParameters(plan, tags, packages, findings, ask_others, strict)
+    nodes = LaunchNodes(plan, parameters, packages, findings, strict)
+    source = ParameterFile(sources[0].shown, parameters.places, findings)
+    controllers = ControllerCheck(
+        source, [robot.model for robot in nodes.robots if robot.model], nodes.reader, nodes.hint
+    )
+    controllers.check(parameters.tree)
+    nodes.tell(controllers.found, controllers.claims, tags)
+    tags.classify(plan, findings)
+    findings.tell_missing()
+    findings.is_drivable = nodes.has_programs or bool(controllers.found) or any(robot.model for robot in nodes.robots)
+
+
+# --- tags ------------------------------------------------------------------------------------------------------------
+
+
+class LaunchTags:
+    """The trees of all files of a launch. `parse` is for the loader; `given` are the arguments of the command line."""
+
+    def __init__(self, given: Mapping[str, str]) -> None:
+        self.given = given
+        self.trace = Trace()
+        self.roots: list[Element] = []
+
+    def parse(self, text: bytes, file: str) -> Element:
+        """The elements of a file, which note what is read of them. Raises BadFile."""
+        root = TracedElement(xml_tree.read(text, file), self.trace)
+        self.roots.append(root)
+        return root
+
+    def elements(self, tag: str) -> Iterator[Element]:
+        """All elements of that tag that were read, and not for their condition alone."""
+        for root in self.roots:
+            for element in _walk(root):
+                read = self.trace.read_attributes.get(id(element), set())
+                if element.tag == tag and id(element) in self.trace.read and (not read or read - {"if", "unless"}):
+                    yield element
+
+    def say_of_remap(self, verdict: Verdict, remap: Remap, text: str) -> None:
+        """The verdict on a `<remap>`, in the place of that by what was read of it."""
+        for element in self.elements("remap"):
+            written = plain(element).get("from") or ""
+            is_it = written.strip() == remap.source or "$(" in written
+            if is_it and (element.file, element.line) == (remap.place.file, remap.place.line):
+                notice = Notice(verdict, element.title, text, element.file, element.line)
+                self.trace.said.setdefault(id(element), []).append((None, notice))
+
+    def text_at(self, place: Location) -> str:
+        """The text of the `<rosparam>` at a place, moved down so that its lines have the numbers of the file."""
+        for element in self.elements("rosparam"):
+            if (element.file, element.line) == (place.file, place.line):
+                pieces = (node for node in element.content if isinstance(node, str))
+                return "\n" * (element.line - 1) + "".join(p for p in pieces if not isinstance(p, xml_tree.Comment))
+        return ""
+
+    def classify(self, plan: LaunchPlan, findings: Findings) -> None:
+        """Add a finding for everything in the files. Of those that stand in for ROS's own, only what is amiss."""
+        self._take(plan.notices)
+        for root in self.roots:
+            own = Findings()
+            Tags(self.trace, own, (), self._explain).classify(root)
+            is_counterpart = root.file.startswith(shown(_counterparts()))
+            findings.extend(n for n in own.sorted() if n.verdict != "used" or not is_counterpart)
+        findings.extend(plan.notices)
+
+    def _take(self, notices: list[Notice]) -> None:
+        """Lead notices back to their elements, by place and title."""
+        by_place: dict[tuple[str, int | None, str], list[Notice]] = {}
+        for notice in notices:
+            by_place.setdefault((notice.file, notice.line, notice.subject), []).append(notice)
+        for element in (element for root in self.roots for element in _walk(root)):
+            for notice in by_place.get((element.file, element.line, element.title), ()):
+                match = _ATTRIBUTE.match(notice.text)
+                self.trace.said.setdefault(id(element), []).append((match[1] if match else None, notice))
+
+    def _explain(self, element: Element, _: str) -> Iterator[Notice] | None:
+        """An argument that was given is not what its tag says."""
+        name = plain(element).get("name") or ""
+        if element.tag != "arg" or name not in self.given or element.file != self.roots[0].file:
+            return None
+        text = f"{self.given[name]!r}, as given"
+        return iter([Notice("used", f"argument {name}", text, element.file, element.line)])
+
+
+def _counterparts() -> Path:
+    return paths.share("launch") / "counterparts"
+
+
+def _walk(element: Element) -> Iterator[Element]:
+    yield element
+    for child in plain(element).children:
+        yield from _walk(child)
+
+
+# --- parameters ------------------------------------------------------------------------------------------------------
+
+
+class LaunchParameters:
+    """All parameters of a plan. `values` goes by full names; a later setting replaces an earlier one."""
+
+    def __init__(
+        self,
+        plan: LaunchPlan,
+        tags: LaunchTags,
+        packages: Packages,
+        findings: Findings,
+        ask_others: bool = False,
+        strict: bool = False,
+    ) -> None:
+        self.plan = plan
+        self.tags = tags
+        self.packages = packages
+        self.findings = findings
+        self.values: dict[str, Any] = {}
+        self.places: Places = {}
+        self.robots: dict[str, Model | None] = {}
+        """The parameters that hold a robot; None where it cannot be used."""
+        self.is_complete = True
+        """False when a value is not known: it cannot be had, or a program would have to be run for it."""
+        for setting in plan.settings:
+            self._take(setting)
+        if self.is_complete:
+            self._tell_conflicts()
+        self._read_robots(ask_others, strict)
+
+    @property
+    def tree(self) -> dict[str, Any]:
+        """The known ones, nested; without the robots' texts."""
+        tree: dict[str, Any] = {}
+        for full, value in self.values.items():
+            if value is None or full in self.robots:
+                continue
+            *above, last = full.strip("/").split("/")
+            branch: Any = tree
+            for part in above:
+                branch = branch.setdefault(part, {}) if isinstance(branch, dict) else {}
+            if isinstance(branch, dict):
+                branch[last] = value
+        return tree
+
+    def _take(self, setting: Setting) -> None:
+        place = (setting.place.file, setting.place.line)
+        if setting.runs_command:
+            self._miss(setting)
+            self.findings.add("used", setting.name, "note: a check does not run the command", *place)
+            return
+        try:
+            value = setting.value()
+            found = dict(leaves(setting.name, value, setting.place))
+        except NotThere as error:
+            self._miss(setting)
+            self.findings.missing.note(_placed(error, setting), setting.loss)
+            return
+        except BadFile as error:
+            self._miss(setting)
+            self.findings.fail(f"parameter {setting.name}", _placed(error, setting))
+            return
+        for name in found:
+            self.values.pop(name, None)
+        self.values.update(found)
+        self.places[setting.name] = place
+        self.places.update(self._inner_places(setting))
+
+    def _miss(self, setting: Setting) -> None:
+        self.is_complete = False
+        self.values[setting.name] = None
+
+    def _inner_places(self, setting: Setting) -> Places:
+        """The lines of a YAML tree."""
+        from slidectl.description import yaml_tree
+
+        if setting.origin not in ("file", "yaml"):
+            return {}
+        file = shown(setting.source) if setting.source else setting.place.file
+        text = read_file(Path(setting.source)) if setting.source else self.tags.text_at(setting.place)
+        try:
+            lines = yaml_tree.places(text, file)
+        except BadFile:  # only `subst_value` makes it YAML
+            return {}
+        return {names.join(setting.name, path.strip("/")): (file, line) for path, line in lines.items()}
+
+    def _tell_conflicts(self) -> None:
+        try:
+            self.plan.parameters(gather=True)
+        except BadFile as error:
+            self.findings.fail("parameters", error)
+
+    def _read_robots(self, ask_others: bool, strict: bool) -> None:
+        for name, value in self.values.items():
+            if isinstance(value, str) and _is_robot(value):
+                setting = next(setting for setting in reversed(self.plan.settings) if setting.name == name)
+                file = shown(setting.source) if setting.source else f"parameter {name}"
+                own = Findings()
+                if self.findings.missing.keeps_going:
+                    value = self._without_absences(value)
+                self.robots[name] = model.check_text(value, file, own, ask_others, self.packages, strict)
+                self.findings.extend(replace(notice, file=shown(notice.file)) for notice in own.sorted())
+                self.findings.broken += own.broken
+
+    def _without_absences(self, xml: str) -> str:
+        """The robot as it is spawned when what is not there is left out."""
+        try:
+            return description.load(xml, {}, self.packages, missing=self.findings.missing).xml
+        except BadFile:  # which is said when it is read
+            return xml
+
+
+def _is_robot(text: str) -> bool:
+    try:
+        return text.lstrip("\ufeff \t\r\n").startswith("<") and kinds.of_text(text.encode(), "") == "model"
+    except BadFile:
+        return False
+
+
+def _placed(error: F, setting: Setting) -> F:
+    """The error, at the tag if it names no line of its own."""
+    if error.line is not None:
+        return error
+    return type(error)(error.message, setting.place.file, setting.place.line, error.hint)
+
+
+# --- nodes -----------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -48,7 +304,12 @@ class LaunchNodes:
     """The nodes of a plan as tasks, and the robots among them."""
 
     def __init__(
-        self, plan: Plan, parameters: LaunchParameters, packages: Packages, findings: Findings, strict: bool = False
+        self,
+        plan: LaunchPlan,
+        parameters: LaunchParameters,
+        packages: Packages,
+        findings: Findings,
+        strict: bool = False,
     ) -> None:
         self.plan = plan
         self.parameters = parameters
@@ -264,14 +525,14 @@ class LaunchNodes:
         for element in tags.elements("remap"):
             if (element.file, element.line) not in places:
                 source = plain(element).get("from") or ""
-                lonely = Remap(source.strip(), "", Place(element.file, element.line))
+                lonely = Remap(source.strip(), "", Location(element.file, element.line))
                 tags.say_of_remap("ignored", lonely, "no node comes after it")
 
     def _used_remaps(self, task: Task) -> Iterator[Remap]:
         node = task.node
         known = {node.absolute(name) for name in _names_of(task)}
         for remap in node.remaps:
-            is_program = isinstance(task, Process) and not isinstance(task, Tool)
+            is_program = isinstance(task, Process) and not isinstance(task, ToolProcess)
             if is_program or node.absolute(remap.source) in known:
                 yield remap
 
@@ -287,6 +548,6 @@ def _names_of(task: Task) -> list[str]:
         return [task.words.one("-param")] if task.words.has("-param") else []
     if isinstance(task, Spawner):
         return [task.words.one("--wait-for")] if task.words.has("--wait-for") else []
-    if isinstance(task, Tool):
+    if isinstance(task, ToolProcess):
         return [word for word in task.node.words[1:] if names.is_legal(word)] if task.node.type == "rostopic" else []
     return ["joint_states", "robot_description"] if isinstance(task, RobotStatePublisher) else []

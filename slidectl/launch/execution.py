@@ -6,25 +6,26 @@ started here is left.
 
 from __future__ import annotations
 
+import json
 import math
 import signal
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 from slidectl.client import Client
-from slidectl.errors import NoDaemon, Refused, SlidectlError
-from slidectl.launch.interrupts import Interrupted
-from slidectl.launch.nodes.gazebo import Gazebo
-from slidectl.launch.nodes.process import Process, reason
+from slidectl.description import source_note
+from slidectl.description.packages import Packages
+from slidectl.errors import NoDaemon, Refused, SlidectlError, UsageError
+from slidectl.launch.nodes.controller_nodes import Spawner
+from slidectl.launch.nodes.gazebo import Gazebo, WorldSettings
+from slidectl.launch.nodes.programs import Process, reason
 from slidectl.launch.nodes.spawn_model import SpawnModel
-from slidectl.launch.nodes.spawner import Spawner
-from slidectl.launch.plan import Node
-from slidectl.launch.setup import look_ahead, prepare
-from slidectl.launch.strays import Strays
+from slidectl.launch.plan import LaunchPlan, Leaf, Location, Node, RosparamCommand
+from slidectl.launch.supervision import Interrupted
 from slidectl.launch.task import HOOK_LIMIT_S, Run, StepFailed, Task
-from slidectl.launch.world import WorldSettings
+from slidectl.writing import write_whole
 
 # Nobody tells when a robot comes or a parameter is set, so look now and then.
 _LOOK_AGAIN_S = 0.2
@@ -57,7 +58,7 @@ class _Waiting:
     told: bool = False
 
 
-class Session:
+class Execution:
     """One launch, from `bring_up` over `watch` to `shut_down`, which must come, whatever happened before."""
 
     def __init__(self, run: Run, tasks: Sequence[Task], door: Door) -> None:
@@ -71,11 +72,9 @@ class Session:
         self._lost_daemon = False
         self._waiting: list[_Waiting] = []
         self._ended: dict[Process, int] = {}
-        self._strays: Strays | None = None
         self._over = False
         self._found: set[tuple[str, int]] = set()
         """Robots that were there before, with the sessions of those who asked for them."""
-        run.watch.add(run.interrupts.fileno(), run.interrupts.clear)
 
     # --- up -------------------------------------------------------------------------------------------------------
 
@@ -86,28 +85,24 @@ class Session:
             BadFile: a value of the files cannot be had. StepFailed. NoDaemon. Interrupted.
         """
         run = self.run
-        run.settings = self._settings()
+        settings = WorldSettings()
+        for task in self.tasks:
+            if isinstance(task, Gazebo):
+                settings = task.settings(settings)
         with run.interrupts.held():
-            self._began_daemon = self.door.begin(run.settings)
+            self._began_daemon = self.door.begin(settings)
         run.parameters = look_ahead(run.plan, self.tasks, run.packages)  # takes as long as a daemon's start
         client, run.owns_daemon = self.door.connect()
         run.connect(client)
         run.watch.add(client.fileno(), lambda: None)
         if not run.owns_daemon:
             self._found = set(self._robots())
-        prepare(run, run.parameters)
+        _prepare(run, run.parameters)
         self._start_nodes()
         self._look_at_processes()
         self._judge_required()
         self._check_left()
         self.is_up = True
-
-    def _settings(self) -> WorldSettings:
-        settings = WorldSettings()
-        for task in self.tasks:
-            if isinstance(task, Gazebo):
-                settings = task.settings(settings)
-        return settings
 
     def _start_nodes(self) -> None:
         for task in (task for task in self.tasks if not task.comes_last):
@@ -132,13 +127,17 @@ class Session:
         return [task for task in self.begun if isinstance(task, Process)]
 
     @property
+    def nodes(self) -> int:
+        """How many nodes were begun, and neither left out nor have died."""
+        return sum(task not in self.run.left_out and task not in self.died for task in self.begun)
+
+    @property
     def died(self) -> dict[Process, int]:
         """The programs that have died and do not run now, with their exit codes; some may be started again."""
         return {task: code for task in self._processes() if (code := task.code)}
 
     def _start(self, task: Task) -> None:
         if isinstance(task, Process):
-            self._strays = self._strays or Strays()
             task.on_end = self._process_ended
         self.begun.append(task)
         why = self._attempt(task)
@@ -162,6 +161,7 @@ class Session:
 
     def _fail(self, task: Task, error: SlidectlError) -> None:
         """A task that could not be done ends the launch, or is left out where that keeps going. Raises StepFailed."""
+        self.run.know(error.message)
         if not self.run.plan.missing.keeps_going:
             raise error if isinstance(error, StepFailed) else StepFailed(task, error) from None
         task.leave_out(self.run, "the node", error)
@@ -241,7 +241,7 @@ class Session:
             self._turn(_LOOK_SELDOM_S if self._waiting else None)
             if self._waiting:
                 self._look_again()
-        self._judge()
+        self.judge()
 
     def _turn(self, most_s: float | None) -> None:
         """Take in what has come, and wait for something more. Raises NoDaemon, Interrupted."""
@@ -281,8 +281,8 @@ class Session:
                 "required", f"{task.node.full_name} is required: the launch ends", node=task.node.full_name
             )
 
-    def _judge(self) -> None:
-        """Raise Refused when something ended badly."""
+    def judge(self) -> None:
+        """Raise Refused when a node has ended badly so far."""
         self._judge_required()
         died = {task: code for task, code in self._ended.items() if code}
         if died:
@@ -295,10 +295,6 @@ class Session:
             if code and self._is_required(task):
                 self.run.failed = True
                 raise StepFailed(task, Refused(f"it is required, and it died: {reason(code)}"))
-
-    def check(self) -> None:
-        """Raise Refused when a node has died so far."""
-        self._judge()
 
     def _show_status(self) -> None:
         status = self.run.call("/slidectl/status")
@@ -330,13 +326,10 @@ class Session:
             run.client.close()
         if self._began_daemon or run.owns_daemon:
             self._stop_daemon()
-        if self._strays is not None:
-            self._strays.end(run.options.sigterm_timeout_s, lambda: len(run.interrupts.received) > 1, self._tell_stray)
 
     def _robots(self) -> list[tuple[str, int]]:
         """Those in the world, each with the session id of the process that asked for it."""
-        robots = self.run.call("/slidectl/list_robots", {"name": ""}, HOOK_LIMIT_S)["robots"]
-        return [(robot["name"], robot["process_session"]) for robot in robots]
+        return [(robot["name"], robot["process_session"]) for robot in self.run.robots(HOOK_LIMIT_S)]
 
     def _delete_robots_of(self, processes: Sequence[Process]) -> None:
         """Delete what programs of this launch have spawned. A program in a session that it made itself is not known.
@@ -355,9 +348,6 @@ class Session:
             self._lost_daemon = True
         except SlidectlError as error:
             self.run.console.warn(f"robots of programs of this launch may have stayed: {error.message}")
-
-    def _tell_stray(self, pid: int, name: str) -> None:
-        self.run.console.warn(f"process {pid} ({name}) was left behind by a node; it is ended")
 
     def _stop(self, task: Task) -> None:
         if not isinstance(task, Process) and (self._lost_daemon or not self.run.is_connected):
@@ -397,3 +387,99 @@ def _spawns(node: Node) -> bool:
 def _bare(reason: str) -> str:
     """What a task waits for, to stand behind "no"."""
     return reason.removeprefix("the ").removeprefix("a ")
+
+
+# --- before the first node -------------------------------------------------------------------------------------------
+
+
+def look_ahead(
+    plan: LaunchPlan, tasks: Sequence[Task], packages: Packages, run_commands: bool = True
+) -> Mapping[str, Leaf]:
+    """The parameters of a plan, after everything was noted that it needs and is not there, as far as files tell.
+
+    Raises:
+        NotThere: all of that, unless it is forgiven. BadFile: a value cannot be had.
+    """
+    parameters = plan.parameters(gather=True, run_commands=run_commands)
+    for task in tasks:
+        task.look_ahead(plan, packages, parameters)
+    plan.missing.refuse()
+    return parameters
+
+
+def _prepare(run: Run, parameters: Mapping[str, Leaf]) -> None:
+    """Raises Refused with the place of what cannot be done."""
+    _tell_notices(run)
+    for command in run.plan.commands:
+        _carry_out(run, command)
+    for namespace, place in run.plan.clear:
+        if run.call("/rosapi/has_param", {"name": namespace})["exists"]:
+            _delete(run, namespace, place)
+    _set(run, parameters)
+    if parameters:
+        plural = "" if len(parameters) == 1 else "s"
+        run.console.step("parameters", f"{len(parameters)} parameter{plural} set", count=len(parameters))
+
+
+def _tell_notices(run: Run) -> None:
+    """What the files say that is wrong in full, the rest counted unless `-v`."""
+    quiet = 0
+    for notice in run.plan.notices:
+        if notice.verdict == "wrong" or run.console.verbose:
+            run.console.warn(str(notice))
+        else:
+            quiet += 1
+    if quiet:
+        things = "one thing" if quiet == 1 else f"{quiet} things"
+        run.console.step("notices", f"{things} in the files without effect, -v shows more", count=quiet)
+
+
+def _carry_out(run: Run, command: RosparamCommand) -> None:
+    if not run.call("/rosapi/has_param", {"name": command.name})["exists"]:
+        run.console.warn(
+            f"{command.place}: <rosparam>: {command.name} is not set, so there is nothing to {command.verb}"
+        )
+        if command.verb == "delete":
+            return
+    if command.verb == "delete":
+        _delete(run, command.name, command.place)
+        return
+    import yaml
+
+    text = yaml.safe_dump(run.parameter(command.name) or {}, allow_unicode=True, default_flow_style=False)
+    try:
+        write_whole(command.file, text)
+    except OSError as error:
+        raise Refused(f"{command.place}: <rosparam>: cannot write {command.file}: {error.strerror}") from None
+
+
+def _delete(run: Run, name: str, place: Location) -> None:
+    try:
+        run.call("/rosapi/delete_param", {"name": name})
+    except SlidectlError as error:
+        raise Refused(f"{place}: {error.message}", error.hint) from None
+
+
+def _set(run: Run, parameters: Mapping[str, Leaf]) -> None:
+    """All in one go: the requests first, then the answers."""
+    calls = [(name, place, _begin(run, name, value, place)) for name, (value, place) in parameters.items()]
+    for name, place, call in calls:
+        try:
+            run.client.answer(call)
+        except Refused as error:
+            raise Refused(f"{place}: parameter {name}: {error.message}", error.hint) from None
+
+
+def _begin(run: Run, name: str, value: object, place: Location) -> str:
+    """The id of the call. Of a robot's description the daemon keeps beside it where its elements were written."""
+    if isinstance(value, str):
+        value, note = source_note.split(value)
+        if note:
+            run.client.call_async("/slidectl/sources", {"digest": source_note.digest(value), "note": note})
+    try:
+        text = json.dumps(value, allow_nan=False)
+        return run.client.call_async("/rosapi/set_param", {"name": name, "value": text})
+    except ValueError:
+        raise place.error(f"parameter {name}: {value} is no finite number, and parameters hold no others") from None
+    except UsageError as error:  # too long for a line
+        raise place.error(f"parameter {name}: {error.message}") from None
