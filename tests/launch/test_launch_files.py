@@ -106,7 +106,7 @@ def test_a_dash_is_standard_input(workspace: Workspace, monkeypatch: pytest.Monk
 def test_a_fifo_is_refused_instead_of_waited_for(workspace: Workspace) -> None:
     path = workspace.package / "pipe.launch"
     os.mkfifo(path)
-    with pytest.raises(BadFile, match="pipe.launch: is a pipe, and only regular files are read"):
+    with pytest.raises(BadFile, match=r"pipe\.launch: is a pipe, and only regular files are read"):
         found(workspace, str(path))
 
 

@@ -7,6 +7,7 @@ import signal
 import time
 
 import pytest
+
 from slidectl.launch.supervision import Child, Interrupted, Interrupts, Watch, run
 
 DEADLINE_S = 30.0
