@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -31,15 +32,14 @@ from slidectl.launch import loader
 from slidectl.launch.files import LaunchFile, find
 from slidectl.launch.node_kinds import tasks
 from slidectl.launch.nodes.controller_nodes import Spawner
+from slidectl.launch.nodes.frame_nodes import HONOURED, SEARCHED, WITHOUT_EFFECT, RobotStatePublisher
 from slidectl.launch.nodes.programs import Process, ToolProcess
 from slidectl.launch.nodes.spawn_model import SpawnModel
-from slidectl.launch.nodes.state_publishers import HONOURED, SEARCHED, WITHOUT_EFFECT, RobotStatePublisher
 from slidectl.launch.plan import LaunchPlan, Location, Node, Remap, Setting, leaves
 from slidectl.launch.task import Task
 
 _ATTRIBUTE = re.compile(r"attribute '([^']*)'")
 _JOINT_STATES = "joint_state_controller/JointStateController"
-_VERDICTS: dict[str, Verdict] = {"refused": "wrong", "notice": "ignored"}
 F = TypeVar("F", bound=BadFile)
 Places = dict[str, tuple[str, int | None]]
 
@@ -59,36 +59,61 @@ def check(
         UsageError, UnknownName, UnknownPackage, BadFile: there is no such file, or no such argument.
     """
     sources = find(words, packages) if text is None else [LaunchFile(Path.cwd() / words[0], text, words[0])]
-    tags = LaunchTags(arguments)
+    run = _LaunchCheck(arguments, packages, findings, ask_others, strict)
     try:
-        plan = loader.load(sources, arguments, packages, parse=tags.parse, missing=findings.missing)
+        run.plan = loader.load(sources, arguments, packages, parse=run.parse, missing=findings.missing)
     except BadFile as error:
         findings.fail("launch file", error)
         return
-    findings.begin_with(shown(file) for file in plan.files)
-    parameters = LaunchParameters(plan, tags, packages, findings, ask_others, strict)
-    nodes = LaunchNodes(plan, parameters, packages, findings, strict)
-    source = ParameterFile(sources[0].shown, parameters.places, findings)
-    controllers = ControllerCheck(
-        source, [robot.model for robot in nodes.robots if robot.model], nodes.reader, nodes.hint
-    )
-    controllers.check(parameters.tree)
-    nodes.tell(controllers.found, controllers.claims, tags)
-    tags.classify(plan, findings)
+    findings.begin_with(shown(file) for file in run.plan.files)
+    run.read_parameters()
+    run.read_nodes()
+    source = ParameterFile(sources[0].shown, run.places, findings)
+    models = [robot.model for robot in run.robots if robot.model]
+    controllers = ControllerCheck(source, models, run.reader, run.hint)
+    controllers.check(run.tree)
+    run.tell(controllers.found, controllers.claims)
+    run.classify()
     findings.tell_missing()
-    findings.is_drivable = nodes.has_programs or bool(controllers.found) or any(robot.model for robot in nodes.robots)
+    findings.is_drivable = run.has_programs or bool(controllers.found) or bool(models)
 
 
-# --- tags ------------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class SpawnedOnPaper:
+    """A robot that the launch puts into the world; `model` is None when it cannot be read or is not known here."""
+
+    name: str
+    namespace: str | None
+    model: Model | None
+    node: Node
 
 
-class LaunchTags:
-    """The trees of all files of a launch. `parse` is for the loader; `given` are the arguments of the command line."""
+class _LaunchCheck:
+    """One check. `given` are the arguments of the command line; the loader reads the files by `parse`."""
 
-    def __init__(self, given: Mapping[str, str]) -> None:
+    def __init__(
+        self, given: Mapping[str, str], packages: Packages, findings: Findings, ask_others: bool, strict: bool
+    ) -> None:
         self.given = given
+        self.packages = packages
+        self.findings = findings
+        self.ask_others = ask_others
+        self.strict = strict
+        self.plan = LaunchPlan()
         self.trace = Trace()
         self.roots: list[Element] = []
+        """The trees of all files."""
+        self.values: dict[str, Any] = {}
+        """The parameters by full names; of those set twice the last."""
+        self.places: Places = {}
+        self.descriptions: dict[str, Model | None] = {}
+        """The parameters that hold a robot; None where it cannot be used."""
+        self.is_complete = True
+        """False when a value is not known: it cannot be had, or a program would have to be run for it."""
+        self.tasks: list[Task] = []
+        self.robots: list[SpawnedOnPaper] = []
+
+    # --- tags -----------------------------------------------------------------------------------------------------
 
     def parse(self, text: bytes, file: str) -> Element:
         """The elements of a file, which note what is read of them. Raises BadFile."""
@@ -121,17 +146,17 @@ class LaunchTags:
                 return "\n" * (element.line - 1) + "".join(p for p in pieces if not isinstance(p, xml_tree.Comment))
         return ""
 
-    def classify(self, plan: LaunchPlan, findings: Findings) -> None:
+    def classify(self) -> None:
         """Add a finding for everything in the files. Of those that stand in for ROS's own, only what is amiss."""
-        self._take(plan.notices)
+        self._lead_back(self.plan.notices)
         for root in self.roots:
             own = Findings()
             Tags(self.trace, own, (), self._explain).classify(root)
-            is_counterpart = root.file.startswith(shown(_counterparts()))
-            findings.extend(n for n in own.sorted() if n.verdict != "used" or not is_counterpart)
-        findings.extend(plan.notices)
+            is_counterpart = root.file.startswith(shown(paths.share("launch") / "counterparts"))
+            self.findings.extend(n for n in own.sorted() if n.verdict != "used" or not is_counterpart)
+        self.findings.extend(self.plan.notices)
 
-    def _take(self, notices: list[Notice]) -> None:
+    def _lead_back(self, notices: list[Notice]) -> None:
         """Lead notices back to their elements, by place and title."""
         by_place: dict[tuple[str, int | None, str], list[Notice]] = {}
         for notice in notices:
@@ -149,54 +174,27 @@ class LaunchTags:
         text = f"{self.given[name]!r}, as given"
         return iter([Notice("used", f"argument {name}", text, element.file, element.line)])
 
+    # --- parameters -----------------------------------------------------------------------------------------------
 
-def _counterparts() -> Path:
-    return paths.share("launch") / "counterparts"
-
-
-def _walk(element: Element) -> Iterator[Element]:
-    yield element
-    for child in plain(element).children:
-        yield from _walk(child)
-
-
-# --- parameters ------------------------------------------------------------------------------------------------------
-
-
-class LaunchParameters:
-    """All parameters of a plan. `values` goes by full names; a later setting replaces an earlier one."""
-
-    def __init__(
-        self,
-        plan: LaunchPlan,
-        tags: LaunchTags,
-        packages: Packages,
-        findings: Findings,
-        ask_others: bool = False,
-        strict: bool = False,
-    ) -> None:
-        self.plan = plan
-        self.tags = tags
-        self.packages = packages
-        self.findings = findings
-        self.values: dict[str, Any] = {}
-        self.places: Places = {}
-        self.robots: dict[str, Model | None] = {}
-        """The parameters that hold a robot; None where it cannot be used."""
-        self.is_complete = True
-        """False when a value is not known: it cannot be had, or a program would have to be run for it."""
-        for setting in plan.settings:
+    def read_parameters(self) -> None:
+        """Gather all parameters and read the robots among them."""
+        for setting in self.plan.settings:
             self._take(setting)
         if self.is_complete:
-            self._tell_conflicts()
-        self._read_robots(ask_others, strict)
+            try:  # which tells of those that stand in each other's place
+                self.plan.parameters(gather=True)
+            except BadFile as error:
+                self.findings.fail("parameters", error)
+        for name, value in self.values.items():
+            if isinstance(value, str) and _is_robot(value):
+                self._read_robot(name, value)
 
     @property
     def tree(self) -> dict[str, Any]:
         """The known ones, nested; without the robots' texts."""
         tree: dict[str, Any] = {}
         for full, value in self.values.items():
-            if value is None or full in self.robots:
+            if value is None or full in self.descriptions:
                 continue
             *above, last = full.strip("/").split("/")
             branch: Any = tree
@@ -240,86 +238,35 @@ class LaunchParameters:
         if setting.origin not in ("file", "yaml"):
             return {}
         file = shown(setting.source) if setting.source else setting.place.file
-        text = read_file(Path(setting.source)) if setting.source else self.tags.text_at(setting.place)
+        text = read_file(Path(setting.source)) if setting.source else self.text_at(setting.place)
         try:
             lines = yaml_tree.places(text, file)
         except BadFile:  # only `subst_value` makes it YAML
             return {}
         return {names.join(setting.name, path.strip("/")): (file, line) for path, line in lines.items()}
 
-    def _tell_conflicts(self) -> None:
-        try:
-            self.plan.parameters(gather=True)
-        except BadFile as error:
-            self.findings.fail("parameters", error)
+    def _read_robot(self, name: str, xml: str) -> None:
+        setting = next(setting for setting in reversed(self.plan.settings) if setting.name == name)
+        file = shown(setting.source) if setting.source else f"parameter {name}"
+        if self.findings.missing.keeps_going:  # the robot as it is spawned when what is not there is left out
+            with suppress(BadFile):  # which is said when it is read
+                xml = description.load(xml, {}, self.packages, missing=self.findings.missing).xml
+        own = Findings()
+        self.descriptions[name] = model.check_text(xml, file, own, self.ask_others, self.packages, self.strict)
+        self.findings.extend(replace(notice, file=shown(notice.file)) for notice in own.sorted())
+        self.findings.broken += own.broken
 
-    def _read_robots(self, ask_others: bool, strict: bool) -> None:
-        for name, value in self.values.items():
-            if isinstance(value, str) and _is_robot(value):
-                setting = next(setting for setting in reversed(self.plan.settings) if setting.name == name)
-                file = shown(setting.source) if setting.source else f"parameter {name}"
-                own = Findings()
-                if self.findings.missing.keeps_going:
-                    value = self._without_absences(value)
-                self.robots[name] = model.check_text(value, file, own, ask_others, self.packages, strict)
-                self.findings.extend(replace(notice, file=shown(notice.file)) for notice in own.sorted())
-                self.findings.broken += own.broken
+    # --- nodes ----------------------------------------------------------------------------------------------------
 
-    def _without_absences(self, xml: str) -> str:
-        """The robot as it is spawned when what is not there is left out."""
-        try:
-            return description.load(xml, {}, self.packages, missing=self.findings.missing).xml
-        except BadFile:  # which is said when it is read
-            return xml
-
-
-def _is_robot(text: str) -> bool:
-    try:
-        return text.lstrip("\ufeff \t\r\n").startswith("<") and kinds.of_text(text.encode(), "") == "model"
-    except BadFile:
-        return False
-
-
-def _placed(error: F, setting: Setting) -> F:
-    """The error, at the tag if it names no line of its own."""
-    if error.line is not None:
-        return error
-    return type(error)(error.message, setting.place.file, setting.place.line, error.hint)
-
-
-# --- nodes -----------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class SpawnedOnPaper:
-    """A robot that the launch puts into the world; `model` is None when it cannot be read or is not known here."""
-
-    name: str
-    namespace: str | None
-    model: Model | None
-    node: Node
-
-
-class LaunchNodes:
-    """The nodes of a plan as tasks, and the robots among them."""
-
-    def __init__(
-        self,
-        plan: LaunchPlan,
-        parameters: LaunchParameters,
-        packages: Packages,
-        findings: Findings,
-        strict: bool = False,
-    ) -> None:
-        self.plan = plan
-        self.parameters = parameters
-        self.packages = packages
-        self.findings = findings
-        self.strict = strict
-        self.tasks = [task for node in plan.nodes if (task := self._task(node)) is not None]
+    def read_nodes(self) -> None:
+        """Make the tasks, and the robots of those that spawn one."""
+        self.tasks = [task for node in self.plan.nodes if (task := self._task(node)) is not None]
         self.robots = [self._robot(task) for task in self.tasks if isinstance(task, SpawnModel)]
         self._withdraw_starts()
-        self.has_programs = any(isinstance(task, Process) for task in self.tasks)
+
+    @property
+    def has_programs(self) -> bool:
+        return any(isinstance(task, Process) for task in self.tasks)
 
     def _task(self, node: Node) -> Task | None:
         """What the node is here, with a finding that says so."""
@@ -333,13 +280,11 @@ class LaunchNodes:
         if not made:  # what it lacks is told with all that is not there
             return None
         (task,) = made
-        self._add(_VERDICTS.get(task.family, "used"), node, f"{node.kind}: {task.text}")
+        self._add("ignored" if task.family == "notice" else "used", node, f"{node.kind}: {task.text}")
         return task
 
     def _add(self, verdict: Verdict, node: Node, text: str) -> None:
         self.findings.add(verdict, f"node {node.full_name}", text, node.place.file, node.place.line)
-
-    # --- robots -------------------------------------------------------------------------------------------------------
 
     def _robot(self, task: SpawnModel) -> SpawnedOnPaper:
         found = self._model(task)
@@ -360,13 +305,13 @@ class LaunchNodes:
             self.findings.missing.note(error, f"{task.model} is left out")
             return None
         name = task.node.resolve(task.words.one("-param"))
-        if name not in self.parameters.values and self.parameters.is_complete:
-            near = closest(name, self.parameters.robots)
+        if name not in self.values and self.is_complete:
+            near = closest(name, self.descriptions)
             hint = f"; did you mean {near}?" if near else ""
             self._add("wrong", task.node, f"the launch does not set the parameter {name}{hint}")
-        elif name not in self.parameters.robots and self.parameters.values.get(name) is not None:
+        elif name not in self.descriptions and self.values.get(name) is not None:
             self._add("wrong", task.node, f"the parameter {name} holds no robot")
-        return self.parameters.robots.get(name)
+        return self.descriptions.get(name)
 
     def _withdraw_starts(self) -> None:
         """A joint that every spawn of a robot puts between its limits (-J) does not start outside of them."""
@@ -381,8 +326,6 @@ class LaunchNodes:
                 if joint.limit and all(joint.limit.lower <= start <= joint.limit.upper for start in starts):
                     said = (notice for notice in self.findings.sorted() if notice.subject == place_of_limit(joint.name))
                     self.findings.withdraw(notice for notice in said if notice.text.startswith(STARTS_OUTSIDE))
-
-    # --- who reads parameters -----------------------------------------------------------------------------------------
 
     def reader(self, name: str) -> str | None:
         """Which node reads a parameter that no controller reads; None when none does."""
@@ -411,9 +354,7 @@ class LaunchNodes:
                 return WITHOUT_EFFECT.get(own) or (f"did you mean {near!r}?" if near else "")
         return ""
 
-    # --- what they look for -------------------------------------------------------------------------------------------
-
-    def tell(self, controllers: Mapping[str, str], claims: Mapping[str, set[str]], tags: LaunchTags) -> None:
+    def tell(self, controllers: Mapping[str, str], claims: Mapping[str, set[str]]) -> None:
         """Findings on what fits nothing. `controllers` are full names and types in the parameters, `claims` joints."""
         self._tell_twins()
         self._tell_namespaces(controllers)
@@ -422,9 +363,9 @@ class LaunchNodes:
                 self._tell_spawner(task, controllers)
                 self._tell_rivals(task, claims)
             elif isinstance(task, RobotStatePublisher):
-                self._tell_joint_states(task, controllers, tags)
+                self._tell_joint_states(task, controllers)
         self._tell_loaded_twice()
-        self._tell_remaps(tags)
+        self._tell_remaps()
 
     def _tell_loaded_twice(self) -> None:
         """Controllers that two spawners load: the second one is refused."""
@@ -458,7 +399,7 @@ class LaunchNodes:
         strays = {names.parent(name) for name in controllers if not any(names.is_under(name, home) for home in homes)}
         for namespace in sorted(strays):
             text = f"controllers are set here, but the robots of this launch live in {listing(homes)}"
-            place = self.parameters.places.get(namespace) or (shown(self.plan.files[0]), None)
+            place = self.places.get(namespace) or (shown(self.plan.files[0]), None)
             self.findings.add("wrong", f"namespace {namespace}", text, *place)
 
     def _tell_spawner(self, task: Spawner, controllers: Mapping[str, str]) -> None:
@@ -469,7 +410,7 @@ class LaunchNodes:
             self._add("wrong", task.node, f'{text}{listing(homes)}; did you mean ns="{near}"?')
         for word in task.words.rest:
             name = names.join(task.namespace, word)
-            if name not in controllers and not is_file(Path(word)) and self.parameters.is_complete:
+            if name not in controllers and not is_file(Path(word)) and self.is_complete:
                 self._add("wrong", task.node, self._unknown_controller(name, task.namespace, controllers))
 
     def _tell_rivals(self, task: Spawner, claims: Mapping[str, set[str]]) -> None:
@@ -488,7 +429,7 @@ class LaunchNodes:
         hint = f"; did you mean {near}?" if near else f"; controllers: {listing(controllers)}"
         return f"the launch sets no controller {name}{hint}"
 
-    def _tell_joint_states(self, task: RobotStatePublisher, controllers: Mapping[str, str], tags: LaunchTags) -> None:
+    def _tell_joint_states(self, task: RobotStatePublisher, controllers: Mapping[str, str]) -> None:
         """The tutorial's slip: joint states are awaited where nobody publishes them."""
         topic = task.node.resolve("joint_states")
         there = sorted({names.join(names.parent(name), "joint_states") for name in self._publishers(controllers)})
@@ -499,42 +440,62 @@ class LaunchNodes:
             return
         if topic in there:
             return
-        awaited = task.node.absolute("joint_states")
-        remap = next((r for r in reversed(task.node.remaps) if task.node.absolute(r.source) == awaited), None)
+        remap = task.node.remap_of("joint_states")
         end = f"{topic}, which nobody publishes; did you mean {closest(topic, there) or there[0]}?"
         if remap is None:
             self._add("wrong", task.node, f"it listens to {end}")
         else:
-            tags.say_of_remap("wrong", remap, f"{task.node.full_name} listens to {end}")
+            self.say_of_remap("wrong", remap, f"{task.node.full_name} listens to {end}")
 
     def _publishers(self, controllers: Mapping[str, str]) -> Iterator[str]:
         """The joint state controllers that a spawner of the launch starts."""
         for task in self.tasks:
             yield from (name for name in _loaded(task) if controllers.get(name) == _JOINT_STATES)
 
-    def _tell_remaps(self, tags: LaunchTags) -> None:
+    def _tell_remaps(self) -> None:
         """Remaps that no node makes use of."""
-        used = {remap for task in self.tasks for remap in self._used_remaps(task)}
+        used = {remap for task in self.tasks for remap in _used_remaps(task)}
         there = {remap for node in self.plan.nodes for remap in node.remaps}
         known = {name for task in self.tasks for name in _names_of(task)}
         for remap in there - used:
             near = closest(remap.source, known)
             suggestion = f"; did you mean {near!r}?" if near else ""
-            tags.say_of_remap("ignored", remap, f"no node that it is for has the name {remap.source!r}{suggestion}")
+            self.say_of_remap("ignored", remap, f"no node that it is for has the name {remap.source!r}{suggestion}")
         places = {(remap.place.file, remap.place.line) for remap in there}
-        for element in tags.elements("remap"):
+        for element in self.elements("remap"):
             if (element.file, element.line) not in places:
                 source = plain(element).get("from") or ""
                 lonely = Remap(source.strip(), "", Location(element.file, element.line))
-                tags.say_of_remap("ignored", lonely, "no node comes after it")
+                self.say_of_remap("ignored", lonely, "no node comes after it")
 
-    def _used_remaps(self, task: Task) -> Iterator[Remap]:
-        node = task.node
-        known = {node.absolute(name) for name in _names_of(task)}
-        for remap in node.remaps:
-            is_program = isinstance(task, Process) and not isinstance(task, ToolProcess)
-            if is_program or node.absolute(remap.source) in known:
-                yield remap
+
+def _walk(element: Element) -> Iterator[Element]:
+    yield element
+    for child in plain(element).children:
+        yield from _walk(child)
+
+
+def _is_robot(text: str) -> bool:
+    try:
+        return text.lstrip("\ufeff \t\r\n").startswith("<") and kinds.of_text(text.encode(), "") == "model"
+    except BadFile:
+        return False
+
+
+def _placed(error: F, setting: Setting) -> F:
+    """The error, at the tag if it names no line of its own."""
+    if error.line is not None:
+        return error
+    return type(error)(error.message, setting.place.file, setting.place.line, error.hint)
+
+
+def _used_remaps(task: Task) -> Iterator[Remap]:
+    node = task.node
+    known = {node.absolute(name) for name in _names_of(task)}
+    for remap in node.remaps:
+        is_program = isinstance(task, Process) and not isinstance(task, ToolProcess)
+        if is_program or node.absolute(remap.source) in known:
+            yield remap
 
 
 def _loaded(task: Task) -> list[str]:

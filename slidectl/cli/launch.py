@@ -21,7 +21,7 @@ from slidectl.cli import live
 from slidectl.cli.commands import command
 from slidectl.cli.context import DEFAULT_TIMEOUT_S, Context
 from slidectl.cli.options import positive_seconds
-from slidectl.cli.spawn import tell_own_packages
+from slidectl.cli.spawn import package_lookup, pairs, tell_own_packages
 from slidectl.client import Client
 from slidectl.client.link import command as to_type
 from slidectl.errors import Refused, TimedOut, UsageError
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from slidectl.launch.execution import Execution
     from slidectl.launch.nodes.gazebo import WorldSettings
     from slidectl.launch.plan import LaunchPlan
-    from slidectl.launch.supervision import Interrupts
     from slidectl.launch.task import Task
 
 START_LIMIT_S = 30.0
@@ -102,8 +101,10 @@ def launch(ctx: Context, /, words: tuple[str, ...], packages: tuple[str, ...], *
     from slidectl.description.missing import Missing
     from slidectl.launch import execution, files, loader, node_kinds
 
-    lookup = _packages(packages)
-    names, arguments = _divided(words)
+    lookup = package_lookup(packages, "launch")
+    names = [word for word in words if ":=" not in word]
+    given_arguments = pairs([word for word in words if ":=" in word], ":=", "launch")
+    arguments = {name: value.strip() for name, value in given_arguments.items()}
     asked = ["--" + name.replace("_of", "").replace("_", "-") for name in _LISTINGS if given[name]]
     if len(asked) > 1:
         raise UsageError(f"{' and '.join(asked)} exclude each other")
@@ -128,35 +129,6 @@ def launch(ctx: Context, /, words: tuple[str, ...], packages: tuple[str, ...], *
         return
     title = " ".join(source.shown for source in sources)
     _run(ctx, plan, tasks, lookup, title, given)
-
-
-# --- the command line -----------------------------------------------------------------------------------------------
-
-
-def _packages(given: Sequence[str]) -> Packages:
-    from slidectl.description.packages import Packages
-
-    pairs = {}
-    for word in given:
-        name, sign, path = word.partition("=")
-        if not name or not sign or not path:
-            raise UsageError(f"{word!r} is not NAME=PATH", "slidectl launch --package my_robot=~/src/my_robot ...")
-        pairs[name] = path
-    return Packages(pairs, Path.cwd())
-
-
-def _divided(words: Sequence[str]) -> tuple[list[str], dict[str, str]]:
-    """What names files, and the `arg:=value`."""
-    names, arguments = [], {}
-    for word in words:
-        name, sign, value = word.partition(":=")
-        if sign and not name:
-            raise UsageError(f"{word!r} is not ARG:=VALUE")
-        if sign:
-            arguments[name] = value.strip()
-        else:
-            names.append(word)
-    return names, arguments
 
 
 # --- running ---------------------------------------------------------------------------------------------------------
@@ -228,39 +200,15 @@ def _run(
     ctx: Context, plan: LaunchPlan, tasks: Sequence[Task], packages: Packages, title: str, given: dict[str, Any]
 ) -> None:
     from slidectl.cli.detached import Background
+    from slidectl.cli.launch_text import Terminal
+    from slidectl.launch.execution import Execution
     from slidectl.launch.supervision import Interrupted, Interrupts
+    from slidectl.launch.task import Options, Run
 
     background = None
     if given["detach"] and any(task.needs_presence for task in tasks):
         background = Background(ctx.paths)
         background.fork()
-    try:
-        with Interrupts() as interrupts, _pid_file(given["pid_file"]):
-            run = _execution(ctx, plan, tasks, packages, interrupts, given)
-            _drive(run, title, given["detach"], background)
-    except Interrupted as interrupted:  # before there was anything to end
-        _interrupted(interrupted.number, was_up=False)
-
-
-def _execution(
-    ctx: Context,
-    plan: LaunchPlan,
-    tasks: Sequence[Task],
-    packages: Packages,
-    interrupts: Interrupts,
-    given: dict[str, Any],
-) -> Execution:
-    from slidectl.cli.launch_text import Terminal
-    from slidectl.launch.execution import Execution
-    from slidectl.launch.task import Options, Run
-
-    options = Options(
-        given["output_of_all"],
-        given["required"],
-        given["strict"],
-        given["sigint_timeout"],
-        given["sigterm_timeout"],
-    )
     paths = ctx.paths
     # For the programs of nodes, so that commands of this kind in them reach the same daemon, by the same slidectl.
     environment = {
@@ -268,8 +216,16 @@ def _execution(
         "SLIDECTL_SOCKET": paths.socket_text if paths.prefix else "",
         "SLIDECTL_INSTANCE": "" if paths.prefix else paths.name,
     }
-    run = Run(plan, packages, Terminal(ctx), options, interrupts, str(paths.folder / "launch"), environment)
-    return Execution(run, tasks, DaemonDoor(ctx, child=not given["detach"], wait=given["wait"]))
+    options = Options(
+        given["output_of_all"], given["required"], given["strict"], given["sigint_timeout"], given["sigterm_timeout"]
+    )
+    try:
+        with Interrupts() as interrupts, _pid_file(given["pid_file"]):
+            run = Run(plan, packages, Terminal(ctx), options, interrupts, str(paths.folder / "launch"), environment)
+            door = DaemonDoor(ctx, child=not given["detach"], wait=given["wait"])
+            _drive(Execution(run, tasks, door), title, given["detach"], background)
+    except Interrupted as interrupted:  # before there was anything to end
+        _interrupted(interrupted.number, was_up=False)
 
 
 @contextmanager

@@ -15,7 +15,6 @@ from slidectl.launch.nodes.programs import Process
 from slidectl.launch.plan import LaunchPlan, Location, Node
 from slidectl.launch.task import Task
 
-_CLEAR = "\r\x1b[K"
 _LONGEST = 60
 
 
@@ -47,11 +46,8 @@ class Terminal:
             self._say(lambda: print(f"[{node}] {line}", file=sys.stderr, flush=True))
 
     def status(self, text: str) -> None:
-        def change() -> None:
-            self._status = text[: max(10, output._terminal_width() - 1)]
-
-        if self.is_live and (text or self._status):
-            self._say(change)
+        cut = text[: max(10, output._terminal_width() - 1)]
+        self._say(lambda: setattr(self, "_status", cut))
 
     def closing(self) -> None:
         self._closing = True
@@ -76,7 +72,7 @@ class Terminal:
             raise
 
     def _draw(self, text: str) -> None:
-        sys.stderr.write(_CLEAR + text)
+        sys.stderr.write("\r\x1b[K" + text)
         sys.stderr.flush()
 
 

@@ -161,7 +161,6 @@ class Execution:
 
     def _fail(self, task: Task, error: SlidectlError) -> None:
         """A task that could not be done ends the launch, or is left out where that keeps going. Raises StepFailed."""
-        self.run.know(error.message)
         if not self.run.plan.missing.keeps_going:
             raise error if isinstance(error, StepFailed) else StepFailed(task, error) from None
         task.leave_out(self.run, "the node", error)
@@ -269,7 +268,7 @@ class Execution:
         return [task for task in self.begun if task.keeps_running and task not in gone]
 
     def _is_required(self, task: Task) -> bool:
-        if task.family in ("notice", "refused"):  # a window that there never was cannot be closed
+        if task.family == "notice":  # a window that there never was cannot be closed
             return False
         return task.node.required or (self.run.options.all_required and isinstance(task, Process))
 
@@ -299,10 +298,9 @@ class Execution:
     def _show_status(self) -> None:
         status = self.run.call("/slidectl/status")
         pace = "paused" if status["paused"] else f"speed {status['speed_reached']:.2f}"
-        nodes = len(self._running())
         self.run.console.status(
             f"time {status['time']:.1f} s, {pace}, robots: {' '.join(status['robots']) or 'none'},"
-            f" {status['controllers_running']} of {status['controllers']} controllers run, {nodes} nodes"
+            f" {status['controllers_running']} of {status['controllers']} controllers run, {len(self._running())} nodes"
         )
         self.run.watch.later(_STATUS_EVERY_S, self._show_status)
 

@@ -10,16 +10,12 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from slidectl import paths
 from slidectl.description.models import read_file
-from slidectl.description.packages import Packages, UnknownPackage, is_file, shown
+from slidectl.description.packages import Packages, is_file, shown
 from slidectl.description.xml_tree import MOST_BYTES
-from slidectl.errors import BadFile, NotThere, UnknownName, UsageError, listing
-
-if TYPE_CHECKING:
-    from slidectl.launch.tag import Tag
+from slidectl.errors import BadFile, UnknownName, UsageError, listing
 
 SUFFIX = ".launch"
 
@@ -31,19 +27,6 @@ class LaunchFile:
     path: Path
     text: bytes
     shown: str
-
-
-def included(path: str, tag: Tag) -> LaunchFile:
-    """An included file; a relative path is one from the working folder."""
-    found = Path(os.path.abspath(path))
-    try:
-        return LaunchFile(found, read_file(found), shown(found))
-    except NotThere as error:
-        beside = is_file(tag.scope.file.parent / path)
-        hint = f'there is one beside this file: file="$(dirname)/{path}"' if beside else None
-        raise tag.absence(f"{path}: {error.reason}", hint, f"file {found}") from None
-    except BadFile as error:
-        raise tag.error(f"{path}: {error.reason}") from None
 
 
 def find(words: Sequence[str], packages: Packages) -> list[LaunchFile]:
@@ -61,12 +44,12 @@ def find(words: Sequence[str], packages: Packages) -> list[LaunchFile]:
     if path is not None:
         return [_source(path), *(_given(word, packages) for word in more[1:])]
     if len(words) == 2 and not is_file(Path(first)) and first != "-":
-        raise _neither(first, more[0], packages)
+        return [_source(find_in_package(first, more[0], packages, "launch file"))]
     return [_given(word, packages) for word in words]
 
 
-def find_in_package(package: str, file: str, packages: Packages) -> Path:
-    """A file of any kind in a package, wherever in it.
+def find_in_package(package: str, file: str, packages: Packages, kind: str = "file") -> Path:
+    """A file in a package, wherever in it; `kind` is what messages call it.
 
     Raises:
         UnknownPackage, UnknownName: no such package or file. UsageError: the package has several of that name.
@@ -76,7 +59,7 @@ def find_in_package(package: str, file: str, packages: Packages) -> Path:
         return path
     folder = packages.find(package)
     alike = [found.name for found in below(folder) if found.suffix == Path(file).suffix]
-    raise UnknownName("file", file, sorted(set(alike)), f"in the package {package} ({shown(folder)})")
+    raise UnknownName(kind, file, sorted(set(alike)), f"in the package {package} ({shown(folder)})")
 
 
 def _given(word: str, packages: Packages) -> LaunchFile:
@@ -106,51 +89,24 @@ def _in_package(package: str, file: str, packages: Packages) -> Path | None:
     return None
 
 
-def _neither(package: str, file: str, packages: Packages) -> Exception:
-    """Why `PACKAGE FILE` leads nowhere."""
-    try:
-        folder = packages.find(package)
-    except UnknownPackage as error:
-        return error
-    return UnknownName("launch file", file, _launch_files(folder), f"in the package {package} ({shown(folder)})")
-
-
-def _which_of(package: str, packages: Packages) -> UsageError:
-    """What a package alone gets as an answer."""
-    known = _launch_files(packages.find(package))
-    return UsageError(
-        f"{package!r} is a package: which launch file of it?",
-        f"launch files: {listing(known)}\nslidectl launch {package} {known[0] if known else 'FILE'}",
-    )
-
-
-def _launch_files(folder: Path) -> list[str]:
-    return sorted(path.name for path in below(folder) if path.suffix == SUFFIX)
-
-
 def _single(word: str, packages: Packages) -> Path:
     """A file, else a shipped launch file by its name, else the only one of a shipped package."""
     path = Path(os.path.expanduser(word))
-    if is_file(path) or _is_fifo(path):
+    if os.path.exists(path) and not os.path.isdir(path):
         return path
     known = shipped()
     if word in known:
         return known[word]
     if next(packages.candidates(word), None) is not None:
-        raise _which_of(word, packages)
+        inside = sorted(path.name for path in below(packages.find(word)) if path.suffix == SUFFIX)
+        hint = f"launch files: {listing(inside)}\nslidectl launch {word} {inside[0] if inside else 'FILE'}"
+        raise UsageError(f"{word!r} is a package: which launch file of it?", hint)
     if os.path.isdir(path):
         inside = sorted(file.name for file in path.glob(f"*{SUFFIX}"))
         raise BadFile("a folder, not a launch file", word, hint=f"launch files in it: {listing(inside) or 'none'}")
     if "/" in word or word.endswith((SUFFIX, ".xml")):
         raise BadFile("no such launch file", word, hint=f"shipped ones: {', '.join(sorted(known))}")
     raise UnknownName("shipped launch file", word, sorted(known), "(and no file of that name here)")
-
-
-def _is_fifo(path: Path) -> bool:
-    try:
-        return path.is_fifo()
-    except (OSError, ValueError):
-        return False
 
 
 def shipped() -> dict[str, Path]:

@@ -9,16 +9,19 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
 from slidectl import names
 from slidectl.description import xml_tree
 from slidectl.description.missing import Missing
-from slidectl.description.packages import Packages
+from slidectl.description.models import read_file
+from slidectl.description.packages import Packages, is_file, shown
+from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile, NotThere, UnknownName, UsageError, closest
-from slidectl.launch.files import LaunchFile, included
+from slidectl.launch.files import LaunchFile
 from slidectl.launch.parameter_tags import param, rosparam
 from slidectl.launch.plan import Argument, LaunchPlan, Node, Remap
 from slidectl.launch.substitution import absent_packages, plain
@@ -28,7 +31,6 @@ NODE_ATTRIBUTES = (
     "pkg", "type", "name", "args", "ns", "output", "respawn", "respawn_delay", "required", "cwd", "launch-prefix",
     "machine", "clear_params",
 )  # fmt: skip
-NOT_FOR_TESTS = ("output", "respawn", "respawn_delay")
 HERE = ("localhost", "127.0.0.1", "::1")
 ALL_HERE = "leave it out: all nodes run on this one"
 
@@ -158,38 +160,32 @@ def _read_arguments(source: LaunchFile, scope: Scope) -> None:
     """Only the args of the file, in groups too, but for those whose own condition is known to be false."""
     scope.launch.plan.files.append(str(source.path))
     root = _root(source, scope)
-    for element in root.element.walk():
-        if element.tag != "arg" or element.get("name") is None or element.get("value") is not None:
+    for element in _own_args(root.element):
+        name, applies, default, doc = element.get("name"), True, element.get("default"), element.get("doc")
+        if name is None or element.get("value") is not None:
             continue
         tag = Tag(element, scope)
-        name = str(element.get("name"))
         scope.everywhere.add(name)
-        if not _may_apply(tag):
-            continue
-        default = _as_far_as_known(tag, "default")
-        if name in scope.given or default is not None:
-            scope.arguments[name] = scope.given.get(name, str(default))
-        scope.launch.plan.arguments.setdefault(name, Argument(name, default, _as_far_as_known(tag, "doc")))
-    included = {id(arg) for element in root.element.walk() if element.tag == "include" for arg in element.children}
-    inside = {str(arg.get("name")) for arg in root.element.walk() if arg.tag == "arg" and id(arg) in included}
-    own = {str(arg.get("name")) for arg in root.element.walk() if arg.tag == "arg" and id(arg) not in included}
-    for name in inside - own:
-        scope.launch.plan.arguments.pop(name, None)
+        # What cannot be worked out without the values of others stays as it is written.
+        with suppress(BadFile):
+            applies = tag.applies
+        with suppress(BadFile):
+            default = tag.get("default")
+        with suppress(BadFile):
+            doc = tag.get("doc")
+        if applies:
+            if name in scope.given or default is not None:
+                scope.arguments[name] = scope.given.get(name, str(default))
+            scope.launch.plan.arguments.setdefault(name, Argument(name, default, doc))
 
 
-def _may_apply(tag: Tag) -> bool:
-    try:
-        return tag.applies
-    except BadFile:
-        return True
-
-
-def _as_far_as_known(tag: Tag, attribute: str) -> str | None:
-    """The attribute, as it is written when it cannot be worked out without the values of others."""
-    try:
-        return tag.get(attribute)
-    except BadFile:
-        return tag.element.get(attribute)
+def _own_args(element: Element) -> Iterator[Element]:
+    """The args inside, but for those that are given to an include."""
+    for child in element.children:
+        if child.tag == "arg":
+            yield child
+        elif child.tag != "include":
+            yield from _own_args(child)
 
 
 # --- groups and includes ---------------------------------------------------------------------------------------------
@@ -229,7 +225,7 @@ def _include(tag: Tag) -> None:
                 raise child.error("the attribute 'value' is missing")
             if value is not None or name not in given:
                 given[name] = str(default if value is None else value)
-    source = included(tag.required("file"), tag)
+    source = _included(tag.required("file"), tag)
     _clear(tag, tag.namespace())
     scope = inner.including(source.path, tag, given, lenient)
     _read(source, scope)
@@ -237,6 +233,19 @@ def _include(tag: Tag) -> None:
         if name not in scope.declared and not lenient:
             error = UnknownName("argument", name, sorted(scope.declared), f"in {source.shown}")
             raise child.error(error.message, error.hint)
+
+
+def _included(path: str, tag: Tag) -> LaunchFile:
+    """A relative path is one from the working folder."""
+    found = Path(os.path.abspath(path))
+    try:
+        return LaunchFile(found, read_file(found), shown(found))
+    except NotThere as error:
+        beside = is_file(tag.scope.file.parent / path)
+        hint = f'there is one beside this file: file="$(dirname)/{path}"' if beside else None
+        raise tag.absence(f"{path}: {error.reason}", hint, f"file {found}") from None
+    except BadFile as error:
+        raise tag.error(f"{path}: {error.reason}") from None
 
 
 # --- what applies to later nodes -------------------------------------------------------------------------------------
@@ -286,24 +295,12 @@ def _node_tag(tag: Tag) -> None:
 
 def _test(tag: Tag) -> None:
     """`<test>` is for rostest and starts nothing; its parameters are set all the same, as roslaunch does it."""
-    tag.knows([*(name for name in NODE_ATTRIBUTES if name not in NOT_FOR_TESTS), "test-name", "time-limit", "retry"])
+    tag.knows([*NODE_ATTRIBUTES, "test-name", "time-limit", "retry"])
     tag.notice("ignored", "is for rostest: it is not run, its parameters are set, as roslaunch does")
-    for attribute in NOT_FOR_TESTS:
-        if tag.element.get(attribute) is not None:
-            raise tag.error(f"a test has no {attribute!r}")
     for attribute in ("pkg", "type", "test-name"):
         tag.required(attribute)
-    if not _fits(tag.get("time-limit"), float, least=1e-9) or not _fits(tag.get("retry"), int):
-        raise tag.error("time-limit is a number of seconds, retry a whole number")
     namespace = tag.namespace()
     _filled(tag, namespace, names.join(namespace, _name(tag, tag.get("name") or tag.required("test-name"))))
-
-
-def _fits(text: str | None, kind: type[float], least: float = -math.inf) -> bool:
-    try:
-        return not text or kind(text) >= least
-    except ValueError:
-        return False
 
 
 def _filled(tag: Tag, namespace: str, full_name: str) -> Scope:
@@ -369,8 +366,10 @@ def _node(tag: Tag) -> Node:
 
 def _seconds(tag: Tag, attribute: str) -> float:
     text = tag.get(attribute)
-    value = float(text or 0.0) if _fits(text, float, least=0.0) else math.inf
-    if text == "" or value >= 1e9:
+    value = math.nan
+    with suppress(ValueError):
+        value = float("0" if text is None else text)
+    if not 0.0 <= value < 1e9:
         raise tag.error(f"{attribute} is a number of seconds, 0 or more, not {text!r}")
     return value
 

@@ -22,23 +22,23 @@ from slidectl.launch.task import Task
 
 COUNTERPARTS = {
     **{("gazebo_ros", kind): "gazebo:Gazebo" for kind in ("gazebo", "gzserver", "debug", "perf")},
-    ("gazebo_ros", "gzclient"): "viewers:Window",
+    ("gazebo_ros", "gzclient"): "left_out:Window",
     ("gazebo_ros", "spawn_model"): "spawn_model:SpawnModel",
     ("controller_manager", "spawner"): "controller_nodes:Spawner",
     ("controller_manager", "unspawner"): "controller_nodes:Unspawner",
     ("controller_manager", "controller_manager"): "controller_nodes:ManagerScript",
     ("controller_manager", "controller_group"): "controller_nodes:GroupScript",
-    ("robot_state_publisher", "robot_state_publisher"): "state_publishers:RobotStatePublisher",
-    ("robot_state_publisher", "state_publisher"): "state_publishers:RobotStatePublisher",
-    ("joint_state_publisher", "joint_state_publisher"): "state_publishers:JointStatePublisher",
-    ("joint_state_publisher_gui", "joint_state_publisher_gui"): "state_publishers:JointStatePublisher",
-    ("tf", "static_transform_publisher"): "static_transform:StaticTransform",
-    ("tf2_ros", "static_transform_publisher"): "static_transform:StaticTransform",
+    ("robot_state_publisher", "robot_state_publisher"): "frame_nodes:RobotStatePublisher",
+    ("robot_state_publisher", "state_publisher"): "frame_nodes:RobotStatePublisher",
+    ("joint_state_publisher", "joint_state_publisher"): "left_out:JointStatePublisher",
+    ("joint_state_publisher_gui", "joint_state_publisher_gui"): "left_out:JointStatePublisher",
+    ("tf", "static_transform_publisher"): "frame_nodes:StaticTransform",
+    ("tf2_ros", "static_transform_publisher"): "frame_nodes:StaticTransform",
 }
 """Package and type of the nodes that have one, without the windows, which are all those of rviz and rqt."""
 _TOOLS = ("rostopic", "rosservice", "rosparam")
-_VIEWER = "viewers:Viewer"
-_DO_WITHOUT_ARGUMENTS = (_VIEWER, "viewers:Window", "gazebo:Gazebo")
+_VIEWER = "left_out:Viewer"
+_DO_WITHOUT_ARGUMENTS = (_VIEWER, "left_out:Window", "gazebo:Gazebo")
 _SKIP = "--skip-unknown leaves such nodes out"
 
 
@@ -93,7 +93,8 @@ def _task(node: Node, plan: LaunchPlan, packages: Packages) -> Task:
 
     if node.package == node.type and node.type in _TOOLS:
         return ToolProcess(node, plan)
-    return Process(node, plan, find(node, packages.starting_at(os.path.dirname(node.file) or "/")))
+    program = find(node, packages.starting_at(os.path.dirname(node.file) or "/"))
+    return Process(node, plan, [str(program)])
 
 
 def _point_out(node: Node, plan: LaunchPlan) -> None:

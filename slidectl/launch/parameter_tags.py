@@ -59,30 +59,25 @@ def _setting(tag: Tag, name: str) -> Setting:
         found = f"not {len(given)} of them" if given else f"and none is there{tag.slip(SOURCES)}"
         raise tag.error(f"{name} needs exactly one of {', '.join(SOURCES)}, {found}")
     [source] = given
-    angles = tag.scope.launch.knows_angles
     if source == "value":
-        value = _converted(tag, (tag.get("value") or "").strip(), kind, angles)
+        value = _converted(tag, (tag.get("value") or "").strip(), kind)
         return Setting(name, tag.place, source, lambda: value, is_whole=True)
     if source == "command":
         is_xacro, output = _command(tag)
-        return Setting(
-            name, tag.place, source, lambda: _converted(tag, output(), kind, angles), not is_xacro, is_whole=True
-        )
+        return Setting(name, tag.place, source, lambda: _converted(tag, output(), kind), not is_xacro, is_whole=True)
     path = tag.required(source)
     if source == "textfile":
-        return Setting(
-            name, tag.place, source, lambda: _converted(tag, _text(tag, path), kind, angles), False, path, True
-        )
+        return Setting(name, tag.place, source, lambda: _converted(tag, _text(tag, path), kind), False, path, True)
     tag.notice("converted", "binary parameters are base64 text here")
     return Setting(
         name, tag.place, source, lambda: base64.b64encode(_bytes(tag, path)).decode("ascii"), False, path, True
     )
 
 
-def _converted(tag: Tag, text: str, kind: str, angles: bool) -> Any:
-    """The value of a text as a type of TYPES; with `angles` YAML has deg(). Raises BadFile."""
+def _converted(tag: Tag, text: str, kind: str) -> Any:
+    """The value of a text as a type of TYPES. Raises BadFile."""
     try:
-        value = _value(text, kind, tag.place.file, angles)
+        value = _value(text, kind, tag.place.file)
     except BadFile as error:
         raise tag.error(f"its value is {error.reason}") from None
     except ValueError as error:
@@ -95,7 +90,7 @@ def _converted(tag: Tag, text: str, kind: str, angles: bool) -> Any:
     return value
 
 
-def _value(text: str, kind: str, file: str, angles: bool) -> Any:
+def _value(text: str, kind: str, file: str) -> Any:
     """Raises ValueError: it cannot be one. BadFile: not YAML."""
     if kind == "auto":
         return automatic(text)
@@ -111,7 +106,7 @@ def _value(text: str, kind: str, file: str, angles: bool) -> Any:
     if kind == "yaml":
         from slidectl.description.yaml_tree import read_value  # takes as long to import as all of this room
 
-        return read_value(text, file, angles=angles)
+        return read_value(text, file, angles=True)
     return text
 
 
@@ -253,7 +248,6 @@ def _load(tag: Tag, name: str) -> None:
     if file and tag.text.strip():
         tag.notice("wrong", "has a file and a text: the text has no effect")
     substitution = tag.scope.substitution if tag.flag("subst_value") else None
-    tag.scope.launch.knows_angles = True
 
     def compute() -> Any:
         text = _text(tag, file) if file else tag.text

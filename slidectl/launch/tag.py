@@ -49,8 +49,6 @@ class Launch:
     """Names that launch files give to this machine."""
     absent: dict[str, UnknownPackage] = field(default_factory=dict)
     """The packages that are not there, and why."""
-    knows_angles: bool = False
-    """Whether `deg(90)` is a number in `<param type="yaml">`: in roslaunch it is, after the first `<rosparam>`."""
     _tags: int = 0
     _text: int = 0
     _began_s: float = field(default_factory=time.process_time)

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, NoReturn, Protocol
 
 from slidectl.client import Client
 from slidectl.description.packages import Packages
-from slidectl.errors import NotThere, Refused, SlidectlError, closest
+from slidectl.errors import BadFile, NotThere, Refused, SlidectlError, closest
 from slidectl.launch.plan import LaunchPlan, Leaf, Node
 from slidectl.launch.supervision import Interrupts, Watch
 
@@ -27,6 +27,8 @@ class Console(Protocol):
     """Where a run says what it does."""
 
     verbose: int
+    is_live: bool
+    """Whether `status` shows anything."""
 
     def step(self, event: str, text: str, **details: Any) -> None:
         """Something was done; `details` are for those who read JSON."""
@@ -42,10 +44,6 @@ class Console(Protocol):
 
     def closing(self) -> None:
         """The run ends: no more status, and what cannot be said any more is no reason to leave something behind."""
-
-    @property
-    def is_live(self) -> bool:
-        """Whether `status` shows anything."""
 
 
 @dataclass(frozen=True)
@@ -124,14 +122,14 @@ class Run:
                 texts.append(text)
         return texts
 
-    def know(self, text: str) -> None:
-        """The lines of a text that an answer has brought are not heard again from the log."""
-        self._known += text.splitlines()
+    def know(self, reasons: Sequence[str]) -> None:
+        """What an answer has brought is not heard again from the log."""
+        self._known += reasons
 
-    def warn(self, text: str) -> None:
+    def warn(self, reason: str) -> None:
         """Say what an answer has brought."""
-        self.know(text)
-        self.console.warn(text)
+        self.know([reason])
+        self.console.warn(reason)
 
     def parameter(self, name: str) -> Any:
         """The value of a parameter, or None when it is not set."""
@@ -161,6 +159,10 @@ class Task:
     def __init__(self, node: Node, plan: LaunchPlan) -> None:  # noqa: ARG002 - subclasses write their notices into it
         """Raises BadFile when the node's arguments make no sense."""
         self.node = node
+
+    def error(self, message: str, hint: str | None = None) -> BadFile:
+        """An error at the node's place, to be raised."""
+        return self.node.place.error(f"{self.node.full_name}: {message}", hint)
 
     @property
     def text(self) -> str:
@@ -198,24 +200,12 @@ class Task:
 
     def leave_out(self, run: Run, what: str, error: SlidectlError) -> None:
         """Note that something of the node was not to be had: `what` is left out. For a launch that keeps going."""
-        run.know(error.message)
         place, message = self.node.place, f"{self.node.full_name}: {error.message}"
         run.plan.missing.note(NotThere(message, place.file, place.line, error.hint), f"{what} is left out")
 
     def warn(self, run: Run, text: str) -> None:
         """Point something out, with the place of the node."""
         run.console.warn(f"{self.node.place}: {self.node.full_name}: {text}")
-
-
-class LeftOut(Task):
-    """A node that has nothing to do here: `text` says why, which is a warning."""
-
-    family = "notice"
-    keeps_running = False
-
-    def start(self, run: Run) -> str | None:
-        self.warn(run, self.text)
-        return None
 
 
 class StepFailed(Refused):

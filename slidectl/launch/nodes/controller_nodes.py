@@ -7,7 +7,7 @@ scripts print it and leave with 0.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,18 @@ _SPAWNER_OPTIONS = {
 _AGAIN_S = 3.0
 
 
+class _NodeManager(Manager):
+    """A controller manager whose refusals are one line that names what was asked for."""
+
+    def __init__(self, run: Run, namespace: str, limit_s: float | None) -> None:
+        super().__init__(run.client, namespace, run.warn, limit_s)
+        self.run = run
+
+    def refusal(self, what: str, reasons: Sequence[str]) -> Refused:
+        self.run.know(reasons)
+        return Refused(f"cannot {what}: {'; '.join(reasons[-2:]) or 'no reason was given'}")
+
+
 class _ControllerTask(Task):
     """A script that speaks to the controller manager of its namespace, and waits until that is there."""
 
@@ -34,11 +46,8 @@ class _ControllerTask(Task):
         self.words = parse(node, options or {})
         self.namespace = names.join(node.namespace, self.words.one("--namespace"))
 
-    def error(self, message: str, hint: str | None = None) -> SlidectlError:
-        return self.node.place.error(f"{self.node.full_name}: {message}", hint)
-
     def manager(self, run: Run, limit_s: float | None = None) -> Manager:
-        return Manager(run.client, self.namespace, run.warn, limit_s)
+        return _NodeManager(run, self.namespace, limit_s)
 
     def start(self, run: Run) -> str | None:
         manager = self.manager(run)
@@ -246,7 +255,7 @@ def _try(run: Run, action: Callable[..., None], *arguments: Any) -> bool:
     try:
         action(*arguments)
     except SlidectlError as error:
-        run.warn(error.message)
+        run.console.warn(error.message)
         return False
     return True
 
@@ -299,7 +308,6 @@ class ManagerScript(_ControllerTask):
             try:
                 action()
             except Refused as error:
-                run.know(error.message)
                 self.settled(run, failed)
                 failures.append(error.message)
                 if not self.goes_on:
@@ -387,9 +395,7 @@ class GroupScript(_ControllerTask):
         others = {name for group, members in groups.items() if group != self.group for name in members}
         unwanted = others - set(wanted) if self.command == "switch" else set()
         states = manager.states()
-        for name in wanted:
-            if name not in states:
-                manager.load(name)
+        manager.load_all([name for name in wanted if name not in states])
         start = [name for name in wanted if states.get(name) != "running"]
         stop = [name for name, state in states.items() if state == "running" and name in unwanted]
         if start or stop:

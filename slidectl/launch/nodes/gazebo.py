@@ -65,7 +65,7 @@ class Gazebo(Task):
         if engine != "ode":
             plan.notice("ignored", node.place, node.full_name, f"-e {engine} has no effect: the physics here is MuJoCo")
         if len(words.rest) > 1:
-            raise node.place.error(f"{node.full_name}: one world file at most, not {' '.join(words.rest)}")
+            raise self.error(f"one world file at most, not {' '.join(words.rest)}")
         for error in node.absent:
             plan.missing.note(error, _EMPTY)
         if words.rest:

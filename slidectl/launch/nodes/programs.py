@@ -13,7 +13,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import ClassVar
 
@@ -43,9 +43,9 @@ class Process(Task):
     needs_presence = True
     _serial: ClassVar[int] = 0
 
-    def __init__(self, node: Node, plan: LaunchPlan, program: Path | None = None) -> None:
+    def __init__(self, node: Node, plan: LaunchPlan, program: Sequence[str]) -> None:
         super().__init__(node, plan)
-        self.executable = [*node.launch_prefix, *(self.own_program if program is None else [str(program)])]
+        self.executable = [*node.launch_prefix, *program]
         self.child: Child | None = None
         self.on_end: Callable[[Process, int], None] | None = None
         """Called when it has ended for good; who runs the launch sets it."""
@@ -59,11 +59,6 @@ class Process(Task):
         self._short_lives = 0
         """How many times in a row it ended soon after its start."""
         self._last_code: int | None = None
-
-    @property
-    def own_program(self) -> list[str]:
-        """The words that start it, when it is none of the user's."""
-        raise NotImplementedError
 
     @property
     def command(self) -> list[str]:
@@ -229,10 +224,9 @@ class ToolProcess(Process):
     family = "tool"
     comes_last = True
 
-    @property
-    def own_program(self) -> list[str]:
+    def __init__(self, node: Node, plan: LaunchPlan) -> None:
         # -P: a file of the user's that is called like a library must not be taken for it.
-        return [sys.executable, "-P", "-m", "slidectl", "ros", self.node.type]
+        super().__init__(node, plan, [sys.executable, "-P", "-m", "slidectl", "ros", node.type])
 
     @property
     def command(self) -> list[str]:

@@ -13,7 +13,7 @@ from slidectl.description import source_note
 from slidectl.description.joints import STARTS_OUTSIDE, place_of_limit
 from slidectl.description.packages import Packages, is_file, shown
 from slidectl.description.report import needs_telling
-from slidectl.errors import BadFile, BadName, Refused, SlidectlError
+from slidectl.errors import BadFile, BadName, Refused
 from slidectl.launch.plan import LaunchPlan, Leaf, Node
 from slidectl.launch.task import HOOK_LIMIT_S, SPAWN_LIMIT_S, Run, Task, Words, number, parse
 
@@ -43,19 +43,19 @@ class SpawnModel(Task):
         self.words = words = parse(node, _OPTIONS)
         for option, reason in _REFUSED.items():
             if words.has(option):
-                raise self._error(f"{option}: {reason}", "describe the robot in URDF or xacro")
+                raise self.error(f"{option}: {reason}", "describe the robot in URDF or xacro")
         if words.has("-file") == words.has("-param"):
-            raise self._error("takes one of -param NAME and -file FILE")
+            raise self.error("takes one of -param NAME and -file FILE")
         if words.rest:
-            raise self._error(f"does not understand {' '.join(words.rest)!r}")
+            raise self.error(f"does not understand {' '.join(words.rest)!r}")
         if not words.one("-model"):
-            raise self._error("needs a name for the robot: -model NAME")
+            raise self.error("needs a name for the robot: -model NAME")
         if words.one("-gazebo_namespace", "/gazebo").strip("/") != "gazebo":
-            raise self._error("there is one world, and it is in /gazebo", "leave -gazebo_namespace out")
+            raise self.error("there is one world, and it is in /gazebo", "leave -gazebo_namespace out")
         try:
             self.model = names.check_robot(words.one("-model"))
         except BadName as error:
-            raise self._error(error.message, "give it another name (-model NAME)") from None
+            raise self.error(error.message, "give it another name (-model NAME)") from None
         self.pose = _pose(words)
         self.joints = {
             joint.removeprefix(f"{self.model}::"): number(node, f"-J {joint}", value)
@@ -95,9 +95,6 @@ class SpawnModel(Task):
             given += [word.partition("=")[2] for word in node.words if word.startswith("--namespace=")]
             managers.add(names.join(node.namespace, given[-1]) if given else node.namespace)
         return self.node.namespace in managers and names.join("/", self.model) not in managers
-
-    def _error(self, message: str, hint: str | None = None) -> SlidectlError:
-        return self.node.place.error(f"{self.node.full_name}: {message}", hint)
 
     @property
     def text(self) -> str:
@@ -160,16 +157,14 @@ class SpawnModel(Task):
         own = run.parameters.get(name)
         xml = own[0] if own is not None else run.parameter(name)
         if not isinstance(xml, str):
-            known = [one for one in run.call("/rosapi/get_param_names")["names"] if one.endswith("description")]
-            hint = f"descriptions there are: {', '.join(known) or 'none'}"
+            there = [one for one in run.call("/rosapi/get_param_names")["names"] if one.endswith("description")]
+            hint = f"descriptions there are: {', '.join(there) or 'none'}"
             raise Refused(f"the parameter {name} is not set to a robot's description", hint)
         if not _is_xml(xml):
             raise Refused(f"the parameter {name} holds no XML")
         if own is None:
-            note = run.call("/slidectl/sources", {"digest": source_note.digest(xml)})[
-                "note"
-            ]  # what the daemon knows of it
-            return description.load(source_note.join(xml, note), {}, packages, missing=missing)
+            known = run.call("/slidectl/sources", {"digest": source_note.digest(xml)})  # where elements were written
+            return description.load(source_note.join(xml, known["note"]), {}, packages, missing=missing)
         setting = next((one for one in reversed(run.plan.settings) if one.name == name), None)
         title = shown(setting.source) if setting is not None and setting.source else f"parameter {name}"
         return description.load(xml, {}, packages, missing=missing, title=title)

@@ -1,14 +1,19 @@
-"""robot_state_publisher and joint_state_publisher: the simulation is both, so one is set up and the other refused."""
+"""robot_state_publisher and static_transform_publisher: the frames of robots, and frames that do not move.
+
+The simulation publishes the frames of its robots itself; a robot_state_publisher sets up how.
+"""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
-from slidectl import names
-from slidectl.errors import closest
+from slidectl import names, rotations
+from slidectl.client import Client
+from slidectl.errors import BadFile, closest
 from slidectl.launch.nodes.spawn_model import SpawnModel
 from slidectl.launch.plan import LaunchPlan, Node
-from slidectl.launch.task import HOOK_LIMIT_S, LeftOut, Run, Task
+from slidectl.launch.task import HOOK_LIMIT_S, Run, Task, number, parse
 
 HONOURED = ("publish_frequency", "tf_prefix")
 """The parameters of the node that count."""
@@ -161,23 +166,74 @@ def _found(run: Run, name: str) -> str | None:
         namespace = names.parent(namespace)
 
 
-class JointStatePublisher(LeftOut):
-    """A second source of joint states would contradict the world: it is left out, with a warning."""
+# --- static_transform_publisher --------------------------------------------------------------------------------------
+
+_TOLERANCE = 10e-3
+"""Of the square of a quaternion's length, as in tf2."""
+_USAGE = {
+    "tf": "x y z yaw pitch roll (or qx qy qz qw) FRAME CHILD PERIOD_MS",
+    "tf2_ros": "x y z yaw pitch roll (or qx qy qz qw) FRAME CHILD",
+}
+
+
+class StaticTransform(Task):
+    """tf's and tf2_ros's: one transform, latched on /tf_static, there as long as the node.
+
+    tf's own sends it on /tf again and again; who listens gets the same.
+    """
+
+    family = "frames"
+    needs_presence = True
 
     def __init__(self, node: Node, plan: LaunchPlan) -> None:
         super().__init__(node, plan)
-        self._is_launched = bool(plan.files)
-        self._has_robot = any(other.type in ("spawn_model", "spawn_model.py") for other in plan.nodes)
+        words = parse(node, {}).rest
+        try:
+            if node.package == "tf" and len(words) in (9, 10):
+                number(node, "the period", words.pop())
+            if len(words) not in (8, 9):
+                few = "few" if len(words) < 8 else "many"
+                raise self.error(f"{len(words)} arguments are too {few}")
+            *values, parent, child = words
+            self.numbers = [number(node, "each of the values", value) for value in values]
+        except BadFile as error:
+            error.hint = f"{node.type} takes: {_USAGE[node.package]}"
+            raise
+        self.parent, self.child = parent.lstrip("/"), child.lstrip("/")
+        if self.parent == self.child:
+            raise self.error(f"{self.child} is its own parent", "the two frames must differ")
+        if len(turn := self.numbers[3:]) == 4:
+            length = math.hypot(*turn)
+            if abs(length * length - 1.0) > _TOLERANCE:
+                raise self.error(
+                    f"the quaternion has the length {length:g}, and a rotation has 1",
+                    "tf drops such a transform; give qx qy qz qw of length 1, or yaw pitch roll",
+                )
+            self.numbers[3:] = [part / length for part in turn]
+        self._client: Client | None = None
 
     @property
     def text(self) -> str:
-        if self._has_robot:
-            return (
-                "left out: the joints of a simulated robot are where the world has them,"
-                " and its joint_state_controller says so"
-            )
-        none = ", and this launch spawns none" if self._is_launched else ""
-        return (
-            f"left out: joints are those of a robot in the world here{none};"
-            " spawn it (slidectl spawn MODEL) with a joint_state_controller, and move it with slidectl pub"
-        )
+        return f"the frame {self.child} in {self.parent}"
+
+    def start(self, run: Run) -> str | None:
+        x, y, z, *turn = self.numbers
+        if len(turn) == 4:
+            rotation = dict(zip("xyzw", turn, strict=True))
+        else:
+            rotation = rotations.message(rotations.from_rpy((turn[2], turn[1], turn[0])))
+        transform: dict[str, Any] = {
+            "header": {"stamp": run.call("/rosapi/get_time")["time"], "frame_id": self.parent},
+            "child_frame_id": self.child,
+            "transform": {"translation": {"x": x, "y": y, "z": z}, "rotation": rotation},
+        }
+        # A publisher of its own: a latched topic keeps one message of each.
+        self._client = Client(socket=run.client.paths.socket_text, timeout=run.client.timeout)
+        self._client.publish("/tf_static", {"transforms": [transform]}, "tf2_msgs/TFMessage", latch=True)
+        self._client.flush()
+        self.settled(run, f"the frame {self.child} in {self.parent}, on /tf_static")
+        return None
+
+    def stop(self, run: Run) -> None:  # noqa: ARG002
+        if self._client is not None:
+            self._client.close()
