@@ -356,12 +356,12 @@ class _LaunchCheck:
 
     def tell(self, controllers: Mapping[str, str], claims: Mapping[str, set[str]]) -> None:
         """Findings on what fits nothing. `controllers` are full names and types in the parameters, `claims` joints."""
-        self._tell_twins()
+        self._tell_same_names()
         self._tell_namespaces(controllers)
         for task in self.tasks:
             if isinstance(task, Spawner):
                 self._tell_spawner(task, controllers)
-                self._tell_rivals(task, claims)
+                self._tell_same_joints(task, claims)
             elif isinstance(task, RobotStatePublisher):
                 self._tell_joint_states(task, controllers)
         self._tell_loaded_twice()
@@ -377,7 +377,7 @@ class _LaunchCheck:
                     text = f"loads {name}, which the node at {other.place} loads too: whoever is second is refused"
                     self._add("wrong", task.node, text)
 
-    def _tell_twins(self) -> None:
+    def _tell_same_names(self) -> None:
         """Two robots of one name, or in one namespace."""
         for what in ("name", "namespace"):
             seen: dict[str, Node] = {}
@@ -396,8 +396,10 @@ class _LaunchCheck:
         homes = self._namespaces()
         if not homes or len(homes) != len(self.robots):
             return
-        strays = {names.parent(name) for name in controllers if not any(names.is_under(name, home) for home in homes)}
-        for namespace in sorted(strays):
+        elsewhere = {
+            names.parent(name) for name in controllers if not any(names.is_under(name, home) for home in homes)
+        }
+        for namespace in sorted(elsewhere):
             text = f"controllers are set here, but the robots of this launch live in {listing(homes)}"
             place = self.places.get(namespace) or (shown(self.plan.files[0]), None)
             self.findings.add("wrong", f"namespace {namespace}", text, *place)
@@ -413,7 +415,7 @@ class _LaunchCheck:
             if name not in controllers and not is_file(Path(word)) and self.is_complete:
                 self._add("wrong", task.node, self._unknown_controller(name, task.namespace, controllers))
 
-    def _tell_rivals(self, task: Spawner, claims: Mapping[str, set[str]]) -> None:
+    def _tell_same_joints(self, task: Spawner, claims: Mapping[str, set[str]]) -> None:
         """Controllers that one spawner starts, and that want the same joint."""
         holders: dict[str, str] = {}
         for name in [] if task.words.has("--stopped") else _loaded(task):

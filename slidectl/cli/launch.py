@@ -134,8 +134,8 @@ def launch(ctx: Context, /, words: tuple[str, ...], packages: tuple[str, ...], *
 # --- running ---------------------------------------------------------------------------------------------------------
 
 
-class DaemonDoor:
-    """The door of a launch to the daemon of this command line. With `child`, one that is begun here dies with us."""
+class LaunchDaemon:
+    """The daemon of this command line, for a launch. With `child`, one that is begun here ends with this process."""
 
     def __init__(self, context: Context, child: bool, wait: bool) -> None:
         self.context = context
@@ -222,8 +222,8 @@ def _run(
     try:
         with Interrupts() as interrupts, _pid_file(given["pid_file"]):
             run = Run(plan, packages, Terminal(ctx), options, interrupts, str(paths.folder / "launch"), environment)
-            door = DaemonDoor(ctx, child=not given["detach"], wait=given["wait"])
-            _drive(Execution(run, tasks, door), title, given["detach"], background)
+            daemon = LaunchDaemon(ctx, child=not given["detach"], wait=given["wait"])
+            _drive(Execution(run, tasks, daemon), title, given["detach"], background)
     except Interrupted as interrupted:  # before there was anything to end
         _interrupted(interrupted.number, was_up=False)
 

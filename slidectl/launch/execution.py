@@ -1,7 +1,6 @@
 """A plan carried out: a daemon, parameters, nodes in order; then watched; then ended in reverse order.
 
-What each node does is its task's affair, where a daemon comes from is the door's. After `shut_down` nothing that was
-started here is left.
+What each node does is its task's affair. After `shut_down` nothing that was started here is left.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ _FIRST_MOMENT_S = 0.1
 """How long programs are watched before everything is said to run: what cannot work dies at once."""
 
 
-class Door(Protocol):
+class DaemonAccess(Protocol):
     """How to get at a daemon, and to get rid of it."""
 
     def begin(self, settings: WorldSettings) -> bool:
@@ -61,11 +60,11 @@ class _Waiting:
 class Execution:
     """One launch, from `bring_up` over `watch` to `shut_down`, which must come, whatever happened before."""
 
-    def __init__(self, run: Run, tasks: Sequence[Task], door: Door) -> None:
+    def __init__(self, run: Run, tasks: Sequence[Task], daemon: DaemonAccess) -> None:
         self.run = run
         self.tasks = list(tasks)
         run.tasks = self.tasks
-        self.door = door
+        self.daemon = daemon
         self.begun: list[Task] = []
         self.is_up = False
         self._began_daemon = False
@@ -90,9 +89,9 @@ class Execution:
             if isinstance(task, Gazebo):
                 settings = task.settings(settings)
         with run.interrupts.held():
-            self._began_daemon = self.door.begin(settings)
+            self._began_daemon = self.daemon.begin(settings)
         run.parameters = look_ahead(run.plan, self.tasks, run.packages)  # takes as long as a daemon's start
-        client, run.owns_daemon = self.door.connect()
+        client, run.owns_daemon = self.daemon.connect()
         run.connect(client)
         run.watch.add(client.fileno(), lambda: None)
         if not run.owns_daemon:
@@ -254,7 +253,7 @@ class Execution:
         """The warnings of the world are those of the launch."""
         for _ in self.run.client.events(0.0):
             pass
-        for text in self.run.heard():
+        for text in self.run.new_warnings():
             self.run.console.warn(text)
 
     @property
@@ -372,7 +371,7 @@ class Execution:
 
     def _stop_daemon(self) -> None:
         try:
-            self.door.stop()
+            self.daemon.stop()
         except SlidectlError as error:
             self.run.console.warn(str(error))
 

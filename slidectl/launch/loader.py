@@ -153,7 +153,7 @@ def _value_or_default(tag: Tag) -> tuple[str | None, str | None]:
         raise tag.error("'value' and 'default' exclude each other", "a value is constant, a default can be overridden")
     for attribute in ("value", "default"):
         tag.note_absent(attribute)
-    return tag.raw("value", hands_on=True), tag.raw("default", hands_on=True)
+    return tag.raw("value", keep_absent=True), tag.raw("default", keep_absent=True)
 
 
 def _read_arguments(source: LaunchFile, scope: Scope) -> None:
@@ -341,7 +341,7 @@ def _node(tag: Tag) -> Node:
     name = _name(tag, tag.required("name"))
     if (chosen := tag.get("machine")) and chosen not in (*HERE, *tag.scope.launch.machines):
         raise tag.error(f"there is no machine {chosen!r}", ALL_HERE)
-    words = tag.words("args", hands_on=True)
+    words = tag.words("args", keep_absent=True)
     absent = {package: tag.absence_of(package) for word in words for package in absent_packages(word)}
     respawn, required = tag.flag("respawn"), tag.flag("required")
     if respawn and required:

@@ -161,31 +161,31 @@ class Tag:
 
     # --- attributes -----------------------------------------------------------------------------------------------
 
-    def raw(self, attribute: str, hands_on: bool = False) -> str | None:
+    def raw(self, attribute: str, keep_absent: bool = False) -> str | None:
         """The attribute with substitutions, its paths still protected. Raises BadFile.
 
-        A package that is not there is an error, unless `hands_on`: then it stands in the text for those who need it.
+        A package that is not there is an error, unless `keep_absent`: then it stands in the text for those who need it.
         """
         text = self.element.get(attribute)
         if text is None or "$(" not in text:
             return text
-        return self.substituted(text, self.scope.substitution, f"{attribute}: ", hands_on)
+        return self.substituted(text, self.scope.substitution, f"{attribute}: ", keep_absent)
 
-    def substituted(self, text: str, substitution: Substitution, where: str = "", hands_on: bool = False) -> str:
-        """The text with everything put in, its paths still protected; `hands_on` as for `raw`. Raises BadFile."""
+    def substituted(self, text: str, substitution: Substitution, where: str = "", keep_absent: bool = False) -> str:
+        """The text with everything put in, its paths still protected; `keep_absent` as for `raw`. Raises BadFile."""
         try:
             found = substitution.resolve(text)
         except SubstitutionError as error:
             raise self.error(f"{where}{error.message}", error.hint) from None
         self.scope.launch.count_text(self, found)
-        for package in () if hands_on else absent_packages(found):
+        for package in () if keep_absent else absent_packages(found):
             raise self.absence_of(package)
         return found
 
     def note_absent(self, attribute: str) -> None:
         """Take in the packages that the attribute itself looks for, not those of arguments in it, in vain."""
         if "find" in (self.element.get(attribute) or ""):
-            for package in absent_packages(self.raw(attribute, hands_on=True) or ""):
+            for package in absent_packages(self.raw(attribute, keep_absent=True) or ""):
                 self.plan.missing.note(self.absence_of(package))
 
     def absence_of(self, package: str) -> NotThere:
@@ -213,14 +213,14 @@ class Tag:
                 return f" ({name!r} is there: did you mean {near!r}?)"
         return ""
 
-    def words(self, attribute: str, hands_on: bool = False) -> list[str]:
-        """The attribute taken apart as a POSIX shell would do it, nothing expanded; `hands_on` as for `raw`.
+    def words(self, attribute: str, keep_absent: bool = False) -> list[str]:
+        """The attribute taken apart as a POSIX shell would do it, nothing expanded; `keep_absent` as for `raw`.
 
         Raises:
             BadFile: a quotation that does not end.
         """
         try:
-            return [plain(word) for word in shlex.split(self.raw(attribute, hands_on) or "")]
+            return [plain(word) for word in shlex.split(self.raw(attribute, keep_absent) or "")]
         except ValueError as error:
             raise self.error(f"{attribute}: {str(error).lower()} in {self.get(attribute)!r}") from None
 

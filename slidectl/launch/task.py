@@ -86,7 +86,7 @@ class Run:
     """Robots that this run has put into the world and that are to leave it with the run."""
     _client: Client | None = None
     _log: Any = None
-    _known: list[str] = field(default_factory=list)
+    _answered: list[str] = field(default_factory=list)
 
     @property
     def client(self) -> Client:
@@ -111,24 +111,24 @@ class Run:
         """The robots in the world (slidectl/RobotInfo)."""
         return list(self.call("/slidectl/list_robots", {"name": ""}, timeout)["robots"])
 
-    def heard(self, level: int = 4) -> list[str]:
+    def new_warnings(self, level: int = 4) -> list[str]:
         """The warnings and errors of the world since the last time, without those that answers have brought."""
         lines = [self._log.get(0.0) for _ in range(len(self._log))] if self._log is not None else []
         texts = []
         for text in (str(line["msg"]) for line in lines if line["level"] >= level):
-            if text in self._known:
-                self._known.remove(text)
+            if text in self._answered:
+                self._answered.remove(text)
             else:
                 texts.append(text)
         return texts
 
-    def know(self, reasons: Sequence[str]) -> None:
-        """What an answer has brought is not heard again from the log."""
-        self._known += reasons
+    def skip_in_log(self, reasons: Sequence[str]) -> None:
+        """What an answer has brought is not told again when it comes in the log."""
+        self._answered += reasons
 
     def warn(self, reason: str) -> None:
         """Say what an answer has brought."""
-        self.know([reason])
+        self.skip_in_log([reason])
         self.console.warn(reason)
 
     def parameter(self, name: str) -> Any:

@@ -76,6 +76,22 @@ class Launched:
         return self.end(signal.SIGINT)
 
 
+def write_everything(folder: Path) -> str:
+    """The launch file of the slider with programs before and after it."""
+    package = folder / "demo"
+    (package / "scripts").mkdir(parents=True)
+    (package / "package.xml").write_text("<package><name>demo</name></package>")
+    script = package / "scripts" / "live"
+    script.write_text("#!/bin/bash\nsleep 600 &\nwait\n")
+    script.chmod(0o755)
+    path = package / "all.launch"
+    path.write_text(
+        '<launch><node pkg="demo" type="live" name="first"/><include file="$(find my_slider)/launch/slider.launch"/>'
+        '<node pkg="demo" type="live" name="last" respawn="true"/></launch>'
+    )
+    return str(path)
+
+
 class OnATerminal:
     """A `slidectl launch` on a terminal of its own, as its session's leader."""
 

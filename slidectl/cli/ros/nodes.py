@@ -21,7 +21,7 @@ from slidectl.errors import Refused, SlidectlError
 if TYPE_CHECKING:
     from slidectl.client import Client
     from slidectl.description.packages import Packages
-    from slidectl.launch.execution import Door
+    from slidectl.launch.execution import DaemonAccess
     from slidectl.launch.nodes.gazebo import WorldSettings
     from slidectl.launch.plan import LaunchPlan, Node
     from slidectl.launch.task import Task
@@ -138,12 +138,12 @@ def _adapt(made: Sequence[Task]) -> None:
             task.goes_on = True
 
 
-def _door(ctx: Context, package: str, kind: str) -> Door:
+def _door(ctx: Context, package: str, kind: str) -> DaemonAccess:
     """A Gazebo brings its world with it; everything else needs one that is there."""
     if package == "gazebo_ros" and kind in _WORLDS:
-        from slidectl.cli.launch import DaemonDoor
+        from slidectl.cli.launch import LaunchDaemon
 
-        return DaemonDoor(ctx, child=True, wait=False)
+        return LaunchDaemon(ctx, child=True, wait=False)
     return Running(ctx)
 
 

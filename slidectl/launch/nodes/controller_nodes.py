@@ -32,7 +32,7 @@ class _NodeManager(Manager):
         self.run = run
 
     def refusal(self, what: str, reasons: Sequence[str]) -> Refused:
-        self.run.know(reasons)
+        self.run.skip_in_log(reasons)
         return Refused(f"cannot {what}: {'; '.join(reasons[-2:]) or 'no reason was given'}")
 
 
@@ -73,11 +73,11 @@ class Spawner(_ControllerTask):
             plan.notice("ignored", node.place, node.full_name, "--shutdown-timeout has no effect, as in ros_control")
         limit = words.number("--timeout", 30.0)
         self.patience_s = math.inf if words.has("--no-timeout") or limit <= 0 else limit
-        self.gate = node.resolve(words.one("--wait-for")) if words.has("--wait-for") else None
+        self.topic = node.resolve(words.one("--wait-for")) if words.has("--wait-for") else None
         """The topic of --wait-for."""
         self.loaded: list[str] = []
         self.has_started = False
-        self._opened: Any = None
+        self._subscription: Any = None
         self._absent: set[str] = set()
         """Controllers of types that are not there."""
 
@@ -101,8 +101,8 @@ class Spawner(_ControllerTask):
         return f"{verb} {', '.join(self.words.rest)} in {self.namespace}"
 
     def act(self, run: Run, manager: Manager) -> str | None:
-        if self.gate is not None and not self._is_open(run):
-            return f"true on {self.gate}"
+        if self.topic is not None and not self._is_open(run):
+            return f"true on {self.topic}"
         goes_on = run.plan.missing.keeps_going
         controllers = [name for name in self._controllers(run) if name not in self._absent]
         known = manager.configured()
@@ -149,17 +149,17 @@ class Spawner(_ControllerTask):
 
     def goes_on_waiting(self, run: Run) -> bool:
         """Only the controller manager must come in time; for its topic the real one waits on, with a warning."""
-        if self._opened is not None:
-            self.warn(run, f"nothing true came on {self.gate} within {self.patience_s:g} s; it is waited for")
-        return self._opened is not None
+        if self._subscription is not None:
+            self.warn(run, f"nothing true came on {self.topic} within {self.patience_s:g} s; it is waited for")
+        return self._subscription is not None
 
     def _is_open(self, run: Run) -> bool:
         """Whether the last that came on the topic of --wait-for was true."""
-        if self._opened is None:
-            self._opened = run.client.subscribe(self.gate or "", "std_msgs/Bool")
+        if self._subscription is None:
+            self._subscription = run.client.subscribe(self.topic or "", "std_msgs/Bool")
         last = False
-        while len(self._opened):
-            last = bool(self._opened.get(0.0)["data"])
+        while len(self._subscription):
+            last = bool(self._subscription.get(0.0)["data"])
         return last
 
     def _controllers(self, run: Run) -> list[str]:

@@ -126,7 +126,7 @@ class SpawnModel(Task):
         awaited = self.words.one("-wait")
         if awaited and awaited not in run.call("/slidectl/status")["robots"]:
             return f"the model {awaited}"
-        run.heard()
+        run.new_warnings()
         document = self._document(run)
         if run.options.strict:
             description.parse(document.xml, document.file, strict=True)
@@ -209,7 +209,7 @@ class SpawnModel(Task):
 
     def _tell(self, run: Run) -> None:
         """Where it is, and what became of its tags: what needs telling in full, the others counted unless `-v`."""
-        run.heard()  # the same is said here
+        run.new_warnings()  # the same is said here
         [robot] = run.call("/slidectl/list_robots", {"name": self.model})["robots"]
         # What -J put elsewhere is between its limits: set_model_configuration refuses all else.
         put = {place_of_limit(joint.rpartition("::")[2]) for joint in self.joints}
