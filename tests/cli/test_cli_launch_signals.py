@@ -13,9 +13,9 @@ import pytest
 from command_line import CommandLine
 from launch_runs import RUNS, Launched, eventually, kill_all, nothing_is_left, processes, write_everything
 
-# A moment is so many calls of functions of slidectl. The launch below makes about 9000 of them until everything runs;
-# it sets itself up from the 3050th on, and begins the daemon soon after.
-MOMENTS = [1, 2, 40, 400, 2000, *range(3000, 3200, 25), 3500, 4500, 5500, 6500, 7500, 8500, 9500]
+# A moment is so many calls of functions of slidectl. The launch below makes about 12 000 of them until everything runs;
+# it sets itself up from the 3040th on, and begins the daemon soon after.
+MOMENTS = [1, 2, 40, 400, 2000, *range(3040, 3120, 20), 3500, 5000, 7000, 9000, 11000, 12000]
 INTERRUPTING = """
 import os, signal, sys
 left = int(os.environ.pop("INTERRUPT_AFTER", 0))

@@ -10,7 +10,6 @@ from types import SimpleNamespace
 import pytest
 from launch_files import Workspace
 
-from slidectl import description
 from slidectl.description.packages import Packages, UnknownPackage
 from slidectl.errors import BadFile, SlidectlError, UnknownName, UsageError
 from slidectl.launch import files
@@ -158,16 +157,6 @@ def test_shipped_counterparts_are_found_last_and_only_where_they_are_meant(works
     own.mkdir()
     (own / "package.xml").write_text("<package><name>gazebo_ros</name></package>")
     assert workspace.packages.find("gazebo_ros") == own
-
-
-def test_meshes_are_found_in_packages_the_same_way(workspace: Workspace) -> None:
-    workspace.write("meshes/box.stl", "solid x\nendsolid x\n")
-    xml = (
-        '<robot name="r"><link name="a"><collision><geometry><mesh filename="package://demo/meshes/box.stl"/></geometry>'
-        "</collision></link></robot>"
-    )
-    document = description.load(xml, {}, workspace.packages)
-    assert (workspace.package / "meshes" / "box.stl").as_uri() in document.xml
 
 
 def test_every_shipped_launch_file_makes_a_plan_without_a_complaint() -> None:
