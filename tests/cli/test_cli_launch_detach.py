@@ -150,4 +150,3 @@ def test_a_detached_launch_that_is_killed_while_it_starts_says_so(slidectl: Comm
     assert "the launch was ended by SIGKILL before everything ran" in launched.text
     assert "slidectl daemon stop" in launched.text
     slidectl.ok("daemon", "stop")
-    nothing_is_left(slidectl.runtime)

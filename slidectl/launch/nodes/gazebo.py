@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import os
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from slidectl.description.models import read_file
 from slidectl.description.packages import is_file, shown
 from slidectl.description.robot import Notice
 from slidectl.description.xml_tree import Element
-from slidectl.errors import BadFile, NotThere
+from slidectl.errors import NotThere
 from slidectl.launch.plan import LaunchPlan, Node
 from slidectl.launch.task import HOOK_LIMIT_S, Run, Task, parse
 
@@ -188,12 +189,7 @@ def _take(element: Element, found: WorldFile) -> None:
     elif element.tag == "plugin":
         found.say("wrong", element, "plugins of Gazebo have no effect")
     elif element.tag not in ("light", "name"):
-        why = (
-            "nothing is drawn here"
-            if element.tag in ("gui", "scene", "light", "audio", "road", "material")
-            else "there is nothing like it here"
-        )
-        found.say("ignored", element, f"has no effect: {why}")
+        found.say("ignored", element, "has no effect: there is nothing like it here")
 
 
 def _take_include(element: Element, found: WorldFile) -> None:
@@ -216,11 +212,11 @@ def _take_physics(physics: Element, found: WorldFile) -> None:
     rate: float | None = None
     for element in physics.children:
         if element.tag == "max_step_size":
-            found.set(timestep=_positive(element))
+            found.set(timestep=_numbers(element, "a number above 0", above=0.0)[0])
         elif element.tag == "real_time_factor":
-            factor = _positive(element)
+            factor = _numbers(element, "a number above 0", above=0.0)[0]
         elif element.tag == "real_time_update_rate":
-            rate = _number(element)
+            rate = _numbers(element, "a number")[0]
         elif element.tag == "gravity":
             found.set(gravity=_vector(element))
         else:
@@ -234,32 +230,16 @@ def _take_physics(physics: Element, found: WorldFile) -> None:
         found.say("converted", physics, text)
 
 
-def _number(element: Element) -> float:
-    try:
-        value = float(element.first_text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise _bad(element, "a number")
-    return value
-
-
-def _positive(element: Element) -> float:
-    value = _number(element)
-    if value <= 0:
-        raise _bad(element, "a number above 0")
-    return value
+def _numbers(element: Element, expected: str, count: int = 1, above: float = -math.inf) -> list[float]:
+    """So many finite numbers above a bound. Raises BadFile."""
+    numbers: list[float] = []
+    with suppress(ValueError):
+        numbers = [float(word) for word in element.first_text.split()]
+    if len(numbers) != count or not all(above < number < math.inf for number in numbers):
+        raise element.error(f"<{element.tag}> is {expected}, not {element.first_text!r}")
+    return numbers
 
 
 def _vector(element: Element) -> Vector:
-    try:
-        x, y, z = (float(word) for word in element.first_text.split())
-    except ValueError:
-        raise _bad(element, "three numbers") from None
-    if not all(map(math.isfinite, (x, y, z))):
-        raise _bad(element, "three finite numbers")
+    x, y, z = _numbers(element, "three finite numbers", 3)
     return x, y, z
-
-
-def _bad(element: Element, expected: str) -> BadFile:
-    return element.error(f"<{element.tag}> is {expected}, not {element.first_text!r}")
