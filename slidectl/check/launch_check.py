@@ -147,7 +147,7 @@ class _LaunchCheck:
         return ""
 
     def classify(self) -> None:
-        """Add a finding for everything in the files. Of those that stand in for ROS's own, only what is amiss."""
+        """Add a finding for everything in the files. Of files that stand in for ROS's own, only what is not used."""
         self._lead_back(self.plan.notices)
         for root in self.roots:
             own = Findings()
@@ -290,7 +290,7 @@ class _LaunchCheck:
         found = self._model(task)
         namespace = task.asked_namespace
         if found is not None:
-            namespace = task.home(found.robot, self.plan.nodes)
+            namespace = task.home(found.robot, self.tasks)
             found = replace(found, namespace=namespace)
         return SpawnedOnPaper(task.model, namespace, found, task.node)
 
@@ -432,7 +432,7 @@ class _LaunchCheck:
         return f"the launch sets no controller {name}{hint}"
 
     def _tell_joint_states(self, task: RobotStatePublisher, controllers: Mapping[str, str]) -> None:
-        """The tutorial's slip: joint states are awaited where nobody publishes them."""
+        """Find a robot_state_publisher that waits for joint states which nobody publishes."""
         topic = task.node.resolve("joint_states")
         there = sorted({names.join(names.parent(name), "joint_states") for name in self._publishers(controllers)})
         if not there:

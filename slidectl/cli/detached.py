@@ -87,7 +87,7 @@ class Background:
         leave(code)
 
     def everything_runs(self) -> None:
-        """Let the parent go; from now on the launch is nobody's child, and writes into its log."""
+        """Let the parent end; from now on the launch writes into its log."""
         log = os.open(self.log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
         fcntl.flock(log, fcntl.LOCK_EX)  # until this process ends: no program that it starts inherits the open file
         null = os.open(os.devnull, os.O_RDONLY)

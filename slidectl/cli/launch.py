@@ -269,11 +269,11 @@ def _drive(execution: Execution, title: str, detach: bool, background: Backgroun
             except Interrupted:  # it came just before they are held; only one is ever raised
                 execution.shut_down()
             if execution.run.interrupts.received:
-                execution.run.interrupts.ignore()  # a further one would only spoil the last words
+                execution.run.interrupts.ignore()  # a further one must not cut the last messages short
 
 
 def _interrupted(number: int, was_up: bool) -> None:
-    """Ctrl-C is 130 always; a polite end of what ran is none to complain about."""
+    """Ctrl-C is exit code 130. SIGTERM and SIGHUP are an error only before everything ran."""
     if number == signal.SIGINT:
         raise KeyboardInterrupt
     if not was_up:

@@ -1,6 +1,6 @@
 """A plan carried out: a daemon, parameters, nodes in order; then watched; then ended in reverse order.
 
-What each node does is its task's affair. After `shut_down` nothing that was started here is left.
+Tasks say what each node does. After `shut_down` nothing that was started here is left.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class DaemonAccess(Protocol):
         """Wait until it answers; the connection, and whether the daemon is the one that was begun here."""
 
     def stop(self) -> None:
-        """Stop the one that was begun here, however far it has come."""
+        """Stop the one that was begun here; it need not answer yet."""
 
 
 @dataclass
@@ -166,7 +166,7 @@ class Execution:
         self.run.left_out.append(task)
 
     def _look_again(self) -> None:
-        """Start what can be started now; what has come to wait for something else says so."""
+        """Start what can be started now. A task that now waits for something else says so."""
         progress = True
         while progress:
             progress = False
@@ -242,7 +242,7 @@ class Execution:
         self.judge()
 
     def _turn(self, most_s: float | None) -> None:
-        """Take in what has come, and wait for something more. Raises NoDaemon, Interrupted."""
+        """Handle what has arrived, and wait for more. Raises NoDaemon, Interrupted."""
         if self.run.interrupts.received:  # raised where nobody could hear it: in a finalizer, say
             raise Interrupted(self.run.interrupts.received[0])
         self._pass_on()
@@ -395,7 +395,7 @@ def look_ahead(
     """The parameters of a plan, after everything was noted that it needs and is not there, as far as files tell.
 
     Raises:
-        NotThere: all of that, unless it is forgiven. BadFile: a value cannot be had.
+        NotThere: all of that, unless the launch goes on without it. BadFile: a value cannot be had.
     """
     parameters = plan.parameters(gather=True, run_commands=run_commands)
     for task in tasks:

@@ -1,7 +1,6 @@
 """Launch files into a plan: each tag in the order of the file, depth first, as roslaunch reads them.
 
-Parameters are py's affair, and what a node does when it runs that of nodes/. Nothing is started and
-nothing but files is read.
+parameter_tags.py reads parameters; nodes/ says what a node does when it runs. Nothing is started here.
 """
 
 from __future__ import annotations
@@ -144,8 +143,8 @@ def _missing_argument(scope: Scope, name: str, tag: Tag) -> BadFile:
         hint = f'give it at the include: <arg name="{name}" value="..."/>'
         return tag.error(f"the included file requires the argument {name!r}", hint)
     near = closest(name, [given for given in scope.given if given not in scope.declared])
-    slip = f"; was {near}:={scope.given[near]} meant to be that?" if near else ""
-    return tag.error(f"the argument {name!r} is required", f"give {name}:=VALUE{slip}")
+    hint = f"; was {near}:={scope.given[near]} meant to be that?" if near else ""
+    return tag.error(f"the argument {name!r} is required", f"give {name}:=VALUE{hint}")
 
 
 def _value_or_default(tag: Tag) -> tuple[str | None, str | None]:

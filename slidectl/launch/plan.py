@@ -224,7 +224,7 @@ def leaves(name: str, value: Any, place: Location) -> Iterator[tuple[str, Any]]:
 
 
 def _conflicts(found: Mapping[str, Leaf]) -> list[tuple[str, str]]:
-    """Names that are set in vain, each with the later name that goes over it. Mappings have room for others."""
+    """Names whose values do not count, each with the later name that replaces it. A mapping may hold other names."""
     order = {name: index for index, name in enumerate(found)}
     pairs = []
     for name in found:

@@ -172,7 +172,7 @@ class Child:
         watch.add(self._descriptor, self._ended)
 
     def _take(self, name: str, is_last: bool = False) -> None:
-        """Take what has come, at most what a pipe holds; with `is_last` a line without an end, too."""
+        """Read what is there, at most what a pipe holds; with `is_last` a line without an end, too."""
         try:
             data: bytes | None = os.read(self._pipes[name], _CHUNK)
         except BlockingIOError:

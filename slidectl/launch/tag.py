@@ -183,13 +183,13 @@ class Tag:
         return found
 
     def note_absent(self, attribute: str) -> None:
-        """Take in the packages that the attribute itself looks for, not those of arguments in it, in vain."""
+        """Note the packages that the attribute itself names and that are not there; not those of arguments in it."""
         if "find" in (self.element.get(attribute) or ""):
             for package in absent_packages(self.raw(attribute, keep_absent=True) or ""):
                 self.plan.missing.note(self.absence_of(package))
 
     def absence_of(self, package: str) -> NotThere:
-        """The error of a package that was looked up in vain."""
+        """The error of a package that is not there."""
         error = self.scope.launch.absent[package]
         return self.absence(error.message, error.hint, f"package {package}")
 

@@ -153,6 +153,8 @@ class Task:
     """True when it starts after all that do not."""
     waits_lightly: ClassVar[bool] = False
     """True when a launch runs although this is still waiting."""
+    manager_namespace: str | None = None
+    """The namespace of the controller manager that it speaks to, if it does."""
     patience_s = 30.0
     """How long `start` may go on waiting, in wall seconds."""
 
@@ -188,7 +190,7 @@ class Task:
         """What there is to say or do when all other nodes have started."""
 
     def stop(self, run: Run) -> None:
-        """The end of the launch has come. Must not raise for a world that has gone."""
+        """The launch ends. Must not raise for a world that is gone."""
 
     def settled(self, run: Run, text: str, **details: Any) -> None:
         """Say that something was done."""

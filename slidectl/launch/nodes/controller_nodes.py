@@ -44,7 +44,7 @@ class _ControllerTask(Task):
     def __init__(self, node: Node, plan: LaunchPlan, options: Mapping[str, int] | None = None) -> None:
         super().__init__(node, plan)
         self.words = parse(node, options or {})
-        self.namespace = names.join(node.namespace, self.words.one("--namespace"))
+        self.namespace = self.manager_namespace = names.join(node.namespace, self.words.one("--namespace"))
 
     def manager(self, run: Run, limit_s: float | None = None) -> Manager:
         return _NodeManager(run, self.namespace, limit_s)
@@ -128,7 +128,7 @@ class Spawner(_ControllerTask):
         return None
 
     def _unknown(self, name: str, known: list[str]) -> UnknownName:
-        """A name without parameters is a slip more often than not: say which there are."""
+        """The error for a name without parameters; it says which names have some."""
         return UnknownName("controller", name, known, f"in the parameters of {self.namespace}")
 
     def _switch(self, run: Run, manager: Manager, goes_on: bool) -> None:

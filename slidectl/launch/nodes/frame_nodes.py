@@ -125,7 +125,7 @@ class RobotStatePublisher(Task):
         return left[0] if len(left) == 1 else None
 
     def afterwards(self, run: Run) -> None:
-        """Point out joint states that nobody publishes: the tutorial's slip."""
+        """Warn of joint states that nobody publishes: a mistake that the tutorial's remap invites."""
         if run.call("/rosapi/publishers", {"topic": self._topic})["publishers"]:
             return
         there = [

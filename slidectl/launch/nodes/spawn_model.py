@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -74,8 +73,8 @@ class SpawnModel(Task):
         asked = self.words.one("-robot_namespace")
         return names.join("/", asked).rstrip("/") or "/" if asked else None
 
-    def home(self, robot: description.Robot, nodes: Sequence[Node]) -> str:
-        """The namespace in which the robot will be, in a launch of these nodes.
+    def home(self, robot: description.Robot, tasks: Sequence[Task]) -> str:
+        """The namespace in which the robot will be, in a launch of these tasks.
 
         A plugin that names none gets the node's own from spawn_model, and else the model's name. Which of them is
         meant is seen from the nodes that speak to a controller manager.
@@ -83,17 +82,13 @@ class SpawnModel(Task):
         if self.asked_namespace is not None:
             return self.asked_namespace
         is_open = robot.plugin is not None and robot.plugin.robot_namespace is None
-        if is_open and self._is_spoken_to(nodes):
+        if is_open and self._is_spoken_to(tasks):
             return self.node.namespace
         return description.namespace_of(robot, self.model)
 
-    def _is_spoken_to(self, nodes: Sequence[Node]) -> bool:
-        """Whether a node speaks to a controller manager in this one's namespace, and none to one in the model's."""
-        managers = set()
-        for node in (node for node in nodes if node.package == "controller_manager"):
-            given = [after for word, after in pairwise([*node.words, ""]) if word == "--namespace"]
-            given += [word.partition("=")[2] for word in node.words if word.startswith("--namespace=")]
-            managers.add(names.join(node.namespace, given[-1]) if given else node.namespace)
+    def _is_spoken_to(self, tasks: Sequence[Task]) -> bool:
+        """Whether a task speaks to a controller manager in this one's namespace, and none to one in the model's."""
+        managers = {task.manager_namespace for task in tasks}
         return self.node.namespace in managers and names.join("/", self.model) not in managers
 
     @property
@@ -171,8 +166,8 @@ class SpawnModel(Task):
 
     def _spawn(self, run: Run, document: description.Document) -> None:
         namespace = self.asked_namespace or ""  # empty where the plugin says it, or the robot's name does
-        if not namespace and self._is_spoken_to(run.plan.nodes):
-            namespace = self.home(description.parse(document.xml), run.plan.nodes)
+        if not namespace and self._is_spoken_to(run.tasks):
+            namespace = self.home(description.parse(document.xml), run.tasks)
         request: dict[str, Any] = {
             "model_name": self.model,
             "model_xml": document.xml,
