@@ -243,7 +243,8 @@ class Words:
 
 def number(node: Node, what: str, text: str) -> float:
     """A finite number. Raises BadFile at the node."""
-    if not math.isfinite(value := _float(text)):
+    value = _float(text)
+    if value is None or not math.isfinite(value):
         raise node.place.error(f"{node.full_name}: {what} is a number, not {text!r}")
     return value
 
@@ -269,7 +270,7 @@ def parse(node: Node, known: Mapping[str, int]) -> Words:
     parser.add_argument("rest", nargs="*")
     # ROS takes `from:=to` out before a script sees its arguments. A blank before a number has argparse take `-1e-3` for
     # a value, as it does with `-1.5`.
-    words = [f" {word}" if _is_number(word) else word for word in node.words if not _is_remap(word)]
+    words = [word if _float(word) is None else f" {word}" for word in node.words if not _is_remap(word)]
     found, unknown = parser.parse_known_intermixed_args(words)
     for word in unknown:
         name = word.partition("=")[0]
@@ -282,7 +283,7 @@ def parse(node: Node, known: Mapping[str, int]) -> Words:
 
 
 def _bare(words: Sequence[str]) -> list[str]:
-    return [word.removeprefix(" ") if _is_number(word) else word for word in words]
+    return [word if _float(word) is None else word.removeprefix(" ") for word in words]
 
 
 def _is_remap(word: str) -> bool:
@@ -290,13 +291,9 @@ def _is_remap(word: str) -> bool:
     return bool(sign) and bool(name) and not word.startswith("-") and " " not in name
 
 
-def _is_number(word: str) -> bool:
-    return not math.isnan(_float(word)) or word.strip().lower().endswith("nan")
-
-
-def _float(text: str) -> float:
-    """NaN for what is no number."""
+def _float(text: str) -> float | None:
+    """None for what is no number."""
     try:
         return float(text)
     except ValueError:
-        return math.nan
+        return None

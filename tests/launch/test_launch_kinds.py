@@ -7,6 +7,7 @@ from launch_files import Workspace, notices
 
 from slidectl.errors import BadFile
 from slidectl.launch import node_kinds
+from slidectl.launch.nodes.spawn_model import SpawnModel
 from slidectl.launch.task import Task
 
 
@@ -97,6 +98,12 @@ def test_arguments_that_make_no_sense_are_refused_before_anything_starts(
     with pytest.raises(BadFile, match=r"test.launch:1: /n: ") as caught:
         task(workspace, kind, args)
     assert reason in str(caught.value)
+
+
+def test_a_number_is_a_value_however_it_is_written(workspace: Workspace) -> None:
+    made = task(workspace, "gazebo_ros/spawn_model", "-urdf -model m -param d -x -1e-3 -z -.5 -J m::j -2")
+    assert isinstance(made, SpawnModel)
+    assert (made.pose["position"], made.joints) == ({"x": -0.001, "y": 0.0, "z": -0.5}, {"j": -2.0})
 
 
 def test_attributes_that_only_mean_something_for_a_process_are_pointed_out(workspace: Workspace) -> None:
