@@ -138,12 +138,13 @@ class OnATerminal:
 
 
 def processes(runtime: Path) -> list[int]:
-    """Ids of all processes that were started with this runtime folder."""
+    """Ids of all processes that were started with this runtime folder, but for a compiler, which outlives its daemon."""
     mark = f"XDG_RUNTIME_DIR={runtime}\0".encode()
     found = []
     for entry in Path("/proc").iterdir():
         with suppress(OSError):
-            if entry.name.isdigit() and mark in (entry / "environ").read_bytes() + b"\0" and not _is_dead(entry):
+            is_ours = entry.name.isdigit() and mark in (entry / "environ").read_bytes() + b"\0"
+            if is_ours and not _is_dead(entry) and b"compiled.compiler" not in (entry / "cmdline").read_bytes():
                 found.append(int(entry.name))
     return [pid for pid in found if pid != os.getpid()]
 
