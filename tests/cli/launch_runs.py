@@ -138,7 +138,7 @@ class OnATerminal:
 
 
 def processes(runtime: Path) -> list[int]:
-    """Ids of all processes that were started with this runtime folder, but for a compiler, which outlives its daemon."""
+    """Ids of all processes with this runtime folder, but for a compiler, which outlives its daemon."""
     mark = f"XDG_RUNTIME_DIR={runtime}\0".encode()
     found = []
     for entry in Path("/proc").iterdir():
