@@ -60,9 +60,9 @@ def check(
     if kind != "model" and parameter_files:
         raise UsageError(f"--controllers goes with a model; {source} is a file of {kind}")
     if kind == "launch":
-        from slidectl.check import launch
+        from slidectl.check import launch_check
 
-        launch.check(words, arguments, packages, findings, text, ask_others, strict)
+        launch_check.check(words, arguments, packages, findings, text, ask_others, strict)
         return findings
     if kind == "controllers":
         for name in arguments:

@@ -1,6 +1,6 @@
-"""Launches that went on in the background: each keeps its log locked, and whoever stops the daemon waits for them.
+"""Launches that go on in the background: into it, and whoever stops the daemon waits until they have ended.
 
-They end by themselves when their daemon does, but their nodes may take their time. No launch is looked into here.
+Each keeps its log locked. It ends by itself when its daemon does, but its nodes may take their time.
 """
 
 from __future__ import annotations
@@ -8,12 +8,16 @@ from __future__ import annotations
 import fcntl
 import os
 import select
+import signal
+import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
+from typing import NoReturn
 
-from slidectl.errors import TimedOut
-from slidectl.paths import InstancePaths
+from slidectl.errors import EXIT_DONE, Refused, TimedOut
+from slidectl.paths import InstancePaths, make_private
 
 LIMIT_S = 30.0
 """Longer than a launch gives its nodes before it kills them."""
@@ -21,14 +25,78 @@ _QUIET_S = 0.5
 _LOOK_EVERY_S = 0.02
 
 
-def log_of(paths: InstancePaths, pid: int) -> Path:
-    """Where a launch that this process begins writes when it goes on in the background."""
-    return paths.folder / f"{paths.prefix}launch-{pid}.log"
+class Background:
+    """The launch goes on in a child process; this one waits until everything runs, and leaves.
 
+    Raises:
+        Refused: the folder for its log is not private.
+    """
 
-def hold(log: int) -> None:
-    """Lock the log that is open there until this process ends: no program that it starts inherits the open file."""
-    fcntl.flock(log, fcntl.LOCK_EX)
+    def __init__(self, paths: InstancePaths) -> None:
+        make_private(paths.folder)
+        self.log = str(paths.folder / f"{paths.prefix}launch-{os.getpid()}.log")
+        self._paths = paths
+        self._read, self._write = os.pipe()
+
+    def fork(self) -> None:
+        """Returns in the child. The parent ends as the child says: with 0 when everything runs, else with its code.
+
+        The child leaves the terminal's group, so that a Ctrl-C reaches it once: by the parent.
+
+        Raises:
+            Refused: the child was killed. In the parent.
+        """
+        from slidectl.launch.supervision import SIGNALS
+
+        sys.stdout.flush()
+        sys.stderr.flush()
+        held = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+        child = os.fork()
+        if child == 0:
+            os.close(self._read)
+            os.setsid()
+            while signal.sigtimedwait(SIGNALS, 0) is not None:  # the parent got it too, and passes it on
+                pass
+            os.write(self._write, b"a")
+            signal.pthread_sigmask(signal.SIG_SETMASK, held)
+            return
+
+        def pass_on(number: int, _frame: object) -> None:
+            with suppress(ProcessLookupError):
+                os.kill(child, number)
+
+        os.close(self._write)
+        os.read(self._read, 1)  # from here on the child is alone
+        for number in SIGNALS:
+            signal.signal(number, pass_on)
+        signal.pthread_sigmask(signal.SIG_SETMASK, held)
+        self._follow(child)
+
+    def _follow(self, child: int) -> NoReturn:
+        from slidectl.cli import leave
+        from slidectl.client.link import command
+
+        if os.read(self._read, 1):
+            leave(EXIT_DONE)
+        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        if code < 0:
+            raise Refused(
+                f"the launch was ended by {signal.Signals(-code).name} before everything ran",
+                "a daemon that it started may still run; stop it with: " + command(self._paths, "daemon stop"),
+            )
+        leave(code)
+
+    def everything_runs(self) -> None:
+        """Let the parent end; from now on the launch writes into its log."""
+        log = os.open(self.log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+        fcntl.flock(log, fcntl.LOCK_EX)  # until this process ends: no program that it starts inherits the open file
+        null = os.open(os.devnull, os.O_RDONLY)
+        for stream in (sys.stdout, sys.stderr):
+            stream.flush()
+        for source, target in ((null, 0), (log, 1), (log, 2)):
+            os.dup2(source, target)
+        os.write(self._write, b"r")
+        os.close(self._write)
 
 
 def wait(paths: InstancePaths, limit_s: float, say: Callable[[str], None]) -> None:
@@ -48,13 +116,10 @@ def wait(paths: InstancePaths, limit_s: float, say: Callable[[str], None]) -> No
 
 def _is_held(log: Path) -> bool:
     try:
-        fd = os.open(log, os.O_RDONLY | os.O_CLOEXEC)
+        with log.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
     except OSError:
         return False
-    try:
-        fcntl.flock(fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except OSError:
-        return True
-    finally:
-        os.close(fd)
     return False

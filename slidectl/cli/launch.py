@@ -1,4 +1,4 @@
-"""`slidectl launch`: roslaunch's files. It parses the command line, prints what is asked for, and runs a session.
+"""`slidectl launch`: roslaunch's files. It parses the command line, prints what is asked for, and runs what they say.
 
 Reading files, and what nodes do, is slidectl.launch's.
 """
@@ -6,9 +6,12 @@ Reading files, and what nodes do, is slidectl.launch's.
 from __future__ import annotations
 
 import os
+import select
 import signal
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,18 +19,26 @@ import click
 
 from slidectl.cli import completion
 from slidectl.cli.commands import command, positive_seconds
-from slidectl.cli.context import Context
-from slidectl.cli.spawn import tell_own_packages
-from slidectl.errors import Refused, UsageError
+from slidectl.cli.context import DEFAULT_TIMEOUT_S, Context
+from slidectl.cli.spawn import package_lookup, pairs, tell_own_packages
+from slidectl.client import Client
+from slidectl.client.link import command as to_type
+from slidectl.errors import Refused, TimedOut, UsageError
 from slidectl.names import join
 
 if TYPE_CHECKING:
+    from slidectl.cli.detached import Background
+    from slidectl.daemon.lifecycle import Beginning
     from slidectl.description.packages import Packages
-    from slidectl.launch.interrupts import Interrupts
-    from slidectl.launch.plan import Plan
-    from slidectl.launch.session import Session
-    from slidectl.launch.task import Run, Task
+    from slidectl.launch.execution import Execution
+    from slidectl.launch.nodes.gazebo import WorldSettings
+    from slidectl.launch.plan import LaunchPlan
+    from slidectl.launch.task import Task
 
+START_LIMIT_S = 30.0
+STOP_LIMIT_S = 10.0
+WAIT_LIMIT_S = 60.0
+_LOOK_EVERY_S = 0.05
 _LISTINGS = ("nodes", "files", "dump_params", "ros_args", "args_of", "find_node", "dry_run")
 
 
@@ -85,13 +96,17 @@ def launch(ctx: Context, /, words: tuple[str, ...], packages: tuple[str, ...], *
     launch that fails has spawned, itself or by its programs, go again. NAME is a launch
     file that is shipped; - is standard input. JSON keys: event, text, and those of the event.
     """
-    from slidectl.cli import launch_tell
+    from slidectl.cli import launch_text
     from slidectl.description.missing import Missing
-    from slidectl.launch import files, kinds, loader, setup
+    from slidectl.launch import execution, files, loader, node_kinds
 
-    lookup = _packages(packages)
-    names, arguments = _divided(words)
-    _check_listings(given)
+    lookup = package_lookup(packages, "launch")
+    names = [word for word in words if ":=" not in word]
+    given_arguments = pairs([word for word in words if ":=" in word], ":=", "launch")
+    arguments = {name: value.strip() for name, value in given_arguments.items()}
+    asked = ["--" + name.replace("_of", "").replace("_", "-") for name in _LISTINGS if given[name]]
+    if len(asked) > 1:
+        raise UsageError(f"{' and '.join(asked)} exclude each other")
     sources = files.find(names, lookup)
     plan = loader.load(
         sources,
@@ -102,169 +117,162 @@ def launch(ctx: Context, /, words: tuple[str, ...], packages: tuple[str, ...], *
         namespace=join("/", os.environ.get("ROS_NAMESPACE", "").strip("/")),
         missing=Missing("all" if given["keep_going"] else "nodes" if given["skip_unknown"] else "nothing"),
     )
-    if launch_tell.plan_only(ctx, plan, given):
+    if launch_text.tell_plan(ctx, plan, given):
         return
-    tasks = kinds.tasks(plan, lookup, gather=True)
+    tasks = node_kinds.tasks(plan, lookup, gather=True)
     if given["dry_run"] or plan.missing:  # where something is not there, a daemon is not begun before the rest is known
-        setup.look_ahead(plan, tasks, lookup, run_commands=False)
+        execution.look_ahead(plan, tasks, lookup, run_commands=False)
     tell_own_packages(ctx, lookup)
     if given["dry_run"] or given["args_of"]:
-        launch_tell.tasks(ctx, plan, tasks, given)
+        launch_text.tell_tasks(ctx, plan, tasks, given["args_of"])
         return
     title = " ".join(source.shown for source in sources)
     _run(ctx, plan, tasks, lookup, title, given)
 
 
-# --- the command line -----------------------------------------------------------------------------------------------
+# --- running ---------------------------------------------------------------------------------------------------------
 
 
-def _packages(given: Sequence[str]) -> Packages:
-    from slidectl.description.packages import Packages
+class LaunchDaemon:
+    """The daemon of this command line, for a launch. With `child`, one that is begun here ends with this process."""
 
-    pairs = {}
-    for word in given:
-        name, sign, path = word.partition("=")
-        if not name or not sign or not path:
-            raise UsageError(f"{word!r} is not NAME=PATH", "slidectl launch --package my_robot=~/src/my_robot ...")
-        pairs[name] = path
-    return Packages(pairs, Path.cwd())
+    def __init__(self, context: Context, child: bool, wait: bool) -> None:
+        self.context = context
+        self.child = child
+        self.must_run = wait
+        self._beginning: Beginning | None = None
 
+    def begin(self, settings: WorldSettings) -> bool:
+        from slidectl.daemon import lifecycle
 
-def _divided(words: Sequence[str]) -> tuple[list[str], dict[str, str]]:
-    """What names files, and the `arg:=value`."""
-    names, arguments = [], {}
-    for word in words:
-        name, sign, value = word.partition(":=")
-        if sign and not name:
-            raise UsageError(f"{word!r} is not ARG:=VALUE")
-        if sign:
-            arguments[name] = value.strip()
-        else:
-            names.append(word)
-    return names, arguments
+        if self.must_run:
+            return False
+        from slidectl.daemon.options import DaemonOptions
 
+        paths = self.context.paths
+        runs_already = lifecycle.running(paths) is not None
+        asked = {name: getattr(settings, name) for name in ("timestep", "gravity", "ground")} | {"rtf": settings.speed}
+        said = {name: value for name, value in asked.items() if value is not None}
+        options = DaemonOptions(**said, paused=settings.paused, child=self.child)
+        self._beginning = lifecycle.Beginning(paths, options)
+        return not runs_already
 
-def _check_listings(given: dict[str, Any]) -> None:
-    asked = ["--" + name.replace("_of", "").replace("_", "-") for name in _LISTINGS if given[name]]
-    if len(asked) > 1:
-        raise UsageError(f"{' and '.join(asked)} exclude each other")
+    def connect(self) -> tuple[Client, bool]:
+        if self.must_run:
+            self._wait_for_one()
+        is_ours = False
+        if self._beginning is not None:
+            pid, already = self._beginning.wait(self.context.wait_limit(START_LIMIT_S))
+            is_ours = not already
+            if is_ours:
+                self.context.detail(f"daemon {self.context.paths.name}: started, process {pid}")
+            else:
+                self._beginning = None
+        limit = self.context.wait_limit(DEFAULT_TIMEOUT_S)
+        return Client(socket=self.context.paths.socket_text, timeout=limit), is_ours
 
+    def _wait_for_one(self) -> None:
+        """`--wait`: nobody tells of a daemon that begins, so look now and then."""
+        from slidectl.daemon import lifecycle
 
-# --- running --------------------------------------------------------------------------------------------------------
+        paths, limit = self.context.paths, self.context.wait_limit(WAIT_LIMIT_S)
+        deadline = time.monotonic() + limit
+        if lifecycle.running(paths) is None:
+            self.context.say("no daemon runs yet: waiting for one")
+        while lifecycle.running(paths) is None:
+            if time.monotonic() >= deadline:
+                raise TimedOut(f"no daemon within {limit:g} s", "start it with: " + to_type(paths, "daemon start"))
+            select.select([], [], [], _LOOK_EVERY_S)
+        # It holds the lock before it answers; a start waits for the answer.
+        lifecycle.start(paths, timeout=max(1.0, deadline - time.monotonic()))
+
+    def stop(self) -> None:
+        from slidectl.daemon import lifecycle
+
+        if self._beginning is not None:
+            self._beginning.abandon()
+            lifecycle.stop(self.context.paths, STOP_LIMIT_S)
+            self.context.detail(f"daemon {self.context.paths.name}: stopped")
 
 
 def _run(
-    ctx: Context, plan: Plan, tasks: Sequence[Task], packages: Packages, title: str, given: dict[str, Any]
+    ctx: Context, plan: LaunchPlan, tasks: Sequence[Task], packages: Packages, title: str, given: dict[str, Any]
 ) -> None:
-    from slidectl.cli.launch_run import Background
-    from slidectl.launch.interrupts import Interrupted, Interrupts
+    from slidectl.cli.detached import Background
+    from slidectl.cli.launch_text import Terminal
+    from slidectl.launch.execution import Execution
+    from slidectl.launch.supervision import Interrupted, Interrupts
+    from slidectl.launch.task import Options, Run
 
     background = None
-    stays = any(task.needs_presence for task in tasks)
-    if given["detach"] and stays:
+    if given["detach"] and any(task.needs_presence for task in tasks):
         background = Background(ctx.paths)
         background.fork()
-    try:
-        with Interrupts() as interrupts:
-            session = _session(ctx, plan, tasks, packages, interrupts, given)
-            _PidFile(given["pid_file"]).around(lambda: _drive(session, title, given["detach"], background))
-    except Interrupted as interrupted:  # before there was anything to end
-        _interrupted(interrupted.number, was_up=False)
-
-
-def _session(
-    ctx: Context,
-    plan: Plan,
-    tasks: Sequence[Task],
-    packages: Packages,
-    interrupts: Interrupts,
-    given: dict[str, Any],
-) -> Session:
-    from slidectl.cli.launch_run import Daemon, Terminal
-    from slidectl.launch.session import Session
-    from slidectl.launch.task import Options, Run
-    from slidectl.launch.watch import Watch
-
-    options = Options(
-        given["output_of_all"],
-        given["required"],
-        given["strict"],
-        given["sigint_timeout"],
-        given["sigterm_timeout"],
-    )
-    folder = str(ctx.paths.folder / "launch")
-    run: Run = Run(plan, packages, Terminal(ctx), options, Watch(), interrupts, folder, _way_to_daemon(ctx))
-    return Session(run, tasks, Daemon(ctx, child=not given["detach"], wait=given["wait"]))
-
-
-def _way_to_daemon(ctx: Context) -> dict[str, str]:
-    """For the programs of nodes, so that commands of this kind in them reach the same daemon, by the same slidectl."""
     paths = ctx.paths
-    return {
+    # For the programs of nodes, so that commands of this kind in them reach the same daemon, by the same slidectl.
+    environment = {
         "SLIDECTL_PYTHON": sys.executable,
         "SLIDECTL_SOCKET": paths.socket_text if paths.prefix else "",
         "SLIDECTL_INSTANCE": "" if paths.prefix else paths.name,
     }
+    options = Options(
+        given["output_of_all"], given["required"], given["strict"], given["sigint_timeout"], given["sigterm_timeout"]
+    )
+    try:
+        with Interrupts() as interrupts, _pid_file(given["pid_file"]):
+            run = Run(plan, packages, Terminal(ctx), options, interrupts, str(paths.folder / "launch"), environment)
+            daemon = LaunchDaemon(ctx, child=not given["detach"], wait=given["wait"])
+            _drive(Execution(run, tasks, daemon), title, given["detach"], background)
+    except Interrupted as interrupted:  # before there was anything to end
+        _interrupted(interrupted.number, was_up=False)
 
 
-class _PidFile:
-    """`--pid FILE`."""
-
-    def __init__(self, path: str | None) -> None:
-        self.path = path
-
-    def around(self, action: Any) -> None:
-        """Do it while the file is there. Raises Refused when it cannot be written."""
-        if self.path is None:
-            action()
-            return
-        try:
-            Path(self.path).write_text(f"{os.getpid()}\n", encoding="ascii")
-        except OSError as error:
-            raise Refused(f"cannot write {self.path}: {error.strerror}") from None
-        try:
-            action()
-        finally:
-            Path(self.path).unlink(missing_ok=True)
+@contextmanager
+def _pid_file(path: str | None) -> Iterator[None]:
+    """`--pid FILE`. Raises Refused when it cannot be written."""
+    if path is None:
+        yield
+        return
+    try:
+        Path(path).write_text(f"{os.getpid()}\n", encoding="ascii")
+    except OSError as error:
+        raise Refused(f"cannot write {path}: {error.strerror}") from None
+    try:
+        yield
+    finally:
+        Path(path).unlink(missing_ok=True)
 
 
-def _drive(session: Session, title: str, detach: bool, background: Any) -> None:
+def _drive(execution: Execution, title: str, detach: bool, background: Background | None) -> None:
     """Up, watched, down. A detached launch that needs nobody to stay is left as it is."""
-    from slidectl.launch.interrupts import Interrupted
+    from slidectl.launch.supervision import Interrupted
 
     leave = False
     try:
-        session.bring_up()
-        _tell_running(session, title, detach, background)
+        execution.bring_up()
+        _tell_running(execution, title, detach, background)
         leave = detach and background is None
         if background is not None:
             background.everything_runs()
         if not leave:
-            session.watch()
+            execution.watch()
     except Interrupted as interrupted:
-        _interrupted(interrupted.number, session.is_up)
-        session.check()
+        _interrupted(interrupted.number, execution.is_up)
+        execution.judge()
     finally:
         if leave:
-            session.run.client.close()
+            execution.run.client.close()
         else:
-            _end(session)
-
-
-def _end(session: Session) -> None:
-    """Also when a signal comes just before they are held: only one is ever raised."""
-    from slidectl.launch.interrupts import Interrupted
-
-    try:
-        session.shut_down()
-    except Interrupted:
-        session.shut_down()
-    if session.run.interrupts.received:
-        session.run.interrupts.ignore()  # a further one would only spoil the last words
+            try:
+                execution.shut_down()
+            except Interrupted:  # it came just before they are held; only one is ever raised
+                execution.shut_down()
+            if execution.run.interrupts.received:
+                execution.run.interrupts.ignore()  # a further one must not cut the last messages short
 
 
 def _interrupted(number: int, was_up: bool) -> None:
-    """Ctrl-C is 130 always; a polite end of what ran is none to complain about."""
+    """Ctrl-C is exit code 130. SIGTERM and SIGHUP are an error only before everything ran."""
     if number == signal.SIGINT:
         raise KeyboardInterrupt
     if not was_up:
@@ -275,24 +283,24 @@ def _count(number: int, what: str) -> str:
     return f"{number} {what}{'' if number == 1 else 's'}"
 
 
-def _tell_running(session: Session, title: str, detach: bool, background: Any) -> None:
-    from slidectl.launch.nodes.process import reason
+def _tell_running(execution: Execution, title: str, detach: bool, background: Background | None) -> None:
+    from slidectl.launch.nodes.programs import reason
 
-    run = session.run
-    status = run.call("/slidectl/status")
-    died = {task.node.full_name: reason(code) for task, code in session.died.items()}
-    nodes = len(session.begun) - len(died)
-    what = f"{_count(nodes, 'node')}, {_count(status['controllers_running'], 'controller')} running"
-    how = f"these nodes died: {', '.join(f'{name} ({why})' for name, why in died.items())}; the rest runs"
-    end = "Ctrl-C ends it" if session.stays else "nothing is left to watch, so the launch ends"
+    run = execution.run
+    controllers = run.call("/slidectl/status")["controllers_running"]
+    died = {task.node.full_name: reason(code) for task, code in execution.died.items()}
+    missing = run.plan.missing.lines()
+    how = f"runs without {_count(len(missing), 'thing')}, listed below" if missing else "everything runs"
+    if died:
+        how = f"these nodes died: {', '.join(f'{name} ({why})' for name, why in died.items())}; the rest runs"
+    end = "Ctrl-C ends it" if execution.stays else "nothing is left to watch, so the launch ends"
     if detach:
         end = "slidectl daemon stop ends it" if run.owns_daemon or background is None else f"kill {os.getpid()} ends it"
         end += "" if background is None else f"; its log is {background.log}"
-    missing = run.plan.missing.lines()
-    runs = f"runs without {_count(len(missing), 'thing')}, listed below" if missing else "everything runs"
+    what = f"{_count(execution.nodes, 'node')}, {_count(controllers, 'controller')} running"
     run.console.step(
-        "running", f"{title}: {how if died else runs} ({what}); {end}", files=run.plan.files, nodes=nodes,
-        controllers_running=status["controllers_running"], died=died,
+        "running", f"{title}: {how} ({what}); {end}", files=run.plan.files, nodes=execution.nodes,
+        controllers_running=controllers, died=died,
     )  # fmt: skip
     if missing:
         run.console.step("left_out", "\n".join(["left out:", *missing]), things=missing)

@@ -200,6 +200,7 @@ def in_package(
     if file is None:
         return model, arguments
     from slidectl.description import models
+    from slidectl.description.packages import shown
     from slidectl.launch import files
 
     if model == "-" or models.looks_like_path(model) or model in models.shipped():
@@ -207,7 +208,7 @@ def in_package(
         if command == "spawn" and file.endswith((".yaml", ".yml")):
             hint = f"a file of controllers stands behind an option: --controllers {file}"
         raise UsageError(f"{file!r} is not KEY:=VALUE", hint)
-    return files.shown(files.find_in_package(model, file, packages)), arguments
+    return shown(files.find_in_package(model, file, packages)), arguments
 
 
 def standard_input() -> str:

@@ -136,7 +136,7 @@ def is_file(path: Path) -> bool:
         return False
 
 
-def shown(path: Path) -> str:
+def shown(path: str | Path) -> str:
     """A file's name in messages: relative when it lies below the working folder."""
     absolute = Path(os.path.abspath(path))
     try:

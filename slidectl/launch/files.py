@@ -10,22 +10,18 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from slidectl import paths
 from slidectl.description.models import read_file
-from slidectl.description.packages import Packages, UnknownPackage, is_file
+from slidectl.description.packages import Packages, is_file, shown
 from slidectl.description.xml_tree import MOST_BYTES
-from slidectl.errors import BadFile, NotThere, UnknownName, UsageError, listing
-
-if TYPE_CHECKING:
-    from slidectl.launch.tag import Tag
+from slidectl.errors import BadFile, UnknownName, UsageError, listing
 
 SUFFIX = ".launch"
 
 
 @dataclass(frozen=True)
-class Source:
+class LaunchFile:
     """The raw text of a launch file; `shown` is its name in messages."""
 
     path: Path
@@ -33,36 +29,7 @@ class Source:
     shown: str
 
 
-def shown(path: str | Path) -> str:
-    """A file's name in messages: relative when it lies below the working folder."""
-    absolute = os.path.abspath(path)
-    try:
-        here = os.getcwd()
-    except OSError:  # the working folder was deleted
-        return absolute
-    inside = absolute.startswith(here.rstrip("/") + "/")
-    return os.path.relpath(absolute, here) if inside else absolute
-
-
-def read(path: str, tag: Tag) -> Source:
-    """An included file; a relative path is one from the working folder."""
-    found = Path(os.path.abspath(path))
-    try:
-        return Source(found, read_file(found), shown(found))
-    except NotThere as error:
-        beside = is_file(tag.scope.file.parent / path)
-        hint = f'there is one beside this file: file="$(dirname)/{path}"' if beside else None
-        raise tag.absence(f"{path}: {error.reason}", hint, f"file {found}") from None
-    except BadFile as error:
-        raise tag.error(f"{path}: {error.reason}") from None
-
-
-def from_stdin() -> Source:
-    """What `-` means."""
-    return Source(Path.cwd() / "<stdin>", sys.stdin.buffer.read(MOST_BYTES + 1), "<stdin>")
-
-
-def find(words: Sequence[str], packages: Packages) -> list[Source]:
+def find(words: Sequence[str], packages: Packages) -> list[LaunchFile]:
     """The launch files that the words of a command line mean.
 
     Raises:
@@ -77,12 +44,12 @@ def find(words: Sequence[str], packages: Packages) -> list[Source]:
     if path is not None:
         return [_source(path), *(_given(word, packages) for word in more[1:])]
     if len(words) == 2 and not is_file(Path(first)) and first != "-":
-        raise _neither(first, more[0], packages)
+        return [_source(find_in_package(first, more[0], packages, "launch file"))]
     return [_given(word, packages) for word in words]
 
 
-def find_in_package(package: str, file: str, packages: Packages) -> Path:
-    """A file of any kind in a package, wherever in it.
+def find_in_package(package: str, file: str, packages: Packages, kind: str = "file") -> Path:
+    """A file in a package, wherever in it; `kind` is what messages call it.
 
     Raises:
         UnknownPackage, UnknownName: no such package or file. UsageError: the package has several of that name.
@@ -91,24 +58,28 @@ def find_in_package(package: str, file: str, packages: Packages) -> Path:
     if path is not None:
         return path
     folder = packages.find(package)
-    alike = [found.name for found in _below(folder) if found.suffix == Path(file).suffix]
-    raise UnknownName("file", file, sorted(set(alike)), f"in the package {package} ({shown(folder)})")
+    alike = [found.name for found in below(folder) if found.suffix == Path(file).suffix]
+    raise UnknownName(kind, file, sorted(set(alike)), f"in the package {package} ({shown(folder)})")
 
 
-def _given(word: str, packages: Packages) -> Source:
-    return from_stdin() if word == "-" else _source(_single(word, packages))
+def _given(word: str, packages: Packages) -> LaunchFile:
+    if word == "-":
+        return LaunchFile(Path.cwd() / "<stdin>", sys.stdin.buffer.read(MOST_BYTES + 1), "<stdin>")
+    return _source(_single(word, packages))
 
 
-def _source(path: Path) -> Source:
+def _source(path: Path) -> LaunchFile:
+    """Only of a shell's `<(...)` a pipe is read: it has its writer, and the open does not wait for one."""
     absolute = Path(os.path.abspath(path))
-    return Source(absolute, read_file(absolute, pipes=True), shown(absolute))
+    is_the_shells = absolute.parent in (Path("/dev/fd"), Path("/proc/self/fd"))
+    return LaunchFile(absolute, read_file(absolute, pipes=is_the_shells), shown(absolute))
 
 
 def _in_package(package: str, file: str, packages: Packages) -> Path | None:
     """The file in the package, wherever in it; None when there is no such package or file."""
     for folder in packages.candidates(package) if "/" not in package else ():
         directs = (folder / file, folder / "launch" / file) if "/" in file else ()
-        found = [path for path in directs if is_file(path)][:1] or [p for p in _below(folder) if p.name == file]
+        found = [path for path in directs if is_file(path)][:1] or [p for p in below(folder) if p.name == file]
         if len(found) > 1:
             places = ", ".join(str(path.relative_to(folder)) for path in found)
             raise UsageError(f"package {package} has several {file}: {places}", "give the path inside the package")
@@ -118,52 +89,24 @@ def _in_package(package: str, file: str, packages: Packages) -> Path | None:
     return None
 
 
-def _neither(package: str, file: str, packages: Packages) -> Exception:
-    """Why `PACKAGE FILE` leads nowhere."""
-    try:
-        folder = packages.find(package)
-    except UnknownPackage as error:
-        return error
-    return UnknownName("launch file", file, _launch_files(folder), f"in the package {package} ({shown(folder)})")
-
-
-def _which_of(package: str, packages: Packages) -> UsageError:
-    """What a package alone gets as an answer."""
-    known = _launch_files(packages.find(package))
-    return UsageError(
-        f"{package!r} is a package: which launch file of it?",
-        f"launch files: {listing(known)}\nslidectl launch {package} {known[0] if known else 'FILE'}",
-    )
-
-
-def _launch_files(folder: Path) -> list[str]:
-    return sorted(path.name for path in _below(folder) if path.suffix == SUFFIX)
-
-
 def _single(word: str, packages: Packages) -> Path:
     """A file, else a shipped launch file by its name, else the only one of a shipped package."""
     path = Path(os.path.expanduser(word))
-    if is_file(path) or _is_pipe(path):
+    if os.path.exists(path) and not os.path.isdir(path):
         return path
     known = shipped()
     if word in known:
         return known[word]
     if next(packages.candidates(word), None) is not None:
-        raise _which_of(word, packages)
+        inside = sorted(path.name for path in below(packages.find(word)) if path.suffix == SUFFIX)
+        hint = f"launch files: {listing(inside)}\nslidectl launch {word} {inside[0] if inside else 'FILE'}"
+        raise UsageError(f"{word!r} is a package: which launch file of it?", hint)
     if os.path.isdir(path):
         inside = sorted(file.name for file in path.glob(f"*{SUFFIX}"))
         raise BadFile("a folder, not a launch file", word, hint=f"launch files in it: {listing(inside) or 'none'}")
     if "/" in word or word.endswith((SUFFIX, ".xml")):
         raise BadFile("no such launch file", word, hint=f"shipped ones: {', '.join(sorted(known))}")
     raise UnknownName("shipped launch file", word, sorted(known), "(and no file of that name here)")
-
-
-def _is_pipe(path: Path) -> bool:
-    """What a shell makes of `<(xacro robot.launch.xacro)`."""
-    try:
-        return path.is_fifo()
-    except (OSError, ValueError):
-        return False
 
 
 def shipped() -> dict[str, Path]:
@@ -178,8 +121,8 @@ def shipped() -> dict[str, Path]:
     return found
 
 
-def _below(folder: Path) -> list[Path]:
-    """All files in a package, without those of folders that begin with a dot."""
+def below(folder: Path) -> list[Path]:
+    """All files in a folder, without those of folders that begin with a dot."""
     found = []
     for here, folders, files in os.walk(folder, followlinks=True):
         folders[:] = sorted(name for name in folders if not name.startswith("."))

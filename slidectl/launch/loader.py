@@ -1,28 +1,41 @@
 """Launch files into a plan: each tag in the order of the file, depth first, as roslaunch reads them.
 
-The tags that make up the file's shape are here; parameters and nodes have modules of their own. Nothing is started
-and nothing but files is read.
+parameter_tags.py reads parameters; nodes/ says what a node does when it runs. Nothing is started here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import math
+import os
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
+from slidectl import names
 from slidectl.description import xml_tree
 from slidectl.description.missing import Missing
-from slidectl.description.packages import Packages
-from slidectl.errors import BadFile, NotThere, UnknownName, UsageError
-from slidectl.launch import node_tags, parameter_tags
-from slidectl.launch.files import Source, read
-from slidectl.launch.plan import Argument, Plan
-from slidectl.launch.protected import plain
-from slidectl.launch.scope import Launch, Parse, Scope, missing_argument
-from slidectl.launch.tag import Tag
+from slidectl.description.models import read_file
+from slidectl.description.packages import Packages, is_file, shown
+from slidectl.description.xml_tree import Element
+from slidectl.errors import BadFile, NotThere, UnknownName, UsageError, closest
+from slidectl.launch.files import LaunchFile
+from slidectl.launch.parameter_tags import param, rosparam
+from slidectl.launch.plan import Argument, LaunchPlan, Node, Remap
+from slidectl.launch.substitution import absent_packages, plain
+from slidectl.launch.tag import Launch, Parse, Scope, Tag
+
+NODE_ATTRIBUTES = (
+    "pkg", "type", "name", "args", "ns", "output", "respawn", "respawn_delay", "required", "cwd", "launch-prefix",
+    "machine", "clear_params",
+)  # fmt: skip
+HERE = ("localhost", "127.0.0.1", "::1")
+ALL_HERE = "leave it out: all nodes run on this one"
 
 
 def load(
-    sources: Sequence[Source],
+    sources: Sequence[LaunchFile],
     arguments: Mapping[str, str],
     packages: Packages | None = None,
     *,
@@ -31,7 +44,7 @@ def load(
     namespace: str = "/",
     parse: Parse = xml_tree.read,
     missing: Missing | None = None,
-) -> Plan:
+) -> LaunchPlan:
     """The plan of one or several launch files.
 
     Args:
@@ -45,7 +58,7 @@ def load(
     Raises:
         BadFile: with file and line. UsageError: an argument that no file declares.
     """
-    plan = Plan(missing=Missing() if missing is None else missing)
+    plan = LaunchPlan(missing=Missing() if missing is None else missing)
     places = (packages or Packages()).starting_at(Path.cwd())
     launch = Launch(places, run_commands=run_commands, parse=parse, plan=plan)
     declared: set[str] = set()
@@ -70,7 +83,7 @@ def load(
     return plan
 
 
-def _root(source: Source, scope: Scope) -> Tag:
+def _root(source: LaunchFile, scope: Scope) -> Tag:
     element = scope.launch.parse(source.text, source.shown)
     tag = Tag(element, scope)
     if element.tag != "launch":
@@ -81,25 +94,26 @@ def _root(source: Source, scope: Scope) -> Tag:
     return tag
 
 
-def _read(source: Source, scope: Scope) -> None:
+def _read(source: LaunchFile, scope: Scope) -> None:
     scope.launch.plan.files.append(str(source.path))
     root = _root(source, scope)
     root.knows(["deprecated"], conditions=False)
     if (reason := root.element.get("deprecated")) is not None:
         root.notice("wrong", f"is deprecated: {reason}")
-    _contents(root)
+    _contents(root, _TAGS)
 
 
-def _contents(parent: Tag) -> None:
-    for tag in parent.children(_TAGS):
+def _contents(parent: Tag, known: Mapping[str, Callable[[Tag], None]], whose: str = "") -> None:
+    """Read the tags inside. What needs a thing that is not there is left out, and noted."""
+    for tag in parent.children(known):
         try:
             if tag.applies:
-                _TAGS[tag.name](tag)
+                known[tag.name](tag)
         except NotThere as error:
-            tag.plan.missing.note(error, f"the <{tag.name}> is left out")
+            tag.plan.missing.note(error, f"the <{tag.name}>{whose} is left out")
 
 
-# --- arguments ------------------------------------------------------------------------------------------------------
+# --- arguments -------------------------------------------------------------------------------------------------------
 
 
 def _arg(tag: Tag) -> None:
@@ -119,8 +133,18 @@ def _arg(tag: Tag) -> None:
             )
         value = scope.arguments.get(name, default)
     if value is None:
-        raise missing_argument(scope, name, tag)
+        raise _missing_argument(scope, name, tag)
     scope.arguments[name] = value
+
+
+def _missing_argument(scope: Scope, name: str, tag: Tag) -> BadFile:
+    """The error of a required argument that nobody gave."""
+    if scope.trail:
+        hint = f'give it at the include: <arg name="{name}" value="..."/>'
+        return tag.error(f"the included file requires the argument {name!r}", hint)
+    near = closest(name, [given for given in scope.given if given not in scope.declared])
+    hint = f"; was {near}:={scope.given[near]} meant to be that?" if near else ""
+    return tag.error(f"the argument {name!r} is required", f"give {name}:=VALUE{hint}")
 
 
 def _value_or_default(tag: Tag) -> tuple[str | None, str | None]:
@@ -128,45 +152,39 @@ def _value_or_default(tag: Tag) -> tuple[str | None, str | None]:
         raise tag.error("'value' and 'default' exclude each other", "a value is constant, a default can be overridden")
     for attribute in ("value", "default"):
         tag.note_absent(attribute)
-    return tag.raw("value", hands_on=True), tag.raw("default", hands_on=True)
+    return tag.raw("value", keep_absent=True), tag.raw("default", keep_absent=True)
 
 
-def _read_arguments(source: Source, scope: Scope) -> None:
+def _read_arguments(source: LaunchFile, scope: Scope) -> None:
     """Only the args of the file, in groups too, but for those whose own condition is known to be false."""
     scope.launch.plan.files.append(str(source.path))
     root = _root(source, scope)
-    for element in root.element.walk():
-        if element.tag != "arg" or element.get("name") is None or element.get("value") is not None:
+    for element in _own_args(root.element):
+        name, applies, default, doc = element.get("name"), True, element.get("default"), element.get("doc")
+        if name is None or element.get("value") is not None:
             continue
         tag = Tag(element, scope)
-        name = str(element.get("name"))
         scope.everywhere.add(name)
-        if not _may_apply(tag):
-            continue
-        default = _as_far_as_known(tag, "default")
-        if name in scope.given or default is not None:
-            scope.arguments[name] = scope.given.get(name, str(default))
-        scope.launch.plan.arguments.setdefault(name, Argument(name, default, _as_far_as_known(tag, "doc")))
-    included = {id(arg) for element in root.element.walk() if element.tag == "include" for arg in element.children}
-    inside = {str(arg.get("name")) for arg in root.element.walk() if arg.tag == "arg" and id(arg) in included}
-    own = {str(arg.get("name")) for arg in root.element.walk() if arg.tag == "arg" and id(arg) not in included}
-    for name in inside - own:
-        scope.launch.plan.arguments.pop(name, None)
+        # What cannot be worked out without the values of others stays as it is written.
+        with suppress(BadFile):
+            applies = tag.applies
+        with suppress(BadFile):
+            default = tag.get("default")
+        with suppress(BadFile):
+            doc = tag.get("doc")
+        if applies:
+            if name in scope.given or default is not None:
+                scope.arguments[name] = scope.given.get(name, str(default))
+            scope.launch.plan.arguments.setdefault(name, Argument(name, default, doc))
 
 
-def _may_apply(tag: Tag) -> bool:
-    try:
-        return tag.applies
-    except BadFile:
-        return True
-
-
-def _as_far_as_known(tag: Tag, attribute: str) -> str | None:
-    """The attribute, as it is written when it cannot be worked out without the values of others."""
-    try:
-        return tag.get(attribute)
-    except BadFile:
-        return tag.element.get(attribute)
+def _own_args(element: Element) -> Iterator[Element]:
+    """The args inside, but for those that are given to an include."""
+    for child in element.children:
+        if child.tag == "arg":
+            yield child
+        elif child.tag != "include":
+            yield from _own_args(child)
 
 
 # --- groups and includes ---------------------------------------------------------------------------------------------
@@ -175,7 +193,7 @@ def _as_far_as_known(tag: Tag, attribute: str) -> str | None:
 def _group(tag: Tag) -> None:
     tag.knows(["ns", "clear_params"])
     _clear(tag, tag.namespace())
-    _contents(Tag(tag.element, tag.scope.group(tag.namespace())))
+    _contents(Tag(tag.element, tag.scope.group(tag.namespace())), _TAGS)
 
 
 def _clear(tag: Tag, namespace: str) -> None:
@@ -200,10 +218,13 @@ def _include(tag: Tag) -> None:
             if name in own and not lenient:
                 raise child.error(f"the argument {name!r} is given twice")
             own[name] = child
-            value, default = _passed(child)
+            child.knows(["name", "value", "default", "doc"])
+            value, default = _value_or_default(child)
+            if value is None and default is None:
+                raise child.error("the attribute 'value' is missing")
             if value is not None or name not in given:
                 given[name] = str(default if value is None else value)
-    source = read(tag.required("file"), tag)
+    source = _included(tag.required("file"), tag)
     _clear(tag, tag.namespace())
     scope = inner.including(source.path, tag, given, lenient)
     _read(source, scope)
@@ -213,31 +234,163 @@ def _include(tag: Tag) -> None:
             raise child.error(error.message, error.hint)
 
 
-def _passed(child: Tag) -> tuple[str | None, str | None]:
-    """Value and default of an arg in an include: a default does not count where all args are passed on, with this one.
-
-    Raises:
-        BadFile: it has neither.
-    """
-    child.knows(["name", "value", "default", "doc"])
-    value, default = _value_or_default(child)
-    if value is None and default is None:
-        raise child.error("the attribute 'value' is missing")
-    return value, default
+def _included(path: str, tag: Tag) -> LaunchFile:
+    """A relative path is one from the working folder."""
+    found = Path(os.path.abspath(path))
+    try:
+        return LaunchFile(found, read_file(found), shown(found))
+    except NotThere as error:
+        beside = is_file(tag.scope.file.parent / path)
+        hint = f'there is one beside this file: file="$(dirname)/{path}"' if beside else None
+        raise tag.absence(f"{path}: {error.reason}", hint, f"file {found}") from None
+    except BadFile as error:
+        raise tag.error(f"{path}: {error.reason}") from None
 
 
 # --- what applies to later nodes -------------------------------------------------------------------------------------
 
 
 def _env(tag: Tag) -> None:
-    tag.scope.environment = (*tag.scope.environment, node_tags.environment_of(tag))
+    tag.knows(["name", "value"])
+    value = tag.get("value")
+    if value is None:
+        raise tag.error("the attribute 'value' is missing")
+    name = tag.required("name")
+    if "=" in name or "\0" in name + value:
+        raise tag.error(f"{name!r} cannot be the name of an environment variable")
+    tag.scope.environment = (*tag.scope.environment, (name, value))
 
 
 def _remap(tag: Tag) -> None:
-    tag.scope.remaps = node_tags.with_remap(tag.scope.remaps, tag)
+    """Of several for one name the last counts."""
+    tag.knows(["from", "to"])
+    source, target = (_remapped(tag, attribute) for attribute in ("from", "to"))
+    others = (remap for remap in tag.scope.remaps if remap.source != source)
+    tag.scope.remaps = (*others, Remap(source, target, tag.place))
+
+
+def _remapped(tag: Tag, attribute: str) -> str:
+    name = tag.required(attribute)
+    if not names.is_legal(re.sub("//+", "/", name).rstrip("/") or "/"):
+        raise tag.error(f"{attribute}: {name!r} is not a legal name", "names are letters, digits, '_' and '/'")
+    return name
+
+
+# --- nodes -----------------------------------------------------------------------------------------------------------
+
+
+def _node_tag(tag: Tag) -> None:
+    """Add the node to the plan, and its parameters."""
+    tag.knows(NODE_ATTRIBUTES)
+    made = _node(tag)
+    for other in tag.plan.nodes:
+        if other.full_name == made.full_name:
+            hint = "give one of them another name, or $(anon NAME)"
+            raise tag.error(f"there is a node {made.full_name} already, at {other.place}", hint)
+    inner = _filled(tag, made.namespace, made.full_name)
+    made.remaps, made.environment = inner.remaps, inner.environment
+    tag.plan.nodes.append(made)
+
+
+def _test(tag: Tag) -> None:
+    """`<test>` is for rostest and starts nothing; its parameters are set all the same, as roslaunch does it."""
+    tag.knows([*NODE_ATTRIBUTES, "test-name", "time-limit", "retry"])
+    tag.notice("ignored", "is for rostest: it is not run, its parameters are set, as roslaunch does")
+    for attribute in ("pkg", "type", "test-name"):
+        tag.required(attribute)
+    namespace = tag.namespace()
+    _filled(tag, namespace, names.join(namespace, _name(tag, tag.get("name") or tag.required("test-name"))))
+
+
+def _filled(tag: Tag, namespace: str, full_name: str) -> Scope:
+    """What a node has inside: its parameters go into the plan; remaps and environment are those of the scope.
+
+    Of one name a `<param>` counts, wherever it stands, then one of the surroundings with `~`, then a `<rosparam>`.
+    """
+    inner = tag.scope.group(namespace)
+    if tag.clears:
+        tag.plan.clear.append((full_name, tag.place))
+    settings = tag.plan.settings
+    before = len(settings)
+    known = {
+        "param": lambda child: param(child, full_name),
+        "rosparam": lambda child: rosparam(child, full_name),
+        "remap": _remap,
+        "env": _env,
+    }
+    _contents(Tag(tag.element, inner), known, f" of {full_name}")
+    own = settings[before:]
+    settings[before:] = [
+        *(setting for setting in own if not setting.is_whole),
+        *(replace(setting, name=tag.within(full_name, setting.name)) for setting in tag.scope.private),
+        *(setting for setting in own if setting.is_whole),
+    ]
+    return inner
+
+
+def _name(tag: Tag, name: str) -> str:
+    if "/" in name:
+        raise tag.error(f"the name {name!r} of a node cannot hold a namespace", "use ns=")
+    if not names.is_legal(name) or name.startswith("~"):
+        raise tag.error(f"{name!r} cannot be the name of a node", "names are letters, digits and '_', a letter first")
+    return name
+
+
+def _node(tag: Tag) -> Node:
+    name = _name(tag, tag.required("name"))
+    if (chosen := tag.get("machine")) and chosen not in (*HERE, *tag.scope.launch.machines):
+        raise tag.error(f"there is no machine {chosen!r}", ALL_HERE)
+    words = tag.words("args", keep_absent=True)
+    absent = {package: tag.absence_of(package) for word in words for package in absent_packages(word)}
+    respawn, required = tag.flag("respawn"), tag.flag("required")
+    if respawn and required:
+        raise tag.error("respawn and required exclude each other")
+    return Node(
+        package=tag.required("pkg"),
+        type=tag.required("type"),
+        name=name,
+        namespace=tag.namespace(),
+        place=tag.place,
+        words=[word for word in words if not absent_packages(word)],
+        output=_one_of(tag, "output", "log", "screen"),
+        respawn=respawn,
+        respawn_delay_s=_seconds(tag, "respawn_delay"),
+        required=required,
+        cwd=_one_of(tag, "cwd", "node", "ROS_HOME", "ros_home"),
+        launch_prefix=tag.words("launch-prefix"),
+        file=str(tag.scope.file),
+        absent=tuple(absent.values()),
+    )
+
+
+def _seconds(tag: Tag, attribute: str) -> float:
+    text = tag.get(attribute)
+    value = math.nan
+    with suppress(ValueError):
+        value = float("0" if text is None else text)
+    if not 0.0 <= value < 1e9:
+        raise tag.error(f"{attribute} is a number of seconds, 0 or more, not {text!r}")
+    return value
+
+
+def _one_of(tag: Tag, attribute: str, *known: str) -> str | None:
+    value = tag.get(attribute)
+    if value is not None and value not in known:
+        raise tag.error(f"{attribute} is one of {', '.join(known)}, not {value!r}")
+    return value
 
 
 # --- what has no effect ----------------------------------------------------------------------------------------------
+
+
+def _machine(tag: Tag) -> None:
+    """`<machine>`: one that is this machine is known by its name; others cannot be reached."""
+    tag.knows(["name", "address", "env-loader", "user", "password", "ssh-port", "timeout", "default"])
+    name, address = tag.required("name"), tag.required("address")
+    if address not in HERE and address != os.uname().nodename:
+        raise tag.error(f"there are no other machines here (name={name!r}, address={address!r})", ALL_HERE)
+    tag.scope.launch.machines.add(name)
+    tag.notice("ignored", "is this machine, where all nodes run")
 
 
 def _master(tag: Tag) -> None:
@@ -246,14 +399,14 @@ def _master(tag: Tag) -> None:
 
 _TAGS: dict[str, Callable[[Tag], None]] = {
     "arg": _arg,
-    "param": parameter_tags.param,
-    "rosparam": parameter_tags.rosparam,
+    "param": param,
+    "rosparam": rosparam,
     "include": _include,
     "group": _group,
-    "node": node_tags.node,
+    "node": _node_tag,
     "remap": _remap,
     "env": _env,
-    "test": node_tags.test,
-    "machine": node_tags.machine,
+    "test": _test,
+    "machine": _machine,
     "master": _master,
 }

@@ -1,34 +1,43 @@
 """`<param>` and `<rosparam>`: parameters by value, file, command or YAML, computed when the plan is carried out.
 
-Running a command is commands.py's affair.
+Of commands xacro runs in this process, by our own; any other as the user's own program, without a shell, as roslaunch
+does it.
 """
 
 from __future__ import annotations
 
 import base64
+import math
+import os
+import re
+import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from slidectl.description.models import read_file
+from slidectl.description.packages import is_file, shown
+from slidectl.description.robot import Notice
 from slidectl.description.xml_tree import MOST_BYTES
-from slidectl.errors import BadFile, NotThere
-from slidectl.launch import commands
-from slidectl.launch.files import shown
+from slidectl.errors import BadFile, NotThere, SlidectlError
 from slidectl.launch.plan import RosparamCommand, Setting
-from slidectl.launch.protected import plain
-from slidectl.launch.scope import absent_packages
-from slidectl.launch.substitution import Substitution, SubstitutionError
-from slidectl.launch.tag import Tag
-from slidectl.launch.typed import TYPES, convert
+from slidectl.launch.substitution import automatic, plain
+from slidectl.launch.supervision import run
+from slidectl.launch.tag import Tag, boolean
 
+TYPES = ("auto", "str", "string", "int", "double", "bool", "boolean", "yaml")
 SOURCES = ("value", "textfile", "binfile", "command")
 VERBS = ("load", "dump", "delete")
 
 
+# --- param -----------------------------------------------------------------------------------------------------------
+
+
 def param(tag: Tag, private: str | None = None) -> None:
     """A `<param>`; inside a node `private` is the node's own namespace."""
-    setting = _setting(tag)
+    tag.knows(["name", "type", *SOURCES])
+    setting = _setting(tag, tag.required("name").strip())
     name = setting.name
     if private is None and name.startswith("~"):
         setting.name = name.lstrip("~/")
@@ -41,9 +50,7 @@ def param(tag: Tag, private: str | None = None) -> None:
     tag.plan.settings.append(setting)
 
 
-def _setting(tag: Tag) -> Setting:
-    tag.knows(["name", "type", *SOURCES])
-    name = tag.required("name").strip()
+def _setting(tag: Tag, name: str) -> Setting:
     kind = (tag.element.get("type") or "auto").strip().lower()  # nothing is put in there
     if kind not in TYPES:
         raise tag.error(f"the type {kind!r} is none of {', '.join(TYPES)}")
@@ -51,37 +58,56 @@ def _setting(tag: Tag) -> Setting:
     if len(given) != 1:
         found = f"not {len(given)} of them" if given else f"and none is there{tag.slip(SOURCES)}"
         raise tag.error(f"{name} needs exactly one of {', '.join(SOURCES)}, {found}")
-    compute, runs = _source(tag, given[0], kind)
-    file = tag.required(given[0]) if given[0] in ("textfile", "binfile") else ""
-    return Setting(name, tag.place, given[0], compute, runs, source=file, is_whole=True)
-
-
-def _source(tag: Tag, source: str, kind: str) -> tuple[Callable[[], Any], bool]:
-    """What computes the value, and whether that runs a program."""
-    angles = tag.scope.launch.knows_angles
+    [source] = given
     if source == "value":
-        value = _converted(tag, (tag.get("value") or "").strip(), kind, angles)
-        return lambda: value, False
+        value = _converted(tag, (tag.get("value") or "").strip(), kind)
+        return Setting(name, tag.place, source, lambda: value, is_whole=True)
     if source == "command":
-        command = commands.Command(tag)
-        return lambda: _converted(tag, command.output(), kind, angles), not command.is_xacro
+        is_xacro, output = _command(tag)
+        return Setting(name, tag.place, source, lambda: _converted(tag, output(), kind), not is_xacro, is_whole=True)
     path = tag.required(source)
-    if source == "binfile":
-        tag.notice("converted", "binary parameters are base64 text here")
-        return lambda: base64.b64encode(_bytes(tag, path)).decode("ascii"), False
-    return lambda: _converted(tag, _text(tag, path), kind, angles), False
+    if source == "textfile":
+        return Setting(name, tag.place, source, lambda: _converted(tag, _text(tag, path), kind), False, path, True)
+    tag.notice("converted", "binary parameters are base64 text here")
+    return Setting(
+        name, tag.place, source, lambda: base64.b64encode(_bytes(tag, path)).decode("ascii"), False, path, True
+    )
 
 
-def _converted(tag: Tag, text: str, kind: str, angles: bool) -> Any:
+def _converted(tag: Tag, text: str, kind: str) -> Any:
+    """The value of a text as a type of TYPES. Raises BadFile."""
     try:
-        value = convert(text, kind, tag.place.file, angles)
+        value = _value(text, kind, tag.place.file)
     except BadFile as error:
         raise tag.error(f"its value is {error.reason}") from None
     except ValueError as error:
         raise tag.error(f"its value is no {'parameter' if kind == 'auto' else kind}: {error}") from None
+    if isinstance(value, float) and not math.isfinite(value) and kind != "yaml":
+        reason = f"{value} is no finite number, and parameters hold no others"
+        raise tag.error(f"its value is no {'parameter' if kind == 'auto' else kind}: {reason}")
     if value is None:
         raise tag.error("its value is nothing, which no parameter can be")
     return value
+
+
+def _value(text: str, kind: str, file: str) -> Any:
+    """Raises ValueError: it cannot be one. BadFile: not YAML."""
+    if kind == "auto":
+        return automatic(text)
+    if kind in ("int", "double"):
+        try:
+            return int(text) if kind == "int" else float(text)
+        except ValueError:
+            raise ValueError(repr(text)) from None
+    if kind in ("bool", "boolean"):
+        if (value := boolean(text)) is None:
+            raise ValueError(f"{text!r} is neither true nor false")
+        return value
+    if kind == "yaml":
+        from slidectl.description.yaml_tree import read_value  # takes as long to import as all of this room
+
+        return read_value(text, file, angles=True)
+    return text
 
 
 def _bytes(tag: Tag, path: str) -> bytes:
@@ -103,7 +129,95 @@ def _text(tag: Tag, path: str) -> str:
         raise tag.error(f"{path} is no text: {error.reason} at byte {error.start}") from None
 
 
-# --- rosparam ---------------------------------------------------------------------------------------------------------
+# --- command ---------------------------------------------------------------------------------------------------------
+
+_XACRO = ("xacro", "xacro.py")
+_PYTHON = re.compile(r"python[\d.]*\Z")
+_XACRO_FLAGS = ("--inorder", "-i", "-q", "-v", "--check-order", "--xacro-ns", "--debug")
+
+
+def _command(tag: Tag) -> tuple[bool, Callable[[], str]]:
+    """Whether the command is xacro, and what gives its output. Raises BadFile for what can be seen before it runs."""
+    given = tag.words("command")
+    if not given:
+        raise tag.error("the attribute 'command' is empty")
+    before = _before_xacro(given)
+    if before is not None:
+        file, arguments = _xacro_arguments(tag, given[before:])
+        return True, lambda: _expand(tag, file, arguments)
+    if not tag.scope.launch.run_commands:
+        raise tag.error(f"runs the program {given[0]!r}", "that is refused by --no-commands")
+    return False, lambda: _run(tag, given)
+
+
+def _expand(tag: Tag, file: Path, arguments: dict[str, str]) -> str:
+    from slidectl import description
+
+    try:
+        document = description.load(file, arguments, tag.scope.packages, missing=tag.plan.missing)
+    except BadFile:
+        raise
+    except SlidectlError as error:
+        raise tag.error(error.message, error.hint) from None
+
+    def placed(notice: Notice) -> Notice:
+        """What is said of an argument of the command belongs to the line where that stands."""
+        text = f"{notice.text} (of {shown(file)})"
+        here = replace(notice, text=text, file=tag.place.file, line=tag.place.line)
+        return here if notice.line is None else notice
+
+    tag.plan.notices += map(placed, document.report)
+    return document.xml
+
+
+def _run(tag: Tag, command: list[str]) -> str:
+    hint = f"command: {' '.join(command)}"
+    try:
+        # The xacro that is shipped here finds slidectl by this variable.
+        code, output = run(command, {**os.environ, "SLIDECTL_PYTHON": sys.executable}, MOST_BYTES)
+    except OverflowError as error:
+        raise tag.error(f"the command prints {error}", hint) from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise tag.error(f"cannot run {command[0]!r}: {reason}", hint) from None
+    if code:
+        raise tag.error(f"the command ended with code {code}", hint)
+    try:
+        return output.decode("utf-8")
+    except UnicodeDecodeError:
+        raise tag.error("the command's output is no text", hint) from None
+
+
+def _before_xacro(command: list[str]) -> int | None:
+    """How many words lead up to xacro's arguments: xacro itself, by whatever path, through python or rosrun."""
+    program = os.path.basename(command[0])
+    if program in _XACRO:
+        return 1
+    if _PYTHON.match(program) and os.path.basename("".join(command[1:2])) in _XACRO:
+        return 2
+    return 3 if program == "rosrun" and command[1:2] == ["xacro"] and "".join(command[2:3]) in _XACRO else None
+
+
+def _xacro_arguments(tag: Tag, command: list[str]) -> tuple[Path, dict[str, str]]:
+    """The model's file, and its arguments."""
+    files, arguments = [], {}
+    for word in command:
+        name, given, value = word.partition(":=")
+        if given and name and not word.startswith("-"):
+            arguments[name] = value
+        elif not word.startswith("-"):
+            files.append(word)
+        elif word not in _XACRO_FLAGS and not word.startswith("--verbosity"):
+            raise tag.error(f"xacro's option {word!r} is not understood here", f"these are: {', '.join(_XACRO_FLAGS)}")
+    if len(files) != 1:
+        raise tag.error(f"xacro takes one file, not {len(files)}: {' '.join(command)}")
+    path = Path(files[0])
+    if not is_file(path):
+        raise tag.absence(f"xacro: no such file: {path}", thing=f"file {path}")
+    return path, arguments
+
+
+# --- rosparam --------------------------------------------------------------------------------------------------------
 
 
 def rosparam(tag: Tag, private: str | None = None) -> None:
@@ -134,25 +248,13 @@ def _load(tag: Tag, name: str) -> None:
     if file and tag.text.strip():
         tag.notice("wrong", "has a file and a text: the text has no effect")
     substitution = tag.scope.substitution if tag.flag("subst_value") else None
-    tag.scope.launch.knows_angles = True
 
     def compute() -> Any:
         text = _text(tag, file) if file else tag.text
-        text = text if substitution is None else _substituted(tag, text, substitution)
+        text = text if substitution is None else plain(tag.substituted(text, substitution))
         return _yaml(tag, text if file else "\n" * (tag.element.line - 1) + text, file, name)
 
     tag.plan.settings.append(Setting(name, tag.place, "file" if file else "yaml", compute, source=file or ""))
-
-
-def _substituted(tag: Tag, text: str, substitution: Substitution) -> str:
-    try:
-        found = substitution.resolve(text)
-    except SubstitutionError as error:
-        raise tag.error(error.message, error.hint) from None
-    tag.scope.launch.count_text(tag, found)
-    for package in absent_packages(found):
-        raise tag.absence_of(package)
-    return plain(found)
 
 
 def _yaml(tag: Tag, text: str, file: str | None, name: str) -> Any:

@@ -14,11 +14,11 @@ from slidectl.description.missing import Missing
 from slidectl.description.robot import Notice
 from slidectl.errors import BadFile, NotThere
 
-Leaf = tuple[Any, "Place"]
+Leaf = tuple[Any, "Location"]
 
 
 @dataclass(frozen=True)
-class Place:
+class Location:
     """Where something was written."""
 
     file: str
@@ -41,7 +41,7 @@ class Setting:
     """A parameter, or a whole tree of them: `compute` gives its value. `origin` says where that comes from."""
 
     name: str
-    place: Place
+    place: Location
     origin: str
     compute: Callable[[], Any]
     runs_command: bool = False
@@ -78,7 +78,7 @@ class Remap:
 
     source: str
     target: str
-    place: Place
+    place: Location
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class RosparamCommand:
     verb: str
     name: str
     file: str
-    place: Place
+    place: Location
 
 
 @dataclass
@@ -99,7 +99,7 @@ class Node:
     type: str
     name: str
     namespace: str
-    place: Place
+    place: Location
     words: list[str] = field(default_factory=list)
     """The words of `args`."""
     remaps: tuple[Remap, ...] = ()
@@ -129,11 +129,13 @@ class Node:
 
     def resolve(self, name: str) -> str:
         """The absolute name that the node means: relative ones in its namespace, `~` ones below it, then remaps."""
+        remap = self.remap_of(name)
+        return self.absolute(name if remap is None else remap.target)
+
+    def remap_of(self, name: str) -> Remap | None:
+        """The remap that counts for the name: of several the last."""
         full = self.absolute(name)
-        for remap in reversed(self.remaps):
-            if self.absolute(remap.source) == full:
-                return self.absolute(remap.target)
-        return full
+        return next((remap for remap in reversed(self.remaps) if self.absolute(remap.source) == full), None)
 
     def absolute(self, name: str) -> str:
         """The same without remaps."""
@@ -152,13 +154,13 @@ class Argument:
 
 
 @dataclass
-class Plan:
+class LaunchPlan:
     """Everything, in the order of the files."""
 
     files: list[str] = field(default_factory=list)
     """Absolute paths of all files used, includes as well."""
     arguments: dict[str, Argument] = field(default_factory=dict)
-    clear: list[tuple[str, Place]] = field(default_factory=list)
+    clear: list[tuple[str, Location]] = field(default_factory=list)
     """Namespaces whose parameters are deleted first."""
     commands: list[RosparamCommand] = field(default_factory=list)
     settings: list[Setting] = field(default_factory=list)
@@ -167,7 +169,7 @@ class Plan:
     missing: Missing = field(default_factory=Missing)
     """What the files name and is not there."""
 
-    def notice(self, verdict: str, place: Place, subject: str, text: str) -> None:
+    def notice(self, verdict: str, place: Location, subject: str, text: str) -> None:
         """Say something about the files that is no error; `verdict` is `ignored`, `converted` or `wrong`."""
         self.notices.append(Notice(verdict, subject, text, place.file, place.line))  # type: ignore[arg-type]
 
@@ -204,7 +206,7 @@ class Plan:
         return found
 
 
-def leaves(name: str, value: Any, place: Place) -> Iterator[tuple[str, Any]]:
+def leaves(name: str, value: Any, place: Location) -> Iterator[tuple[str, Any]]:
     """Full names and values below a name; a key with a slash before it is a full name. Lists are values.
 
     Raises:
@@ -222,7 +224,7 @@ def leaves(name: str, value: Any, place: Place) -> Iterator[tuple[str, Any]]:
 
 
 def _conflicts(found: Mapping[str, Leaf]) -> list[tuple[str, str]]:
-    """Names that are set in vain, each with the later name that goes over it. Mappings have room for others."""
+    """Names whose values do not count, each with the later name that replaces it. A mapping may hold other names."""
     order = {name: index for index, name in enumerate(found)}
     pairs = []
     for name in found:

@@ -1,64 +1,96 @@
 """`$(...)` in a text: `env V`, `optenv V words`, `find PKG`, `anon ID`, `arg A`, `dirname` and `eval EXPRESSION`.
 
-Texts in, texts out: what is found is put in as it is, and looked through again for `find` only, as roslaunch does it:
-`model:='$(find my_robot)/model.urdf'` on a command line is understood. Paths come out protected (see protected.py).
-Knows no tags and no places; who has a place adds it to the error.
+Texts in, texts out: what is found is put in as it is, and searched again for `find` only, as roslaunch does it:
+`model:='$(find my_robot)/model.urdf'` on a command line is understood. Knows no tags and no places; the caller adds the
+place to the error.
+
+Paths come out protected. A package's folder may hold blanks, quotes and dollars; `$(find)` and `$(dirname)` write
+stand-ins for these, which pass through arguments and includes and are turned back where a value is used, so that a path
+stays one word. roslaunch takes such a path for several words.
 """
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
+from slidectl.description.packages import Packages, UnknownPackage, is_file
 from slidectl.errors import SlidectlError, closest, listing
-from slidectl.expressions import MATH
-from slidectl.launch.evaluator import ExpressionError, evaluate
-from slidectl.launch.protected import plain, protect
-from slidectl.launch.typed import automatic
+from slidectl.expressions import FUNCTIONS, MATH, ExpressionError, compute
 
 COMMANDS = ("find", "env", "optenv", "dirname", "anon", "arg")
-OPEN = "$("
-_EVAL = "$(eval "
 MOST_TEXT = 4 * 2**20
 """Letters that the substitutions of one text may come to."""
 MOST_SUBSTITUTIONS = 10_000
 """In one text."""
+LONGEST_EXPRESSION = 4000
+_EVAL = "$(eval "
+_SUBSTITUTION = re.compile(r"\$\(([^)]*)(\)?)([^ $]*)")
+"""What is in the brackets, whether they are closed, and the path that may follow."""
 _IDENTIFIER = re.compile(r"[A-Za-z_]\w*\Z")
+
+# Stand-ins are on the last private plane of Unicode: no file name and no launch file has a use for it.
+_STAND_INS = {ord(letter): chr(0x10F700 + ord(letter)) for letter in "$ \t\n\r\f\v\"'\\"}
+_LETTERS = {ord(stand_in): chr(letter) for letter, stand_in in _STAND_INS.items()}
+# Around the name of a package that is not there, in the place of its folder: an argument takes it along to the tag
+# that needs the folder, and only that is left out.
+_ABSENT = "\U0010f6ff"
+_ABSENT_PACKAGE = re.compile(f"{_ABSENT}([^{_ABSENT}]*){_ABSENT}")
 
 
 class SubstitutionError(SlidectlError):
     """A `$(...)` that makes no sense or leads nowhere."""
 
 
-class Surroundings(Protocol):
-    """What a whole launch shares: the packages, the environment, and the names that `anon` has given."""
-
-    @property
-    def environment(self) -> Mapping[str, str]:
-        """The environment variables."""
-
-    def find(self, package: str) -> str:
-        """The package's folder."""
-
-    def executable(self, package: str, path: str) -> str | None:
-        """What a build has put elsewhere for `path` in a package, an executable most often; None when it has not."""
-
-    def anonymous(self, identifier: str) -> str:
-        """A name that nobody else has; the same for the same identifier."""
+def protect(path: str) -> str:
+    """The path with stand-ins."""
+    return path.translate(_STAND_INS)
 
 
+def plain(text: str) -> str:
+    """The text as it is meant, without stand-ins."""
+    return text.translate(_LETTERS)
+
+
+def absent_packages(text: str) -> list[str]:
+    """The packages that are not there and that a text with everything substituted needs."""
+    return _ABSENT_PACKAGE.findall(text)
+
+
+def automatic(text: str) -> Any:
+    """The value of a text by roslaunch's rules: `1.0` a float, `10` an int, `true` a bool, `1e3` the text itself."""
+    try:
+        if "." in text:
+            return float(text)
+        if "_" not in text:
+            return int(text)
+    except ValueError:
+        pass
+    return {"true": True, "false": False}.get(text.lower(), text)
+
+
+@dataclass(frozen=True)
 class Substitution:
-    """The substitutions of one scope. `arguments` are its args, `folder` is that of the file that holds the text."""
+    """The substitutions of one scope."""
 
-    def __init__(self, surroundings: Surroundings, arguments: Mapping[str, str], folder: str) -> None:
-        self.surroundings = surroundings
-        self.arguments = arguments
-        self.folder = folder
+    packages: Packages
+    environment: Mapping[str, str]
+    arguments: Mapping[str, str]
+    """The args of the scope, protected."""
+    folder: str
+    """That of the file that holds the text."""
+    anonymous_names: dict[str, str]
+    """What `anon` has given so far in this file."""
+    absent: dict[str, UnknownPackage]
+    """Takes in the packages that are not there."""
 
     def resolve(self, text: str) -> str:
-        """The text with everything put in. Raises SubstitutionError, UnknownPackage."""
-        if OPEN not in text:
+        """The text with everything put in. Raises SubstitutionError."""
+        if "$(" not in text:
             return text
         if text.startswith(_EVAL) and text.endswith(")"):
             return self._eval(text[len(_EVAL) : -1])
@@ -66,66 +98,70 @@ class Substitution:
 
     def _pass(self, text: str, finds: bool) -> str:
         """The text with `find` put in, or with everything but `find`."""
-        pieces: list[str] = []
-        size = count = 0
-        rest = text
-        while (start := rest.find(OPEN)) >= 0:
-            inside, after = _inside(rest, start)
-            command, *words = [word for word in inside.split(" ") if word] or [""]
-            if command not in COMMANDS:
-                raise _unknown(command, inside)
+        count = size = 0
+
+        def put_in(match: re.Match[str]) -> str:
+            nonlocal count, size
+            command, words = _taken_apart(match, text)
             if finds is not (command == "find"):
-                found = f"{OPEN}{inside})"
-            elif finds:
-                found, after = self._find(_one(command, words), after)
-            else:
-                found = self._command(command, words)
-            pieces += [rest[:start], found]
-            rest = after
+                return match[0]
+            found = self._found(_one(command, words), match[3]) if finds else self._command(command, words) + match[3]
             count += 1
-            size += start + len(found)
-            if count > MOST_SUBSTITUTIONS or size + len(rest) > MOST_TEXT:
+            size += len(found)
+            if count > MOST_SUBSTITUTIONS or size > MOST_TEXT:
                 what = f"{MOST_TEXT >> 10} KiB of text" if count <= MOST_SUBSTITUTIONS else f"{count - 1} substitutions"
                 raise SubstitutionError(f"comes to more than {what}", "do arguments repeat each other many times over?")
-        return "".join([*pieces, rest])
+            return found
+
+        return _SUBSTITUTION.sub(put_in, text)
 
     def _command(self, command: str, words: list[str]) -> str:
-        """What the text in brackets stands for."""
-        commands: dict[str, Callable[[], str]] = {
-            "optenv": lambda: self._optional(words),
-            "env": lambda: self._environment(_one(command, words)),
-            "anon": lambda: self.surroundings.anonymous(_one(command, words)),
-            "arg": lambda: self._argument(_one(command, words)),
-            "dirname": lambda: protect(self._dirname(words)),
-        }
-        return commands[command]()
+        if command == "optenv":
+            if not words:
+                raise SubstitutionError("$(optenv) needs the name of a variable", "$(optenv NAME DEFAULT)")
+            return self.environment.get(words[0], " ".join(words[1:]))
+        if command == "dirname":
+            if words:
+                raise SubstitutionError("$(dirname) takes nothing after it")
+            return protect(self.folder)
+        read = {"env": self._variable, "anon": self._anonymous, "arg": self._argument}[command]
+        return read(_one(command, words))
 
-    def _find(self, package: str, after: str) -> tuple[str, str]:
-        """The package's folder joined with the path that follows, up to a blank, with or without a slash before it.
+    def _found(self, package: str, path: str) -> str:
+        """The package's folder joined with the path that follows, with or without a slash before it.
 
-        Of a package that was built, an executable may be somewhere else than where the text says.
+        An executable of a package that was built stands in `PREFIX/lib/PACKAGE` beside `PREFIX/share/PACKAGE`.
         """
-        folder = self.surroundings.find(package)
-        if not after or after.startswith(" "):
-            return protect(folder), after
-        path, blank, rest = after.partition(" ")
+        folder = self._folder_of(package)
         path = path.replace("\\", "/").removeprefix("/")
-        elsewhere = self.surroundings.executable(package, path)
         if path.startswith("/"):  # as os.path.join has it
-            return "", path + blank + rest
-        if elsewhere is not None:
-            return protect(elsewhere), blank + rest
-        return protect(folder), (f"/{path}" if path else "") + blank + rest
+            return path
+        share = Path(folder).parent
+        built = share.parent / "lib" / package / path
+        if "/" not in path and share.name == "share" and is_file(built) and os.access(built, os.X_OK):
+            return protect(str(built))
+        return protect(folder) + (f"/{path}" if path else "")
 
-    def _environment(self, name: str) -> str:
-        if name not in self.surroundings.environment:
+    def _folder_of(self, package: str) -> str:
+        """The package's folder; of one that is not there a name that `absent_packages` knows again."""
+        try:
+            return str(self.packages.find(package))
+        except UnknownPackage as error:
+            self.absent[package] = error
+            return f"{_ABSENT}{package}{_ABSENT}"
+
+    def _anonymous(self, identifier: str) -> str:
+        """`identifier` with host, process and a random number behind it; the same again for the same identifier."""
+        if identifier not in self.anonymous_names:
+            host = "".join(letter if letter.isalnum() and letter.isascii() else "_" for letter in os.uname().nodename)
+            number = int.from_bytes(os.urandom(6), "big")
+            self.anonymous_names[identifier] = f"{identifier}_{host}_{os.getpid()}_{number}"
+        return self.anonymous_names[identifier]
+
+    def _variable(self, name: str) -> str:
+        if name not in self.environment:
             raise SubstitutionError(f"environment variable {name!r} is not set", f"use $(optenv {name} DEFAULT)")
-        return self.surroundings.environment[name]
-
-    def _optional(self, words: list[str]) -> str:
-        if not words:
-            raise SubstitutionError("$(optenv) needs the name of a variable", "$(optenv NAME DEFAULT)")
-        return self.surroundings.environment.get(words[0], " ".join(words[1:]))
+        return self.environment[name]
 
     def _argument(self, name: str) -> str:
         if name not in self.arguments:
@@ -136,31 +172,49 @@ class Substitution:
             )
         return self.arguments[name]
 
-    def _dirname(self, words: list[str]) -> str:
-        if words:
-            raise SubstitutionError("$(dirname) takes nothing after it")
-        return self.folder
-
     def _eval(self, expression: str) -> str:
-        functions: dict[str, Any] = {
+        functions: dict[str, Callable[..., Any]] = {
             "arg": lambda name: automatic(self._argument(name)),
-            "env": self._environment,
-            "optenv": lambda name, default="": self.surroundings.environment.get(name, default),
-            "find": lambda package: protect(self.surroundings.find(package)),
-            "anon": self.surroundings.anonymous,
+            "env": self._variable,
+            "optenv": lambda name, default="": self.environment.get(name, default),
+            "find": lambda package: protect(self._folder_of(package)),
+            "anon": self._anonymous,
             "dirname": lambda: protect(self.folder),
         }
         taken = {*MATH, *functions, "true", "false"}
-        values = {
-            name: automatic(value)
-            for name, value in self.arguments.items()
-            if name not in taken and _IDENTIFIER.match(name)
-        }
+        arguments = {name: automatic(value) for name, value in self.arguments.items() if _IDENTIFIER.match(name)}
+        values = {name: value for name, value in arguments.items() if name not in taken}
         try:
-            named = {name: _of_names(name, function) for name, function in functions.items()}
-            return _text(evaluate(expression, {**values, **named}))
+            value = evaluate(expression, values | {name: _of_names(name, call) for name, call in functions.items()})
+            if callable(value):
+                raise ExpressionError("gives a function: its arguments are missing")
+            return str(value)
         except ExpressionError as error:
             raise SubstitutionError(f"$(eval {plain(expression)}) {error}") from None
+
+
+def evaluate(text: str, names: Mapping[str, Any]) -> Any:
+    """The value of an expression. It may use `names`, the math module's names, and Python's own functions.
+
+    Raises:
+        ExpressionError: with the reason, without the place.
+    """
+    if "__" in text:
+        raise ExpressionError("may not contain double underscores")
+    if len(text) > LONGEST_EXPRESSION:
+        raise ExpressionError(f"is longer than {LONGEST_EXPRESSION} characters")
+    try:
+        return compute(text, {**MATH, **FUNCTIONS, "true": True, "false": False, **names})
+    except ExpressionError:
+        raise
+    except SyntaxError as error:
+        raise ExpressionError(f"is not valid: {error.msg}") from None
+    except NameError as error:
+        known = f"there are {', '.join(sorted(names))}, and the names of the math module"
+        raise ExpressionError(f"there is no name {error.name!r}; {known}") from None
+    except (ArithmeticError, ValueError, TypeError, LookupError, RecursionError) as error:
+        reason = f"no key {error}" if isinstance(error, KeyError) else str(error) or type(error).__name__
+        raise ExpressionError(f"cannot be computed: {reason}") from None
 
 
 def _of_names(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
@@ -175,35 +229,27 @@ def _of_names(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
     return checked
 
 
-def _text(value: Any) -> str:
-    if callable(value):
-        raise ExpressionError("gives a function: its arguments are missing")
-    return str(value)
-
-
-def _inside(text: str, start: int) -> tuple[str, str]:
-    """What is between the brackets that open at `start`, and what comes after them."""
-    end = text.find(")", start)
-    if end < 0:
+def _taken_apart(match: re.Match[str], text: str) -> tuple[str, list[str]]:
+    """The command of a substitution and its words. Raises SubstitutionError."""
+    inside = match[1]
+    if not match[2]:
         raise SubstitutionError(f"'$(' is not closed in {plain(text)!r}")
-    inside = text[start + len(OPEN) : end]
     if "$" in inside or "(" in inside:
         what = "one substitution" if "$" in inside else "a bracket"
         hint = "write it with $(eval ...), for example $(eval find(arg('package')) + '/urdf')"
         raise SubstitutionError(f"{what} stands inside a substitution in {plain(text)!r}", hint)
-    return inside, text[end + 1 :]
+    command, *words = [word for word in inside.split(" ") if word] or [""]
+    if command == "eval":
+        raise SubstitutionError("$(eval) must be the whole value", "put what stands beside it into the expression")
+    if command not in COMMANDS:
+        near = closest(command, [*COMMANDS, "eval"])
+        suggestion = f" Did you mean {near!r}?" if near else ""
+        known = f"there are {', '.join(COMMANDS)} and eval"
+        raise SubstitutionError(f"unknown substitution $({plain(inside)}).{suggestion}", known)
+    return command, words
 
 
 def _one(command: str, words: list[str]) -> str:
     if len(words) != 1:
         raise SubstitutionError(f"$({command}) takes exactly one name, not {len(words)}", f"$({command} NAME)")
     return words[0]
-
-
-def _unknown(command: str, inside: str) -> SubstitutionError:
-    known = ", ".join(COMMANDS)
-    if command == "eval":
-        return SubstitutionError("$(eval) must be the whole value", "put what stands beside it into the expression")
-    near = closest(command, [*COMMANDS, "eval"])
-    suggestion = f" Did you mean {near!r}?" if near else ""
-    return SubstitutionError(f"unknown substitution $({plain(inside)}).{suggestion}", f"there are {known} and eval")

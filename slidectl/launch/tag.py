@@ -1,25 +1,139 @@
-"""One tag of a launch file as its readers see it: attributes with everything substituted, and errors with the place.
+"""One tag of a launch file, with what surrounds it: namespace, arguments, remaps, environment, private parameters.
 
-Knows no tag by name.
+Attributes come with everything substituted, and errors with the place. A scope is copied for a group and an include, so
+that nothing leaks out of it. No tag is known by name here.
 """
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Callable, Collection, Iterator
+import shlex
+import time
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 
 from slidectl import names
+from slidectl.description import xml_tree
+from slidectl.description.packages import Packages, UnknownPackage
 from slidectl.description.xml_tree import Comment, Element
 from slidectl.errors import BadFile, NotThere, closest
-from slidectl.launch import protected
-from slidectl.launch.plan import Place, Plan
-from slidectl.launch.scope import Scope, absent_packages
-from slidectl.launch.substitution import OPEN, SubstitutionError
-from slidectl.launch.typed import boolean, flag
+from slidectl.launch.plan import LaunchPlan, Location, Remap, Setting
+from slidectl.launch.substitution import Substitution, SubstitutionError, absent_packages, plain
+
+Parse = Callable[[bytes, str], Element]
+"""Elements of the text of a file, given its name in messages. Raises BadFile."""
 
 CONDITIONS = ("if", "unless")
+MOST_TAGS = 20_000
+MOST_TEXT = 64 * 2**20
+"""Letters that all substitutions of a launch may come to."""
+MOST_SECONDS = 60.0
+"""Of the processor's time, for reading the files without what commands take."""
+DEEPEST_INCLUDE = 60
 _MOST_INCLUDERS = 3
+_BOOLEANS = {"true": True, "1": True, "false": False, "0": False}
+
+
+@dataclass
+class Launch:
+    """One loading: what all its files share."""
+
+    packages: Packages
+    run_commands: bool = True
+    parse: Parse = xml_tree.read
+    plan: LaunchPlan = field(default_factory=LaunchPlan)
+    machines: set[str] = field(default_factory=set)
+    """Names that launch files give to this machine."""
+    absent: dict[str, UnknownPackage] = field(default_factory=dict)
+    """The packages that are not there, and why."""
+    _tags: int = 0
+    _text: int = 0
+    _began_s: float = field(default_factory=time.process_time)
+
+    def count(self, tag: Tag) -> None:
+        """One more tag is read. Raises BadFile when there are more than any launch has."""
+        self._tags += 1
+        if self._tags > MOST_TAGS:
+            raise tag.error(f"unfolds to more than {MOST_TAGS} tags", "does a file include itself?")
+        if time.process_time() - self._began_s > MOST_SECONDS:
+            raise tag.error(f"the launch takes more than {MOST_SECONDS:g} s to read", "does a file include itself?")
+
+    def count_text(self, tag: Tag, text: str) -> None:
+        """So much more text was put in. Raises BadFile when it is more than any launch has."""
+        self._text += len(text)
+        if self._text > MOST_TEXT:
+            hint = "do arguments repeat each other many times over?"
+            raise tag.error(f"the launch comes to more than {MOST_TEXT >> 10} KiB of text", hint)
+
+
+@dataclass
+class Scope:
+    """The surroundings of a tag. `file` is that which holds it."""
+
+    launch: Launch
+    file: Path
+    namespace: str = "/"
+    arguments: dict[str, str] = field(default_factory=dict)
+    """The args that can be used here, protected: what the file was given, declared or not, and what is declared so far.
+
+    An include that gives all args passes on those that its file has no use for: a file that is included there may."""
+    given: Mapping[str, str] = field(default_factory=dict)
+    """The args that the file was given, protected."""
+    lenient: bool = False
+    """True when all of the includer's args were passed on: one that is constant here, or unknown, is no error."""
+    declared: set[str] = field(default_factory=set)
+    """The args that are declared so far, here or around here. Groups beside each other may have args of one name."""
+    everywhere: set[str] = field(default_factory=set)
+    """All args of the file, those inside groups too."""
+    remaps: tuple[Remap, ...] = ()
+    environment: tuple[tuple[str, str], ...] = ()
+    private: tuple[Setting, ...] = ()
+    """Parameters that every later node gets as its own; names without `~`."""
+    anonymous_names: dict[str, str] = field(default_factory=dict)
+    """What `anon` has given in this file; each include begins anew."""
+    trail: tuple[Location, ...] = ()
+    """The includes that led here, outermost first."""
+    nesting: tuple[tuple[Path, tuple[tuple[str, str], ...]], ...] = ()
+    """The files that are being read, with what each was given."""
+
+    @property
+    def packages(self) -> Packages:
+        """The lookup of packages, from the file upwards too."""
+        return self.launch.packages.starting_at(self.file.parent)
+
+    @property
+    def substitution(self) -> Substitution:
+        """What `$(...)` means here and now: args that are declared later are not in it."""
+        folder, arguments = str(self.file.parent), dict(self.arguments)
+        return Substitution(self.packages, os.environ, arguments, folder, self.anonymous_names, self.launch.absent)
+
+    def group(self, namespace: str) -> Scope:
+        """A scope inside this one, of the same file."""
+        return replace(self, namespace=namespace, arguments=dict(self.arguments), declared=set(self.declared))
+
+    def including(self, file: Path, tag: Tag, given: Mapping[str, str], lenient: bool) -> Scope:
+        """The scope of an included file. Raises BadFile for an include without an end."""
+        here = (file, tuple(sorted(given.items())))
+        if here in self.nesting:
+            raise tag.error(f"{file} includes itself", "does it need another argument each time, and an `if`?")
+        if len(self.nesting) >= DEEPEST_INCLUDE:
+            raise tag.error(f"includes are nested deeper than {DEEPEST_INCLUDE}", "does a file include itself?")
+        return replace(
+            self,
+            file=file,
+            namespace=tag.namespace(),
+            arguments=dict(given),
+            given=given,
+            lenient=lenient,
+            declared=set(),
+            everywhere=set(),
+            anonymous_names={},
+            trail=(*self.trail, tag.place),
+            nesting=(*self.nesting, here),
+        )
 
 
 class Tag:
@@ -28,18 +142,9 @@ class Tag:
     def __init__(self, element: Element, scope: Scope) -> None:
         self.element = element
         self.scope = scope
-
-    @property
-    def name(self) -> str:
-        return self.element.tag
-
-    @property
-    def plan(self) -> Plan:
-        return self.scope.launch.plan
-
-    @property
-    def place(self) -> Place:
-        return Place(self.element.file, self.element.line)
+        self.name = element.tag
+        self.plan = scope.launch.plan
+        self.place = Location(element.file, element.line)
 
     def error(self, message: str, hint: str | None = None) -> BadFile:
         """A BadFile at the tag, to be raised; it says which includes led here."""
@@ -54,38 +159,44 @@ class Tag:
         lines += [f"included from {place}" for place in self.scope.trail[: -_MOST_INCLUDERS - 1 : -1]]
         return "\n".join(lines) or None
 
-    def raw(self, attribute: str, hands_on: bool = False) -> str | None:
+    # --- attributes -----------------------------------------------------------------------------------------------
+
+    def raw(self, attribute: str, keep_absent: bool = False) -> str | None:
         """The attribute with substitutions, its paths still protected. Raises BadFile.
 
-        A package that is not there is an error, unless `hands_on`: then it stands in the text for those who need it.
+        A package that is not there is an error, unless `keep_absent`: then it stands in the text for those who need it.
         """
         text = self.element.get(attribute)
-        if text is None or OPEN not in text:
+        if text is None or "$(" not in text:
             return text
+        return self.substituted(text, self.scope.substitution, f"{attribute}: ", keep_absent)
+
+    def substituted(self, text: str, substitution: Substitution, where: str = "", keep_absent: bool = False) -> str:
+        """The text with everything put in, its paths still protected; `keep_absent` as for `raw`. Raises BadFile."""
         try:
-            found = self.scope.substitution.resolve(text)
+            found = substitution.resolve(text)
         except SubstitutionError as error:
-            raise self.error(f"{attribute}: {error.message}", error.hint) from None
+            raise self.error(f"{where}{error.message}", error.hint) from None
         self.scope.launch.count_text(self, found)
-        for package in () if hands_on else absent_packages(found):
+        for package in () if keep_absent else absent_packages(found):
             raise self.absence_of(package)
         return found
 
     def note_absent(self, attribute: str) -> None:
-        """Take in the packages that the attribute itself looks for, not those of arguments in it, in vain."""
+        """Note the packages that the attribute itself names and that are not there; not those of arguments in it."""
         if "find" in (self.element.get(attribute) or ""):
-            for package in absent_packages(self.raw(attribute, hands_on=True) or ""):
+            for package in absent_packages(self.raw(attribute, keep_absent=True) or ""):
                 self.plan.missing.note(self.absence_of(package))
 
     def absence_of(self, package: str) -> NotThere:
-        """The error of a package that was looked up in vain."""
+        """The error of a package that is not there."""
         error = self.scope.launch.absent[package]
         return self.absence(error.message, error.hint, f"package {package}")
 
     def get(self, attribute: str) -> str | None:
         """The attribute with substitutions, or None. Raises BadFile."""
         text = self.raw(attribute)
-        return None if text is None else protected.plain(text)
+        return None if text is None else plain(text)
 
     def required(self, attribute: str) -> str:
         """The attribute, which must be there and not empty. Raises BadFile."""
@@ -102,39 +213,28 @@ class Tag:
                 return f" ({name!r} is there: did you mean {near!r}?)"
         return ""
 
-    def words(self, attribute: str, hands_on: bool = False) -> list[str]:
-        """The attribute taken apart as a shell would do it; `hands_on` as for `raw`. Raises BadFile."""
+    def words(self, attribute: str, keep_absent: bool = False) -> list[str]:
+        """The attribute taken apart as a POSIX shell would do it, nothing expanded; `keep_absent` as for `raw`.
+
+        Raises:
+            BadFile: a quotation that does not end.
+        """
         try:
-            return protected.words(self.raw(attribute, hands_on) or "")
+            return [plain(word) for word in shlex.split(self.raw(attribute, keep_absent) or "")]
         except ValueError as error:
             raise self.error(f"{attribute}: {str(error).lower()} in {self.get(attribute)!r}") from None
 
     def flag(self, attribute: str) -> bool:
-        """true or false; false when it is not there. Raises BadFile."""
-        return self._either(attribute, flag)
+        """true or false and nothing else; false when it is not there. Raises BadFile."""
+        text = self.get(attribute)
+        if text is not None and text.lower() not in ("true", "false"):
+            raise self.error(f"{attribute}: {text!r} is neither true nor false")
+        return text is not None and text.lower() == "true"
 
     @property
     def clears(self) -> bool:
         """What `clear_params` says; an empty one is false. Raises BadFile."""
         return bool(self.get("clear_params")) and self.flag("clear_params")
-
-    def _either(self, attribute: str, read: Callable[[str], bool]) -> bool:
-        text = self.get(attribute)
-        try:
-            return text is not None and read(text)
-        except ValueError as error:
-            raise self.error(f"{attribute}: {error}") from None
-
-    def number(self, attribute: str, default: float) -> float:
-        """A number of at least 0. Raises BadFile."""
-        text = self.get(attribute)
-        try:
-            value = float(text) if text is not None else default
-        except ValueError:
-            value = -1.0
-        if not 0.0 <= value < 1e9:
-            raise self.error(f"{attribute} is a number of seconds, 0 or more, not {text!r}")
-        return value
 
     def namespace(self) -> str:
         """The namespace of the scope, or that which `ns` makes of it. Raises BadFile."""
@@ -156,7 +256,14 @@ class Tag:
         given = [attribute for attribute in CONDITIONS if self.element.get(attribute) is not None]
         if len(given) > 1:
             raise self.error("'if' and 'unless' exclude each other")
-        return all(self._either(attribute, boolean) is (attribute == "if") for attribute in given)
+        for attribute in given:
+            text = self.get(attribute) or ""
+            if (value := boolean(text)) is None:
+                raise self.error(f"{attribute}: {text!r} is neither true nor false")
+            return value is (attribute == "if")
+        return True
+
+    # --- contents -------------------------------------------------------------------------------------------------
 
     @property
     def text(self) -> str:
@@ -176,13 +283,19 @@ class Tag:
         """The tags inside, in order; those that are not known are pointed out."""
         for element in self.element.children:
             self.scope.launch.count(self)
+            tag = Tag(element, self.scope)
             if element.tag in known:
-                yield Tag(element, self.scope)
+                yield tag
             else:
                 near = closest(element.tag, known)
                 suggestion = f"; did you mean <{near}>?" if near else ""
-                Tag(element, self.scope).notice("wrong", f"is unknown in <{self.name}> and has no effect{suggestion}")
+                tag.notice("wrong", f"is unknown in <{self.name}> and has no effect{suggestion}")
 
     def notice(self, verdict: str, text: str) -> None:
         """Say something about the tag that is no error."""
         self.plan.notice(verdict, self.place, self.element.title, text)
+
+
+def boolean(text: str) -> bool | None:
+    """true, false, 1 or 0, as conditions and parameters have it; None for anything else."""
+    return _BOOLEANS.get(text.strip().lower())

@@ -6,19 +6,17 @@ The families of nodes are in nodes/.
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from typing import Any, ClassVar, NoReturn, Protocol
 
 from slidectl.client import Client
 from slidectl.description.packages import Packages
-from slidectl.errors import NotThere, Refused, SlidectlError
-from slidectl.launch.plan import Leaf, Node, Plan
-from slidectl.launch.watch import Watch
-from slidectl.launch.world import WorldSettings
-
-if TYPE_CHECKING:
-    from slidectl.launch.interrupts import Interrupts
+from slidectl.errors import BadFile, NotThere, Refused, SlidectlError, closest
+from slidectl.launch.plan import LaunchPlan, Leaf, Node
+from slidectl.launch.supervision import Interrupts, Watch
 
 SPAWN_LIMIT_S = 30.0
 HOOK_LIMIT_S = 5.0
@@ -29,6 +27,8 @@ class Console(Protocol):
     """Where a run says what it does."""
 
     verbose: int
+    is_live: bool
+    """Whether `status` shows anything."""
 
     def step(self, event: str, text: str, **details: Any) -> None:
         """Something was done; `details` are for those who read JSON."""
@@ -44,10 +44,6 @@ class Console(Protocol):
 
     def closing(self) -> None:
         """The run ends: no more status, and what cannot be said any more is no reason to leave something behind."""
-
-    @property
-    def is_live(self) -> bool:
-        """Whether `status` shows anything."""
 
 
 @dataclass(frozen=True)
@@ -67,17 +63,16 @@ class Options:
 class Run:
     """One run of a plan: the connection to the world, and all that tasks share."""
 
-    plan: Plan
+    plan: LaunchPlan
     packages: Packages
     console: Console
     options: Options
-    watch: Watch
     interrupts: Interrupts
     folder: str
     """For logs of nodes; made when it is needed."""
     environment: Mapping[str, str] = field(default_factory=dict)
     """What the programs of nodes get beside the environment of this process: how to reach the daemon."""
-    settings: WorldSettings = field(default_factory=WorldSettings)
+    watch: Watch = field(default_factory=Watch)
     owns_daemon: bool = False
     failed: bool = False
     """True at the end of a launch that did not come up, or of which a required node died."""
@@ -90,7 +85,8 @@ class Run:
     spawned: list[str] = field(default_factory=list)
     """Robots that this run has put into the world and that are to leave it with the run."""
     _client: Client | None = None
-    _heard: Any = None
+    _log: Any = None
+    _answered: list[str] = field(default_factory=list)
 
     @property
     def client(self) -> Client:
@@ -105,28 +101,42 @@ class Run:
     def connect(self, client: Client) -> None:
         """From now on tasks work in this world, and its warnings are heard."""
         self._client = client
-        self._heard = client.subscribe("/rosout", "rosgraph_msgs/Log")
+        self._log = client.subscribe("/rosout", "rosgraph_msgs/Log")
 
     def call(self, service: str, request: dict[str, Any] | None = None, timeout: float | None = None) -> dict[str, Any]:
         """Call a service. Raises as Client.call does."""
         return self.client.call(service, request, timeout=timeout)
 
-    def heard(self, level: int = 4) -> list[str]:
-        """The warnings and errors of the world since the last time, as text."""
-        lines = [self._heard.get(0.0) for _ in range(len(self._heard))] if self._heard is not None else []
-        return [str(line["msg"]) for line in lines if line["level"] >= level]
+    def robots(self, timeout: float | None = None) -> list[dict[str, Any]]:
+        """The robots in the world (slidectl/RobotInfo)."""
+        return list(self.call("/slidectl/list_robots", {"name": ""}, timeout)["robots"])
+
+    def new_warnings(self, level: int = 4) -> list[str]:
+        """The warnings and errors of the world since the last time, without those that answers have brought."""
+        lines = [self._log.get(0.0) for _ in range(len(self._log))] if self._log is not None else []
+        texts = []
+        for text in (str(line["msg"]) for line in lines if line["level"] >= level):
+            if text in self._answered:
+                self._answered.remove(text)
+            else:
+                texts.append(text)
+        return texts
+
+    def skip_in_log(self, reasons: Sequence[str]) -> None:
+        """What an answer has brought is not told again when it comes in the log."""
+        self._answered += reasons
+
+    def warn(self, reason: str) -> None:
+        """Say what an answer has brought."""
+        self.skip_in_log([reason])
+        self.console.warn(reason)
 
     def parameter(self, name: str) -> Any:
         """The value of a parameter, or None when it is not set."""
-        import json
-
-        answer = self.call("/rosapi/get_param", {"name": name, "default": "null"})
-        return json.loads(answer["value"])
+        return json.loads(self.call("/rosapi/get_param", {"name": name, "default": "null"})["value"])
 
     def set_parameter(self, name: str, value: Any) -> None:
         """Raises Refused."""
-        import json
-
         self.call("/rosapi/set_param", {"name": name, "value": json.dumps(value)})
 
 
@@ -143,19 +153,25 @@ class Task:
     """True when it starts after all that do not."""
     waits_lightly: ClassVar[bool] = False
     """True when a launch runs although this is still waiting."""
+    manager_namespace: str | None = None
+    """The namespace of the controller manager that it speaks to, if it does."""
     patience_s = 30.0
     """How long `start` may go on waiting, in wall seconds."""
 
-    def __init__(self, node: Node, plan: Plan) -> None:  # noqa: ARG002 - subclasses write their notices into it
+    def __init__(self, node: Node, plan: LaunchPlan) -> None:  # noqa: ARG002 - subclasses write their notices into it
         """Raises BadFile when the node's arguments make no sense."""
         self.node = node
+
+    def error(self, message: str, hint: str | None = None) -> BadFile:
+        """An error at the node's place, to be raised."""
+        return self.node.place.error(f"{self.node.full_name}: {message}", hint)
 
     @property
     def text(self) -> str:
         """What it will do, for `--dry-run`."""
         return f"run {self.node.kind}"
 
-    def look_ahead(self, plan: Plan, packages: Packages, parameters: Mapping[str, Leaf]) -> None:
+    def look_ahead(self, plan: LaunchPlan, packages: Packages, parameters: Mapping[str, Leaf]) -> None:
         """Note in `plan.missing` what it needs and is not there, as far as the files tell. Nothing is started."""
 
     def start(self, run: Run) -> str | None:
@@ -174,7 +190,7 @@ class Task:
         """What there is to say or do when all other nodes have started."""
 
     def stop(self, run: Run) -> None:
-        """The end of the launch has come. Must not raise for a world that has gone."""
+        """The launch ends. Must not raise for a world that is gone."""
 
     def settled(self, run: Run, text: str, **details: Any) -> None:
         """Say that something was done."""
@@ -200,3 +216,84 @@ class StepFailed(Refused):
     def __init__(self, task: Task, error: SlidectlError) -> None:
         node = task.node
         super().__init__(f"{node.place}: node {node.full_name} ({node.kind}): {error.message}", error.hint)
+
+
+# --- the arguments of a node -----------------------------------------------------------------------------------------
+
+
+@dataclass
+class Words:
+    """Options by name, each with its values every time that it was given, and what is left."""
+
+    node: Node
+    given: dict[str, list[list[str]]]
+    rest: list[str]
+
+    def has(self, option: str) -> bool:
+        return option in self.given
+
+    def one(self, option: str, default: str = "") -> str:
+        """The value of an option that has one; of several the last."""
+        return self.given[option][-1][0] if option in self.given else default
+
+    def number(self, option: str, default: float) -> float:
+        """The same as a finite number. Raises BadFile."""
+        return number(self.node, option, self.one(option)) if option in self.given else default
+
+
+def number(node: Node, what: str, text: str) -> float:
+    """A finite number. Raises BadFile at the node."""
+    value = _float(text)
+    if value is None or not math.isfinite(value):
+        raise node.place.error(f"{node.full_name}: {what} is a number, not {text!r}")
+    return value
+
+
+def parse(node: Node, known: Mapping[str, int]) -> Words:
+    """The words of a node. `known` says how many values each option takes; names come with their dashes.
+
+    Raises:
+        BadFile: an unknown option, or values missing.
+    """
+    import argparse
+
+    class Parser(argparse.ArgumentParser):
+        def error(self, message: str) -> NoReturn:
+            raise node.place.error(f"{node.full_name}: {message}")
+
+    parser = Parser(add_help=False)
+    for option, count in known.items():
+        if count:
+            parser.add_argument(option, dest=option, action="append", nargs=count)
+        else:
+            parser.add_argument(option, dest=option, action="append_const", const=[])
+    parser.add_argument("rest", nargs="*")
+    # ROS takes `from:=to` out before a script sees its arguments. A blank before a number has argparse take `-1e-3` for
+    # a value, as it does with `-1.5`.
+    words = [word if _float(word) is None else f" {word}" for word in node.words if not _is_remap(word)]
+    found, unknown = parser.parse_known_intermixed_args(words)
+    for word in unknown:
+        name = word.partition("=")[0]
+        near = closest(name, known)
+        suggestion = f"; did you mean {near}?" if near else ""
+        hint = f"options: {', '.join(known)}" if known else "it takes no options"
+        raise node.place.error(f"{node.full_name}: {node.kind} has no option {name!r} here{suggestion}", hint)
+    given = {option: [_bare(values) for values in vars(found)[option]] for option in known if vars(found)[option]}
+    return Words(node, given, _bare(found.rest))
+
+
+def _bare(words: Sequence[str]) -> list[str]:
+    return [word if _float(word) is None else word.removeprefix(" ") for word in words]
+
+
+def _is_remap(word: str) -> bool:
+    name, sign, _ = word.partition(":=")
+    return bool(sign) and bool(name) and not word.startswith("-") and " " not in name
+
+
+def _float(text: str) -> float | None:
+    """None for what is no number."""
+    try:
+        return float(text)
+    except ValueError:
+        return None

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from slidectl.check import Findings
 from slidectl.check.controllers import check as check_controllers
-from slidectl.check.launch import check as check_launch
+from slidectl.check.launch_check import check as check_launch
 from slidectl.check.model import Model, check_text
 from slidectl.check.run import check
 from slidectl.control import registry

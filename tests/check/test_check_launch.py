@@ -10,7 +10,6 @@ from check_texts import CONTROLLERS, Lines, driven_cart
 
 from slidectl.check.run import check
 from slidectl.description import Packages
-from slidectl.errors import UnknownName, UsageError
 
 Write = Callable[[str, str], Path]
 Launch = Callable[..., Lines]
@@ -56,15 +55,6 @@ def test_a_sound_launch_is_all_used_with_its_robot_and_controllers(launch: Launc
 def test_files_come_in_the_order_of_the_launch(launch: Launch) -> None:
     files = [Path(notice.file).name for notice in launch(*ALL).findings.sorted()]
     assert list(dict.fromkeys(files)) == ["bot.launch", "bot.urdf", "control.yaml"]
-
-
-@pytest.mark.parametrize(
-    "words", [("my_slider", "slider.launch"), ("rrbot_gazebo", "rrbot_world.launch"), ("rrbot_control",)]
-)
-def test_the_shipped_launch_files_have_nothing_wrong(words: tuple[str, ...]) -> None:
-    lines = shipped(*words)
-    assert lines.of("wrong", "converted") == []
-    assert lines.findings.broken == []
 
 
 def test_of_the_files_that_stand_in_for_those_of_ros_only_what_is_amiss_is_listed() -> None:
@@ -229,18 +219,6 @@ def test_a_broken_robot_does_not_hide_the_rest_of_the_launch(launch: Launch, wri
     (error,) = lines.findings.broken
     assert (Path(str(error.file)).name, error.line) == ("bad.urdf", 3)
     assert lines.about("used 5 /bot/slide_controller/pid/p")
-
-
-def test_arguments_that_no_file_declares_are_wrong_usage(launch: Launch) -> None:
-    with pytest.raises(UsageError, match="no argument 'giu'"):
-        launch('<arg name="gui" default="false"/>', giu="true")
-
-
-def test_names_that_nothing_has_are_errors() -> None:
-    with pytest.raises(UnknownName):
-        shipped("my_slidr")
-    with pytest.raises(UnknownName, match=r"no launch file 'nope\.launch'"):
-        shipped("my_slider", "nope.launch")
 
 
 RIVALS = CONTROLLERS + STATES + "  push: {type: effort_controllers/JointEffortController, joint: slide}\n"

@@ -76,6 +76,22 @@ class Launched:
         return self.end(signal.SIGINT)
 
 
+def write_everything(folder: Path) -> str:
+    """The launch file of the slider with programs before and after it."""
+    package = folder / "demo"
+    (package / "scripts").mkdir(parents=True)
+    (package / "package.xml").write_text("<package><name>demo</name></package>")
+    script = package / "scripts" / "live"
+    script.write_text("#!/bin/bash\nsleep 600 &\nwait\n")
+    script.chmod(0o755)
+    path = package / "all.launch"
+    path.write_text(
+        '<launch><node pkg="demo" type="live" name="first"/><include file="$(find my_slider)/launch/slider.launch"/>'
+        '<node pkg="demo" type="live" name="last" respawn="true"/></launch>'
+    )
+    return str(path)
+
+
 class OnATerminal:
     """A `slidectl launch` on a terminal of its own, as its session's leader."""
 
@@ -122,12 +138,13 @@ class OnATerminal:
 
 
 def processes(runtime: Path) -> list[int]:
-    """Ids of all processes that were started with this runtime folder."""
+    """Ids of all processes with this runtime folder, but for a compiler, which outlives its daemon."""
     mark = f"XDG_RUNTIME_DIR={runtime}\0".encode()
     found = []
     for entry in Path("/proc").iterdir():
         with suppress(OSError):
-            if entry.name.isdigit() and mark in (entry / "environ").read_bytes() + b"\0" and not _is_dead(entry):
+            is_ours = entry.name.isdigit() and mark in (entry / "environ").read_bytes() + b"\0"
+            if is_ours and not _is_dead(entry) and b"compiled.compiler" not in (entry / "cmdline").read_bytes():
                 found.append(int(entry.name))
     return [pid for pid in found if pid != os.getpid()]
 

@@ -36,15 +36,6 @@ def test_arguments_reach_the_launch_file_and_misspelt_ones_are_wrong_usage(slide
     assert "Did you mean 'gui'?" in done.stderr
 
 
-def test_the_slip_of_the_tutorial_is_pointed_out(slidectl: CommandLine, tmp_path: Path) -> None:
-    shipped = Path(__file__).parents[2] / "launch" / "my_slider" / "launch" / "slider.launch"
-    path = tmp_path / "my tutorial.launch"
-    path.write_text(shipped.read_text().replace('to="/slider/joint_states"', 'to="/rrbot/joint_states"'))
-    done = slidectl("check", str(path), "--only", "wrong")
-    assert done.returncode == 1
-    assert "/rrbot/joint_states, which nobody publishes; did you mean /slider/joint_states?" in done.stdout
-
-
 def test_a_broken_launch_file_cannot_be_used(slidectl: CommandLine, tmp_path: Path) -> None:
     path = tmp_path / "x.launch"
     path.write_text('<launch>\n<param name="a" value="$(env NOT_SET_ANYWHERE)"/>\n</launch>')

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 from cli_graph_types import schema
+from slidectl.cli.stream import Event
 
 from slidectl import msgs
-from slidectl.cli.stream import Event
 from slidectl.cli.topic_measure import (
     DelayMeter,
     RateMeter,

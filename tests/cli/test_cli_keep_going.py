@@ -128,6 +128,7 @@ def test_no_robot_state_publisher_waits_for_a_robot_that_was_left_out(ends: Comm
     assert done.returncode == 0, done.stderr
     assert "the parameter /gone is not set to a robot's description; the node is left out" in done.stdout
     assert "/frames: the simulation publishes the frames of b" in done.stdout
+    assert "listed below (2 nodes, 0 controllers running)" in done.stdout
     assert "waits for" not in done.stdout
 
 

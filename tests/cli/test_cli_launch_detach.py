@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from command_line import CommandLine
-from launch_runs import Launched, OnATerminal, kill_all, nothing_is_left, processes
+from launch_runs import Launched, OnATerminal, kill_all, nothing_is_left, processes, write_everything
 
 NEVER = '<node pkg="controller_manager" type="spawner" name="never" ns="/nobody" args="nothing"/>'
 """A step that waits for a robot that does not come."""
@@ -23,19 +23,7 @@ def clean(slidectl: CommandLine) -> Iterator[None]:
 
 @pytest.fixture
 def everything(tmp_path: Path) -> str:
-    """The slider with programs before and after it."""
-    package = tmp_path / "demo"
-    (package / "scripts").mkdir(parents=True)
-    (package / "package.xml").write_text("<package><name>demo</name></package>")
-    script = package / "scripts" / "live"
-    script.write_text("#!/bin/bash\nsleep 600 &\nwait\n")
-    script.chmod(0o755)
-    path = package / "all.launch"
-    path.write_text(
-        '<launch><node pkg="demo" type="live" name="first"/><include file="$(find my_slider)/launch/slider.launch"/>'
-        '<node pkg="demo" type="live" name="last" respawn="true"/></launch>'
-    )
-    return str(path)
+    return write_everything(tmp_path)
 
 
 @pytest.fixture
@@ -162,4 +150,3 @@ def test_a_detached_launch_that_is_killed_while_it_starts_says_so(slidectl: Comm
     assert "the launch was ended by SIGKILL before everything ran" in launched.text
     assert "slidectl daemon stop" in launched.text
     slidectl.ok("daemon", "stop")
-    nothing_is_left(slidectl.runtime)

@@ -16,9 +16,9 @@ from launch_runs import Launched, eventually, kill_all, nothing_is_left, process
 
 from slidectl.description.packages import Packages
 from slidectl.launch import files
-from slidectl.launch.kinds import tasks
 from slidectl.launch.loader import load
-from slidectl.launch.nodes import process
+from slidectl.launch.node_kinds import tasks
+from slidectl.launch.nodes import programs
 
 
 class Package:
@@ -240,13 +240,13 @@ def test_the_pause_before_a_respawn_grows_to_half_a_minute_and_no_further(
     package: Package, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now = 100.0
-    monkeypatch.setattr(process.time, "monotonic", lambda: now)
+    monkeypatch.setattr(programs.time, "monotonic", lambda: now)
     package.script("die", "exit 3")
     text = package.launch('<node pkg="demo" type="die" name="d" respawn="true" respawn_delay="1.5"/>')
     packages = Packages(start=package.folder)
     plan = load(files.find([text], packages), {}, packages)
     (task,) = tasks(plan, packages)
-    assert isinstance(task, process.Process)
+    assert isinstance(task, programs.Process)
     run: Any = SimpleNamespace(console=SimpleNamespace(warn=lambda _: None))
     task.started_at = now - 0.3
     assert [task._respawn_pause(run) for _ in range(9)] == [1.5, 1.5, 2, 4, 8, 16, 30, 30, 30]
@@ -319,14 +319,11 @@ def test_what_a_program_left_behind_ends_with_the_launch(slidectl: CommandLine, 
     nothing_is_left(slidectl.runtime)
 
 
-def test_a_launch_that_is_killed_takes_its_daemon_and_its_programs_along(
-    slidectl: CommandLine, package: Package
-) -> None:
-    package.script("live", "exec sleep 600")
-    launched = Launched(slidectl, package.launch('<node pkg="demo" type="live" name="l"/>'))
+def test_a_launch_that_is_killed_takes_its_daemon_along(slidectl: CommandLine) -> None:
+    launched = Launched(slidectl, "slider")
     launched.up()
     assert launched.end(signal.SIGKILL) == -signal.SIGKILL
-    eventually(lambda: not processes(slidectl.runtime), "something outlives the launch")
+    eventually(lambda: not processes(slidectl.runtime), "the daemon outlives the launch")
 
 
 def test_a_program_that_may_not_be_executed_or_is_not_there_is_named_before_anything_starts(
@@ -374,18 +371,6 @@ def test_json_is_one_object_a_line_for_steps_and_output(daemon: CommandLine, pac
     assert started["kind"] == "process"
     assert started["line"] == 2
     assert any(record["event"] == "running" for record in records)
-
-
-def test_what_left_its_process_group_ends_with_the_launch_too(slidectl: CommandLine, package: Package) -> None:
-    away = "setsid sh -c 'echo away; exec sleep 600'"
-    package.script("escape", f"{away} &\n({away} &)\ntrap '' INT TERM\nwait; wait")
-    path = package.launch('<node pkg="demo" type="escape" name="e"/>')
-    launched = Launched(slidectl, path, "--sigint-timeout", "0.2", "--sigterm-timeout", "0.2")
-    launched.until("[e] away", 2)
-    launched.up()
-    assert launched.interrupt() == 130
-    assert launched.text.count("(sleep) was left behind by a node; it is ended") == 2
-    nothing_is_left(slidectl.runtime)
 
 
 def test_a_launch_that_has_nothing_to_watch_says_so(daemon: CommandLine, package: Package) -> None:

@@ -51,6 +51,7 @@ def test_the_slider_runs_from_nothing_and_everything_ends_with_it(slidectl: Comm
     text = launched.up()
     assert "/urdf_spawner: slider spawned in /slider, joints: joint1" in text
     assert "everything runs (4 nodes, 2 controllers running); Ctrl-C ends it" in text
+    assert "nobody publishes" not in text
     assert set(controllers(slidectl).values()) == {"running"}
     slidectl.ok("pub", "command", "1.0")
     slidectl.ok("wait", "joint_states/position[0]", "--above", "0.05", "--within", "5")
@@ -115,12 +116,6 @@ def test_the_tutorials_slip_is_pointed_out_with_its_line(slidectl: CommandLine, 
     assert launched.interrupt() == 130
 
 
-def test_right_remaps_are_not_complained_about(slidectl: CommandLine) -> None:
-    launched = Launched(slidectl, "slider")
-    assert "nobody publishes" not in launched.up()
-    launched.interrupt()
-
-
 def test_two_robots_in_nested_namespaces_are_two_robots(slidectl: CommandLine, tmp_path: Path) -> None:
     one = """
       <arg name="name"/><arg name="y"/>
@@ -183,17 +178,6 @@ def test_state_publishers_belong_each_to_its_own_robot_whichever_was_spawned_fir
         assert prefix.strip() == f"{name}_frames"
     assert launched.interrupt() == 130
     nothing_is_left(slidectl.runtime)
-
-
-def test_arguments_reach_the_world(slidectl: CommandLine) -> None:
-    launched = Launched(slidectl, "slider", "paused:=true", "gui:=true")
-    text = launched.up()
-    assert "/gazebo: the world: step 0.001 s, paused" in text
-    assert "/gazebo_gui: there is no window here" in text
-    status = json.loads(slidectl.ok("sim", "status", "--json"))
-    assert status["paused"] is True
-    assert status["controllers_running"] == 2
-    assert launched.interrupt() == 130
 
 
 def test_options_of_the_daemon_go_before_a_world_file(slidectl: CommandLine, tmp_path: Path) -> None:

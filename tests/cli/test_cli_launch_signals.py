@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 from command_line import CommandLine
-from launch_runs import RUNS, Launched, eventually, kill_all, nothing_is_left, processes
+from launch_runs import RUNS, Launched, eventually, kill_all, nothing_is_left, processes, write_everything
 
-# A moment is so many calls of functions of slidectl. The launch below makes about 9000 of them until everything runs;
-# it sets itself up from the 3050th on, and begins the daemon soon after.
-MOMENTS = [1, 2, 40, 400, 2000, *range(3000, 3200, 25), 3500, 4500, 5500, 6500, 7500, 8500, 9500]
+# A moment is so many calls of functions of slidectl. The launch below makes about 12 000 of them until everything runs;
+# it sets itself up from the 3040th on, and begins the daemon soon after.
+MOMENTS = [1, 2, 40, 400, 2000, *range(3040, 3120, 20), 3500, 5000, 7000, 9000, 11000, 12000]
 INTERRUPTING = """
 import os, signal, sys
 left = int(os.environ.pop("INTERRUPT_AFTER", 0))
@@ -43,19 +43,7 @@ def clean(slidectl: CommandLine) -> Iterator[None]:
 
 @pytest.fixture
 def everything(tmp_path: Path) -> str:
-    """The slider with programs before and after it."""
-    package = tmp_path / "demo"
-    (package / "scripts").mkdir(parents=True)
-    (package / "package.xml").write_text("<package><name>demo</name></package>")
-    script = package / "scripts" / "live"
-    script.write_text("#!/bin/bash\nsleep 600 &\nwait\n")
-    script.chmod(0o755)
-    path = package / "all.launch"
-    path.write_text(
-        '<launch><node pkg="demo" type="live" name="first"/><include file="$(find my_slider)/launch/slider.launch"/>'
-        '<node pkg="demo" type="live" name="last" respawn="true"/></launch>'
-    )
-    return str(path)
+    return write_everything(tmp_path)
 
 
 @pytest.fixture

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 
 import pytest
 from cli_ros_world import SlideWorld, slide_world
+from slidectl.cli.stream import Event
 
 from slidectl.cli.ros import rostopic
-from slidectl.cli.stream import Event
 from slidectl.cli.topic_measure import RateMeter, Record
 
 MS = 1_000_000

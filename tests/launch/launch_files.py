@@ -8,7 +8,7 @@ from typing import Any
 from slidectl.description.packages import Packages
 from slidectl.launch import files
 from slidectl.launch.loader import load
-from slidectl.launch.plan import Node, Plan
+from slidectl.launch.plan import LaunchPlan, Node
 
 
 class Workspace:
@@ -31,11 +31,11 @@ class Workspace:
         """A launch file with this inside <launch>; the content begins on line 1."""
         return self.write(f"launch/{name}", f"<launch>{content}</launch>")
 
-    def plan(self, content: str, **arguments: str) -> Plan:
+    def plan(self, content: str, **arguments: str) -> LaunchPlan:
         """The plan of that file."""
         return self.load(self.launch_file(content), **arguments)
 
-    def load(self, path: Path, run_commands: bool = True, **arguments: str) -> Plan:
+    def load(self, path: Path, run_commands: bool = True, **arguments: str) -> LaunchPlan:
         """The plan of a file."""
         return load(files.find([str(path)], self.packages), arguments, self.packages, run_commands=run_commands)
 
@@ -55,6 +55,6 @@ class Workspace:
         return node
 
 
-def notices(plan: Plan) -> list[str]:
+def notices(plan: LaunchPlan) -> list[str]:
     """What the plan says about its files."""
     return [str(notice) for notice in plan.notices]

@@ -13,7 +13,7 @@ from launch_files import Workspace
 from slidectl import description
 from slidectl.description import controllers_file, xacro_adapter
 from slidectl.errors import BadFile
-from slidectl.launch import scope, substitution
+from slidectl.launch import substitution, tag
 
 XACRO = '<robot name="a" xmlns:xacro="http://www.ros.org/wiki/xacro">{}</robot>'
 
@@ -79,7 +79,7 @@ def test_the_bounds_of_a_launch_are_those_of_text_of_substitutions_and_of_time(
     with pytest.raises(BadFile, match=r"test.launch:2: <arg>: value: comes to more than 9 substitutions"):
         workspace.plan(arguments(3))
     monkeypatch.undo()
-    monkeypatch.setattr(scope, "MOST_TEXT", 1000)
+    monkeypatch.setattr(tag, "MOST_TEXT", 1000)
     with pytest.raises(BadFile, match=r"test.launch:3: <arg>: the launch comes to more than 0 KiB of text"):
         workspace.plan(arguments(3))
     with pytest.raises(BadFile, match=r"test.launch:1: <rosparam>: the launch comes to more than 0 KiB of text"):
@@ -87,7 +87,7 @@ def test_the_bounds_of_a_launch_are_those_of_text_of_substitutions_and_of_time(
             "x" * 50, "$(arg a)" * 30
         ))  # fmt: skip
     monkeypatch.undo()
-    monkeypatch.setattr(scope, "MOST_SECONDS", -1.0)
+    monkeypatch.setattr(tag, "MOST_SECONDS", -1.0)
     with pytest.raises(BadFile, match=r"test.launch:1: <launch>: the launch takes more than -1 s to read"):
         workspace.plan(arguments(3))
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import io
+import os
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from launch_files import Workspace
 
-from slidectl import description
 from slidectl.description.packages import Packages, UnknownPackage
 from slidectl.errors import BadFile, SlidectlError, UnknownName, UsageError
 from slidectl.launch import files
@@ -102,6 +102,13 @@ def test_a_dash_is_standard_input(workspace: Workspace, monkeypatch: pytest.Monk
     assert source.text == text
 
 
+def test_a_fifo_is_refused_instead_of_waited_for(workspace: Workspace) -> None:
+    path = workspace.package / "pipe.launch"
+    os.mkfifo(path)
+    with pytest.raises(BadFile, match=r"pipe\.launch: is a pipe, and only regular files are read"):
+        found(workspace, str(path))
+
+
 @pytest.mark.parametrize("name", AWKWARD)
 def test_a_path_of_any_letters_stays_one_word_through_arguments_includes_and_commands(
     tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
@@ -152,22 +159,12 @@ def test_shipped_counterparts_are_found_last_and_only_where_they_are_meant(works
     assert workspace.packages.find("gazebo_ros") == own
 
 
-def test_meshes_are_found_in_packages_the_same_way(workspace: Workspace) -> None:
-    workspace.write("meshes/box.stl", "solid x\nendsolid x\n")
-    xml = (
-        '<robot name="r"><link name="a"><collision><geometry><mesh filename="package://demo/meshes/box.stl"/></geometry>'
-        "</collision></link></robot>"
-    )
-    document = description.load(xml, {}, workspace.packages)
-    assert (workspace.package / "meshes" / "box.stl").as_uri() in document.xml
-
-
 def test_every_shipped_launch_file_makes_a_plan_without_a_complaint() -> None:
-    from slidectl.launch import kinds, loader
+    from slidectl.launch import loader, node_kinds
 
     for path in set(files.shipped().values()):
         plan = loader.load(files.find([str(path)], Packages()), {}, Packages())
-        kinds.tasks(plan, Packages())
+        node_kinds.tasks(plan, Packages())
         plan.parameters()
         assert [notice for notice in plan.notices if notice.verdict == "wrong"] == []
 

@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 from slidectl.description.missing import Missing
 from slidectl.description.packages import Packages
 from slidectl.errors import SlidectlError
-from slidectl.launch import kinds, loader
-from slidectl.launch.evaluator import ExpressionError, evaluate
-from slidectl.launch.files import Source
-from slidectl.launch.world import read
+from slidectl.expressions import ExpressionError
+from slidectl.launch import loader, node_kinds
+from slidectl.launch.files import LaunchFile
+from slidectl.launch.nodes.gazebo import read_world
+from slidectl.launch.substitution import evaluate
 
 TAGS = ["launch", "arg", "param", "rosparam", "include", "group", "node", "remap", "env", "test", "machine", "master",
         "frob"]  # fmt: skip
@@ -55,10 +56,10 @@ element = st.recursive(
 def plan_or_error(text: str) -> None:
     """Everything that happens before something is started."""
     path = Path("/tmp/fuzz.launch")
-    source = Source(path, text.encode(), "fuzz.launch")
+    source = LaunchFile(path, text.encode(), "fuzz.launch")
     try:
         plan = loader.load([source], {}, Packages(start="/"), run_commands=False, missing=Missing("all"))
-        kinds.tasks(plan, Packages(start="/"))
+        node_kinds.tasks(plan, Packages(start="/"))
         plan.parameters()
     except SlidectlError as error:
         said(error)
@@ -85,7 +86,7 @@ word = st.one_of(
 
 
 @settings(max_examples=200)
-@given(st.sampled_from(kinds.counterparts()), st.lists(word, max_size=10))
+@given(st.sampled_from(list(node_kinds.COUNTERPARTS)), st.lists(word, max_size=10))
 def test_any_arguments_of_a_node_that_has_a_counterpart(kind: tuple[str, str], words: list[str]) -> None:
     given_attributes = {"pkg": kind[0], "type": kind[1], "name": "n", "args": " ".join(words)}
     plan_or_error(f"<launch>{tag('node', given_attributes, '')}</launch>")
@@ -94,7 +95,7 @@ def test_any_arguments_of_a_node_that_has_a_counterpart(kind: tuple[str, str], w
 @settings(max_examples=150)
 @given(st.binary(max_size=200))
 def test_bytes_that_are_no_launch_file(data: bytes) -> None:
-    source = Source(Path("/tmp/fuzz.launch"), data, "fuzz.launch")
+    source = LaunchFile(Path("/tmp/fuzz.launch"), data, "fuzz.launch")
     try:
         loader.load([source], {}, Packages(start="/"), run_commands=False, missing=Missing("all"))
     except SlidectlError as error:
@@ -144,6 +145,6 @@ def test_any_world_file(elements: list[str]) -> None:
         file.write(f'<sdf version="1.6"><world name="w">{"".join(elements)}</world></sdf>')
         file.flush()
         try:
-            read(Path(file.name))
+            read_world(Path(file.name))
         except SlidectlError as error:
             said(error, file.name)

@@ -6,12 +6,13 @@ import pytest
 from launch_files import Workspace, notices
 
 from slidectl.errors import BadFile
-from slidectl.launch import kinds
+from slidectl.launch import node_kinds
+from slidectl.launch.nodes.spawn_model import SpawnModel
 from slidectl.launch.task import Task
 
 
 def tasks(workspace: Workspace, content: str) -> list[Task]:
-    return kinds.tasks(workspace.plan(content), workspace.packages)
+    return node_kinds.tasks(workspace.plan(content), workspace.packages)
 
 
 def task(workspace: Workspace, kind: str, args: str = "", attributes: str = "") -> Task:
@@ -61,16 +62,16 @@ def test_each_is_what_it_is_here(workspace: Workspace, kind: str, args: str, fam
         ("gazebo_ros/spawn_model", "-sdf -model m -file x", "-sdf: only URDF can be spawned, and this is SDF"),
         ("gazebo_ros/spawn_model", "-model m -database d", "-database: there is no model database here"),
         ("gazebo_ros/spawn_model", "-model m -param d -x one", "-x is a number, not 'one'"),
-        ("gazebo_ros/spawn_model", "-model m -param d -J joint1", "-J takes 2 values, not 1"),
+        ("gazebo_ros/spawn_model", "-model m -param d -J joint1", "argument -J: expected 2 arguments"),
         ("gazebo_ros/spawn_model", "-model m -param d -J joint1 inf", "-J joint1 is a number, not 'inf'"),
         ("gazebo_ros/spawn_model", "-model m -parm d", "no option '-parm' here; did you mean -param?"),
         ("gazebo_ros/spawn_model", "-model m -param d extra", "does not understand 'extra'"),
         ("gazebo_ros/spawn_model", "-model m -param d -gazebo_namespace /other", "there is one world"),
-        ("gazebo_ros/spawn_model", "-model m -param d -x", "-x takes 1 value, not 0"),
+        ("gazebo_ros/spawn_model", "-model m -param d -x", "argument -x: expected 1 argument"),
         ("gazebo_ros/spawn_model", "-model 'a b' -param d", "give it another name (-model NAME)"),
         ("controller_manager/spawner", "", "needs the names of controllers"),
         ("controller_manager/spawner", "--timeot 3 a", "no option '--timeot' here; did you mean --timeout?"),
-        ("gazebo_ros/spawn_model", "-p robot_description", "-p may mean -param or -package_to_model"),
+        ("gazebo_ros/spawn_model", "-p robot_description", "-p could match -param, -package_to_model"),
         ("controller_manager/spawner", "--timeout soon a", "--timeout is a number, not 'soon'"),
         ("controller_manager/unspawner", "", "needs the names of controllers"),
         ("controller_manager/controller_manager", "", "controller_manager needs a command"),
@@ -99,12 +100,18 @@ def test_arguments_that_make_no_sense_are_refused_before_anything_starts(
     assert reason in str(caught.value)
 
 
+def test_a_number_is_a_value_however_it_is_written(workspace: Workspace) -> None:
+    made = task(workspace, "gazebo_ros/spawn_model", "-urdf -model m -param d -x -1e-3 -z -.5 -J m::j -2")
+    assert isinstance(made, SpawnModel)
+    assert (made.pose["position"], made.joints) == ({"x": -0.001, "y": 0.0, "z": -0.5}, {"j": -2.0})
+
+
 def test_attributes_that_only_mean_something_for_a_process_are_pointed_out(workspace: Workspace) -> None:
     plan = workspace.plan(
         '<node pkg="robot_state_publisher" type="robot_state_publisher" name="n" respawn="true" launch-prefix="gdb"'
         ' cwd="node"/>'
     )
-    kinds.tasks(plan, workspace.packages)
+    node_kinds.tasks(plan, workspace.packages)
     assert [text.rpartition("/n: ")[2].split()[0] for text in notices(plan)] == ["respawn", "launch-prefix", "cwd"]
 
 
@@ -114,7 +121,7 @@ def test_a_node_that_is_nothing_here_is_refused_or_left_out(workspace: Workspace
         tasks(workspace, content)
     plan = workspace.plan(content)
     plan.missing.forgiven = "nodes"
-    [left] = kinds.tasks(plan, workspace.packages)
+    [left] = node_kinds.tasks(plan, workspace.packages)
     assert left.node.name == "r"
     [line] = plan.missing.lines()
     assert line.endswith("test.launch:1: node /n (fancy/thing): no package 'fancy'; the node /n is left out")

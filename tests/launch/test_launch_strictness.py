@@ -31,8 +31,7 @@ REFUSED = [
     '<group ns=""/>', '<group if=""/>', '<group if="yes"/>', '<remap from=" a" to="b"/>', '<remap from="a-b" to="b"/>',
     '<rosparam subst_value="1">a: 1</rosparam>', '<rosparam command="LOAD">a: 1</rosparam>', "<launch/>",
     '<param name="x" value="1" type="$(optenv NOT_SET int)"/>', '<arg name="a" default="1" doc="$(env NOT_SET)"/>',
-    '<test pkg="p" type="t"/>', TEST.format('output="screen"'), TEST.format('time-limit="0"'),
-    TEST.format('retry="1.5"'), TEST.format('name="a/b"'),
+    '<test pkg="p" type="t"/>', TEST.format('name="a/b"'),
 ]  # fmt: skip
 
 

@@ -24,14 +24,6 @@ def test_an_unknown_argument_on_the_command_line_is_an_error_with_the_closest(wo
     assert caught.value.exit_code == 2
 
 
-def test_groups_beside_each_other_have_arguments_of_their_own(workspace: Workspace) -> None:
-    group = '<group ns="{0}"><arg name="side" value="{0}"/><param name="x" value="$(arg side)"/></group>'
-    content = group.format("left") + group.format("right")
-    assert workspace.values(content) == {"/left/x": "left", "/right/x": "right"}
-    with pytest.raises(BadFile, match="there is no argument 'side' here"):
-        workspace.plan(content + '<param name="x" value="$(arg side)"/>')
-
-
 def test_an_argument_of_a_group_can_be_given_from_outside(workspace: Workspace) -> None:
     content = '<group><arg name="side" default="left"/><param name="x" value="$(arg side)"/></group>'
     assert workspace.values(content, side="right") == {"/x": "right"}

@@ -9,7 +9,8 @@ import pytest
 from launch_files import Workspace, notices
 
 from slidectl.errors import BadFile
-from slidectl.launch.evaluator import ExpressionError, evaluate
+from slidectl.expressions import ExpressionError
+from slidectl.launch.substitution import evaluate
 
 
 @pytest.mark.parametrize(

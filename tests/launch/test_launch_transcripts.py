@@ -11,8 +11,9 @@ import pytest
 import yaml
 from launch_files import Workspace, notices
 
+from slidectl.cli import launch_text
 from slidectl.errors import BadFile, SlidectlError
-from slidectl.launch import files, kinds, listing, loader
+from slidectl.launch import files, loader, node_kinds
 
 ALL = """<launch>
   <arg name="who" default="left" doc="which slide"/>
@@ -131,11 +132,11 @@ def plan(demo: Workspace, **arguments: str) -> Any:
 
 def test_parameters_are_those_of_the_real_one(demo: Workspace) -> None:
     directory = str(demo.package / "launch")
-    assert listing.parameters(plan(demo)) == LEFT.lstrip().replace("DIRECTORY", directory)
+    assert launch_text.as_yaml(plan(demo)) == LEFT.lstrip().replace("DIRECTORY", directory)
 
 
 def test_arguments_change_what_they_changed_there(demo: Workspace) -> None:
-    values = yaml.safe_load(listing.parameters(plan(demo, who="right", sim="false", gain="2")))
+    values = yaml.safe_load(launch_text.as_yaml(plan(demo, who="right", sim="false", gain="2")))
     assert values["/ev"] == 11
     assert values["/ev2"] is False
     assert values["/right/talk/gain"] == 2
@@ -145,11 +146,11 @@ def test_arguments_change_what_they_changed_there(demo: Workspace) -> None:
 
 
 def test_nodes_files_and_arguments_are_listed_as_there(demo: Workspace) -> None:
-    assert listing.nodes(plan(demo)) == ["/left/talk"]
-    assert [Path(path).name for path in listing.files(plan(demo))] == ["all.launch", "inc.launch"]
+    assert [node.full_name for node in plan(demo).nodes] == ["/left/talk"]
+    assert [Path(path).name for path in plan(demo).files] == ["all.launch", "inc.launch"]
     source = files.find(["slide_demo", "all.launch"], demo.packages)
     only = loader.load(source, {}, demo.packages, arguments_only=True)
-    assert listing.arguments(only) == (
+    assert launch_text.arguments(only) == (
         "Optional Arguments:\n"
         '  gain (default "1.5"): undocumented\n'
         '  sim (default "true"): simulate\n'
@@ -159,28 +160,28 @@ def test_nodes_files_and_arguments_are_listed_as_there(demo: Workspace) -> None:
 
 def test_the_command_line_of_a_node_is_the_same(demo: Workspace) -> None:
     made = plan(demo)
-    [task] = kinds.tasks(made, demo.packages)
+    [task] = node_kinds.tasks(made, demo.packages)
     program = demo.package / "scripts" / "talk.py"
-    assert listing.command_line(task) == (
+    assert launch_text.command_line(task) == (
         f'ROS_NAMESPACE="/left" X="x_left" {program} one \'two words\' --three pos:=position __name:=talk'
     )
     with pytest.raises(SlidectlError, match="no node '/nope'"):
-        listing.node(made, "/nope")
+        launch_text.find_node(made, "/nope")
 
 
 def test_arguments_without_a_default_are_required(workspace: Workspace) -> None:
     path = workspace.launch_file('<arg name="must" doc="give me"/><param name="x" value="$(arg must)"/>')
     only = loader.load(files.find([str(path)], workspace.packages), {}, arguments_only=True)
-    assert listing.arguments(only) == "Required Arguments:\n  must: give me"
+    assert launch_text.arguments(only) == "Required Arguments:\n  must: give me"
     content = (
         '<arg name="a"/><arg name="b" default="$(arg a)/x" doc="$(eval 1 + 1)"/><arg name="c" default="1" if="0"/>'
     )
     lacking = loader.load(
         files.find([str(workspace.launch_file(content))], workspace.packages), {}, arguments_only=True
     )
-    assert listing.arguments(lacking).splitlines()[-1] == '  b (default "$(arg a)/x"): 2'
+    assert launch_text.arguments(lacking).splitlines()[-1] == '  b (default "$(arg a)/x"): 2'
     none = loader.load(files.find([str(workspace.launch_file(""))], workspace.packages), {}, arguments_only=True)
-    assert listing.arguments(none) == "No arguments."
+    assert launch_text.arguments(none) == "No arguments."
 
 
 # The file, and what must be said about it. Those that the real one refuses are refused, with file and line.
@@ -228,7 +229,7 @@ def test_a_misspelt_argument_is_named_where_the_one_that_was_meant_is_missing(wo
 def read_wholly(workspace: Workspace, content: str) -> None:
     """Everything that happens before something is started."""
     plan = workspace.plan(content)
-    kinds.tasks(plan, workspace.packages)
+    node_kinds.tasks(plan, workspace.packages)
     plan.parameters()
 
 

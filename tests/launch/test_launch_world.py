@@ -9,12 +9,13 @@ import pytest
 from launch_files import Workspace, notices
 
 from slidectl.errors import BadFile
-from slidectl.launch.nodes.gazebo import Gazebo
-from slidectl.launch.world import WorldFile, WorldSettings, read
+from slidectl.launch.nodes.gazebo import Gazebo, WorldFile, WorldSettings, read_world
 
 
 def world(workspace: Workspace, content: str) -> WorldFile:
-    return read(workspace.write("worlds/test.world", f'<sdf version="1.6"><world name="w">{content}</world></sdf>'))
+    return read_world(
+        workspace.write("worlds/test.world", f'<sdf version="1.6"><world name="w">{content}</world></sdf>')
+    )
 
 
 def test_a_world_file_gives_ground_gravity_step_and_pace(workspace: Workspace) -> None:
@@ -24,7 +25,7 @@ def test_a_world_file_gives_ground_gravity_step_and_pace(workspace: Workspace) -
         <gravity>0 0 -1.62</gravity><light name="sun" type="directional"/>
         <physics type="ode"><max_step_size>0.002</max_step_size><real_time_factor>2</real_time_factor></physics>""",
     )
-    assert (found.ground, found.gravity, found.timestep, found.speed) == (True, (0.0, 0.0, -1.62), 0.002, 2.0)
+    assert found.settings == WorldSettings(False, 0.002, (0.0, 0.0, -1.62), 2.0, True)
     assert found.notices == []
 
 
@@ -42,7 +43,7 @@ def test_a_world_file_gives_ground_gravity_step_and_pace(workspace: Workspace) -
 def test_the_pace_is_the_rate_of_updates_if_there_is_one_else_the_factor(
     workspace: Workspace, physics: str, speed: float | None
 ) -> None:
-    assert world(workspace, f"<physics>{physics}</physics>").speed == speed
+    assert world(workspace, f"<physics>{physics}</physics>").settings.speed == speed
 
 
 def test_factor_and_rate_that_contradict_are_pointed_out(workspace: Workspace) -> None:
@@ -66,7 +67,7 @@ def model(shape: str) -> str:
     ],
 )
 def test_the_ground_is_a_plane_however_it_is_written(workspace: Workspace, content: str, ground: bool) -> None:
-    assert world(workspace, content).ground is ground
+    assert world(workspace, content).settings.ground is ground
 
 
 def test_what_else_a_world_holds_is_reported_with_its_line(workspace: Workspace) -> None:
@@ -89,10 +90,13 @@ def test_what_else_a_world_holds_is_reported_with_its_line(workspace: Workspace)
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
-        ("<gravity>0 0</gravity>", "<gravity> is three numbers, not '0 0'"),
+        ("<gravity>0 0</gravity>", "<gravity> is three finite numbers, not '0 0'"),
         ("<gravity>0 0 nan</gravity>", "<gravity> is three finite numbers"),
         ("<physics><max_step_size>0</max_step_size></physics>", "<max_step_size> is a number above 0, not '0'"),
-        ("<physics><real_time_factor>fast</real_time_factor></physics>", "<real_time_factor> is a number, not 'fast'"),
+        (
+            "<physics><real_time_factor>fast</real_time_factor></physics>",
+            "<real_time_factor> is a number above 0",
+        ),
     ],
 )
 def test_numbers_that_are_none_are_refused_with_the_place(workspace: Workspace, content: str, reason: str) -> None:
@@ -102,9 +106,9 @@ def test_numbers_that_are_none_are_refused_with_the_place(workspace: Workspace, 
 
 def test_a_file_that_is_no_world_is_refused(workspace: Workspace) -> None:
     with pytest.raises(BadFile, match="this is no world file"):
-        read(workspace.write("w.world", '<robot name="r"/>'))
+        read_world(workspace.write("w.world", '<robot name="r"/>'))
     with pytest.raises(BadFile, match="no such file"):
-        read(Path("/no/such.world"))
+        read_world(Path("/no/such.world"))
 
 
 def gazebo(workspace: Workspace, args: str, kind: str = "gzserver") -> Gazebo:
@@ -139,8 +143,8 @@ def test_options_without_effect_are_pointed_out_and_unknown_ones_refused(workspa
     plan = workspace.plan('<node pkg="gazebo_ros" type="gzserver" name="g" args="-r -s libx.so"/>')
     Gazebo(plan.nodes[0], plan)
     assert [text.rpartition(": ")[2] for text in notices(plan)] == [
-        "Gazebo's option -r has no effect",
         "Gazebo's option -s has no effect",
+        "Gazebo's option -r has no effect",
     ]
     with pytest.raises(BadFile, match=r"gazebo_ros/gzserver has no option '--pase' here; did you mean --pause\?"):
         gazebo(workspace, "--pase")
@@ -149,7 +153,7 @@ def test_options_without_effect_are_pointed_out_and_unknown_ones_refused(workspa
 
 
 def test_the_counterpart_of_empty_world_passes_its_arguments_on(workspace: Workspace) -> None:
-    from slidectl.launch import kinds
+    from slidectl.launch import node_kinds
 
     path = workspace.write("w.world", '<sdf version="1.6"><world name="w"><gravity>0 0 -2</gravity></world></sdf>')
     include = f"""<include file="$(find gazebo_ros)/launch/empty_world.launch">
@@ -157,7 +161,7 @@ def test_the_counterpart_of_empty_world_passes_its_arguments_on(workspace: Works
         <arg name="headless" value="true"/><arg name="debug" value="false"/><arg name="world_name" value="{path}"/>
         </include>"""
     plan = workspace.plan(include)
-    server, window = kinds.tasks(plan, workspace.packages)
+    server, window = node_kinds.tasks(plan, workspace.packages)
     assert isinstance(server, Gazebo)
     assert server.settings(WorldSettings()) == WorldSettings(True, None, (0.0, 0.0, -2.0), None, False)
     assert window.node.full_name == "/gazebo_gui"

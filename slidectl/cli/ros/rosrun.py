@@ -20,20 +20,21 @@ import click
 from slidectl import names
 from slidectl.cli import output
 from slidectl.cli.context import Context
-from slidectl.cli.launch_run import Daemon, Terminal
+from slidectl.cli.launch import LaunchDaemon
+from slidectl.cli.launch_text import Terminal
 from slidectl.cli.ros.arguments import Failure, Parser, option, without_remappings
 from slidectl.cli.spawn import tell_own_packages
 from slidectl.cli.values import read
 from slidectl.description.packages import Packages
 from slidectl.errors import BadFile, Refused, SlidectlError, UsageError
-from slidectl.launch.kinds import counterparts, has_counterpart, tasks
-from slidectl.launch.nodes.manager_scripts import ManagerScript, is_command
-from slidectl.launch.plan import Node, Place, Plan, Remap, Setting
+from slidectl.launch.node_kinds import COUNTERPARTS, has_counterpart, tasks
+from slidectl.launch.nodes.controller_nodes import ManagerScript, is_command
+from slidectl.launch.plan import LaunchPlan, Location, Node, Remap, Setting
 from slidectl.writing import write_whole
 
 if TYPE_CHECKING:
     from slidectl.client import Client
-    from slidectl.launch.world import WorldSettings
+    from slidectl.launch.nodes.gazebo import WorldSettings
 
 _USAGE = """rosrun [--prefix cmd] [--debug] PACKAGE EXECUTABLE [ARGS]
   rosrun will locate PACKAGE and try to find an executable named EXECUTABLE in it,
@@ -43,7 +44,7 @@ _NO_PACKAGE = 2
 _NO_EXECUTABLE = 3
 _WRONG_COUNT = 255
 _HELP = frozenset(("-h", "--help"))
-_PLACE = Place("rosrun", None)
+_PLACE = Location("rosrun", None)
 _ASSIGNMENT = re.compile(r"(?P<name>[A-Za-z0-9_~/]+):=(?P<value>.*)\Z", re.DOTALL)
 _TOOLS = ("rostopic", "rosservice", "rosparam", "rosnode", "rosmsg", "rossrv", "roslaunch")
 _WINDOWS = (("rviz", "rviz"), ("rqt_gui", "rqt_gui"), ("rqt_plot", "rqt_plot"))
@@ -179,7 +180,7 @@ class _Running:
         """It is not ours."""
 
 
-def _plan(ctx: Context, package: str, kind: str, words: Sequence[str]) -> Plan:
+def _plan(ctx: Context, package: str, kind: str, words: Sequence[str]) -> LaunchPlan:
     """A plan with the one node, and its private parameters (`_name:=value`). `__name` and `__ns` name it."""
     given = {match["name"]: match["value"] for word in words if (match := _ASSIGNMENT.match(word))}
     namespace = given.pop("__ns", os.environ.get("ROS_NAMESPACE") or ctx.namespace)
@@ -191,7 +192,7 @@ def _plan(ctx: Context, package: str, kind: str, words: Sequence[str]) -> Plan:
         for name, value in given.items()
         if re.match(r"_[^_]", name)
     ]
-    return Plan(settings=settings, nodes=[node])
+    return LaunchPlan(settings=settings, nodes=[node])
 
 
 def _run_node(ctx: Context, package: str, kind: str, words: Sequence[str]) -> None:
@@ -200,10 +201,9 @@ def _run_node(ctx: Context, package: str, kind: str, words: Sequence[str]) -> No
     Raises:
         BadFile: its arguments make no sense. StepFailed: it could not be done. NoDaemon.
     """
-    from slidectl.launch.interrupts import Interrupted, Interrupts
-    from slidectl.launch.session import Session
+    from slidectl.launch.execution import Execution
+    from slidectl.launch.supervision import Interrupted, Interrupts
     from slidectl.launch.task import Options, Run
-    from slidectl.launch.watch import Watch
 
     plan, packages = _plan(ctx, package, kind, words), _lookup()
     try:
@@ -217,10 +217,10 @@ def _run_node(ctx: Context, package: str, kind: str, words: Sequence[str]) -> No
             task.goes_on = True  # the script goes on after a failure where a launch ends
     # A Gazebo brings its world with it; everything else needs one that is there.
     is_world = package == "gazebo_ros" and kind in ("gazebo", "gzserver", "debug", "perf")
-    door = Daemon(ctx, child=True, wait=False) if is_world else _Running(ctx)
+    door = LaunchDaemon(ctx, child=True, wait=False) if is_world else _Running(ctx)
     with Interrupts() as interrupts:
         folder = str(ctx.paths.folder / "launch")
-        session = Session(Run(plan, packages, _OneNode(ctx), Options(), Watch(), interrupts, folder), made, door)
+        session = Execution(Run(plan, packages, _OneNode(ctx), Options(), interrupts, folder), made, door)
         try:
             session.bring_up()
             session.watch()
@@ -271,11 +271,11 @@ def _xacro(ctx: Context, argv: Sequence[str]) -> None:
 
 def _find(ctx: Context, package: str, executable: str, debug: bool) -> Path:
     """The user's program. Raises Failure: no such package (2), no such program in it (3)."""
-    from slidectl.launch import executables
+    from slidectl.launch import node_kinds
 
     lookup = _lookup()
     folders = list(lookup.candidates(package))
-    ours = [*_PROGRAMS, *_USAGES, *counterparts(), *((tool, tool) for tool in _TOOLS), *_WINDOWS]
+    ours = [*_PROGRAMS, *_USAGES, *COUNTERPARTS, *((tool, tool) for tool in _TOOLS), *_WINDOWS]
     here = sorted({name for known, name in ours if known == package})
     if not folders and not here:
         known = sorted({name for name, _ in ours} | set(lookup.names()))
@@ -283,8 +283,8 @@ def _find(ctx: Context, package: str, executable: str, debug: bool) -> Path:
     if debug:
         output.write("\n".join(["[rosrun] Looking in:", *map(str, folders)]))
     try:
-        path = executables.find(Node(package, executable, executable, "/", _PLACE), lookup)
-    except executables.NeedsRos as error:
+        path = node_kinds.find(Node(package, executable, executable, "/", _PLACE), lookup)
+    except node_kinds.NeedsRos as error:
         reason = error.reason.partition(": ")[2]
         raise Failure(f"[rosrun] {reason}\n{(error.hint or '').partition(chr(10))[0]}") from None
     except BadFile as error:

@@ -1,22 +1,28 @@
-"""gazebo_ros's gazebo, gzserver and gzclient: the world is the daemon's, and these say how it is to be.
+"""gazebo_ros's gazebo and gzserver: the daemon has the world; arguments and a world file (SDF) say how it is to be.
 
-World files are read by world.py.
+Of a world file ground, light, gravity, length of a step and real-time factor count; everything else is reported.
 """
 
 from __future__ import annotations
 
 import math
 import os
-from dataclasses import replace
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from slidectl import paths
-from slidectl.description.packages import is_file
+from slidectl.description import xml_tree
+from slidectl.description.models import read_file
+from slidectl.description.packages import is_file, shown
+from slidectl.description.robot import Notice
+from slidectl.description.xml_tree import Element
 from slidectl.errors import NotThere
-from slidectl.launch.options import parse
-from slidectl.launch.plan import Node, Plan
-from slidectl.launch.task import HOOK_LIMIT_S, Run, Task
-from slidectl.launch.world import WorldFile, WorldSettings, read
+from slidectl.launch.plan import LaunchPlan, Node
+from slidectl.launch.task import HOOK_LIMIT_S, Run, Task, parse
+
+Vector = tuple[float, float, float]
 
 _OPTIONS = {
     "-u": 0, "--pause": 0, "-e": 1, "--physics": 1, "-s": 1, "--server-plugin": 1, "-g": 1, "--gui-plugin": 1,
@@ -27,12 +33,28 @@ _EMPTY = "the world is the empty one"
 _QUIET = ("-u", "--pause", "-e", "--physics", "--verbose", "-q", "--minimal_comms", "--lockstep")
 
 
+@dataclass(frozen=True)
+class WorldSettings:
+    """`timestep` in s, `gravity` in m/s², `speed` as real-time factor (`inf`: as fast as it goes). None: not said."""
+
+    paused: bool = False
+    timestep: float | None = None
+    gravity: Vector | None = None
+    speed: float | None = None
+    ground: bool | None = None
+
+    def over(self, others: WorldSettings) -> WorldSettings:
+        """These settings, and where they say nothing those of others."""
+        said = {name: value for name, value in vars(self).items() if value is not None}
+        return replace(others, **{**said, "paused": self.paused or others.paused})
+
+
 class Gazebo(Task):
     """The server, or the script that starts it with a window."""
 
     family = "world"
 
-    def __init__(self, node: Node, plan: Plan) -> None:
+    def __init__(self, node: Node, plan: LaunchPlan) -> None:
         super().__init__(node, plan)
         words = parse(node, _OPTIONS)
         self.paused = words.has("-u") or words.has("--pause")
@@ -44,12 +66,12 @@ class Gazebo(Task):
         if engine != "ode":
             plan.notice("ignored", node.place, node.full_name, f"-e {engine} has no effect: the physics here is MuJoCo")
         if len(words.rest) > 1:
-            raise node.place.error(f"{node.full_name}: one world file at most, not {' '.join(words.rest)}")
+            raise self.error(f"one world file at most, not {' '.join(words.rest)}")
         for error in node.absent:
             plan.missing.note(error, _EMPTY)
         if words.rest:
             try:
-                self.world = read(_find(node, words.rest[0]))
+                self.world = read_world(_find(node, words.rest[0]))
             except NotThere as error:
                 plan.missing.note(error, _EMPTY)
             else:
@@ -63,17 +85,8 @@ class Gazebo(Task):
 
     def settings(self, others: WorldSettings) -> WorldSettings:
         """What is asked for, over what others ask for."""
-        asked = replace(others, paused=others.paused or self.paused)
-        if self.world is None:
-            return asked
-        world = self.world
-        return WorldSettings(
-            asked.paused,
-            world.timestep if world.timestep is not None else asked.timestep,
-            world.gravity if world.gravity is not None else asked.gravity,
-            world.speed if world.speed is not None else asked.speed,
-            world.ground,
-        )
+        asked = replace(self.world.settings if self.world else WorldSettings(), paused=self.paused)
+        return asked.over(others)
 
     def start(self, run: Run) -> str | None:
         if not run.owns_daemon:
@@ -85,13 +98,17 @@ class Gazebo(Task):
         return None
 
     def _adapt(self, run: Run) -> None:
-        """A world that runs already takes on what it can."""
+        """A world that runs already takes on what it can. An option of the daemon's, or `sim speed`, goes before."""
+        file = self.world.file if self.world else ""
         asked = self.settings(WorldSettings())
         if asked.ground is False:
-            self.warn(run, f"{self._file} has no ground plane, but the running world keeps its own")
+            self.warn(run, f"{file} has no ground plane, but the running world keeps its own")
         if asked.paused:
             run.call("/gazebo/pause_physics")
-        asked = self._without_chosen(run, asked)
+        chosen = run.call("/slidectl/status")["chosen"]
+        if kept := [name for name in chosen if getattr(asked, name) is not None]:
+            self.warn(run, f"{file} sets {' and '.join(kept)}; what was chosen for the running world stays")
+            asked = WorldSettings(**{**vars(asked), **dict.fromkeys(kept)})
         if asked.timestep is None and asked.gravity is None and asked.speed is None:
             return
         physics = run.call("/gazebo/get_physics_properties")
@@ -103,24 +120,6 @@ class Gazebo(Task):
         request = {"time_step": step, "max_update_rate": rate, "gravity": gravity}
         run.call("/gazebo/set_physics_properties", request)
 
-    def _without_chosen(self, run: Run, asked: WorldSettings) -> WorldSettings:
-        """What is left to ask for: an option of the daemon's, or `sim speed`, goes before the file."""
-        chosen = run.call("/slidectl/status")["chosen"]
-        kept = [name for name in chosen if getattr(asked, name) is not None]
-        if kept:
-            self.warn(run, f"{self._file} sets {' and '.join(kept)}; what was chosen for the running world stays")
-        return WorldSettings(
-            asked.paused,
-            None if "timestep" in chosen else asked.timestep,
-            None if "gravity" in chosen else asked.gravity,
-            None if "speed" in chosen else asked.speed,
-            asked.ground,
-        )
-
-    @property
-    def _file(self) -> str:
-        return self.world.file if self.world else ""
-
     def stop(self, run: Run) -> None:
         """Robots leave with the world that they were put into; that of somebody else stays without them."""
         if run.owns_daemon:
@@ -129,21 +128,6 @@ class Gazebo(Task):
             if run.call("/gazebo/delete_model", {"model_name": name}, HOOK_LIMIT_S)["success"]:
                 self.settled(run, f"{name}: deleted")
         run.spawned.clear()
-
-
-class Window(Task):
-    """gzclient: there is no window."""
-
-    family = "notice"
-    keeps_running = False
-
-    @property
-    def text(self) -> str:
-        return "there is no window here; slidectl sim status, slidectl robots and slidectl echo show the world"
-
-    def start(self, run: Run) -> str | None:
-        self.settled(run, self.text)
-        return None
 
 
 def _find(node: Node, name: str) -> Path:
@@ -157,3 +141,105 @@ def _find(node: Node, name: str) -> Path:
     looked = ", ".join(str(path.parent) for path in places)
     message = f"{node.full_name}: there is no world file {name}"
     raise node.place.absence(message, f"looked in: {looked}", f"world {name}")
+
+
+# --- world files -----------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class WorldFile:
+    """What a world file says, and what became of the rest of it."""
+
+    file: str
+    settings: WorldSettings = field(default_factory=lambda: WorldSettings(ground=False))
+    notices: list[Notice] = field(default_factory=list)
+
+    def set(self, **settings: Any) -> None:
+        self.settings = replace(self.settings, **settings)
+
+    def say(self, verdict: str, element: Element, text: str) -> None:
+        self.notices.append(Notice(verdict, element.title, text, element.file, element.line))  # type: ignore[arg-type]
+
+
+def read_world(path: Path) -> WorldFile:
+    """Raises BadFile: missing, not XML, no world in it, or numbers that are none."""
+    root = xml_tree.read(read_file(path), shown(path))
+    worlds = root.find_all("world") if root.tag in ("sdf", "gazebo") else [root] if root.tag == "world" else []
+    if not worlds:
+        raise root.error("this is no world file: it has no <sdf> with a <world> inside")
+    found = WorldFile(root.file)
+    for element in worlds[0].children:
+        _take(element, found)
+    for extra in worlds[1:]:
+        found.say("wrong", extra, "only the first world of a file is used")
+    return found
+
+
+def _take(element: Element, found: WorldFile) -> None:
+    if element.tag == "gravity":
+        found.set(gravity=_vector(element))
+    elif element.tag == "physics":
+        _take_physics(element, found)
+    elif element.tag == "include":
+        _take_include(element, found)
+    elif element.tag == "model" and _is_ground(element):
+        found.set(ground=True)
+    elif element.tag == "model":
+        found.say("wrong", element, "models of a world file are not in this world; spawn them from URDF or xacro")
+    elif element.tag == "plugin":
+        found.say("wrong", element, "plugins of Gazebo have no effect")
+    elif element.tag not in ("light", "name"):
+        found.say("ignored", element, "has no effect: there is nothing like it here")
+
+
+def _take_include(element: Element, found: WorldFile) -> None:
+    uri = element.find("uri")
+    name = (uri.first_text if uri is not None else "").removeprefix("model://").strip("/")
+    if name == "ground_plane":
+        found.set(ground=True)
+    elif name != "sun":
+        found.say("wrong", element, f"the model {name!r} is not in this world; spawn it from URDF or xacro")
+
+
+def _is_ground(model: Element) -> bool:
+    """A static model that is called so, or whose only shape is a plane."""
+    shapes = [shape for element in model.walk() if element.tag == "geometry" for shape in element.children]
+    return model.get("name") == "ground_plane" or bool(shapes and all(shape.tag == "plane" for shape in shapes))
+
+
+def _take_physics(physics: Element, found: WorldFile) -> None:
+    factor: float | None = None
+    rate: float | None = None
+    for element in physics.children:
+        if element.tag == "max_step_size":
+            found.set(timestep=_numbers(element, "a number above 0", above=0.0)[0])
+        elif element.tag == "real_time_factor":
+            factor = _numbers(element, "a number above 0", above=0.0)[0]
+        elif element.tag == "real_time_update_rate":
+            rate = _numbers(element, "a number")[0]
+        elif element.tag == "gravity":
+            found.set(gravity=_vector(element))
+        else:
+            found.say("ignored", element, "has no effect: the physics here is MuJoCo")
+    speed = factor
+    if rate is not None:  # Gazebo holds to the rate of updates; 0 is as fast as possible
+        speed = math.inf if rate <= 0 else rate * (found.settings.timestep or 0.001)
+    found.set(speed=speed)
+    if factor is not None and speed is not None and not math.isclose(speed, factor, rel_tol=1e-6):
+        text = f"real_time_update_rate goes before real_time_factor, as in Gazebo: the factor is {speed:g}"
+        found.say("converted", physics, text)
+
+
+def _numbers(element: Element, expected: str, count: int = 1, above: float = -math.inf) -> list[float]:
+    """So many finite numbers above a bound. Raises BadFile."""
+    numbers: list[float] = []
+    with suppress(ValueError):
+        numbers = [float(word) for word in element.first_text.split()]
+    if len(numbers) != count or not all(above < number < math.inf for number in numbers):
+        raise element.error(f"<{element.tag}> is {expected}, not {element.first_text!r}")
+    return numbers
+
+
+def _vector(element: Element) -> Vector:
+    x, y, z = _numbers(element, "three finite numbers", 3)
+    return x, y, z

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from slidectl import description, names, rotations
 from slidectl.description import source_note
-from slidectl.description.packages import Packages, is_file
+from slidectl.description.packages import Packages, is_file, shown
 from slidectl.description.parser import STARTS_OUTSIDE, place_of_limit
 from slidectl.description.report import needs_telling
-from slidectl.errors import BadFile, BadName, Refused, SlidectlError
-from slidectl.launch.files import shown
-from slidectl.launch.options import Words, number, parse
-from slidectl.launch.plan import Leaf, Node, Plan
-from slidectl.launch.task import HOOK_LIMIT_S, SPAWN_LIMIT_S, Run, Task
+from slidectl.errors import BadFile, BadName, Refused
+from slidectl.launch.plan import LaunchPlan, Leaf, Node
+from slidectl.launch.task import HOOK_LIMIT_S, SPAWN_LIMIT_S, Run, Task, Words, number, parse
 
 _OPTIONS = {
     "-urdf": 0, "-sdf": 0, "-trimesh": 0, "-file": 1, "-param": 1, "-database": 1, "-stdin": 0, "-model": 1,
@@ -40,21 +37,24 @@ class SpawnModel(Task):
 
     family = "robot"
 
-    def __init__(self, node: Node, plan: Plan) -> None:
+    def __init__(self, node: Node, plan: LaunchPlan) -> None:
         super().__init__(node, plan)
         self.words = words = parse(node, _OPTIONS)
         for option, reason in _REFUSED.items():
             if words.has(option):
-                raise self._error(f"{option}: {reason}", "describe the robot in URDF or xacro")
+                raise self.error(f"{option}: {reason}", "describe the robot in URDF or xacro")
         if words.has("-file") == words.has("-param"):
-            raise self._error("takes one of -param NAME and -file FILE")
+            raise self.error("takes one of -param NAME and -file FILE")
         if words.rest:
-            raise self._error(f"does not understand {' '.join(words.rest)!r}")
+            raise self.error(f"does not understand {' '.join(words.rest)!r}")
         if not words.one("-model"):
-            raise self._error("needs a name for the robot: -model NAME")
+            raise self.error("needs a name for the robot: -model NAME")
         if words.one("-gazebo_namespace", "/gazebo").strip("/") != "gazebo":
-            raise self._error("there is one world, and it is in /gazebo", "leave -gazebo_namespace out")
-        self.model = self._name()
+            raise self.error("there is one world, and it is in /gazebo", "leave -gazebo_namespace out")
+        try:
+            self.model = names.check_robot(words.one("-model"))
+        except BadName as error:
+            raise self.error(error.message, "give it another name (-model NAME)") from None
         self.pose = _pose(words)
         self.joints = {
             joint.removeprefix(f"{self.model}::"): number(node, f"-J {joint}", value)
@@ -67,20 +67,14 @@ class SpawnModel(Task):
         """Where a joint is when the robot is there: -J says it, by the joint's name or `robot::joint`."""
         return next((value for name, value in self.joints.items() if name.rpartition("::")[2] == joint), 0.0)
 
-    def _name(self) -> str:
-        try:
-            return names.check_robot(self.words.one("-model"))
-        except BadName as error:
-            raise self._error(error.message, "give it another name (-model NAME)") from None
-
     @property
     def asked_namespace(self) -> str | None:
         """What `-robot_namespace` says, from the root: Gazebo gets it as it is typed and knows no groups."""
         asked = self.words.one("-robot_namespace")
         return names.join("/", asked).rstrip("/") or "/" if asked else None
 
-    def home(self, robot: description.Robot, nodes: Sequence[Node]) -> str:
-        """The namespace in which the robot will be, in a launch of these nodes.
+    def home(self, robot: description.Robot, tasks: Sequence[Task]) -> str:
+        """The namespace in which the robot will be, in a launch of these tasks.
 
         A plugin that names none gets the node's own from spawn_model, and else the model's name. Which of them is
         meant is seen from the nodes that speak to a controller manager.
@@ -88,17 +82,14 @@ class SpawnModel(Task):
         if self.asked_namespace is not None:
             return self.asked_namespace
         is_open = robot.plugin is not None and robot.plugin.robot_namespace is None
-        if is_open and self._is_spoken_to(nodes):
+        if is_open and self._is_spoken_to(tasks):
             return self.node.namespace
         return description.namespace_of(robot, self.model)
 
-    def _is_spoken_to(self, nodes: Sequence[Node]) -> bool:
-        """Whether a node speaks to a controller manager in this one's namespace, and none to one in the model's."""
-        managers = {_manager_of(node) for node in nodes if node.package == "controller_manager"}
+    def _is_spoken_to(self, tasks: Sequence[Task]) -> bool:
+        """Whether a task speaks to a controller manager in this one's namespace, and none to one in the model's."""
+        managers = {task.manager_namespace for task in tasks}
         return self.node.namespace in managers and names.join("/", self.model) not in managers
-
-    def _error(self, message: str, hint: str | None = None) -> SlidectlError:
-        return self.node.place.error(f"{self.node.full_name}: {message}", hint)
 
     @property
     def text(self) -> str:
@@ -110,7 +101,7 @@ class SpawnModel(Task):
         """The full name of the parameter with the description; None when that is in a file."""
         return self.node.resolve(self.words.one("-param")) if self.words.has("-param") else None
 
-    def look_ahead(self, plan: Plan, packages: Packages, parameters: Mapping[str, Leaf]) -> None:
+    def look_ahead(self, plan: LaunchPlan, packages: Packages, parameters: Mapping[str, Leaf]) -> None:
         source: Any = Path(self.words.one("-file"))
         if self.parameter is not None:
             source = parameters[self.parameter][0] if self.parameter in parameters else None
@@ -130,7 +121,7 @@ class SpawnModel(Task):
         awaited = self.words.one("-wait")
         if awaited and awaited not in run.call("/slidectl/status")["robots"]:
             return f"the model {awaited}"
-        run.heard()
+        run.new_warnings()
         document = self._document(run)
         if run.options.strict:
             description.parse(document.xml, document.file, strict=True)
@@ -161,22 +152,26 @@ class SpawnModel(Task):
         own = run.parameters.get(name)
         xml = own[0] if own is not None else run.parameter(name)
         if not isinstance(xml, str):
-            known = [one for one in run.call("/rosapi/get_param_names")["names"] if one.endswith("description")]
-            hint = f"descriptions there are: {', '.join(known) or 'none'}"
+            there = [one for one in run.call("/rosapi/get_param_names")["names"] if one.endswith("description")]
+            hint = f"descriptions there are: {', '.join(there) or 'none'}"
             raise Refused(f"the parameter {name} is not set to a robot's description", hint)
         if not _is_xml(xml):
             raise Refused(f"the parameter {name} holds no XML")
         if own is None:
-            return description.load(_noted(run, xml), {}, packages, missing=missing)
+            known = run.call("/slidectl/sources", {"digest": source_note.digest(xml)})  # where elements were written
+            return description.load(source_note.join(xml, known["note"]), {}, packages, missing=missing)
         setting = next((one for one in reversed(run.plan.settings) if one.name == name), None)
         title = shown(setting.source) if setting is not None and setting.source else f"parameter {name}"
         return description.load(xml, {}, packages, missing=missing, title=title)
 
     def _spawn(self, run: Run, document: description.Document) -> None:
+        namespace = self.asked_namespace or ""  # empty where the plugin says it, or the robot's name does
+        if not namespace and self._is_spoken_to(run.tasks):
+            namespace = self.home(description.parse(document.xml), run.tasks)
         request: dict[str, Any] = {
             "model_name": self.model,
             "model_xml": document.xml,
-            "robot_namespace": self._asked_namespace(run, document),
+            "robot_namespace": namespace,
             "initial_pose": self.pose,
             "reference_frame": self.words.one("-reference_frame"),
         }
@@ -194,13 +189,6 @@ class SpawnModel(Task):
             if halt:
                 run.call("/gazebo/unpause_physics")
 
-    def _asked_namespace(self, run: Run, document: description.Document) -> str:
-        """Empty where the plugin says it, or the robot's name does."""
-        if self.asked_namespace is not None:
-            return self.asked_namespace
-        is_open = self._is_spoken_to(run.plan.nodes)
-        return self.home(description.parse(document.xml), run.plan.nodes) if is_open else ""
-
     def _set_joints(self, run: Run) -> None:
         request = {
             "model_name": self.model,
@@ -216,8 +204,8 @@ class SpawnModel(Task):
 
     def _tell(self, run: Run) -> None:
         """Where it is, and what became of its tags: what needs telling in full, the others counted unless `-v`."""
-        run.heard()  # the same is said here
-        robot = run.call("/slidectl/list_robots", {"name": self.model})["robots"][0]
+        run.new_warnings()  # the same is said here
+        [robot] = run.call("/slidectl/list_robots", {"name": self.model})["robots"]
         # What -J put elsewhere is between its limits: set_model_configuration refuses all else.
         put = {place_of_limit(joint.rpartition("::")[2]) for joint in self.joints}
         ignored = 0
@@ -244,19 +232,6 @@ class SpawnModel(Task):
 
 def _is_xml(text: str) -> bool:
     return text.lstrip("\ufeff \t\r\n").startswith("<")
-
-
-def _manager_of(node: Node) -> str:
-    """The namespace in which a node of the package controller_manager looks for one."""
-    given = [after for word, after in pairwise([*node.words, ""]) if word == "--namespace"]
-    given += [word.partition("=")[2] for word in node.words if word.startswith("--namespace=")]
-    return names.join(node.namespace, given[-1]) if given else node.namespace
-
-
-def _noted(run: Run, xml: str) -> str:
-    """A description with what the daemon knows of its sources."""
-    answer = run.call("/slidectl/sources", {"digest": source_note.digest(xml)})
-    return source_note.join(xml, answer["note"])
 
 
 def _act(run: Run, service: str, request: dict[str, Any], timeout: float | None = None) -> list[str]:

@@ -1,30 +1,30 @@
 """A plan carried out: a daemon, parameters, nodes in order; then watched; then ended in reverse order.
 
-What each node does is its task's affair, where a daemon comes from is the door's. After `shut_down` nothing that was
-started here is left.
+Tasks say what each node does. After `shut_down` nothing that was started here is left.
 """
 
 from __future__ import annotations
 
+import json
 import math
 import signal
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 from slidectl.client import Client
-from slidectl.errors import NoDaemon, Refused, SlidectlError
-from slidectl.launch.interrupts import Interrupted
-from slidectl.launch.nodes.gazebo import Gazebo
-from slidectl.launch.nodes.process import Process, reason
+from slidectl.description import source_note
+from slidectl.description.packages import Packages
+from slidectl.errors import NoDaemon, Refused, SlidectlError, UsageError
+from slidectl.launch.nodes.controller_nodes import Spawner
+from slidectl.launch.nodes.gazebo import Gazebo, WorldSettings
+from slidectl.launch.nodes.programs import Process, reason
 from slidectl.launch.nodes.spawn_model import SpawnModel
-from slidectl.launch.nodes.spawner import Spawner
-from slidectl.launch.plan import Node
-from slidectl.launch.setup import look_ahead, prepare
-from slidectl.launch.strays import Strays
+from slidectl.launch.plan import LaunchPlan, Leaf, Location, Node, RosparamCommand
+from slidectl.launch.supervision import Interrupted
 from slidectl.launch.task import HOOK_LIMIT_S, Run, StepFailed, Task
-from slidectl.launch.world import WorldSettings
+from slidectl.writing import write_whole
 
 # Nobody tells when a robot comes or a parameter is set, so look now and then.
 _LOOK_AGAIN_S = 0.2
@@ -34,7 +34,7 @@ _FIRST_MOMENT_S = 0.1
 """How long programs are watched before everything is said to run: what cannot work dies at once."""
 
 
-class Door(Protocol):
+class DaemonAccess(Protocol):
     """How to get at a daemon, and to get rid of it."""
 
     def begin(self, settings: WorldSettings) -> bool:
@@ -44,7 +44,7 @@ class Door(Protocol):
         """Wait until it answers; the connection, and whether the daemon is the one that was begun here."""
 
     def stop(self) -> None:
-        """Stop the one that was begun here, however far it has come."""
+        """Stop the one that was begun here; it need not answer yet."""
 
 
 @dataclass
@@ -57,25 +57,23 @@ class _Waiting:
     told: bool = False
 
 
-class Session:
+class Execution:
     """One launch, from `bring_up` over `watch` to `shut_down`, which must come, whatever happened before."""
 
-    def __init__(self, run: Run, tasks: Sequence[Task], door: Door) -> None:
+    def __init__(self, run: Run, tasks: Sequence[Task], daemon: DaemonAccess) -> None:
         self.run = run
         self.tasks = list(tasks)
         run.tasks = self.tasks
-        self.door = door
+        self.daemon = daemon
         self.begun: list[Task] = []
         self.is_up = False
         self._began_daemon = False
         self._lost_daemon = False
         self._waiting: list[_Waiting] = []
         self._ended: dict[Process, int] = {}
-        self._strays: Strays | None = None
         self._over = False
         self._found: set[tuple[str, int]] = set()
         """Robots that were there before, with the sessions of those who asked for them."""
-        run.watch.add(run.interrupts.fileno(), run.interrupts.clear)
 
     # --- up -------------------------------------------------------------------------------------------------------
 
@@ -86,28 +84,24 @@ class Session:
             BadFile: a value of the files cannot be had. StepFailed. NoDaemon. Interrupted.
         """
         run = self.run
-        run.settings = self._settings()
+        settings = WorldSettings()
+        for task in self.tasks:
+            if isinstance(task, Gazebo):
+                settings = task.settings(settings)
         with run.interrupts.held():
-            self._began_daemon = self.door.begin(run.settings)
+            self._began_daemon = self.daemon.begin(settings)
         run.parameters = look_ahead(run.plan, self.tasks, run.packages)  # takes as long as a daemon's start
-        client, run.owns_daemon = self.door.connect()
+        client, run.owns_daemon = self.daemon.connect()
         run.connect(client)
         run.watch.add(client.fileno(), lambda: None)
         if not run.owns_daemon:
             self._found = set(self._robots())
-        prepare(run, run.parameters)
+        _prepare(run, run.parameters)
         self._start_nodes()
         self._look_at_processes()
         self._judge_required()
         self._check_left()
         self.is_up = True
-
-    def _settings(self) -> WorldSettings:
-        settings = WorldSettings()
-        for task in self.tasks:
-            if isinstance(task, Gazebo):
-                settings = task.settings(settings)
-        return settings
 
     def _start_nodes(self) -> None:
         for task in (task for task in self.tasks if not task.comes_last):
@@ -132,13 +126,17 @@ class Session:
         return [task for task in self.begun if isinstance(task, Process)]
 
     @property
+    def nodes(self) -> int:
+        """How many nodes were begun, and neither left out nor have died."""
+        return sum(task not in self.run.left_out and task not in self.died for task in self.begun)
+
+    @property
     def died(self) -> dict[Process, int]:
         """The programs that have died and do not run now, with their exit codes; some may be started again."""
         return {task: code for task in self._processes() if (code := task.code)}
 
     def _start(self, task: Task) -> None:
         if isinstance(task, Process):
-            self._strays = self._strays or Strays()
             task.on_end = self._process_ended
         self.begun.append(task)
         why = self._attempt(task)
@@ -168,7 +166,7 @@ class Session:
         self.run.left_out.append(task)
 
     def _look_again(self) -> None:
-        """Start what can be started now; what has come to wait for something else says so."""
+        """Start what can be started now. A task that now waits for something else says so."""
         progress = True
         while progress:
             progress = False
@@ -241,10 +239,10 @@ class Session:
             self._turn(_LOOK_SELDOM_S if self._waiting else None)
             if self._waiting:
                 self._look_again()
-        self._judge()
+        self.judge()
 
     def _turn(self, most_s: float | None) -> None:
-        """Take in what has come, and wait for something more. Raises NoDaemon, Interrupted."""
+        """Handle what has arrived, and wait for more. Raises NoDaemon, Interrupted."""
         if self.run.interrupts.received:  # raised where nobody could hear it: in a finalizer, say
             raise Interrupted(self.run.interrupts.received[0])
         self._pass_on()
@@ -255,7 +253,7 @@ class Session:
         """The warnings of the world are those of the launch."""
         for _ in self.run.client.events(0.0):
             pass
-        for text in self.run.heard():
+        for text in self.run.new_warnings():
             self.run.console.warn(text)
 
     @property
@@ -269,7 +267,7 @@ class Session:
         return [task for task in self.begun if task.keeps_running and task not in gone]
 
     def _is_required(self, task: Task) -> bool:
-        if task.family in ("notice", "refused"):  # a window that there never was cannot be closed
+        if task.family == "notice":  # a window that there never was cannot be closed
             return False
         return task.node.required or (self.run.options.all_required and isinstance(task, Process))
 
@@ -281,8 +279,8 @@ class Session:
                 "required", f"{task.node.full_name} is required: the launch ends", node=task.node.full_name
             )
 
-    def _judge(self) -> None:
-        """Raise Refused when something ended badly."""
+    def judge(self) -> None:
+        """Raise Refused when a node has ended badly so far."""
         self._judge_required()
         died = {task: code for task, code in self._ended.items() if code}
         if died:
@@ -296,17 +294,12 @@ class Session:
                 self.run.failed = True
                 raise StepFailed(task, Refused(f"it is required, and it died: {reason(code)}"))
 
-    def check(self) -> None:
-        """Raise Refused when a node has died so far."""
-        self._judge()
-
     def _show_status(self) -> None:
         status = self.run.call("/slidectl/status")
         pace = "paused" if status["paused"] else f"speed {status['speed_reached']:.2f}"
-        nodes = len(self._running())
         self.run.console.status(
             f"time {status['time']:.1f} s, {pace}, robots: {' '.join(status['robots']) or 'none'},"
-            f" {status['controllers_running']} of {status['controllers']} controllers run, {nodes} nodes"
+            f" {status['controllers_running']} of {status['controllers']} controllers run, {len(self._running())} nodes"
         )
         self.run.watch.later(_STATUS_EVERY_S, self._show_status)
 
@@ -330,13 +323,10 @@ class Session:
             run.client.close()
         if self._began_daemon or run.owns_daemon:
             self._stop_daemon()
-        if self._strays is not None:
-            self._strays.end(run.options.sigterm_timeout_s, lambda: len(run.interrupts.received) > 1, self._tell_stray)
 
     def _robots(self) -> list[tuple[str, int]]:
         """Those in the world, each with the session id of the process that asked for it."""
-        robots = self.run.call("/slidectl/list_robots", {"name": ""}, HOOK_LIMIT_S)["robots"]
-        return [(robot["name"], robot["process_session"]) for robot in robots]
+        return [(robot["name"], robot["process_session"]) for robot in self.run.robots(HOOK_LIMIT_S)]
 
     def _delete_robots_of(self, processes: Sequence[Process]) -> None:
         """Delete what programs of this launch have spawned. A program in a session that it made itself is not known.
@@ -355,9 +345,6 @@ class Session:
             self._lost_daemon = True
         except SlidectlError as error:
             self.run.console.warn(f"robots of programs of this launch may have stayed: {error.message}")
-
-    def _tell_stray(self, pid: int, name: str) -> None:
-        self.run.console.warn(f"process {pid} ({name}) was left behind by a node; it is ended")
 
     def _stop(self, task: Task) -> None:
         if not isinstance(task, Process) and (self._lost_daemon or not self.run.is_connected):
@@ -384,7 +371,7 @@ class Session:
 
     def _stop_daemon(self) -> None:
         try:
-            self.door.stop()
+            self.daemon.stop()
         except SlidectlError as error:
             self.run.console.warn(str(error))
 
@@ -397,3 +384,99 @@ def _spawns(node: Node) -> bool:
 def _bare(reason: str) -> str:
     """What a task waits for, to stand behind "no"."""
     return reason.removeprefix("the ").removeprefix("a ")
+
+
+# --- before the first node -------------------------------------------------------------------------------------------
+
+
+def look_ahead(
+    plan: LaunchPlan, tasks: Sequence[Task], packages: Packages, run_commands: bool = True
+) -> Mapping[str, Leaf]:
+    """The parameters of a plan, after everything was noted that it needs and is not there, as far as files tell.
+
+    Raises:
+        NotThere: all of that, unless the launch goes on without it. BadFile: a value cannot be had.
+    """
+    parameters = plan.parameters(gather=True, run_commands=run_commands)
+    for task in tasks:
+        task.look_ahead(plan, packages, parameters)
+    plan.missing.refuse()
+    return parameters
+
+
+def _prepare(run: Run, parameters: Mapping[str, Leaf]) -> None:
+    """Raises Refused with the place of what cannot be done."""
+    _tell_notices(run)
+    for command in run.plan.commands:
+        _carry_out(run, command)
+    for namespace, place in run.plan.clear:
+        if run.call("/rosapi/has_param", {"name": namespace})["exists"]:
+            _delete(run, namespace, place)
+    _set(run, parameters)
+    if parameters:
+        plural = "" if len(parameters) == 1 else "s"
+        run.console.step("parameters", f"{len(parameters)} parameter{plural} set", count=len(parameters))
+
+
+def _tell_notices(run: Run) -> None:
+    """What the files say that is wrong in full, the rest counted unless `-v`."""
+    quiet = 0
+    for notice in run.plan.notices:
+        if notice.verdict == "wrong" or run.console.verbose:
+            run.console.warn(str(notice))
+        else:
+            quiet += 1
+    if quiet:
+        things = "one thing" if quiet == 1 else f"{quiet} things"
+        run.console.step("notices", f"{things} in the files without effect, -v shows more", count=quiet)
+
+
+def _carry_out(run: Run, command: RosparamCommand) -> None:
+    if not run.call("/rosapi/has_param", {"name": command.name})["exists"]:
+        run.console.warn(
+            f"{command.place}: <rosparam>: {command.name} is not set, so there is nothing to {command.verb}"
+        )
+        if command.verb == "delete":
+            return
+    if command.verb == "delete":
+        _delete(run, command.name, command.place)
+        return
+    import yaml
+
+    text = yaml.safe_dump(run.parameter(command.name) or {}, allow_unicode=True, default_flow_style=False)
+    try:
+        write_whole(command.file, text)
+    except OSError as error:
+        raise Refused(f"{command.place}: <rosparam>: cannot write {command.file}: {error.strerror}") from None
+
+
+def _delete(run: Run, name: str, place: Location) -> None:
+    try:
+        run.call("/rosapi/delete_param", {"name": name})
+    except SlidectlError as error:
+        raise Refused(f"{place}: {error.message}", error.hint) from None
+
+
+def _set(run: Run, parameters: Mapping[str, Leaf]) -> None:
+    """All in one go: the requests first, then the answers."""
+    calls = [(name, place, _begin(run, name, value, place)) for name, (value, place) in parameters.items()]
+    for name, place, call in calls:
+        try:
+            run.client.answer(call)
+        except Refused as error:
+            raise Refused(f"{place}: parameter {name}: {error.message}", error.hint) from None
+
+
+def _begin(run: Run, name: str, value: object, place: Location) -> str:
+    """The id of the call. Of a robot's description the daemon keeps beside it where its elements were written."""
+    if isinstance(value, str):
+        value, note = source_note.split(value)
+        if note:
+            run.client.call_async("/slidectl/sources", {"digest": source_note.digest(value), "note": note})
+    try:
+        text = json.dumps(value, allow_nan=False)
+        return run.client.call_async("/rosapi/set_param", {"name": name, "value": text})
+    except ValueError:
+        raise place.error(f"parameter {name}: {value} is no finite number, and parameters hold no others") from None
+    except UsageError as error:  # too long for a line
+        raise place.error(f"parameter {name}: {error.message}") from None

@@ -1,6 +1,7 @@
-"""A program of the user's own as a node: started as roslaunch starts it, its output shown, watched, started again.
+"""Programs as nodes: started as roslaunch starts them, their output shown, watched, started again.
 
-Its end is orderly: SIGINT, after a while SIGTERM, then SIGKILL, for it and all that it started.
+Their end is orderly: SIGINT, after a while SIGTERM, then SIGKILL, for each and all that it started. `rostopic`,
+`rosservice` and `rosparam` are commands of this program.
 """
 
 from __future__ import annotations
@@ -10,17 +11,17 @@ import os
 import shlex
 import signal
 import subprocess
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import ClassVar
 
-from slidectl.description.packages import Packages
 from slidectl.errors import Refused
-from slidectl.launch.children import Child
-from slidectl.launch.executables import find
-from slidectl.launch.plan import Node, Plan
+from slidectl.launch.plan import LaunchPlan, Node
+from slidectl.launch.supervision import Child
 from slidectl.launch.task import Run, Task
+from slidectl.paths import with_package
 
 _RESPAWN_PAUSE_S = 0.1
 """The least time between two starts, as roslaunch has it: it looks ten times a second."""
@@ -31,6 +32,8 @@ _LONGEST_BACK_OFF_S = 30.0
 _LONGEST_FIRST_LINE = 256
 _POLITE_S = 0.5
 """How long the next one waits for this one to end before it is asked to end itself."""
+_LOOK_S = 0.1
+"""How soon a further Ctrl-C is noticed while the end of a program is waited for."""
 
 
 class Process(Task):
@@ -40,12 +43,12 @@ class Process(Task):
     needs_presence = True
     _serial: ClassVar[int] = 0
 
-    def __init__(self, node: Node, plan: Plan, packages: Packages) -> None:
+    def __init__(self, node: Node, plan: LaunchPlan, program: Sequence[str]) -> None:
         super().__init__(node, plan)
-        self.executable = [*node.launch_prefix, *self._program(packages)]
+        self.executable = [*node.launch_prefix, *program]
         self.child: Child | None = None
         self.on_end: Callable[[Process, int], None] | None = None
-        """Called when it has ended for good; the session sets it."""
+        """Called when it has ended for good; who runs the launch sets it."""
         self.ending = False
         """True when its end is wanted, so that it is neither reported nor undone."""
         self._label = node.full_name.lstrip("/")
@@ -56,9 +59,6 @@ class Process(Task):
         self._short_lives = 0
         """How many times in a row it ended soon after its start."""
         self._last_code: int | None = None
-
-    def _program(self, packages: Packages) -> list[str]:
-        return [str(find(self.node, packages))]
 
     @property
     def command(self) -> list[str]:
@@ -76,8 +76,13 @@ class Process(Task):
 
     def _begin(self, run: Run) -> None:
         Process._serial += 1
-        path = self._log_path(run, Process._serial)
-        log = self._log(run, f"{path}-stdout.log") if self._output(run) == "log" else None
+        folder = os.environ.get("ROS_LOG_DIR") or run.folder
+        os.makedirs(folder, mode=0o700, exist_ok=True)
+        path = os.path.join(folder, f"{self._label.replace('/', '-')}-{Process._serial}")
+        log = subprocess.PIPE
+        if (run.options.output or self.node.output) == "log":
+            self.settled(run, f"its standard output goes to {path}-stdout.log", log=f"{path}-stdout.log")
+            log = os.open(f"{path}-stdout.log", os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
         try:
             with run.interrupts.held():
                 self.child = Child(
@@ -87,31 +92,18 @@ class Process(Task):
                     lambda code: self._ended(run, code),
                     self._folder(),
                     self._environment(run),
-                    subprocess.PIPE if log is None else log,
+                    log,
                 )
         except OSError as error:
             missing = str(error.filename or self.command[0])
             hint = f"command: {shlex.join(self.command)}"
             raise Refused(f"cannot run {missing}: {_why(error, missing)}", hint) from None
         finally:
-            if log is not None:
+            if log != subprocess.PIPE:
                 os.close(log)
         self.started_at = time.monotonic()
         self.sessions.add(self.child.pid)  # a child leads a session of its own
         self.settled(run, f"started, process {self.child.pid}", pid=self.child.pid)
-
-    def _output(self, run: Run) -> str:
-        return run.options.output or self.node.output or "screen"
-
-    def _log_path(self, run: Run, number: int) -> str:
-        """Where the program may write a log of its own, without the suffix; the folder is there."""
-        folder = os.environ.get("ROS_LOG_DIR") or run.folder
-        os.makedirs(folder, mode=0o700, exist_ok=True)
-        return os.path.join(folder, f"{self._label.replace('/', '-')}-{number}")
-
-    def _log(self, run: Run, path: str) -> int:
-        self.settled(run, f"its standard output goes to {path}", log=path)
-        return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
 
     def _folder(self) -> str | None:
         """`cwd="node"`: the folder of the command's first word; else ROS_HOME when there is one."""
@@ -223,4 +215,29 @@ def _until(run: Run, condition: Callable[[], bool], seconds: float) -> None:
     """Let things happen until the condition holds, at most so long, and not when somebody is in a hurry."""
     deadline = time.monotonic() + seconds
     while not condition() and (left := deadline - time.monotonic()) > 0 and len(run.interrupts.received) < 2:
-        run.watch.turn(left)
+        run.watch.turn(min(left, _LOOK_S))
+
+
+class ToolProcess(Process):
+    """A tool starts when all other nodes have, so that whom it talks to is there."""
+
+    family = "tool"
+    comes_last = True
+
+    def __init__(self, node: Node, plan: LaunchPlan) -> None:
+        # -P: a file of the user's that is called like a library must not be taken for it.
+        super().__init__(node, plan, [sys.executable, "-P", "-m", "slidectl", "ros", node.type])
+
+    @property
+    def command(self) -> list[str]:
+        # In front of the topic: behind it `a:=b` may be a text to publish. Only rostopic publishes.
+        remaps = self.node.remaps if self.node.type == "rostopic" else ()
+        renamed = [f"{remap.source}:={remap.target}" for remap in remaps]
+        return [*self.executable, *self.node.words[:1], *renamed, *self.node.words[1:]]
+
+    @property
+    def text(self) -> str:
+        return f"run {' '.join([self.node.type, *self.node.words])}"
+
+    def _environment(self, run: Run) -> dict[str, str]:
+        return with_package(super()._environment(run))

@@ -1,14 +1,19 @@
-"""robot_state_publisher and joint_state_publisher: the simulation is both, so one is set up and the other refused."""
+"""robot_state_publisher and static_transform_publisher: the frames of robots, and frames that do not move.
+
+The simulation publishes the frames of its robots itself; a robot_state_publisher sets up how.
+"""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
-from slidectl import names
-from slidectl.errors import closest
+from slidectl import names, rotations
+from slidectl.client import Client
+from slidectl.errors import BadFile, closest
 from slidectl.launch.nodes.spawn_model import SpawnModel
-from slidectl.launch.plan import Node, Place, Plan
-from slidectl.launch.task import HOOK_LIMIT_S, Run, Task
+from slidectl.launch.plan import LaunchPlan, Node
+from slidectl.launch.task import HOOK_LIMIT_S, Run, Task, number, parse
 
 HONOURED = ("publish_frequency", "tf_prefix")
 """The parameters of the node that count."""
@@ -28,7 +33,7 @@ class RobotStatePublisher(Task):
     family = "frames"
     waits_lightly = True
 
-    def __init__(self, node: Node, plan: Plan) -> None:
+    def __init__(self, node: Node, plan: LaunchPlan) -> None:
         super().__init__(node, plan)
         self.copied: list[str] = []
 
@@ -42,7 +47,7 @@ class RobotStatePublisher(Task):
         return self.node.resolve("joint_states")
 
     def start(self, run: Run) -> str | None:
-        robots: list[dict[str, Any]] = run.call("/slidectl/list_robots", {"name": ""})["robots"]
+        robots = run.robots()
         robot = self._by_namespace(robots)
         coming = [task for task in _spawns(run) if task not in run.left_out]
         awaited = [task.model for task in coming if task.model not in run.spawned]
@@ -63,7 +68,8 @@ class RobotStatePublisher(Task):
         if run.parameter(names.join(place, "enabled")) is False:  # `rosnode kill` has ended it
             run.call("/rosapi/delete_param", {"name": names.join(place, "enabled")})
         for parameter in HONOURED:
-            own = self._honoured(run, parameter)
+            full = names.join(self.node.full_name, parameter)
+            own = _found(run, full) if parameter in SEARCHED else full
             value = None if own is None else run.parameter(own)
             if value is not None and names.join(place, parameter) != own:
                 run.set_parameter(names.join(place, parameter), value)
@@ -74,11 +80,6 @@ class RobotStatePublisher(Task):
         frequency = run.parameter(names.join(place, "publish_frequency"))
         rate = f"{frequency:g}" if isinstance(frequency, int | float) else "50"
         self.settled(run, f"the simulation publishes the frames of {robot['name']} at {rate} Hz")
-
-    def _honoured(self, run: Run, parameter: str) -> str | None:
-        """The name of a parameter of the node that counts, None when it is not set."""
-        own = names.join(self.node.full_name, parameter)
-        return _found(run, own) if parameter in SEARCHED else own
 
     def _by_namespace(self, robots: list[dict[str, Any]]) -> dict[str, Any] | None:
         """The robot in the namespace of the topic, else in that of the node; the root says nothing yet."""
@@ -124,7 +125,7 @@ class RobotStatePublisher(Task):
         return left[0] if len(left) == 1 else None
 
     def afterwards(self, run: Run) -> None:
-        """Point out joint states that nobody publishes: the tutorial's slip."""
+        """Warn of joint states that nobody publishes: a mistake that the tutorial's remap invites."""
         if run.call("/rosapi/publishers", {"topic": self._topic})["publishers"]:
             return
         there = [
@@ -134,18 +135,13 @@ class RobotStatePublisher(Task):
         ]
         near = closest(self._topic, there) or (there[0] if len(there) == 1 else None)
         suggestion = f"; did you mean {near}?" if near else ""
-        place, what = self._origin()
+        place, what = self.node.place, "it listens to"
+        if (remap := self.node.remap_of("joint_states")) is not None:
+            place, what = remap.place, f"{remap.source} is remapped to"
         run.console.warn(
             f"{place}: {self.node.full_name}: {what} {self._topic}, which nobody publishes{suggestion}"
             " (frames are right all the same: the simulation reads the joints themselves)"
         )
-
-    def _origin(self) -> tuple[Place, str]:
-        full = self.node.absolute("joint_states")
-        for remap in reversed(self.node.remaps):
-            if self.node.absolute(remap.source) == full:
-                return remap.place, f"{remap.source} is remapped to"
-        return self.node.place, "it listens to"
 
     def stop(self, run: Run) -> None:
         for name in self.copied:
@@ -170,32 +166,74 @@ def _found(run: Run, name: str) -> str | None:
         namespace = names.parent(namespace)
 
 
-class JointStatePublisher(Task):
-    """A second source of joint states would contradict the world: it is left out, with a warning."""
+# --- static_transform_publisher --------------------------------------------------------------------------------------
 
-    family = "notice"
-    keeps_running = False
+_TOLERANCE = 10e-3
+"""Of the square of a quaternion's length, as in tf2."""
+_USAGE = {
+    "tf": "x y z yaw pitch roll (or qx qy qz qw) FRAME CHILD PERIOD_MS",
+    "tf2_ros": "x y z yaw pitch roll (or qx qy qz qw) FRAME CHILD",
+}
 
-    def __init__(self, node: Node, plan: Plan) -> None:
+
+class StaticTransform(Task):
+    """tf's and tf2_ros's: one transform, latched on /tf_static, there as long as the node.
+
+    tf's own sends it on /tf again and again; who listens gets the same.
+    """
+
+    family = "frames"
+    needs_presence = True
+
+    def __init__(self, node: Node, plan: LaunchPlan) -> None:
         super().__init__(node, plan)
-        self._is_launched = bool(plan.files)
-        self._has_robot = any(other.type in ("spawn_model", "spawn_model.py") for other in plan.nodes)
+        words = parse(node, {}).rest
+        try:
+            if node.package == "tf" and len(words) in (9, 10):
+                number(node, "the period", words.pop())
+            if len(words) not in (8, 9):
+                few = "few" if len(words) < 8 else "many"
+                raise self.error(f"{len(words)} arguments are too {few}")
+            *values, parent, child = words
+            self.numbers = [number(node, "each of the values", value) for value in values]
+        except BadFile as error:
+            error.hint = f"{node.type} takes: {_USAGE[node.package]}"
+            raise
+        self.parent, self.child = parent.lstrip("/"), child.lstrip("/")
+        if self.parent == self.child:
+            raise self.error(f"{self.child} is its own parent", "the two frames must differ")
+        if len(turn := self.numbers[3:]) == 4:
+            length = math.hypot(*turn)
+            if abs(length * length - 1.0) > _TOLERANCE:
+                raise self.error(
+                    f"the quaternion has the length {length:g}, and a rotation has 1",
+                    "tf drops such a transform; give qx qy qz qw of length 1, or yaw pitch roll",
+                )
+            self.numbers[3:] = [part / length for part in turn]
+        self._client: Client | None = None
 
     @property
     def text(self) -> str:
-        return f"left out: {self._reason}"
-
-    @property
-    def _reason(self) -> str:
-        if self._has_robot:
-            where = "the joints of a simulated robot are where the world has them"
-            return f"{where}, and its joint_state_controller says so"
-        none = ", and this launch spawns none" if self._is_launched else ""
-        return (
-            f"joints are those of a robot in the world here{none};"
-            " spawn it (slidectl spawn MODEL) with a joint_state_controller, and move it with slidectl pub"
-        )
+        return f"the frame {self.child} in {self.parent}"
 
     def start(self, run: Run) -> str | None:
-        self.warn(run, self.text)
+        x, y, z, *turn = self.numbers
+        if len(turn) == 4:
+            rotation = dict(zip("xyzw", turn, strict=True))
+        else:
+            rotation = rotations.message(rotations.from_rpy((turn[2], turn[1], turn[0])))
+        transform: dict[str, Any] = {
+            "header": {"stamp": run.call("/rosapi/get_time")["time"], "frame_id": self.parent},
+            "child_frame_id": self.child,
+            "transform": {"translation": {"x": x, "y": y, "z": z}, "rotation": rotation},
+        }
+        # A publisher of its own: a latched topic keeps one message of each.
+        self._client = Client(socket=run.client.paths.socket_text, timeout=run.client.timeout)
+        self._client.publish("/tf_static", {"transforms": [transform]}, "tf2_msgs/TFMessage", latch=True)
+        self._client.flush()
+        self.settled(run, f"the frame {self.child} in {self.parent}, on /tf_static")
         return None
+
+    def stop(self, run: Run) -> None:  # noqa: ARG002
+        if self._client is not None:
+            self._client.close()

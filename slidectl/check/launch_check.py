@@ -1,0 +1,514 @@
+"""Checks launch files: tags, parameters, robots, controllers, and whether what nodes look for is there.
+
+Reads the files as `slidectl launch` does, through its loader, whose reading is traced, so that nothing of its rules is
+said twice; and makes its tasks, which read the arguments of their nodes. It starts nothing and runs no program.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+from slidectl import description, names, paths
+from slidectl.check import kinds, model
+from slidectl.check.controllers import ControllerCheck, ParameterFile
+from slidectl.check.findings import Findings
+from slidectl.check.model import Model
+from slidectl.check.tags import Tags, Trace, TracedElement, plain
+from slidectl.description import xml_tree
+from slidectl.description.models import read_file
+from slidectl.description.packages import Packages, is_file, shown
+from slidectl.description.parser import STARTS_OUTSIDE, place_of_limit
+from slidectl.description.robot import Notice, Verdict
+from slidectl.description.xml_tree import Element
+from slidectl.errors import BadFile, NotThere, closest, listing
+from slidectl.launch import loader
+from slidectl.launch.files import LaunchFile, find
+from slidectl.launch.node_kinds import tasks
+from slidectl.launch.nodes.controller_nodes import Spawner
+from slidectl.launch.nodes.frame_nodes import HONOURED, SEARCHED, WITHOUT_EFFECT, RobotStatePublisher
+from slidectl.launch.nodes.programs import Process, ToolProcess
+from slidectl.launch.nodes.spawn_model import SpawnModel
+from slidectl.launch.plan import LaunchPlan, Location, Node, Remap, Setting, leaves
+from slidectl.launch.task import Task
+
+_ATTRIBUTE = re.compile(r"attribute '([^']*)'")
+_JOINT_STATES = "joint_state_controller/JointStateController"
+F = TypeVar("F", bound=BadFile)
+Places = dict[str, tuple[str, int | None]]
+
+
+def check(
+    words: Sequence[str],
+    arguments: Mapping[str, str],
+    packages: Packages,
+    findings: Findings,
+    text: bytes | None = None,
+    ask_others: bool = False,
+    strict: bool = False,
+) -> None:
+    """Add what there is to say of launch files, which `words` mean as for `slidectl launch`; `text` is the file itself.
+
+    Raises:
+        UsageError, UnknownName, UnknownPackage, BadFile: there is no such file, or no such argument.
+    """
+    sources = find(words, packages) if text is None else [LaunchFile(Path.cwd() / words[0], text, words[0])]
+    run = _LaunchCheck(arguments, packages, findings, ask_others, strict)
+    try:
+        run.plan = loader.load(sources, arguments, packages, parse=run.parse, missing=findings.missing)
+    except BadFile as error:
+        findings.fail("launch file", error)
+        return
+    findings.begin_with(shown(file) for file in run.plan.files)
+    run.read_parameters()
+    run.read_nodes()
+    source = ParameterFile(sources[0].shown, run.places, findings)
+    models = [robot.model for robot in run.robots if robot.model]
+    controllers = ControllerCheck(source, models, run.reader, run.hint)
+    controllers.check(run.tree)
+    run.tell(controllers.found, controllers.claims)
+    run.classify()
+    findings.tell_missing()
+    findings.is_drivable = run.has_programs or bool(controllers.found) or bool(models)
+
+
+@dataclass(frozen=True)
+class SpawnedOnPaper:
+    """A robot that the launch puts into the world; `model` is None when it cannot be read or is not known here."""
+
+    name: str
+    namespace: str | None
+    model: Model | None
+    node: Node
+
+
+class _LaunchCheck:
+    """One check. `given` are the arguments of the command line; the loader reads the files by `parse`."""
+
+    def __init__(
+        self, given: Mapping[str, str], packages: Packages, findings: Findings, ask_others: bool, strict: bool
+    ) -> None:
+        self.given = given
+        self.packages = packages
+        self.findings = findings
+        self.ask_others = ask_others
+        self.strict = strict
+        self.plan = LaunchPlan()
+        self.trace = Trace()
+        self.roots: list[Element] = []
+        """The trees of all files."""
+        self.values: dict[str, Any] = {}
+        """The parameters by full names; of those set twice the last."""
+        self.places: Places = {}
+        self.descriptions: dict[str, Model | None] = {}
+        """The parameters that hold a robot; None where it cannot be used."""
+        self.is_complete = True
+        """False when a value is not known: it cannot be had, or a program would have to be run for it."""
+        self.tasks: list[Task] = []
+        self.robots: list[SpawnedOnPaper] = []
+
+    # --- tags -----------------------------------------------------------------------------------------------------
+
+    def parse(self, text: bytes, file: str) -> Element:
+        """The elements of a file, which note what is read of them. Raises BadFile."""
+        root = TracedElement(xml_tree.read(text, file), self.trace)
+        self.roots.append(root)
+        return root
+
+    def elements(self, tag: str) -> Iterator[Element]:
+        """All elements of that tag that were read, and not for their condition alone."""
+        for root in self.roots:
+            for element in _walk(root):
+                read = self.trace.read_attributes.get(id(element), set())
+                if element.tag == tag and id(element) in self.trace.read and (not read or read - {"if", "unless"}):
+                    yield element
+
+    def say_of_remap(self, verdict: Verdict, remap: Remap, text: str) -> None:
+        """The verdict on a `<remap>`, in the place of that by what was read of it."""
+        for element in self.elements("remap"):
+            written = plain(element).get("from") or ""
+            is_it = written.strip() == remap.source or "$(" in written
+            if is_it and (element.file, element.line) == (remap.place.file, remap.place.line):
+                notice = Notice(verdict, element.title, text, element.file, element.line)
+                self.trace.said.setdefault(id(element), []).append((None, notice))
+
+    def text_at(self, place: Location) -> str:
+        """The text of the `<rosparam>` at a place, moved down so that its lines have the numbers of the file."""
+        for element in self.elements("rosparam"):
+            if (element.file, element.line) == (place.file, place.line):
+                pieces = (node for node in element.content if isinstance(node, str))
+                return "\n" * (element.line - 1) + "".join(p for p in pieces if not isinstance(p, xml_tree.Comment))
+        return ""
+
+    def classify(self) -> None:
+        """Add a finding for everything in the files. Of files that stand in for ROS's own, only what is not used."""
+        self._lead_back(self.plan.notices)
+        for root in self.roots:
+            own = Findings()
+            Tags(self.trace, own, self._explain).classify(root)
+            is_counterpart = root.file.startswith(shown(paths.share("launch") / "counterparts"))
+            self.findings.extend(n for n in own.sorted() if n.verdict != "used" or not is_counterpart)
+        self.findings.extend(self.plan.notices)
+
+    def _lead_back(self, notices: list[Notice]) -> None:
+        """Lead notices back to their elements, by place and title."""
+        by_place: dict[tuple[str, int | None, str], list[Notice]] = {}
+        for notice in notices:
+            by_place.setdefault((notice.file, notice.line, notice.subject), []).append(notice)
+        for element in (element for root in self.roots for element in _walk(root)):
+            for notice in by_place.get((element.file, element.line, element.title), ()):
+                match = _ATTRIBUTE.match(notice.text)
+                self.trace.said.setdefault(id(element), []).append((match[1] if match else None, notice))
+
+    def _explain(self, element: Element, _: str) -> Iterator[Notice] | None:
+        """An argument that was given is not what its tag says."""
+        name = plain(element).get("name") or ""
+        if element.tag != "arg" or name not in self.given or element.file != self.roots[0].file:
+            return None
+        text = f"{self.given[name]!r}, as given"
+        return iter([Notice("used", f"argument {name}", text, element.file, element.line)])
+
+    # --- parameters -----------------------------------------------------------------------------------------------
+
+    def read_parameters(self) -> None:
+        """Gather all parameters and read the robots among them."""
+        for setting in self.plan.settings:
+            self._take(setting)
+        if self.is_complete:
+            try:  # which tells of those that stand in each other's place
+                self.plan.parameters(gather=True)
+            except BadFile as error:
+                self.findings.fail("parameters", error)
+        for name, value in self.values.items():
+            if isinstance(value, str) and _is_robot(value):
+                self._read_robot(name, value)
+
+    @property
+    def tree(self) -> dict[str, Any]:
+        """The known ones, nested; without the robots' texts."""
+        tree: dict[str, Any] = {}
+        for full, value in self.values.items():
+            if value is None or full in self.descriptions:
+                continue
+            *above, last = full.strip("/").split("/")
+            branch: Any = tree
+            for part in above:
+                branch = branch.setdefault(part, {}) if isinstance(branch, dict) else {}
+            if isinstance(branch, dict):
+                branch[last] = value
+        return tree
+
+    def _take(self, setting: Setting) -> None:
+        place = (setting.place.file, setting.place.line)
+        if setting.runs_command:
+            self._miss(setting)
+            self.findings.add("used", setting.name, "note: a check does not run the command", *place)
+            return
+        try:
+            value = setting.value()
+            found = dict(leaves(setting.name, value, setting.place))
+        except NotThere as error:
+            self._miss(setting)
+            self.findings.missing.note(_placed(error, setting), setting.loss)
+            return
+        except BadFile as error:
+            self._miss(setting)
+            self.findings.fail(f"parameter {setting.name}", _placed(error, setting))
+            return
+        for name in found:
+            self.values.pop(name, None)
+        self.values.update(found)
+        self.places[setting.name] = place
+        self.places.update(self._inner_places(setting))
+
+    def _miss(self, setting: Setting) -> None:
+        self.is_complete = False
+        self.values[setting.name] = None
+
+    def _inner_places(self, setting: Setting) -> Places:
+        """The lines of a YAML tree."""
+        from slidectl.description import yaml_tree
+
+        if setting.origin not in ("file", "yaml"):
+            return {}
+        file = shown(setting.source) if setting.source else setting.place.file
+        text = read_file(Path(setting.source)) if setting.source else self.text_at(setting.place)
+        try:
+            lines = yaml_tree.places(text, file)
+        except BadFile:  # only `subst_value` makes it YAML
+            return {}
+        return {names.join(setting.name, path.strip("/")): (file, line) for path, line in lines.items()}
+
+    def _read_robot(self, name: str, xml: str) -> None:
+        setting = next(setting for setting in reversed(self.plan.settings) if setting.name == name)
+        file = shown(setting.source) if setting.source else f"parameter {name}"
+        if self.findings.missing.keeps_going:  # the robot as it is spawned when what is not there is left out
+            with suppress(BadFile):  # which is said when it is read
+                xml = description.load(xml, {}, self.packages, missing=self.findings.missing).xml
+        own = Findings()
+        self.descriptions[name] = model.check_text(xml, file, own, self.ask_others, self.packages, self.strict)
+        self.findings.extend(replace(notice, file=shown(notice.file)) for notice in own.sorted())
+        self.findings.broken += own.broken
+
+    # --- nodes ----------------------------------------------------------------------------------------------------
+
+    def read_nodes(self) -> None:
+        """Make the tasks, and the robots of those that spawn one."""
+        self.tasks = [task for node in self.plan.nodes if (task := self._task(node)) is not None]
+        self.robots = [self._robot(task) for task in self.tasks if isinstance(task, SpawnModel)]
+        self._withdraw_starts()
+
+    @property
+    def has_programs(self) -> bool:
+        return any(isinstance(task, Process) for task in self.tasks)
+
+    def _task(self, node: Node) -> Task | None:
+        """What the node is here, with a finding that says so."""
+        try:
+            made = tasks(self.plan, self.packages, gather=True, nodes=[node])
+        except BadFile as error:
+            self.findings.fail(
+                f"node {node.full_name}", error, f"node {node.full_name} ({node.kind}): ", f"{node.full_name}: "
+            )
+            return None
+        if not made:  # what it lacks is told with all that is not there
+            return None
+        (task,) = made
+        self._add("ignored" if task.family == "notice" else "used", node, f"{node.kind}: {task.text}")
+        return task
+
+    def _add(self, verdict: Verdict, node: Node, text: str) -> None:
+        self.findings.add(verdict, f"node {node.full_name}", text, node.place.file, node.place.line)
+
+    def _robot(self, task: SpawnModel) -> SpawnedOnPaper:
+        found = self._model(task)
+        namespace = task.asked_namespace
+        if found is not None:
+            namespace = task.home(found.robot, self.tasks)
+            found = replace(found, namespace=namespace)
+        return SpawnedOnPaper(task.model, namespace, found, task.node)
+
+    def _model(self, task: SpawnModel) -> Model | None:
+        if task.words.has("-file"):
+            path = Path(task.words.one("-file"))
+            if is_file(path):
+                return model.check(path, {}, self.packages, self.findings, strict=self.strict)
+            error = task.node.place.absence(
+                f"node {task.node.full_name}: there is no file {path}", thing=f"file {path}"
+            )
+            self.findings.missing.note(error, f"{task.model} is left out")
+            return None
+        name = task.node.resolve(task.words.one("-param"))
+        if name not in self.values and self.is_complete:
+            near = closest(name, self.descriptions)
+            hint = f"; did you mean {near}?" if near else ""
+            self._add("wrong", task.node, f"the launch does not set the parameter {name}{hint}")
+        elif name not in self.descriptions and self.values.get(name) is not None:
+            self._add("wrong", task.node, f"the parameter {name} holds no robot")
+        return self.descriptions.get(name)
+
+    def _withdraw_starts(self) -> None:
+        """A joint that every spawn of a robot puts between its limits (-J) does not start outside of them."""
+        spawns = [task for task in self.tasks if isinstance(task, SpawnModel)]
+        put: dict[int, list[SpawnModel]] = {}
+        for spawned, task in zip(self.robots, spawns, strict=True):
+            if spawned.model is not None:
+                put.setdefault(id(spawned.model.robot), []).append(task)
+        for spawned in self.robots:
+            for joint in spawned.model.robot.joints.values() if spawned.model is not None else ():
+                starts = [task.start_of(joint.name) for task in put[id(spawned.model.robot)]]  # type: ignore[union-attr]
+                if joint.limit and all(joint.limit.lower <= start <= joint.limit.upper for start in starts):
+                    said = (notice for notice in self.findings.sorted() if notice.subject == place_of_limit(joint.name))
+                    self.findings.withdraw(notice for notice in said if notice.text.startswith(STARTS_OUTSIDE))
+
+    def reader(self, name: str) -> str | None:
+        """Which node reads a parameter that no controller reads; None when none does."""
+        for robot in self.robots:
+            if name.endswith("/tf_prefix") and robot.namespace and names.is_under(robot.namespace, names.parent(name)):
+                return f"for the frames of {robot.name}"
+        for task in self.tasks:
+            node = task.node.full_name
+            is_above = names.is_under(node, names.parent(name)) and name.rpartition("/")[2] in SEARCHED
+            if isinstance(task, RobotStatePublisher) and is_above:
+                return f"for node {node}"
+            if not names.is_under(name, node):
+                continue
+            own = name[len(node) + 1 :]
+            if isinstance(task, Process) or (isinstance(task, RobotStatePublisher) and own in HONOURED):
+                return f"for node {node}"
+            return None
+        return "note: no controller reads it; a program of this launch may" if self.has_programs else None
+
+    def hint(self, name: str) -> str:
+        """Which parameter of a node may have been meant by one that it does not read, or why that has no effect."""
+        for task in self.tasks:
+            if isinstance(task, RobotStatePublisher) and names.parent(name) == task.node.full_name:
+                own = name.rpartition("/")[2]
+                near = closest(own, (*HONOURED, *WITHOUT_EFFECT))
+                return WITHOUT_EFFECT.get(own) or (f"did you mean {near!r}?" if near else "")
+        return ""
+
+    def tell(self, controllers: Mapping[str, str], claims: Mapping[str, set[str]]) -> None:
+        """Findings on what fits nothing. `controllers` are full names and types in the parameters, `claims` joints."""
+        self._tell_same_names()
+        self._tell_namespaces(controllers)
+        for task in self.tasks:
+            if isinstance(task, Spawner):
+                self._tell_spawner(task, controllers)
+                self._tell_same_joints(task, claims)
+            elif isinstance(task, RobotStatePublisher):
+                self._tell_joint_states(task, controllers)
+        self._tell_loaded_twice()
+        self._tell_remaps()
+
+    def _tell_loaded_twice(self) -> None:
+        """Controllers that two spawners load: the second one is refused."""
+        seen: dict[str, Node] = {}
+        for task in self.tasks:
+            for name in _loaded(task):
+                other = seen.setdefault(name, task.node)
+                if other is not task.node:
+                    text = f"loads {name}, which the node at {other.place} loads too: whoever is second is refused"
+                    self._add("wrong", task.node, text)
+
+    def _tell_same_names(self) -> None:
+        """Two robots of one name, or in one namespace."""
+        for what in ("name", "namespace"):
+            seen: dict[str, Node] = {}
+            for robot in self.robots:
+                value = getattr(robot, what)
+                other = seen.setdefault(value, robot.node) if value is not None else robot.node
+                if other is not robot.node:
+                    text = f"spawns a second robot with the {what} {value}; the first one is spawned at {other.place}"
+                    self._add("wrong", robot.node, text)
+
+    def _namespaces(self) -> list[str]:
+        return [robot.namespace for robot in self.robots if robot.namespace is not None]
+
+    def _tell_namespaces(self, controllers: Mapping[str, str]) -> None:
+        """Controllers in a namespace where no robot of the launch lives."""
+        homes = self._namespaces()
+        if not homes or len(homes) != len(self.robots):
+            return
+        elsewhere = {
+            names.parent(name) for name in controllers if not any(names.is_under(name, home) for home in homes)
+        }
+        for namespace in sorted(elsewhere):
+            text = f"controllers are set here, but the robots of this launch live in {listing(homes)}"
+            place = self.places.get(namespace) or (shown(self.plan.files[0]), None)
+            self.findings.add("wrong", f"namespace {namespace}", text, *place)
+
+    def _tell_spawner(self, task: Spawner, controllers: Mapping[str, str]) -> None:
+        homes = self._namespaces()
+        if homes and len(homes) == len(self.robots) and task.namespace not in homes:
+            near = closest(task.namespace, homes) or homes[0]
+            text = f"waits for a controller manager in {task.namespace}; the robots of this launch live in "
+            self._add("wrong", task.node, f'{text}{listing(homes)}; did you mean ns="{near}"?')
+        for word in task.words.rest:
+            name = names.join(task.namespace, word)
+            if name not in controllers and not is_file(Path(word)) and self.is_complete:
+                self._add("wrong", task.node, self._unknown_controller(name, task.namespace, controllers))
+
+    def _tell_same_joints(self, task: Spawner, claims: Mapping[str, set[str]]) -> None:
+        """Controllers that one spawner starts, and that want the same joint."""
+        holders: dict[str, str] = {}
+        for name in [] if task.words.has("--stopped") else _loaded(task):
+            for joint in sorted(claims.get(name, ())):
+                holder = holders.setdefault(joint, name)
+                if holder != name:
+                    text = f"cannot start {name} beside {holder}: both want joint {joint!r} for themselves"
+                    self._add("wrong", task.node, text)
+
+    def _unknown_controller(self, name: str, namespace: str, controllers: Mapping[str, str]) -> str:
+        inside = [other for other in controllers if names.is_under(other, namespace)]
+        near = closest(name, inside or controllers)
+        hint = f"; did you mean {near}?" if near else f"; controllers: {listing(controllers)}"
+        return f"the launch sets no controller {name}{hint}"
+
+    def _tell_joint_states(self, task: RobotStatePublisher, controllers: Mapping[str, str]) -> None:
+        """Find a robot_state_publisher that waits for joint states which nobody publishes."""
+        topic = task.node.resolve("joint_states")
+        there = sorted({names.join(names.parent(name), "joint_states") for name in self._publishers(controllers)})
+        if not there:
+            idle = next((name for name, kind in controllers.items() if kind == _JOINT_STATES), None)
+            hint = f"; {idle} would, and no spawner of this launch starts it" if idle is not None else ""
+            self._add("used", task.node, f"note: nothing in this launch publishes {topic}{hint}")
+            return
+        if topic in there:
+            return
+        remap = task.node.remap_of("joint_states")
+        end = f"{topic}, which nobody publishes; did you mean {closest(topic, there) or there[0]}?"
+        if remap is None:
+            self._add("wrong", task.node, f"it listens to {end}")
+        else:
+            self.say_of_remap("wrong", remap, f"{task.node.full_name} listens to {end}")
+
+    def _publishers(self, controllers: Mapping[str, str]) -> Iterator[str]:
+        """The joint state controllers that a spawner of the launch starts."""
+        for task in self.tasks:
+            yield from (name for name in _loaded(task) if controllers.get(name) == _JOINT_STATES)
+
+    def _tell_remaps(self) -> None:
+        """Remaps that no node makes use of."""
+        used = {remap for task in self.tasks for remap in _used_remaps(task)}
+        there = {remap for node in self.plan.nodes for remap in node.remaps}
+        known = {name for task in self.tasks for name in _names_of(task)}
+        for remap in there - used:
+            near = closest(remap.source, known)
+            suggestion = f"; did you mean {near!r}?" if near else ""
+            self.say_of_remap("ignored", remap, f"no node that it is for has the name {remap.source!r}{suggestion}")
+        places = {(remap.place.file, remap.place.line) for remap in there}
+        for element in self.elements("remap"):
+            if (element.file, element.line) not in places:
+                source = plain(element).get("from") or ""
+                lonely = Remap(source.strip(), "", Location(element.file, element.line))
+                self.say_of_remap("ignored", lonely, "no node comes after it")
+
+
+def _walk(element: Element) -> Iterator[Element]:
+    yield element
+    for child in plain(element).children:
+        yield from _walk(child)
+
+
+def _is_robot(text: str) -> bool:
+    try:
+        return text.lstrip("\ufeff \t\r\n").startswith("<") and kinds.of_text(text.encode(), "") == "model"
+    except BadFile:
+        return False
+
+
+def _placed(error: F, setting: Setting) -> F:
+    """The error, at the tag if it names no line of its own."""
+    if error.line is not None:
+        return error
+    return type(error)(error.message, setting.place.file, setting.place.line, error.hint)
+
+
+def _used_remaps(task: Task) -> Iterator[Remap]:
+    node = task.node
+    known = {node.absolute(name) for name in _names_of(task)}
+    for remap in node.remaps:
+        is_program = isinstance(task, Process) and not isinstance(task, ToolProcess)
+        if is_program or node.absolute(remap.source) in known:
+            yield remap
+
+
+def _loaded(task: Task) -> list[str]:
+    """The full names of the controllers that a spawner loads."""
+    return [names.join(task.namespace, word) for word in task.words.rest] if isinstance(task, Spawner) else []
+
+
+def _names_of(task: Task) -> list[str]:
+    """The names that a node looks up, as it writes them."""
+    if isinstance(task, SpawnModel):
+        return [task.words.one("-param")] if task.words.has("-param") else []
+    if isinstance(task, Spawner):
+        return [task.words.one("--wait-for")] if task.words.has("--wait-for") else []
+    if isinstance(task, ToolProcess):
+        return [word for word in task.node.words[1:] if names.is_legal(word)] if task.node.type == "rostopic" else []
+    return ["joint_states", "robot_description"] if isinstance(task, RobotStatePublisher) else []

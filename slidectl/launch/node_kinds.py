@@ -1,0 +1,221 @@
+"""Which node is what here: a counterpart by `pkg/type`, or the program that rosrun would find.
+
+A program is looked for first where a build puts executables (`PREFIX/lib/PACKAGE`), then anywhere in the package.
+Modules of families are imported when a plan has a node of theirs. Nothing is run here.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from importlib import import_module
+from pathlib import Path
+
+from slidectl.description.packages import Packages, UnknownPackage, is_file
+from slidectl.errors import BadFile, NotThere, closest, listing
+from slidectl.launch.files import below
+from slidectl.launch.plan import LaunchPlan, Node
+from slidectl.launch.task import Task
+
+COUNTERPARTS = {
+    **{("gazebo_ros", kind): "gazebo:Gazebo" for kind in ("gazebo", "gzserver", "debug", "perf")},
+    ("gazebo_ros", "gzclient"): "left_out:Window",
+    ("gazebo_ros", "spawn_model"): "spawn_model:SpawnModel",
+    ("controller_manager", "spawner"): "controller_nodes:Spawner",
+    ("controller_manager", "unspawner"): "controller_nodes:Unspawner",
+    ("controller_manager", "controller_manager"): "controller_nodes:ManagerScript",
+    ("controller_manager", "controller_group"): "controller_nodes:GroupScript",
+    ("robot_state_publisher", "robot_state_publisher"): "frame_nodes:RobotStatePublisher",
+    ("robot_state_publisher", "state_publisher"): "frame_nodes:RobotStatePublisher",
+    ("joint_state_publisher", "joint_state_publisher"): "left_out:JointStatePublisher",
+    ("joint_state_publisher_gui", "joint_state_publisher_gui"): "left_out:JointStatePublisher",
+    ("tf", "static_transform_publisher"): "frame_nodes:StaticTransform",
+    ("tf2_ros", "static_transform_publisher"): "frame_nodes:StaticTransform",
+}
+"""Package and type of the nodes that have one, without the windows, which are all those of rviz and rqt."""
+_TOOLS = ("rostopic", "rosservice", "rosparam")
+_VIEWER = "left_out:Viewer"
+_DO_WITHOUT_ARGUMENTS = (_VIEWER, "left_out:Window", "gazebo:Gazebo")
+_SKIP = "--skip-unknown leaves such nodes out"
+
+
+def tasks(
+    plan: LaunchPlan, packages: Packages, gather: bool = False, nodes: Sequence[Node] | None = None
+) -> list[Task]:
+    """What to do for each node of the plan, or for some `nodes` of it, in order. Nothing is started.
+
+    Nodes that can neither be done nor run, or whose arguments need what is not there, are left out and noted as
+    missing; with `gather` the caller refuses that, after looking for more.
+
+    Raises:
+        BadFile: a node whose arguments make no sense. NotThere: such nodes.
+    """
+    found = []
+    for node in plan.nodes if nodes is None else nodes:
+        try:
+            found.append(_task(node, plan, packages))
+        except NotThere as error:
+            plan.missing.note(error, f"the node {node.full_name} is left out", is_node=not node.absent)
+        except BadFile:
+            plan.missing.refuse()
+            raise
+    if not gather:
+        plan.missing.refuse()
+    return found
+
+
+def has_counterpart(package: str, kind: str) -> bool:
+    """Whether such a node is something here, and not a program to run."""
+    return _entry(package, kind) is not None
+
+
+def _entry(package: str, kind: str) -> str | None:
+    """Scripts were once installed with their suffix."""
+    if package.startswith(("rviz", "rqt")):
+        return _VIEWER
+    return COUNTERPARTS.get((package, kind)) or COUNTERPARTS.get((package, kind.removesuffix(".py")))
+
+
+def _task(node: Node, plan: LaunchPlan, packages: Packages) -> Task:
+    entry = _entry(node.package, node.type)
+    if node.absent and entry not in _DO_WITHOUT_ARGUMENTS:
+        raise node.absent[0]
+    if entry is not None:
+        if entry != _VIEWER:
+            _point_out(node, plan)
+        module, name = entry.split(":")
+        kind: type[Task] = getattr(import_module(f"slidectl.launch.nodes.{module}"), name)
+        return kind(node, plan)
+    from slidectl.launch.nodes.programs import Process, ToolProcess
+
+    if node.package == node.type and node.type in _TOOLS:
+        return ToolProcess(node, plan)
+    program = find(node, packages.starting_at(os.path.dirname(node.file) or "/"))
+    return Process(node, plan, [str(program)])
+
+
+def _point_out(node: Node, plan: LaunchPlan) -> None:
+    """Attributes that mean something for a process only."""
+    given = {"respawn": node.respawn, "launch-prefix": node.launch_prefix, "cwd": node.cwd}
+    for attribute in (name for name, value in given.items() if value):
+        text = f"{attribute} has no effect: the node is part of the simulation here"
+        plan.notice("ignored", node.place, node.full_name, text)
+
+
+# --- programs --------------------------------------------------------------------------------------------------------
+
+_FILES = {"rospy": ("rospy/__init__.py", "rospy.py"), "roscpp": ("libroscpp.so",)}
+_MOST_BYTES = 1 << 26
+_LIKELY = ("scripts", "nodes", "bin", "src", "")
+
+
+class NeedsRos(NotThere):
+    """A program that is there, and needs ROS 1, which is not."""
+
+
+def find(node: Node, packages: Packages) -> Path:
+    """The executable of a node.
+
+    Raises:
+        NotThere: no such package, no such program in it, or one that may not be executed. NeedsRos.
+    """
+    try:
+        folders = list(packages.candidates(node.package)) or [packages.find(node.package)]
+    except UnknownPackage as error:
+        near = closest(node.kind, ["/".join(known) for known in COUNTERPARTS])
+        here = f"did you mean {near!r}, which has a counterpart here?" if near else "it has no counterpart here either"
+        message = f"node {node.full_name} ({node.kind}): {error.message}"
+        raise node.place.absence(message, f"{here}; {_SKIP}\n{error.hint}", f"package {node.package}") from None
+    found = [path for folder in folders for path in _named(node, folder)]
+    for path in found:
+        if os.access(path, os.X_OK):
+            _check_ros(node, path)
+            return path
+    raise node.place.absence(*_why_not(node, folders, found), f"program {node.kind}")
+
+
+def _named(node: Node, folder: Path) -> Iterator[Path]:
+    """The files that may be meant, the likeliest first."""
+    prefixes = [folder.parent.parent] if folder.parent.name == "share" else []
+    prefixes += [Path(prefix) for prefix in os.environ.get("CMAKE_PREFIX_PATH", "").split(os.pathsep) if prefix]
+    built = [prefix / "lib" / node.package / node.type for prefix in prefixes]
+    yield from (path for path in [*built, *(folder / part / node.type for part in _LIKELY)] if is_file(path))
+    if "/" not in node.type:
+        yield from (path for path in below(folder) if path.name == node.type)
+
+
+def _why_not(node: Node, folders: list[Path], found: list[Path]) -> tuple[str, str]:
+    what = f"node {node.full_name} ({node.kind})"
+    if found:
+        return f"{what}: {found[0]} is not executable", f"chmod +x '{found[0]}'"
+    known = sorted({path.name for folder in folders for path in below(folder) if os.access(path, os.X_OK)})
+    near = closest(node.type, known)
+    suggestion = f" Did you mean {near!r}?" if near else ""
+    message = f"{what}: no program {node.type!r} in the package, and no counterpart here.{suggestion}"
+    return message, f"programs in {folders[0]}: {listing(known)}\n{_compiled(node, folders)}{_SKIP}"
+
+
+def _compiled(node: Node, folders: list[Path]) -> str:
+    """A line about a program that a build of the package would make."""
+    built = re.compile(rf"add_executable\(\s*{re.escape(node.type)}\s")
+    for folder in folders:
+        with suppress(OSError):
+            if built.search((folder / "CMakeLists.txt").read_text("utf-8", "replace")):
+                return "it is compiled from C++ (CMakeLists.txt), and with roscpp it needs ROS 1 and its master\n"
+    return ""
+
+
+def _check_ros(node: Node, program: Path) -> None:
+    """Raise NeedsRos when the program needs a library of ROS 1 that is not on this machine."""
+    if not (library := _ros_library(program)):
+        return
+    environment = {**os.environ, **dict(node.environment)}
+    if any(is_file(folder / file) for folder in _library_folders(program, environment) for file in _FILES[library]):
+        return
+    what = "is linked with roscpp" if library == "roscpp" else "imports rospy"
+    message = f"node {node.full_name} ({node.kind}): {program.name} {what}, which needs ROS 1 and its master"
+    hint = f"neither is here; a script may use slidectl.client instead of rospy\n{_SKIP}"
+    raise NeedsRos(message, node.place.file, node.place.line, hint, f"{library} for {node.kind}")
+
+
+def _ros_library(program: Path) -> str:
+    """`rospy` for a script that cannot do without it, `roscpp` for what was compiled with it; else nothing."""
+    try:
+        with program.open("rb") as file:
+            content = file.read(_MOST_BYTES)
+    except OSError:  # which is said when it is run
+        return ""
+    if content.startswith(b"\x7fELF"):
+        return "roscpp" if b"libroscpp.so" in content else ""
+    if b"rospy" not in content or (program.suffix != ".py" and b"python" not in content.partition(b"\n")[0]):
+        return ""
+    return "rospy" if _imports_rospy(content) else ""
+
+
+def _imports_rospy(script: bytes) -> bool:
+    """Whether a script imports rospy as it starts. What it imports in a `try` it can do without."""
+    import ast
+
+    try:
+        statements = ast.parse(script).body
+    except (SyntaxError, ValueError, RecursionError, MemoryError):  # of Python 2, most often
+        return re.search(rb"^(import|from)\s+rospy\b", script, re.MULTILINE) is not None
+    for statement in statements:
+        names = [alias.name for alias in statement.names] if isinstance(statement, ast.Import) else []
+        names += [statement.module or ""] if isinstance(statement, ast.ImportFrom) and not statement.level else []
+        if any(name.partition(".")[0] == "rospy" for name in names):
+            return True
+    return False
+
+
+def _library_folders(program: Path, environment: Mapping[str, str]) -> Iterator[Path]:
+    """Where a program finds its libraries: what the environment says, beside a script, and where ROS 1 is installed."""
+    for variable in ("PYTHONPATH", "LD_LIBRARY_PATH"):
+        yield from (Path(entry) for entry in environment.get(variable, "").split(os.pathsep) if entry)
+    yield program.parent
+    yield from Path("/opt/ros").glob("*/lib/python*/dist-packages")
+    yield from Path("/opt/ros").glob("*/lib")
+    yield from (Path(entry) for entry in sys.path if entry)

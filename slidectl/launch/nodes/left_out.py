@@ -1,0 +1,76 @@
+"""Nodes that have nothing to do here, with a text that says why and what to use in their place.
+
+rviz, rqt and gzclient are windows, and there are none. A joint_state_publisher would contradict the simulated joints.
+"""
+
+from __future__ import annotations
+
+from slidectl.launch.plan import LaunchPlan, Node
+from slidectl.launch.task import Run, Task
+
+_SHOWS = {
+    "rqt_plot": "slidectl echo -p TOPIC/FIELD prints the numbers as CSV",
+    "rqt_publisher": "slidectl pub TOPIC -r 100 'sin(t)' publishes expressions",
+    "rqt_reconfigure": "slidectl param set CONTROLLER/pid/p VALUE turns a running controller's gains",
+    "rqt_controller_manager": "slidectl controller list, start and stop do the same",
+    "rqt_graph": "slidectl topic list -v shows who publishes and who subscribes",
+    "rqt_console": "slidectl echo /rosout shows the log",
+    "rqt_tf_tree": "slidectl tf tree shows the frames",
+}
+_RQT = "in its place: slidectl pub -r (expressions), echo -p (numbers to plot) and param set (live gains)"
+_ROBOT = "slidectl robots NAME, slidectl echo joint_states and slidectl tf tree show the robot"
+
+
+class LeftOut(Task):
+    """A node that has nothing to do here: `text` says why, which is a warning."""
+
+    family = "notice"
+    keeps_running = False
+
+    def start(self, run: Run) -> str | None:
+        self.warn(run, self.text)
+        return None
+
+
+class Viewer(LeftOut):
+    """Nothing is shown, which is a warning."""
+
+    @property
+    def text(self) -> str:
+        package = self.node.package
+        instead = _SHOWS.get(package, _RQT) if package.startswith("rqt") else _ROBOT
+        return f"left out: there are no windows here; {instead}"
+
+
+class Window(LeftOut):
+    """gzclient: there is no window, and launch files start it by default, so that is no warning."""
+
+    @property
+    def text(self) -> str:
+        return "there is no window here; slidectl sim status, slidectl robots and slidectl echo show the world"
+
+    def start(self, run: Run) -> str | None:
+        self.settled(run, self.text)
+        return None
+
+
+class JointStatePublisher(LeftOut):
+    """A second source of joint states would contradict the world: it is left out, with a warning."""
+
+    def __init__(self, node: Node, plan: LaunchPlan) -> None:
+        super().__init__(node, plan)
+        self._is_launched = bool(plan.files)
+        self._has_robot = any(other.type in ("spawn_model", "spawn_model.py") for other in plan.nodes)
+
+    @property
+    def text(self) -> str:
+        if self._has_robot:
+            return (
+                "left out: the joints of a simulated robot are where the world has them,"
+                " and its joint_state_controller says so"
+            )
+        none = ", and this launch spawns none" if self._is_launched else ""
+        return (
+            f"left out: joints are those of a robot in the world here{none};"
+            " spawn it (slidectl spawn MODEL) with a joint_state_controller, and move it with slidectl pub"
+        )

@@ -1,0 +1,233 @@
+"""What a launch stands on: the signals that end it, a loop over descriptors and timers, and child processes.
+
+Each child process has a session, and so a process group, of its own: what ends a node reaches all that it started.
+One thread, the main one, since signals are heard there. Knows nothing of launch files.
+"""
+
+from __future__ import annotations
+
+import os
+import sched
+import selectors
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from types import FrameType
+from typing import Any
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_CHUNK = 65536
+"""Bytes of one read: as many as a pipe holds."""
+_LONGEST_LINE = 65536
+
+Action = Callable[[], None]
+
+
+class Interrupted(BaseException):
+    """A signal asked for the end."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(signal.Signals(number).name)
+        self.number = number
+
+
+class Interrupts:
+    """The handler of SIGNALS, from entering to leaving: the first is raised as Interrupted, later ones are only noted.
+
+    `received` has the numbers of all.
+    """
+
+    def __init__(self) -> None:
+        self.received: list[int] = []
+        self._held = 0
+        self._raised = False
+        self._previous: dict[int, Any] = {}
+
+    def __enter__(self) -> Interrupts:
+        # `nohup` has programs ignore SIGHUP, the end of the terminal; so it stays.
+        ignored = [signal.SIGHUP] if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else []
+        self._previous = {number: signal.signal(number, self._take) for number in SIGNALS if number not in ignored}
+        self._hook, sys.unraisablehook = sys.unraisablehook, self._unraisable
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
+        sys.unraisablehook = self._hook
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Inside, signals are only noted; at the end of the outermost block one that came is raised."""
+        self._held += 1
+        try:
+            yield
+        finally:
+            self._held -= 1
+        if self.received and not self._held and not self._raised:
+            self._raise()
+
+    def hold_for_good(self) -> None:
+        """From now on signals are only noted."""
+        self._held += 1_000_000
+
+    def ignore(self) -> None:
+        """For a process that is about to leave: signals mean nothing any more, after `__exit__` too."""
+        for number in SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+        self._previous.clear()
+
+    def _take(self, number: int, _frame: FrameType | None) -> None:
+        self.received.append(number)
+        if not self._held and not self._raised:
+            self._raise()
+
+    def _raise(self) -> None:
+        self._raised = True
+        raise Interrupted(self.received[0])
+
+    def _unraisable(self, unraisable: sys.UnraisableHookArgs) -> None:
+        """What is raised in a finalizer is lost: who waits looks at `received`, and nothing is printed about it."""
+        if unraisable.exc_type is not Interrupted:
+            self._hook(unraisable)
+
+
+class Watch:
+    """A loop: descriptors to read, and things to do later. `turn` waits until something happens and does it."""
+
+    def __init__(self) -> None:
+        self._selector = selectors.DefaultSelector()
+        self._timers = sched.scheduler(time.monotonic)
+
+    def add(self, descriptor: int, action: Action) -> None:
+        """Do it whenever the descriptor is readable."""
+        self._selector.register(descriptor, selectors.EVENT_READ, action)
+
+    def remove(self, descriptor: int) -> None:
+        """Look at it no more. One that is not looked at is no error."""
+        if descriptor in self._selector.get_map():
+            self._selector.unregister(descriptor)
+
+    def later(self, seconds: float, action: Action) -> None:
+        """Do it once, after so many seconds."""
+        self._timers.enter(seconds, 0, action)
+
+    def turn(self, most_s: float | None = None) -> None:
+        """Wait for something, at most so long, and do all that there is to do."""
+        due_s = self._timers.run(blocking=False)
+        waits = [max(0.0, seconds) for seconds in (most_s, due_s) if seconds is not None]
+        for key, _ in self._selector.select(min(waits, default=None)):
+            if key.fd in self._selector.get_map():  # an earlier action may have removed it
+                key.data()
+        self._timers.run(blocking=False)
+
+
+class Child:
+    """A running program. Streams are `stdout` and `stderr`; a stdout that goes to a file is not seen here.
+
+    Args:
+        on_line: called with the stream and each line of it.
+        on_end: called with the exit code, which is negative for a signal.
+
+    Raises:
+        OSError: it cannot be started.
+    """
+
+    def __init__(
+        self,
+        arguments: Sequence[str],
+        watch: Watch,
+        on_line: Callable[[str, str], None],
+        on_end: Callable[[int], None],
+        cwd: str | None = None,
+        environment: Mapping[str, str] | None = None,
+        stdout: int = subprocess.PIPE,
+    ) -> None:
+        self._watch = watch
+        self._on_line = on_line
+        self._on_end = on_end
+        self._rest = {"stdout": b"", "stderr": b""}
+        self.code: int | None = None
+        self._process = subprocess.Popen(
+            arguments,
+            stdin=subprocess.DEVNULL,
+            stdout=stdout,
+            stderr=subprocess.PIPE,
+            cwd=cwd,
+            env=environment,
+            start_new_session=True,
+        )
+        self.pid = self._process.pid
+        self._descriptor = os.pidfd_open(self.pid)
+        self._pipes = {
+            name: pipe.fileno()
+            for name, pipe in (("stdout", self._process.stdout), ("stderr", self._process.stderr))
+            if pipe is not None
+        }
+        for name, descriptor in self._pipes.items():
+            os.set_blocking(descriptor, False)
+            watch.add(descriptor, lambda name=name: self._take(name))  # type: ignore[misc]
+        watch.add(self._descriptor, self._ended)
+
+    def _take(self, name: str, is_last: bool = False) -> None:
+        """Read what is there, at most what a pipe holds; with `is_last` a line without an end, too."""
+        try:
+            data: bytes | None = os.read(self._pipes[name], _CHUNK)
+        except BlockingIOError:
+            data = None
+        if data == b"":
+            self._watch.remove(self._pipes.pop(name))
+        *lines, rest = (self._rest[name] + (data or b"")).split(b"\n")
+        if rest and (is_last or data == b"" or len(rest) > _LONGEST_LINE):
+            lines, rest = [*lines, rest], b""
+        self._rest[name] = rest
+        for line in lines:
+            self._on_line(name, line.decode("utf-8", "replace").rstrip("\r"))
+
+    def _ended(self) -> None:
+        """It has ended. It stays a zombie until `release`, so that no other process gets the id of its group."""
+        result = os.waitid(os.P_PIDFD, self._descriptor, os.WEXITED | os.WNOWAIT)
+        assert result is not None
+        for name in list(self._pipes):  # what it has written; what its own children write later comes by `turn`
+            self._take(name, is_last=True)
+        # The descriptor is watched up to here, so that the end is noticed later when a signal cuts this short.
+        self.code = result.si_status if result.si_code == os.CLD_EXITED else -result.si_status
+        self._watch.remove(self._descriptor)
+        self._on_end(self.code)
+
+    def signal(self, number: int) -> None:
+        """Send a signal to it and to all that it started."""
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(self.pid, number)
+
+    def release(self) -> None:
+        """End whatever is left of it, and forget it."""
+        self.signal(signal.SIGKILL)
+        for descriptor in (self._descriptor, *self._pipes.values()):
+            self._watch.remove(descriptor)
+        self._pipes.clear()
+        with self._process:  # waits for it, and closes its pipes
+            os.close(self._descriptor)
+
+
+def run(arguments: Sequence[str], environment: Mapping[str, str], most_bytes: int) -> tuple[int, bytes]:
+    """Run a program to its end. Its exit code and its output; when this is left early, it and all it started end.
+
+    Raises:
+        OSError, ValueError: it cannot be started. OverflowError: it prints more than so many bytes.
+    """
+    with subprocess.Popen(
+        arguments, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, env=environment, start_new_session=True
+    ) as process:
+        assert process.stdout is not None
+        try:
+            output = process.stdout.read(most_bytes + 1)
+            if len(output) > most_bytes:
+                raise OverflowError(f"more than {most_bytes >> 20} MiB")
+            return process.wait(), output
+        except BaseException:
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            raise
