@@ -5,9 +5,9 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
+from collections import Counter
+from graphlib import TopologicalSorter
 from pathlib import Path
-
-import pytest
 
 PACKAGE = Path(__file__).parent.parent / "slidectl"
 
@@ -89,8 +89,8 @@ def imported(path: Path) -> set[str]:
         elif isinstance(node, ast.ImportFrom) and node.module:
             assert node.level == 0, f"{path}: relative import"
             found.add(node.module)
-            if node.module == "slidectl":
-                found.update(f"slidectl.{alias.name}" for alias in node.names)
+            if node.module.split(".")[0] == "slidectl":
+                found.update(f"{node.module}.{alias.name}" for alias in node.names)
     return found
 
 
@@ -100,21 +100,26 @@ def rooms_used(path: Path) -> set[str]:
     }
 
 
-@pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_a_room_imports_only_from_lower_floors(path: Path) -> None:
-    room = room_of(path)
-    for used in rooms_used(path) - {room}:
-        assert FLOORS[used] < FLOORS[room] or (room, used) in SAME_FLOOR, f"{path} imports {used}"
+def test_each_room_imports_only_from_lower_floors() -> None:
+    upward = [
+        f"{path.relative_to(PACKAGE)} imports {used}"
+        for path in modules()
+        for used in rooms_used(path) - {room_of(path)}
+        if FLOORS[used] >= FLOORS[room_of(path)] and (room_of(path), used) not in SAME_FLOOR
+    ]
+    assert not upward
 
 
-@pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_a_room_keeps_out_the_libraries_that_it_must_not_know(path: Path) -> None:
-    used = {name.split(".")[0] for name in imported(path)}
-    assert not used & FORBIDDEN[room_of(path)]
+def test_each_room_keeps_out_the_libraries_that_it_must_not_know() -> None:
+    known = {
+        str(path.relative_to(PACKAGE)): {name.split(".")[0] for name in imported(path)} & FORBIDDEN[room_of(path)]
+        for path in modules()
+    }
+    assert not {path: libraries for path, libraries in known.items() if libraries}
 
 
 def test_the_client_imports_the_description_of_robots_only_when_a_robot_is_spawned() -> None:
-    code = "import sys, slidectl.client.spawning; assert not any('description' in name for name in sys.modules)"
+    code = "import sys, slidectl.client; assert not any('description' in name for name in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
@@ -122,8 +127,25 @@ def test_every_room_has_a_floor() -> None:
     assert {room_of(path) for path in modules()} <= set(FLOORS)
 
 
-@pytest.mark.parametrize("path", sorted((PACKAGE / "cli").rglob("*.py")), ids=lambda path: path.name)
-def test_the_command_line_has_no_private_door(path: Path) -> None:
-    assert rooms_used(path) <= CLI_MAY_TAKE
-    inside = {name for name in imported(path) if name.startswith("slidectl.daemon.")}
-    assert inside <= {"slidectl.daemon.lifecycle", "slidectl.daemon.options"}
+def test_the_command_line_has_no_private_door() -> None:
+    doors = {f"slidectl.daemon.{door}" for door in ("cleaning", "lifecycle", "options")}
+    for path in sorted((PACKAGE / "cli").rglob("*.py")):
+        assert rooms_used(path) <= CLI_MAY_TAKE, path
+        inside = {".".join(name.split(".")[:3]) for name in imported(path) if name.startswith("slidectl.daemon.")}
+        assert inside <= doors, path
+
+
+def test_no_files_of_a_room_import_each_other_in_a_circle() -> None:
+    files = {".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts): path for path in modules()}
+    TopologicalSorter({name: imported(path) & files.keys() - {name} for name, path in files.items()}).prepare()
+
+
+def test_a_class_name_and_a_module_name_stand_once_in_the_package() -> None:
+    classes = Counter(
+        node.name
+        for path in modules()
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+    )
+    stems = Counter(path.stem for path in modules() if not path.stem.startswith("__"))
+    assert [name for name, count in (classes + stems).items() if count > 1] == []
