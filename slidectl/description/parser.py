@@ -92,7 +92,8 @@ class _RobotReader:
         for element in root.find_all("gazebo"):
             gazebo.read(element)
         links = {key: replace(link, surface=gazebo.surfaces.get(key, Surface())) for key, link in links.items()}
-        return Robot(name, links, joints, base, transmissions, gazebo.plugin, report.notices(root))
+        sensors = tuple(gazebo.sensors.sensors)
+        return Robot(name, links, joints, base, transmissions, gazebo.plugin, report.notices(root), sensors)
 
     def _check_world(self, base: str, link_at: Elements) -> None:
         inertial = link_at[base].find("inertial") if base == WORLD else None

@@ -13,7 +13,7 @@ from slidectl.control.node_handle import Message, MessageCallback
 from slidectl.errors import Refused
 from slidectl.physics import World, hulls
 from slidectl.physics.hulls import Source
-from slidectl.simulation import gazebo, own_services, reset, rosapi, state_publisher, stopping, waits
+from slidectl.simulation import gazebo, own_services, reset, rosapi, sensors, state_publisher, stopping, waits
 from slidectl.simulation.assembly import ORIGIN, Pose, SpawnedRobot
 from slidectl.simulation.compiled.engine import Engine
 from slidectl.simulation.graph import Graph
@@ -71,7 +71,7 @@ class Simulation:
         stopping.advertise(self.graph, self.robots)
         waits.advertise(self.graph)
         gazebo.advertise(self)
-        self.robots.companions.append(state_publisher.companion(self))
+        self.robots.companions += [state_publisher.companion(self), sensors.companion(self)]
 
     @property
     def time_ns(self) -> int:
