@@ -16,6 +16,7 @@ from slidectl.description import values
 from slidectl.description.missing import Missing
 from slidectl.description.report import Report
 from slidectl.description.robot import ControlPlugin, Surface
+from slidectl.description.sensors import OF_MODEL, SensorReader, library
 from slidectl.description.xml_tree import Element
 from slidectl.errors import NotThere, closest
 
@@ -40,6 +41,7 @@ class GazeboReader:
         self.joints = joints
         self.plugin: ControlPlugin | None = None
         self.surfaces: dict[str, Surface] = {}
+        self.sensors = SensorReader(report, links, joints)
 
     def read(self, element: Element) -> None:
         """Take one `<gazebo>` in.
@@ -70,7 +72,9 @@ class GazeboReader:
         """The control plugin. Others are not loaded; one that is nearly called so was meant to be it."""
         filename = (element.get("filename") or "").strip()
         place = f'<plugin name="{element.get("name") or ""}">'
-        if not _is_control(element):
+        if library(element) in OF_MODEL:
+            self.sensors.of_model(element, place)
+        elif not _is_control(element):
             from difflib import get_close_matches
 
             # All plugins of gazebo_ros are called alike, so this is stricter than usual suggestions.
@@ -111,6 +115,8 @@ class GazeboReader:
         elif child.tag in ("turnGravityOff", "selfCollide"):
             field = "turn_gravity_off" if child.tag == "turnGravityOff" else "self_collide"
             self._set(link, **{field: self._truth(child, place)})
+        elif child.tag == "sensor":
+            self.sensors.of_link(link, child, place)
         elif child.tag == "material":
             self._set(link, material=_text(child) or None)
         elif child.tag == "plugin" and _is_control(child):

@@ -118,7 +118,8 @@ def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = 
     if report.faults or base is None:
         raise report.faults[0]
     links = {key: replace(link, surface=gazebo.surfaces.get(key, Surface())) for key, link in links.items()}
-    return Robot(name, links, joints, base, transmissions, gazebo.plugin, report.notices(root))
+    sensors = tuple(gazebo.sensors.sensors)
+    return Robot(name, links, joints, base, transmissions, gazebo.plugin, report.notices(root), sensors)
 
 
 def _named(

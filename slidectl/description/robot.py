@@ -8,7 +8,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from slidectl.description.sensors import Sensor
 
 from slidectl import names
 
@@ -233,6 +236,7 @@ class Robot:
     transmissions: Sequence[TransmissionInfo] = ()
     plugin: ControlPlugin | None = None
     report: Sequence[Notice] = field(default=())
+    sensors: Sequence[Sensor] = ()
 
     def children_of(self, link: str) -> Sequence[Joint]:
         """The joints whose parent is `link`, in the order of the file."""

@@ -48,6 +48,11 @@ class Observer:
         arm = rotate(self._body_pose(link.body)[1], link.frame[0])
         return add((vx, vy, vz), cross((wx, wy, wz), arm)), (wx, wy, wz)
 
+    def geometry(self) -> Any:
+        """The copy, with the places of bodies and geoms of this moment."""
+        self._refresh_poses()
+        return self._copy
+
     def _body_pose(self, body: int) -> Pose:
         x, y, z = self._copy.xpos[body].tolist()
         return (x, y, z), xyzw(tuple(self._copy.xquat[body].tolist()))

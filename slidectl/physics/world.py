@@ -386,6 +386,10 @@ class World:
         """Velocity of the link's frame (linear at its origin, angular), in the world's axes. Raises UnknownName."""
         return self._observer.twist(self.body(name).link(link))
 
+    def present(self) -> Any:
+        """An MjData with the geometry of this moment, to look at; the world's own has that of its last step's start."""
+        return self._observer.geometry()
+
     def joint_state(self, name: str, joint: str) -> tuple[float, float, float]:
         """Position, velocity and applied effort of any moving joint, actuated or not. Raises UnknownName."""
         place = self.body(name).place(joint)

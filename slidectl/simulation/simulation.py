@@ -6,6 +6,7 @@ Knows no wall time, no sockets and no threads: the same calls give the same bits
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from slidectl.control.duration import from_seconds
@@ -23,6 +24,7 @@ from slidectl.simulation.own_services import OwnServices
 from slidectl.simulation.parameters import Parameters
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.robots import Robots, SpawnedRobot
+from slidectl.simulation.sensors import bring_up as bring_up_sensors
 from slidectl.simulation.state_publisher import StatePublishers
 from slidectl.simulation.topics import Subscription
 
@@ -72,7 +74,7 @@ class Simulation:
         OwnServices(self)
         waits.advertise(self.graph)
         GazeboServices(self)
-        self.robots.on_spawn.append(StatePublishers(self).bring_up)
+        self.robots.on_spawn += [StatePublishers(self).bring_up, partial(bring_up_sensors, self)]
 
     @property
     def time_ns(self) -> int:

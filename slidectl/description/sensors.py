@@ -1,0 +1,233 @@
+"""Sensors that a model declares: Gazebo's `<sensor>` tags of links, and the plugins of gazebo_ros that measure.
+
+Read into plain data; simulation/sensors.py publishes what they measure. Defaults are those of the plugins.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass
+
+from slidectl.description.report import Report
+from slidectl.description.robot import Pose, Vector
+from slidectl.description.values import parse_number
+from slidectl.description.xml_tree import Element
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """What all kinds share."""
+
+    name: str
+    link: str
+    """The link that it is on."""
+    topic: str
+    """Relative to the robot's namespace, unless it begins with a slash."""
+    frame: str
+    rate_hz: float
+    """0: in each step of the world."""
+    origin: Pose
+    """In the link's frame."""
+    noise: float
+    """Standard deviation of the Gaussian noise, in the unit of what is measured."""
+    mean: float = 0.0
+    """Mean of the noise."""
+
+
+@dataclass(frozen=True)
+class Laser(Sensor):
+    """A planar laser scanner: `<sensor type="ray">` with libgazebo_ros_laser.so. sensor_msgs/LaserScan."""
+
+    samples: int = 640
+    min_angle: float = 0.0
+    """rad, about the sensor's z axis from its x axis."""
+    max_angle: float = 0.0
+    min_range: float = 0.0
+    """m."""
+    max_range: float = math.inf
+
+
+@dataclass(frozen=True)
+class Imu(Sensor):
+    """libgazebo_ros_imu_sensor.so in a `<sensor type="imu">`, or a plugin of a model. sensor_msgs/Imu."""
+
+    feels_gravity: bool = True
+    """Whether the acceleration holds the reaction to gravity; libgazebo_ros_imu.so leaves it out."""
+
+
+@dataclass(frozen=True)
+class GroundTruth(Sensor):
+    """libgazebo_ros_p3d.so: place and velocity of a link as the world has them. nav_msgs/Odometry."""
+
+
+@dataclass(frozen=True)
+class Bumper(Sensor):
+    """`<sensor type="contact">` with libgazebo_ros_bumper.so. gazebo_msgs/ContactsState."""
+
+
+@dataclass(frozen=True)
+class JointStates(Sensor):
+    """libgazebo_ros_joint_state_publisher.so. sensor_msgs/JointState."""
+
+    joints: tuple[str, ...] = ()
+
+
+_OF_LINK = {
+    "ray": ("libgazebo_ros_laser", "libgazebo_ros_gpu_laser"),
+    "gpu_ray": ("libgazebo_ros_gpu_laser", "libgazebo_ros_laser"),
+    "imu": ("libgazebo_ros_imu_sensor",),
+    "contact": ("libgazebo_ros_bumper",),
+}
+"""Type of `<sensor>` -> the plugins that publish it."""
+OF_MODEL = (
+    "libgazebo_ros_p3d", "libgazebo_ros_imu", "libhector_gazebo_ros_imu", "libgazebo_ros_joint_state_publisher",
+)  # fmt: skip
+"""Plugins of a model that measure."""
+_DRAWN = {"visualize", "always_on", "update_rate", "pose", "plugin", "ray", "imu", "contact", "topic"}
+
+
+class SensorReader:
+    """Reads the sensors of one robot."""
+
+    def __init__(self, report: Report, links: Collection[str], joints: Collection[str]) -> None:
+        self.report = report
+        self.links = links
+        self.joints = joints
+        self.sensors: list[Sensor] = []
+
+    def of_link(self, link: str, sensor: Element, place: str) -> None:
+        """Take in a `<sensor>` of `<gazebo reference="link">`; report one that nothing here measures.
+
+        Raises:
+            BadFile: a malformed number.
+        """
+        kind = sensor.get("type") or ""
+        if kind not in _OF_LINK:
+            known = ", ".join(_OF_LINK)
+            return self.report.ignored(sensor, f"has no effect: sensors here are {known}, not {kind!r}", place)
+        plugin = next((one for one in sensor.find_all("plugin") if library(one) in _OF_LINK[kind]), None)
+        if plugin is None:
+            names = " or ".join(f"{name}.so" for name in _OF_LINK[kind])
+            return self.report.ignored(sensor, f"publishes nothing without a <plugin> {names}", place)
+        for child in sensor.children:
+            if child.tag not in _DRAWN:
+                self.report.ignored(child, "has no effect in a sensor here", f"{place}/{child.title}")
+        name = sensor.get("name") or kind
+        text = plugin.find("pose") or sensor.find("pose")
+        origin = _pose(text, place) if text is not None else Pose()
+        rate = _number(sensor, "update_rate", 0.0, place)
+        if kind in ("ray", "gpu_ray"):
+            self.sensors.append(self._laser(name, link, sensor, plugin, origin, rate, place))
+        elif kind == "imu":
+            self.sensors.append(
+                Imu(
+                    name, link, _text(plugin, "topicName", "imu"), _text(plugin, "frameName", link),
+                    _number(plugin, "updateRateHZ", rate, place), _moved(plugin, origin, place),
+                    _number(plugin, "gaussianNoise", 0.0, place),
+                )
+            )  # fmt: skip
+        else:
+            topic = _text(plugin, "bumperTopicName", "bumper_states")
+            self.sensors.append(Bumper(name, link, topic, _text(plugin, "frameName", "world"), rate, origin, 0.0))
+        return None
+
+    def _laser(
+        self, name: str, link: str, sensor: Element, plugin: Element, origin: Pose, rate: float, place: str
+    ) -> Laser:
+        ray = sensor.find("ray")
+        scan = _below(ray, "scan", "horizontal")
+        extent, noise = _below(ray, "range"), _below(ray, "noise")
+        if (vertical := _below(ray, "scan", "vertical")) is not None and _number(vertical, "samples", 1, place) > 1:
+            self.report.ignored(vertical, "has no effect: a scan has one layer here", f"{place}/<vertical>")
+        samples = int(_number(scan, "samples", 640, place))
+        least, most = _number(scan, "min_angle", 0.0, place), _number(scan, "max_angle", 0.0, place)
+        nearest, farthest = _number(extent, "min", 0.0, place), _number(extent, "max", math.inf, place)
+        if samples < 1 or samples > 100_000 or most < least or nearest < 0 or farthest <= nearest:
+            raise sensor.error(
+                f"{place}: a scan of {samples} samples from {least:g} to {most:g} rad, {nearest:g} to {farthest:g} m",
+                "1 to 100000 samples, min_angle up to max_angle, min below max",
+            )
+        return Laser(
+            name, link, _text(plugin, "topicName", "scan"), _text(plugin, "frameName", link), rate, origin,
+            _number(noise, "stddev", _number(plugin, "gaussianNoise", 0.0, place), place),
+            _number(noise, "mean", 0.0, place), samples, least, most, nearest, farthest,
+        )  # fmt: skip
+
+    def of_model(self, plugin: Element, place: str) -> None:
+        """Take in a plugin of `OF_MODEL`. Raises BadFile: a malformed number."""
+        kind = library(plugin)
+        name, rate = plugin.get("name") or kind, _number(plugin, "updateRate", 0.0, place)
+        noise = _number(plugin, "gaussianNoise", 0.0, place)
+        if kind == "libgazebo_ros_joint_state_publisher":
+            names = tuple(word.strip() for word in _text(plugin, "jointName", "").split(",") if word.strip())
+            for joint in [joint for joint in names if joint not in self.joints]:
+                self.report.wrong(plugin, f"there is no joint {joint!r}; it is left out", place)
+            joints = tuple(joint for joint in names if joint in self.joints)
+            rate = _number(plugin, "updateRate", 100.0, place)
+            self.sensors.append(JointStates(name, "", "joint_states", "", rate, Pose(), 0.0, 0.0, joints))
+            return None
+        link = _text(plugin, "bodyName", "")
+        if link not in self.links:
+            return self.report.wrong(plugin, f"<bodyName> {link!r} is no link; the plugin has no effect", place)
+        origin = _moved(plugin, Pose(), place)
+        if kind == "libgazebo_ros_p3d":
+            topic, frame = _text(plugin, "topicName", "odom"), _text(plugin, "frameName", "world")
+            if frame not in ("world", "/world", "map", "/map"):
+                text = f"<frameName> {frame}: place and velocity are those in the world"
+                self.report.ignored(plugin, text, place)
+            self.sensors.append(GroundTruth(name, link, topic, frame.lstrip("/"), rate, origin, noise))
+        else:
+            topic = _text(plugin, "topicName", "imu")
+            frame, feels_gravity = _text(plugin, "frameName", link), kind != "libgazebo_ros_imu"
+            self.sensors.append(Imu(name, link, topic, frame, rate, origin, noise, 0.0, feels_gravity))
+        return None
+
+
+def library(plugin: Element) -> str:
+    """The library that a `<plugin>` names, without folder and suffix."""
+    return (plugin.get("filename") or "").strip().rpartition("/")[2].removesuffix(".so")
+
+
+def _below(element: Element | None, *tags: str) -> Element | None:
+    for tag in tags:
+        element = element.find(tag) if element is not None else None
+    return element
+
+
+def _text(element: Element, tag: str, default: str) -> str:
+    child = element.find(tag)
+    return child.first_text if child is not None and child.first_text else default
+
+
+def _number(element: Element | None, tag: str, default: float, place: str) -> float:
+    child = element.find(tag) if element is not None else None
+    if child is None or not child.first_text:
+        return default
+    return parse_number(child.first_text, child, f"{place}/<{tag}>", finite=False)
+
+
+def _vector(element: Element, place: str) -> Vector:
+    words = element.first_text.replace(",", " ").split()
+    if len(words) != 3:
+        raise element.error(f"{place}: <{element.tag}> is three numbers, not {element.first_text!r}")
+    x, y, z = (parse_number(word, element, f"{place}/<{element.tag}>") for word in words)
+    return x, y, z
+
+
+def _pose(element: Element, place: str) -> Pose:
+    words = element.first_text.split()
+    if not words:
+        return Pose()
+    if len(words) != 6:
+        raise element.error(f"{place}: <pose> is six numbers, not {element.first_text!r}")
+    x, y, z, roll, pitch, yaw = (parse_number(word, element, f"{place}/<pose>") for word in words)
+    return Pose((x, y, z), (roll, pitch, yaw))
+
+
+def _moved(plugin: Element, origin: Pose, place: str) -> Pose:
+    """The origin, or the one of xyzOffset(s) and rpyOffset(s)."""
+    found = {tag: plugin.find(tag) or plugin.find(f"{tag}s") for tag in ("xyzOffset", "rpyOffset")}
+    xyz = _vector(found["xyzOffset"], place) if found["xyzOffset"] is not None else origin.xyz
+    rpy = _vector(found["rpyOffset"], place) if found["rpyOffset"] is not None else origin.rpy
+    return Pose(xyz, rpy)

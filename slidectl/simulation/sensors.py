@@ -1,0 +1,214 @@
+"""Sensors of robots: what a model declares is measured and published at its rate. Without a listener it costs nothing.
+
+Noise is drawn anew for each message from the sensor's name and the simulated time: every run gives the same bits,
+whoever listens.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from slidectl import names
+from slidectl.control.node_handle import Message
+from slidectl.description.sensors import Bumper, GroundTruth, Imu, JointStates, Laser, Sensor
+from slidectl.physics import sensing
+from slidectl.physics.frames import add, rotate, subtract
+from slidectl.physics.rotation import Pose, cross
+from slidectl.rotations import Quaternion, Vector, conjugate, from_rpy, message
+from slidectl.simulation.clock import SECOND, stamp
+from slidectl.simulation.robots import SpawnedRobot
+from slidectl.simulation.topics import PeriodicTopic
+
+if TYPE_CHECKING:
+    from slidectl.simulation.simulation import Simulation
+
+_TYPES = {
+    Laser: "sensor_msgs/LaserScan",
+    Imu: "sensor_msgs/Imu",
+    GroundTruth: "nav_msgs/Odometry",
+    Bumper: "gazebo_msgs/ContactsState",
+    JointStates: "sensor_msgs/JointState",
+}
+
+
+class SensorTopic:
+    """One sensor of one robot, on its topic until `close`."""
+
+    def __init__(self, simulation: Simulation, robot: SpawnedRobot, sensor: Sensor) -> None:
+        self._simulation = simulation
+        self._world = simulation.world
+        self._robot = robot.name
+        self._sensor = sensor
+        self._origin: Pose = (sensor.origin.xyz, from_rpy(sensor.origin.rpy))
+        build: dict[type[Sensor], Callable[[], Message]] = {
+            Laser: self._scan,
+            Imu: self._imu,
+            GroundTruth: self._odometry,
+            Bumper: self._contacts,
+            JointStates: self._joints,
+        }
+        step_ns = simulation.timestep_ns
+        period_ns = max(step_ns, round(SECOND / sensor.rate_hz)) if sensor.rate_hz > 0 else step_ns
+        if isinstance(sensor, Laser):
+            angles = np.linspace(sensor.min_angle, sensor.max_angle, sensor.samples)
+            self._directions = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(sensor.samples)])
+        self._topic = PeriodicTopic(
+            simulation.graph,
+            names.join(robot.namespace, sensor.topic),
+            _TYPES[type(sensor)],
+            names.join(robot.namespace, "gazebo") if robot.namespace != "/" else "/gazebo",
+            period_ns,
+            build[type(sensor)],
+        )
+
+    def close(self) -> None:
+        """Take the topic back."""
+        self._topic.close()
+
+    def _header(self) -> Message:
+        return {"seq": 0, "stamp": stamp(self._simulation.time_ns), "frame_id": self._sensor.frame}
+
+    def _noise(self) -> Callable[[], float]:
+        """Draws of the sensor's noise for this message."""
+        sensor = self._sensor
+        if sensor.noise <= 0.0 and sensor.mean == 0.0:
+            return lambda: 0.0
+        source = random.Random(f"{self._robot}/{sensor.name}/{self._simulation.time_ns}")
+        return lambda: source.gauss(sensor.mean, max(0.0, sensor.noise))
+
+    def _noisy(self, vector: Vector, draw: Callable[[], float]) -> Vector:
+        return (vector[0] + draw(), vector[1] + draw(), vector[2] + draw())
+
+    def _pose(self) -> Pose:
+        return sensing.sensor_pose(self._world, self._robot, self._sensor.link, self._origin)
+
+    def _twist(self, pose: Pose) -> tuple[Vector, Vector]:
+        """Velocity of the sensor's point and of its turning, in the world's axes."""
+        linear, angular = self._world.link_twist(self._robot, self._sensor.link)
+        arm = subtract(pose[0], self._world.link_pose(self._robot, self._sensor.link)[0])
+        return add(linear, cross(angular, arm)), angular
+
+    def _scan(self) -> Message:
+        sensor = self._sensor
+        assert isinstance(sensor, Laser)
+        found = sensing.distances(self._world, self._pose(), self._directions, sensor.min_range, sensor.max_range)
+        draw = self._noise()
+        noisy = [
+            min(max(distance + draw(), sensor.min_range), sensor.max_range) if distance < math.inf else math.inf
+            for distance in found.tolist()
+        ]
+        spacings = max(1, sensor.samples - 1)
+        return {
+            "header": self._header(),
+            "angle_min": sensor.min_angle,
+            "angle_max": sensor.max_angle,
+            "angle_increment": (sensor.max_angle - sensor.min_angle) / spacings,
+            "range_min": sensor.min_range,
+            "range_max": sensor.max_range,
+            "ranges": noisy,
+            "intensities": [0.0] * sensor.samples,
+        }
+
+    def _imu(self) -> Message:
+        sensor = self._sensor
+        assert isinstance(sensor, Imu)
+        pose = self._pose()
+        back = conjugate(pose[1])
+        draw = self._noise()
+        felt, attitude = sensing.acceleration(self._world, self._robot, sensor.link, self._origin)
+        if not sensor.feels_gravity:
+            felt = add(felt, self._world.gravity)
+        variance = sensor.noise**2
+        diagonal = [variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, variance]
+        return {
+            "header": self._header(),
+            "orientation": message(pose[1]),
+            "orientation_covariance": diagonal,
+            "angular_velocity": _vector(self._noisy(rotate(back, self._twist(pose)[1]), draw)),
+            "angular_velocity_covariance": diagonal,
+            "linear_acceleration": _vector(self._noisy(rotate(conjugate(attitude), felt), draw)),
+            "linear_acceleration_covariance": diagonal,
+        }
+
+    def _odometry(self) -> Message:
+        pose, draw, variance = self._pose(), self._noise(), self._sensor.noise**2
+        linear, angular = self._twist(pose)
+        covariance = [variance if row == column else 0.0 for row in range(6) for column in range(6)]
+        position = self._noisy(pose[0], draw)
+        return {
+            "header": self._header(),
+            "child_frame_id": self._sensor.link,
+            "pose": {"pose": _pose(position, pose[1]), "covariance": covariance},
+            "twist": {
+                "twist": {
+                    "linear": _vector(self._noisy(linear, draw)),
+                    "angular": _vector(self._noisy(angular, draw)),
+                },
+                "covariance": covariance,
+            },
+        }
+
+    def _contacts(self) -> Message:
+        by_pair: dict[str, list[sensing.Touch]] = {}
+        for touch in sensing.touches(self._world, self._robot, self._sensor.link):
+            by_pair.setdefault(touch.other, []).append(touch)
+        states = [self._contact_state(other, touches) for other, touches in by_pair.items()]
+        return {"header": self._header(), "states": states}
+
+    def _contact_state(self, other: str, touches: list[sensing.Touch]) -> Message:
+        """gazebo_msgs/ContactState. Torques are about the link's origin."""
+        origin = self._world.link_pose(self._robot, self._sensor.link)[0]
+        wrenches = []
+        total_force: Vector = (0.0, 0.0, 0.0)
+        total_torque: Vector = (0.0, 0.0, 0.0)
+        for touch in touches:
+            torque = cross(subtract(touch.position, origin), touch.force)
+            total_force, total_torque = add(total_force, touch.force), add(total_torque, torque)
+            wrenches.append({"force": _vector(touch.force), "torque": _vector(torque)})
+        return {
+            "info": f"{len(touches)} contact points",
+            "collision1_name": touches[0].own,
+            "collision2_name": other,
+            "wrenches": wrenches,
+            "total_wrench": {"force": _vector(total_force), "torque": _vector(total_torque)},
+            "contact_positions": [_vector(touch.position) for touch in touches],
+            "contact_normals": [_vector(touch.normal) for touch in touches],
+            "depths": [touch.depth for touch in touches],
+        }
+
+    def _joints(self) -> Message:
+        sensor = self._sensor
+        assert isinstance(sensor, JointStates)
+        moving = [joint for joint in sensor.joints if joint in self._world.body(self._robot).joints]
+        states = [self._world.joint_state(self._robot, joint) for joint in moving]
+        return {
+            "header": self._header(),
+            "name": moving,
+            "position": [state[0] for state in states],
+            "velocity": [state[1] for state in states],
+            "effort": [state[2] for state in states],
+        }
+
+
+def _vector(vector: Vector) -> Message:
+    return dict(zip("xyz", vector, strict=True))
+
+
+def _pose(position: Vector, attitude: Quaternion) -> Message:
+    return {"position": _vector(position), "orientation": message(attitude)}
+
+
+def bring_up(simulation: Simulation, robot: SpawnedRobot) -> Callable[[], None]:
+    """Give a robot the topics of its sensors. Returns what takes them back."""
+    topics = [SensorTopic(simulation, robot, sensor) for sensor in robot.paper.sensors]
+
+    def take_back() -> None:
+        for topic in topics:
+            topic.close()
+
+    return take_back
