@@ -1,6 +1,6 @@
-"""Rotations as quaternions x y z w, as on messages: from roll, pitch and yaw, one after another, and back.
+"""Rotations as quaternions x y z w, as on messages, and poses in frames: composition, inverse, roll pitch yaw.
 
-Plain Python, for whoever has a rotation: the command line, launch files, physics. Poses and frames are theirs.
+Plain Python, for everybody who has a rotation: the command line, launch files, models, physics.
 """
 
 from __future__ import annotations
@@ -11,7 +11,11 @@ Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 Matrix = tuple[Vector, Vector, Vector]
 
+Pose = tuple[Vector, Quaternion]
+"""Position in m, attitude x y z w."""
+
 IDENTITY: Quaternion = (0.0, 0.0, 0.0, 1.0)
+ORIGIN: Pose = ((0.0, 0.0, 0.0), IDENTITY)
 
 
 def from_rpy(rpy: Vector) -> Quaternion:
@@ -67,3 +71,47 @@ def matrix(quaternion: Quaternion) -> Matrix:
         (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
         (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
     )
+
+
+def to_rpy(quaternion: Quaternion) -> Vector:
+    """Roll, pitch, yaw (rad) about the fixed axes, the inverse of from_rpy; at pitch +-pi/2 the roll is 0."""
+    (m00, m01, _), (m10, m11, _), (m20, m21, m22) = matrix(quaternion)
+    horizontal = math.hypot(m21, m22)
+    if horizontal < 1e-9:
+        return (0.0, math.copysign(math.pi / 2, -m20), math.atan2(-m01, m11))
+    return (math.atan2(m21, m22), math.atan2(-m20, horizontal), math.atan2(m10, m00))
+
+
+def rotate(quaternion: Quaternion, vector: Vector) -> Vector:
+    """The vector turned by a unit quaternion."""
+    x, y, z, w = quaternion
+    axis = (x, y, z)
+    tx, ty, tz = (2 * part for part in cross(axis, vector))
+    cx, cy, cz = cross(axis, (tx, ty, tz))
+    return (vector[0] + w * tx + cx, vector[1] + w * ty + cy, vector[2] + w * tz + cz)
+
+
+def cross(a: Vector, b: Vector) -> Vector:
+    """Vector product."""
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+
+
+def add(a: Vector, b: Vector) -> Vector:
+    """Sum of two vectors."""
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+
+
+def subtract(a: Vector, b: Vector) -> Vector:
+    """Difference of two vectors."""
+    return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
+
+
+def compose(frame: Pose, local: Pose) -> Pose:
+    """What is `local` in `frame`, seen from where `frame` is given."""
+    return add(frame[0], rotate(frame[1], local[0])), multiply(frame[1], local[1])
+
+
+def relative(pose: Pose, frame: Pose) -> Pose:
+    """`pose` seen from `frame`, both given in the same frame."""
+    back = conjugate(frame[1])
+    return rotate(back, subtract(pose[0], frame[0])), multiply(back, pose[1])

@@ -1,0 +1,673 @@
+"""The models of an SDF file or a Gazebo world as URDF: what stands around a robot.
+
+A model becomes one URDF document a part that hangs together: links without a joint between them are bodies of their
+own, as they are in Gazebo. A static model hangs on the link `world`. Pose elements nest as in SDF: model, link, shape.
+Shapes, masses, friction, gravity and the joints that URDF has are taken; everything else is reported with its line.
+Nothing is spawned here, and worlds' physics settings are launch's.
+
+Source of the frames: the SDF 1.4 to 1.9 specification (`<pose>` is x y z roll pitch yaw in the parent's frame; a
+joint's frame is given in its child's; `<axis>` is in the joint's frame since 1.5, in the model's before).
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from urllib.parse import unquote
+
+from slidectl.description import models, xml_tree, xml_writer
+from slidectl.description.packages import Packages, UnknownPackage, is_file
+from slidectl.description.robot import Notice, Verdict
+from slidectl.description.values import parse_number
+from slidectl.description.xml_tree import Element
+from slidectl.errors import NotThere
+from slidectl.rotations import ORIGIN, Pose, compose, conjugate, from_rpy, relative, rotate, to_rpy
+
+SUFFIXES = (".sdf", ".world")
+GROUND_PLANE = "ground_plane"
+SUN = "sun"
+_DEEPEST_INCLUDE = 10
+_MOST_INCLUDES = 1000
+_VARIABLES = ("GAZEBO_MODEL_PATH", "GZ_SIM_RESOURCE_PATH")
+_HOME = "~/.gazebo/models"
+
+_JOINTS = ("revolute", "continuous", "prismatic", "fixed")
+"""Kinds of joint that URDF has too."""
+_UNLIMITED = 1e16
+_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+_QUIET = ("allow_auto_disable", "enable_wind", "kinematic", "velocity_decay", "must_be_base_link", "audio_source")
+"""What changes nothing in a world of rigid bodies."""
+
+
+@dataclass(frozen=True)
+class SdfModel:
+    """One part of a world that moves, or stands still, as a whole."""
+
+    name: str
+    xml: str
+    """URDF with the note of its sources."""
+    pose: Pose
+    """Of the part's root link, in the world."""
+    is_static: bool
+    file: str
+    line: int
+
+
+@dataclass
+class Scene:
+    """The models of a file, whether it has a ground plane, and what became of the rest."""
+
+    models: list[SdfModel] = field(default_factory=list)
+    has_ground: bool = False
+    notices: list[Notice] = field(default_factory=list)
+
+
+class SdfFiles:
+    """Finds `model://NAME` folders and the files named in SDF: by GAZEBO_MODEL_PATH, beside the file, by package."""
+
+    def __init__(self, packages: Packages, base: Path | None) -> None:
+        self.packages = packages
+        self.base = base
+
+    def folder(self, name: str, element: Element) -> Path:
+        """The folder of a model. Raises NotThere."""
+        looked = list(dict.fromkeys(self._folders(element)))
+        for place in looked:
+            if (place / name).is_dir():
+                return place / name
+        try:
+            return self.packages.find(name)
+        except UnknownPackage:
+            shown = ", ".join(str(place) for place in looked)
+            text = f"model {name!r} is not there; looked in {shown}"
+            hint = f"set GAZEBO_MODEL_PATH to the folder that holds {name}/"
+            raise NotThere(text, element.file, element.line, hint, f"model {name}") from None
+
+    def model_file(self, uri: str, element: Element) -> Path:
+        """The SDF file of an `<include>`. Raises NotThere."""
+        place = self.resolve(uri, element)
+        if not place.is_dir():
+            return place
+        return place / (_named_in_config(place / "model.config") or "model.sdf")
+
+    def resolve(self, uri: str, element: Element) -> Path:
+        """The file or folder that a uri means. Raises NotThere."""
+        scheme, separator, rest = uri.partition("://")
+        if not separator:
+            return self._beside(element) / uri
+        if scheme == "file":
+            return Path(unquote(rest)) if rest.startswith("/") else self._beside(element) / unquote(rest)
+        if scheme in ("model", "package"):
+            name, _, inside = rest.partition("/")
+            return self.folder(unquote(name), element) / unquote(inside)
+        raise NotThere(f"{uri!r} cannot be read from here; model://, file:// and paths can", element.file, element.line)
+
+    def _beside(self, element: Element) -> Path:
+        here = Path(element.file)
+        return here.absolute().parent if is_file(here) else self.base or Path.cwd()
+
+    def _folders(self, element: Element) -> Iterator[Path]:
+        for variable in _VARIABLES:
+            yield from (Path(os.path.expanduser(entry)) for entry in os.environ.get(variable, "").split(":") if entry)
+        beside = self._beside(element)
+        yield from (beside, beside / "models", beside.parent, beside.parent / "models")
+        yield Path(os.path.expanduser(_HOME))
+
+
+def read(path: Path, packages: Packages | None = None) -> Scene:
+    """The scene of an SDF or world file.
+
+    Raises:
+        BadFile: missing, not SDF, or broken (file, line). NotThere: a model or a mesh that it names.
+    """
+    return parse(models.read_file(path), str(path), packages, path.absolute().parent)
+
+
+def parse(text: str | bytes, file: str = "<text>", packages: Packages | None = None, base: Path | None = None) -> Scene:
+    """As read, of a text; `base` is the folder for relative paths."""
+    root = xml_tree.read(text, file)
+    if root.tag not in ("sdf", "gazebo", "world", "model"):
+        raise root.error(f"this is no SDF: its outermost element is <{root.tag}>, expected <sdf>")
+    reader = _SceneReader(SdfFiles(packages or Packages(start=base), base))
+    reader.take(root, root.get("version") or "1.6")
+    if not reader.scene.models and not reader.scene.has_ground and root.tag != "world" and root.find("world") is None:
+        raise root.error("there is no <model> in it")
+    return reader.scene
+
+
+class _SceneReader:
+    """Walks worlds, models and includes."""
+
+    def __init__(self, files: SdfFiles) -> None:
+        self.files = files
+        self.scene = Scene()
+        self.names: set[str] = set()
+        self.depth = 0
+        self.includes = 0
+
+    def say(self, verdict: Verdict, element: Element, text: str) -> None:
+        self.scene.notices.append(Notice(verdict, element.title, text, element.file, element.line))
+
+    def take(self, root: Element, version: str) -> None:
+        """The first world, and models beside it."""
+        worlds = [root] if root.tag == "world" else root.find_all("world")
+        for extra in worlds[1:]:
+            self.say("wrong", extra, "only the first world of a file is used")
+        places = [root] if root.tag != "world" else []
+        states = _states(worlds[0]) if worlds else {}
+        if root.tag == "model":
+            return self.model(root, ORIGIN, version)
+        for holder in (*places, *worlds[:1]):
+            for element in holder.children:
+                if element.tag == "model":
+                    placed = states.get(element.get("name") or "")
+                    self.model(element, ORIGIN, version, at=placed)
+                elif element.tag == "include":
+                    self.include(element, ORIGIN, states)
+        return None
+
+    def include(
+        self, element: Element, frame: Pose, states: dict[str, Pose] | None = None, inner: bool = False
+    ) -> None:
+        """The model of an `<include>` with what the tag says over it."""
+        uri = _text(element, "uri")
+        if not uri:
+            raise element.error("<include> lacks <uri>")
+        short = uri.rstrip("/").rpartition("/")[2].lower().replace(" ", "_")  # Fuel calls it `Ground Plane`
+        if not inner and short == SUN:
+            return
+        if not inner and short == GROUND_PLANE:
+            self.scene.has_ground = True
+            return
+        model, version = self.included(uri, element)
+        name = _text(element, "name") or model.get("name") or short
+        placed = (states or {}).get(name)
+        pose_element = element.find("pose")
+        at = placed or (_pose(pose_element) if pose_element is not None else None)
+        static = element.find("static")
+        self.depth += 1
+        self.model(model, frame, version, name, at, _truth(static) if static is not None else None)
+        self.depth -= 1
+
+    def included(self, uri: str, element: Element) -> tuple[Element, str]:
+        """The `<model>` that an `<include>` names, and its version of SDF. Raises BadFile, NotThere."""
+        self.includes += 1
+        if self.depth >= _DEEPEST_INCLUDE:
+            raise element.error(f"<include> is nested deeper than {_DEEPEST_INCLUDE}")
+        if self.includes > _MOST_INCLUDES:
+            raise element.error(f"there are more than {_MOST_INCLUDES} <include>")
+        path = self.files.model_file(uri, element)
+        root = xml_tree.read(models.read_file(path), str(path))
+        model = root if root.tag == "model" else root.find("model")
+        if model is None:
+            raise root.error(f"there is no <model> in it; {element.file}:{element.line} includes it")
+        return model, root.get("version") or "1.6"
+
+    def model(
+        self,
+        element: Element,
+        frame: Pose,
+        version: str,
+        name: str | None = None,
+        at: Pose | None = None,
+        static: bool | None = None,
+    ) -> None:
+        """One model: its links and joints, and those of the models nested in it."""
+        title = name or element.get("name") or "model"
+        if _is_ground(element, title):
+            self.scene.has_ground = True
+            return
+        part = _ModelReader(self, title, element, version)
+        own = at if at is not None else _pose_of(element)
+        place = compose(frame, own)
+        is_static = static if static is not None else _truth(element.find("static"))
+        part.read(element, ORIGIN, "")
+        for model in part.parts(place, is_static):
+            self.scene.models.append(model)
+
+    def free_name(self, wanted: str) -> str:
+        """A name of a robot that no other part of the scene has."""
+        base = re.sub(r"[^A-Za-z0-9_]+", "_", wanted).strip("_") or "model"
+        base = base if not base[0].isdigit() else f"model_{base}"
+        name, number = base, 1
+        while name in self.names:
+            number += 1
+            name = f"{base}_{number}"
+        self.names.add(name)
+        return name
+
+
+@dataclass
+class _SdfLink:
+    element: Element
+    pose: Pose
+    """In the model's frame."""
+
+
+@dataclass
+class _SdfJoint:
+    element: Element
+    name: str
+    parent: str
+    child: str
+    frame: Pose
+    """In the child's frame."""
+
+
+class _ModelReader:
+    """Links and joints of one model, nested ones included, and the URDF of its parts."""
+
+    def __init__(self, scene: _SceneReader, name: str, element: Element, version: str) -> None:
+        self.scene = scene
+        self.name = name
+        self.element = element
+        self.axis_in_model = _version(version) < (1, 5)
+        self.links: dict[str, _SdfLink] = {}
+        self.joints: dict[str, _SdfJoint] = {}
+
+    # --- reading -----------------------------------------------------------------------------------------------------
+
+    def read(self, model: Element, frame: Pose, prefix: str) -> None:
+        """Take in the links and joints of a model whose frame is `frame`; names of nested ones begin with `prefix`."""
+        for element in model.children:
+            if element.tag == "link":
+                name = prefix + (element.get("name") or "link")
+                if name in self.links:
+                    raise element.error(f"model {self.name!r}: link {name!r} is there twice")
+                self.links[name] = _SdfLink(element, compose(frame, _pose_of(element)))
+            elif element.tag == "joint":
+                self._joint(element, prefix)
+            elif element.tag == "model":
+                inner = compose(frame, _pose_of(element))
+                self.read(element, inner, f"{prefix}{element.get('name') or 'model'}::")
+            elif element.tag == "include":
+                self._included(element, frame, prefix)
+            elif element.tag == "plugin":
+                self.scene.say("wrong", element, "plugins of Gazebo have no effect")
+            elif element.tag not in ("pose", "static", "self_collide", *_QUIET):
+                self.scene.say("ignored", element, "has no effect: there is nothing like it here")
+
+    def _included(self, element: Element, frame: Pose, prefix: str) -> None:
+        uri = _text(element, "uri")
+        if not uri:
+            raise element.error("<include> lacks <uri>")
+        model, _ = self.scene.included(uri, element)
+        pose = element.find("pose")
+        inner = compose(frame, _pose(pose) if pose is not None else _pose_of(model))
+        name = _text(element, "name") or model.get("name") or "model"
+        self.scene.depth += 1
+        self.read(model, inner, f"{prefix}{name}::")
+        self.scene.depth -= 1
+
+    def _joint(self, element: Element, prefix: str) -> None:
+        name = prefix + (element.get("name") or "joint")
+        ends = {}
+        for end in ("parent", "child"):
+            written = _text(element, end)
+            if not written:
+                raise element.error(f"joint {name!r} lacks <{end}>")
+            ends[end] = written if written == "world" else prefix + written
+        if ends["child"] == "world":
+            raise element.error(f"joint {name!r}: the world cannot be the child of a joint")
+        if name in self.joints:
+            raise element.error(f"model {self.name!r}: joint {name!r} is there twice")
+        self.joints[name] = _SdfJoint(element, name, ends["parent"], ends["child"], _pose_of(element))
+
+    # --- parts -------------------------------------------------------------------------------------------------------
+
+    def parts(self, place: Pose, is_static: bool) -> Iterator[SdfModel]:
+        """The model's parts, with their poses in the world where the model's frame is `place`."""
+        if not self.links:
+            raise self.element.error(f"model {self.name!r} has no <link>")
+        above = self._above()
+        if is_static:
+            yield self._static(place)
+            return
+        groups: dict[str, list[str]] = {}
+        for link in self.links:
+            groups.setdefault(_root(link, above), []).append(link)
+        loose = [root for root in groups if root != "world"]
+        if len(loose) > 1:
+            text = f"has links without a joint between them: {', '.join(loose)}; each becomes a robot of its own"
+            self.scene.say("converted", self.element, text)
+        for index, (root, members) in enumerate(groups.items()):
+            name = self.name if index == 0 else f"{self.name}_{root}"
+            yield self._part(name, root, members, above, place)
+
+    def _above(self) -> dict[str, _SdfJoint]:
+        """The joint above each link. Raises BadFile: unknown links, loops, or a link that hangs on two joints."""
+        above: dict[str, _SdfJoint] = {}
+        for joint in self.joints.values():
+            for link in (joint.parent, joint.child):
+                if link not in self.links and link != "world":
+                    known = ", ".join(self.links)
+                    raise joint.element.error(f"joint {joint.name!r}: no link {link!r}", f"links: {known}")
+            if joint.child in above:
+                text = f"link {joint.child!r} hangs on two joints: {above[joint.child].name} and {joint.name}"
+                raise joint.element.error(text, "a robot here is a tree; leave one of them out")
+            above[joint.child] = joint
+        for link in above:
+            _root(link, above)
+        return above
+
+    def _static(self, place: Pose) -> SdfModel:
+        """All links fixed to the world; joints do not move in a static model."""
+        urdf = self._urdf(self.name)
+        name = urdf.attributes["name"]
+        urdf.content.append(self._made("link", self.element, name="world"))
+        for link, sdf in self.links.items():
+            urdf.content.extend(self._link(link, sdf, ORIGIN))
+            joint = self._made("joint", sdf.element, name=f"world_to_{link}", type="fixed")
+            joint.content += [
+                self._origin(sdf.pose, sdf.element),
+                self._made("parent", sdf.element, link="world"),
+                self._made("child", sdf.element, link=link),
+            ]
+            urdf.content.append(joint)
+        return self._model(name, urdf, place, is_static=True)
+
+    def _part(self, name: str, root: str, members: list[str], above: dict[str, _SdfJoint], place: Pose) -> SdfModel:
+        urdf = self._urdf(name)
+        if root == "world":
+            urdf.content.append(self._made("link", self.element, name="world"))
+        frames = {"world": ORIGIN}
+        for link in members:
+            pose = self.links[link].pose
+            frames[link] = compose(pose, above[link].frame) if link in above else pose
+        for link in members:
+            shift = relative(self.links[link].pose, frames[link])
+            urdf.content.extend(self._link(link, self.links[link], shift))
+        for link in members:
+            if link in above:
+                urdf.content.append(self._urdf_joint(above[link], frames))
+        start = compose(place, frames[root])
+        return self._model(urdf.attributes["name"], urdf, start, is_static=False)
+
+    def _model(self, name: str, urdf: Element, pose: Pose, *, is_static: bool) -> SdfModel:
+        xml, _ = xml_writer.write(urdf)
+        return SdfModel(name, xml, pose, is_static, self.element.file, self.element.line)
+
+    def _urdf(self, name: str) -> Element:
+        return self._made("robot", self.element, name=self.scene.free_name(name))
+
+    # --- URDF --------------------------------------------------------------------------------------------------------
+
+    @staticmethod
+    def _made(tag: str, at: Element, **attributes: str) -> Element:
+        """An element of URDF that stands where `at` was written."""
+        return Element(tag, attributes, at.file, at.line)
+
+    def _origin(self, pose: Pose, at: Element) -> Element:
+        return self._made("origin", at, xyz=_numbers(pose[0]), rpy=_numbers(to_rpy(pose[1])))
+
+    def _link(self, name: str, link: _SdfLink, shift: Pose) -> Iterator[Element]:
+        """The link in URDF, and its `<gazebo>`; `shift` is SDF's link frame seen from URDF's."""
+        made = self._made("link", link.element, name=name)
+        inertial = link.element.find("inertial")
+        made.content.append(self._inertial(inertial if inertial is not None else link.element, shift))
+        gazebo = self._made("gazebo", link.element, reference=name)
+        for element in link.element.children:
+            if element.tag in ("collision", "visual"):
+                shape = self._shape(element, shift)
+                if shape is not None:
+                    made.content.append(shape)
+                if element.tag == "collision":
+                    gazebo.content += self._friction(element)
+            elif element.tag == "gravity":
+                gazebo.content.append(self._texted("turnGravityOff", element, "false" if _truth(element) else "true"))
+            elif element.tag == "self_collide":
+                gazebo.content.append(self._texted("selfCollide", element, "true" if _truth(element) else "false"))
+            elif element.tag not in ("pose", "inertial", "sensor", "light", *_QUIET):
+                self.scene.say("ignored", element, "has no effect: there is nothing like it here")
+            elif element.tag == "sensor":
+                self.scene.say("wrong", element, "sensors of a world's models have no effect")
+        yield made
+        if gazebo.content:
+            yield gazebo
+
+    def _inertial(self, element: Element, shift: Pose) -> Element:
+        """Mass 1 kg and moments 1 kg m2 where SDF says nothing, which are its defaults."""
+        is_written = element.tag == "inertial"
+        pose = _pose_of(element) if is_written else ORIGIN
+        mass = element.find("mass") if is_written else None
+        tensor = element.find("inertia") if is_written else None
+        made = self._made("inertial", element)
+        moments = {name: "1" if name in ("ixx", "iyy", "izz") else "0" for name in _MOMENTS}
+        for moment in tensor.children if tensor is not None else []:
+            if moment.tag in moments:
+                moments[moment.tag] = repr(_number(moment))
+        made.content += [
+            self._origin(compose(shift, pose), element),
+            self._made("mass", mass or element, value=repr(_number(mass)) if mass is not None else "1"),
+            Element("inertia", moments, element.file, element.line),
+        ]
+        return made
+
+    def _shape(self, element: Element, shift: Pose) -> Element | None:
+        """A `<visual>` or `<collision>`; None for one that URDF has no shape for."""
+        geometry = element.find("geometry")
+        found = geometry.children[0] if geometry is not None and geometry.children else None
+        if found is None or found.tag == "empty":
+            return None
+        made_shape = self._geometry(found)
+        if made_shape is None:
+            known = "box, sphere, cylinder and mesh"
+            self.scene.say("wrong", found, f"is left out: the shapes here are {known}")
+            return None
+        made = self._made(element.tag, element, name=element.get("name") or element.tag)
+        outer = self._made("geometry", found)
+        outer.content.append(made_shape)
+        made.content += [self._origin(compose(shift, _pose_of(element)), element), outer]
+        colour = _colour(element.find("material"))
+        if element.tag == "visual" and colour:
+            material = self._made("material", element, name=f"{element.get('name')}_material")
+            material.content.append(self._made("color", element, rgba=colour))
+            made.content.append(material)
+        return made
+
+    def _geometry(self, shape: Element) -> Element | None:
+        if shape.tag == "box":
+            return self._made("box", shape, size=_numbers(_values(_child(shape, "size"), 3)))
+        if shape.tag == "sphere":
+            return self._made("sphere", shape, radius=repr(_number(_child(shape, "radius"))))
+        if shape.tag == "cylinder":
+            radius, length = (repr(_number(_child(shape, name))) for name in ("radius", "length"))
+            return self._made("cylinder", shape, radius=radius, length=length)
+        if shape.tag == "mesh":
+            uri = _child(shape, "uri")
+            path = self.scene.files.resolve(uri.first_text, uri)
+            if not is_file(path):
+                text = f"mesh {uri.first_text!r}: no such file; looked for {path}"
+                raise NotThere(text, uri.file, uri.line, None, f"mesh {uri.first_text}")
+            made = self._made("mesh", shape, filename=uri.first_text)
+            made.set_mesh(path.absolute().as_uri())
+            scale = shape.find("scale")
+            if scale is not None:
+                made.attributes["scale"] = _numbers(_values(scale, 3))
+            if shape.find("submesh") is not None:
+                self.scene.say("ignored", shape, "<submesh> has no effect: the whole mesh is taken")
+            return made
+        return None
+
+    def _friction(self, collision: Element) -> list[Element]:
+        """mu and mu2 of `surface/friction/ode`, as `<mu1>` and `<mu2>`."""
+        found: Element | None = collision
+        for tag in ("surface", "friction", "ode"):
+            found = found.find(tag) if found is not None else None
+        if found is None:
+            return []
+        names = {"mu": "mu1", "mu2": "mu2"}
+        return [
+            self._texted(names[child.tag], child, child.first_text) for child in found.children if child.tag in names
+        ]
+
+    def _texted(self, tag: str, at: Element, text: str) -> Element:
+        made = self._made(tag, at)
+        made.content.append(text)
+        return made
+
+    def _urdf_joint(self, joint: _SdfJoint, frames: dict[str, Pose]) -> Element:
+        element = joint.element
+        kind = element.get("type") or ""
+        if kind not in _JOINTS:
+            text = f"joint {joint.name!r} is of type {kind!r}, which is not here"
+            raise element.error(text, f"types: {', '.join(_JOINTS)}")
+        axis = element.find("axis")
+        limit = axis.find("limit") if axis is not None else None
+        lower, upper = (_limit(limit, "lower", -_UNLIMITED), _limit(limit, "upper", _UNLIMITED))
+        if kind == "revolute" and (lower <= -_UNLIMITED or upper >= _UNLIMITED):
+            kind = "continuous"
+        made = self._made("joint", element, name=joint.name, type=kind)
+        made.content += [
+            self._origin(relative(frames[joint.child], frames[joint.parent]), element),
+            self._made("parent", element, link=joint.parent),
+            self._made("child", element, link=joint.child),
+        ]
+        if kind == "fixed":
+            return made
+        made.content.append(self._made("axis", axis or element, xyz=_numbers(self._axis(axis, frames[joint.child]))))
+        effort, velocity = _limit(limit, "effort", -1.0), _limit(limit, "velocity", -1.0)
+        bounds = {"effort": repr(effort if effort >= 0 else _UNLIMITED)}
+        bounds["velocity"] = repr(velocity if velocity >= 0 else _UNLIMITED)
+        if kind != "continuous":
+            bounds |= {"lower": repr(lower), "upper": repr(upper)}
+        made.content.append(Element("limit", bounds, (limit or element).file, (limit or element).line))
+        dynamics = axis.find("dynamics") if axis is not None else None
+        if dynamics is not None:
+            given = {
+                child.tag: repr(_number(child)) for child in dynamics.children if child.tag in ("damping", "friction")
+            }
+            made.content.append(Element("dynamics", given, dynamics.file, dynamics.line))
+        return made
+
+    def _axis(self, axis: Element | None, joint_frame: Pose) -> tuple[float, ...]:
+        """The axis in the joint's frame."""
+        element = axis.find("xyz") if axis is not None else None
+        if axis is None or element is None:
+            return (0.0, 0.0, 1.0)
+        x, y, z = _values(element, 3)
+        in_model = axis.find("use_parent_model_frame")
+        if self.axis_in_model if in_model is None else _truth(in_model):
+            return rotate(conjugate(joint_frame[1]), (x, y, z))
+        if element.get("expressed_in") == "__model__":
+            return rotate(conjugate(joint_frame[1]), (x, y, z))
+        return (x, y, z)
+
+
+def _root(link: str, above: dict[str, _SdfJoint]) -> str:
+    """The link that a link hangs on in the end. Raises BadFile for a loop."""
+    seen = set()
+    while link in above:
+        if link in seen:
+            joint = above[link]
+            raise joint.element.error(f"joint {joint.name!r} is part of a loop of joints", "a robot here is a tree")
+        seen.add(link)
+        link = above[link].parent
+    return link
+
+
+def _states(world: Element) -> dict[str, Pose]:
+    """The poses of models in the first `<state>` of a world, which go before those of the models themselves."""
+    state = world.find("state")
+    if state is None:
+        return {}
+    found = {model.get("name") or "": model.find("pose") for model in state.find_all("model")}
+    return {name: _pose(pose) for name, pose in found.items() if pose is not None}
+
+
+def _is_ground(model: Element, name: str) -> bool:
+    """A model that is called so, or whose only shape is a plane."""
+    shapes = [shape for element in model.walk() if element.tag == "geometry" for shape in element.children]
+    return name == GROUND_PLANE or bool(shapes and all(shape.tag == "plane" for shape in shapes))
+
+
+def _named_in_config(path: Path) -> str | None:
+    """The SDF file that a model.config names, the newest version of several; None without one."""
+    if not is_file(path):
+        return None
+    root = xml_tree.read(models.read_file(path), str(path))
+    named = sorted(root.find_all("sdf"), key=lambda element: _version(element.get("version") or "0"))
+    return named[-1].first_text or None if named else None
+
+
+def _version(text: str) -> tuple[int, ...]:
+    return tuple(int(part) for part in re.findall(r"\d+", text)[:2])
+
+
+def _text(element: Element, tag: str) -> str:
+    child = element.find(tag)
+    return child.first_text if child is not None else ""
+
+
+def _child(element: Element, tag: str) -> Element:
+    child = element.find(tag)
+    if child is None:
+        raise element.error(f"<{element.tag}> lacks <{tag}>")
+    return child
+
+
+def _truth(element: Element | None) -> bool:
+    if element is None:
+        return False
+    text = element.first_text.lower()
+    if text not in ("1", "0", "true", "false"):
+        raise element.error(f"<{element.tag}> is {text!r}, expected true or false")
+    return text in ("1", "true")
+
+
+def _number(element: Element) -> float:
+    return parse_number(element.first_text, element, f"<{element.tag}>")
+
+
+def _limit(limit: Element | None, tag: str, default: float) -> float:
+    """A bound of a joint; SDF writes 1e16, or `inf`, where there is none."""
+    element = limit.find(tag) if limit is not None else None
+    if element is None:
+        return default
+    return max(-_UNLIMITED, min(_UNLIMITED, parse_number(element.first_text, element, f"<{tag}>", finite=False)))
+
+
+def _values(element: Element, count: int) -> tuple[float, ...]:
+    words = element.first_text.split()
+    if len(words) != count:
+        raise element.error(f"<{element.tag}> is {count} numbers, not {element.first_text!r}")
+    return tuple(parse_number(word, element, f"<{element.tag}>") for word in words)
+
+
+def _pose_of(element: Element) -> Pose:
+    """The `<pose>` of an element, the identity without one."""
+    pose = element.find("pose")
+    return _pose(pose) if pose is not None else ORIGIN
+
+
+def _pose(element: Element) -> Pose:
+    if element.get("relative_to") or element.get("frame"):
+        name = element.get("relative_to") or element.get("frame")
+        if name not in ("", "__model__", "world"):
+            raise element.error(
+                f"<pose> is relative to {name!r}: frames by name are not read", "write it in its parent's"
+            )
+    if not element.first_text:
+        return ORIGIN
+    x, y, z, *angles = _values(element, 6)
+    if element.get("degrees") in ("1", "true"):
+        angles = [math.radians(angle) for angle in angles]
+    return (x, y, z), from_rpy((angles[0], angles[1], angles[2]))
+
+
+def _colour(material: Element | None) -> str:
+    """`r g b a` of the diffuse colour, else the ambient one; empty without either."""
+    for tag in ("diffuse", "ambient"):
+        element = material.find(tag) if material is not None else None
+        if element is not None and element.first_text:
+            words = element.first_text.split()
+            return _numbers(_values(element, len(words)) if len(words) != 3 else (*_values(element, 3), 1.0))
+    return ""
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return " ".join(repr(value) for value in values)
