@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slidectl.cli import live
+from slidectl.cli import completion
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
 from slidectl.errors import Refused, UsageError
@@ -43,7 +43,7 @@ def list_actions(ctx: Context) -> None:
 
 
 @action.command("info", examples=["slidectl action info arm_controller"])
-@click.argument("name", metavar="ACTION", shell_complete=live.topics)
+@click.argument("name", metavar="ACTION", shell_complete=completion.topics)
 @click.pass_obj
 def info(ctx: Context, name: str) -> None:
     """Show an action's type, its server and the goals that it knows.
@@ -68,7 +68,7 @@ def info(ctx: Context, name: str) -> None:
     "send",
     examples=["slidectl action send gripper_controller/gripper_cmd '{command: {position: 0.02}}' --wait --feedback"],
 )
-@click.argument("name", metavar="ACTION", shell_complete=live.topics)
+@click.argument("name", metavar="ACTION", shell_complete=completion.topics)
 @click.argument("goal", metavar="GOAL")
 @click.option("--wait", is_flag=True, help="Wait for the result; the exit code is 0 only for a goal that succeeded.")
 @click.option("--feedback", is_flag=True, help="Print the feedback while waiting.")
@@ -92,7 +92,7 @@ def send(ctx: Context, name: str, goal: str, wait: bool, feedback: bool) -> None
 
 
 @action.command("cancel", examples=["slidectl action cancel arm_controller"])
-@click.argument("name", metavar="ACTION", shell_complete=live.topics)
+@click.argument("name", metavar="ACTION", shell_complete=completion.topics)
 @click.argument("goal_id", required=False, metavar="[ID]")
 @click.pass_obj
 def cancel(ctx: Context, name: str, goal_id: str | None) -> None:
@@ -103,7 +103,7 @@ def cancel(ctx: Context, name: str, goal_id: str | None) -> None:
 
 
 @action.command("echo", examples=["slidectl action echo arm_controller feedback -n 1"])
-@click.argument("name", metavar="ACTION", shell_complete=live.topics)
+@click.argument("name", metavar="ACTION", shell_complete=completion.topics)
 @click.argument("topic", type=click.Choice(TOPICS), default="feedback")
 @click.option("-n", "--count", type=int, help="End after so many messages.")
 @click.pass_obj
@@ -114,7 +114,7 @@ def echo(ctx: Context, name: str, topic: str, count: int | None) -> None:
     """
     with _open(ctx, name) as chosen:
         full = f"{chosen.name}/{topic}"
-    with ctx.subscribe(full) as messages:
+    with ctx.client.subscribe(full) as messages:
         for number, message in enumerate(messages, 1):
             emit_message(ctx, message)
             if number == count:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slidectl.cli import live, output
+from slidectl.cli import completion, output
 from slidectl.cli.action import run
 from slidectl.cli.commands import Variadic, group
 from slidectl.cli.context import Context
@@ -29,7 +29,7 @@ TYPE = "control_msgs/FollowJointTrajectory"
 _TIMES = ("time", "time_from_start")
 _QUANTITIES = {"position": "positions", "velocity": "velocities", "acceleration": "accelerations"}
 
-_controller = click.argument("controller", metavar="CONTROLLER", shell_complete=live.controllers)
+_controller = click.argument("controller", metavar="CONTROLLER", shell_complete=completion.controllers)
 _wait = click.option(
     "--wait", is_flag=True, help="Wait for the end; the exit code is 0 only when the goal was reached."
 )
@@ -247,7 +247,7 @@ def _action(ctx: Context, controller: str) -> Action:
 
 
 def _state(ctx: Context, action: Action) -> dict[str, Any]:
-    with ctx.subscribe(action.name.rpartition("/")[0] + "/state") as states:
+    with ctx.client.subscribe(action.name.rpartition("/")[0] + "/state") as states:
         return states.get()
 
 

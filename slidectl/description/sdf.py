@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import unquote
 
-from slidectl.description import models, xml_tree, xml_writer
+from slidectl.description import models, xml_tree
 from slidectl.description.packages import Packages, UnknownPackage, is_file
 from slidectl.description.robot import Notice, Verdict
 from slidectl.description.values import parse_number
@@ -388,8 +388,7 @@ class _ModelReader:
         return self._model(urdf.attributes["name"], urdf, start, is_static=False)
 
     def _model(self, name: str, urdf: Element, pose: Pose, *, is_static: bool) -> SdfModel:
-        xml, _ = xml_writer.write(urdf)
-        return SdfModel(name, xml, pose, is_static, self.element.file, self.element.line)
+        return SdfModel(name, xml_tree.write(urdf), pose, is_static, self.element.file, self.element.line)
 
     def _urdf(self, name: str) -> Element:
         return self._made("robot", self.element, name=self.scene.free_name(name))
