@@ -66,6 +66,18 @@ def is_finite(value: Any) -> bool:
     return not isinstance(value, float) or isfinite(value)
 
 
+def last_cycle(case: Case) -> int:
+    """The last cycle of a case that is followed: that before a command that is refused here alone, else its last."""
+    refused = [
+        event["cycle"] - 1
+        for event in case["events"]
+        if event["kind"] in ("command", "goal")
+        and event.get("msg_type") not in IGNORES_NON_FINITE
+        and not is_finite(numbers_in(event["msg"]))
+    ]
+    return int(min([case["cycles"], *refused]))
+
+
 class Plant:
     """One joint: its handle, and how it moves by the command."""
 
@@ -152,7 +164,7 @@ class Replay:
             own = {claimed.hardware_interface: list(claimed.resources) for claimed in self.controller.claimed_resources}
             yield "claims", claim["resources"], own.get(claim["hardware_interface"], [])
         rows = {row[0]: row for row in case["rows"]}
-        end = self._last_cycle()
+        end = last_cycle(case)
         for self.cycle in range(end + 1):
             self._run_cycle()
             if self.cycle in rows:
@@ -161,17 +173,6 @@ class Replay:
                 plant.move()
         yield from self._compare_published(end)
         yield from self._compare_actions(end)
-
-    def _last_cycle(self) -> int:
-        """The last one, or the last before a command that is refused here alone."""
-        refused = [
-            event["cycle"] - 1
-            for event in self.case["events"]
-            if event["kind"] in ("command", "goal")
-            and event.get("msg_type") not in IGNORES_NON_FINITE
-            and not is_finite(numbers_in(event["msg"]))
-        ]
-        return int(min([self.case["cycles"], *refused]))
 
     def _run_cycle(self) -> None:
         clock = self.graph.clock
