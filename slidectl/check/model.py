@@ -21,7 +21,7 @@ from slidectl.control.hardware_interface import EffortJointInterface, PositionJo
 from slidectl.description import xml_tree
 from slidectl.description.document import Written
 from slidectl.description.gazebo_tags import SIM_TYPES
-from slidectl.description.meshes import MeshFiles
+from slidectl.description.mesh_files import MeshFiles
 from slidectl.description.packages import Packages, is_file
 from slidectl.description.parser import parse_tree
 from slidectl.description.report import Report

@@ -10,7 +10,7 @@ from functools import lru_cache
 from slidectl import names
 from slidectl.control.node_handle import NodeHandle
 from slidectl.description import xml_tree
-from slidectl.description.meshes import UnreadMeshes
+from slidectl.description.mesh_files import UnreadMeshes
 from slidectl.description.parser import parse_tree
 from slidectl.description.report import Report
 from slidectl.description.robot import Joint, Robot

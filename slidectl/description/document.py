@@ -12,7 +12,7 @@ from pathlib import Path
 
 from slidectl.description import models, source_note, xml_tree
 from slidectl.description.gazebo_tags import leave_out_hardware
-from slidectl.description.meshes import MeshFiles
+from slidectl.description.mesh_files import MeshFiles
 from slidectl.description.missing import Missing
 from slidectl.description.packages import Packages, shown
 from slidectl.description.rigid_bodies import WORLD

@@ -1,104 +1,60 @@
-"""Mesh files: where they are (`package://`, `model://`, `file://` and plain paths), and their triangles.
+"""Mesh files as triangles: STL (binary and text), OBJ and DAE, with numpy alone.
 
-STL (binary and text), OBJ and DAE, with numpy alone, which is imported when a file is read: trimesh takes a second to
-import, in each process that reads meshes. Files of others are read here, so all that a file can ask for has a bound.
-Nothing is fetched from elsewhere, and no material, texture or normal is read. The scenes of a DAE are collada.py.
+trimesh takes a second to import, in each process that reads meshes. Files of others are read here, so all that a file
+can ask for has a bound. Nothing is fetched from elsewhere, and no material, texture or normal is read.
+
+Of a DAE (COLLADA) file the scene counts: geometries where its nodes put them. Units count, `<up_axis>` does not: Gazebo
+and RViz pay no heed to it, and robots are drawn for them. Nodes may be instanced again and again, so a file of 3 kB can
+ask for a million million of them: they are counted when visited.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import stat
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
-from urllib.parse import unquote
 
+import numpy as np
+
+from slidectl.description import xml_tree
 from slidectl.description.inertia import LEAST
-from slidectl.description.packages import Packages, UnknownPackage, is_file
+from slidectl.description.mesh_files import SUFFIXES
 from slidectl.description.robot import Vector
+from slidectl.description.xml_tree import Comment, Element
 from slidectl.errors import BadFile
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
-SUFFIXES = (".stl", ".obj", ".dae")
 MOST_BYTES = 128 * 2**20
 """Of a file in a binary format."""
 MOST_BYTES_OF_TEXT = 64 * 2**20
 """Of a file in a text format, which takes several times its size in memory while it is read."""
 MOST_FACES = 2_000_000
+MOST_PARTS = 20_000
+"""Nodes of the scene with their transforms and instances, each counted as often as its node is instanced."""
+DEEPEST = 100
+"""Nodes within nodes."""
+
+_TRANSFORMS = {"matrix": 16, "translate": 3, "rotate": 4, "scale": 3, "lookat": 9}
+"""The transforms of nodes, and how many numbers each has."""
+_PRIMITIVES = ("triangles", "polylist", "polygons", "trifans", "tristrips")
 
 _STL_HEADER = 84
 _STL_FACET = 50
 _LONGEST_NUMBER = 64
 """Bytes. numpy gives each text of an array the room of the longest."""
 _VERTEX = re.compile(rb"\bvertex\s+(\S{1,64})\s+(\S{1,64})\s+(\S{1,64})(?!\S)", re.IGNORECASE)
-_USABLE = "a path is relative to the robot's file, else it is absolute or begins with package://, model:// or file://"
 _THINNEST = 1e-12
 _FARTHEST = 1e12
 _SMALLEST_BOX = 100 * LEAST
 """m³. MuJoCo refuses hulls of less volume than LEAST."""
 FLAT = "it lies in one plane or is too small, and what is flat cannot collide; a thin <box> can"
 """What is wrong with a mesh that collides and `is_flat`."""
-
-
-class MeshFiles:
-    """Looks mesh files up; `base` is the folder of the robot's file, None when it came without one."""
-
-    def __init__(self, packages: Packages, base: Path | None) -> None:
-        self.packages = packages
-        self.base = base
-
-    def locate(self, uri: str, written_in: str) -> tuple[Path | None, str]:
-        """The file (absolute) or None, and in words why not. `written_in` is the file that names the mesh.
-
-        Relative paths are looked up beside that file, and then beside the robot's own.
-        """
-        try:
-            candidates = self._candidates(uri.strip(), written_in)
-        except UnknownPackage as error:
-            return None, str(error)
-        for path in candidates:
-            if is_file(path):
-                return path.absolute(), ""
-        places = ", ".join(str(path) for path in dict.fromkeys(candidates))
-        return None, f"no such file; looked for {places}" if candidates else f"cannot be found: {_USABLE}"
-
-    def expected(self, uri: str, written_in: str) -> Path | None:
-        """Where a file that is not there was looked for first; None where its package is not there either."""
-        try:
-            return next(iter(self._candidates(uri.strip(), written_in)), None)
-        except UnknownPackage:
-            return None
-
-    def _candidates(self, uri: str, written_in: str) -> list[Path]:
-        scheme, separator, rest = uri.partition("://")
-        if scheme in ("package", "model") and separator:
-            name, _, inside = rest.partition("/")
-            folder = self.packages.find(unquote(name))
-            return [folder / inside, folder / unquote(inside)]
-        if scheme == "file" and separator:
-            path = rest if rest.startswith("/") else "/" + rest.partition("/")[2]
-            return [Path(path), Path(unquote(path))]
-        if separator:
-            return []
-        if Path(uri).is_absolute():
-            return [Path(uri)]
-        folders = [Path(written_in).absolute().parent] if is_file(Path(written_in)) else []
-        folders += [self.base] if self.base is not None else []
-        return [folder / uri for folder in dict.fromkeys(folders)]
-
-
-class UnreadMeshes(MeshFiles):
-    """For whoever reads a robot for its joints alone: every mesh is taken to be there."""
-
-    def __init__(self) -> None:
-        super().__init__(Packages(), None)
-
-    def locate(self, uri: str, written_in: str) -> tuple[Path | None, str]:  # noqa: ARG002 - nothing is looked up
-        return Path(uri), ""
 
 
 class BadMesh(BadFile):
@@ -123,8 +79,6 @@ def load(path: str | Path, scale: Vector = (1.0, 1.0, 1.0)) -> Triangles:
     Raises:
         BadMesh: of no known kind, unreadable, over a bound, or without a triangle.
     """
-    import numpy as np
-
     path = Path(path)
     kind = path.suffix.lower()
     if kind not in SUFFIXES:
@@ -157,8 +111,6 @@ def is_flat(vertices: NDArray[np.float64]) -> bool:
 
     The scale of an axis makes nothing flat: each axis is judged by its own length.
     """
-    import numpy as np
-
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     with np.errstate(over="ignore"):
         if len(vertices) < 4 or float(np.prod(high - low)) < _SMALLEST_BOX:
@@ -210,15 +162,11 @@ def _text_kind(kind: str, content: bytes, path: Path) -> Triangles:
     _check_size(len(content), MOST_BYTES_OF_TEXT, path)
     if kind == ".obj":
         return _obj(content, path)
-    from slidectl.description import collada
-
-    return collada.read(content, path)
+    return _dae(content, path)
 
 
 def _stl(content: bytes, path: Path) -> Triangles:
     """Binary when the size is what the header says: the text form begins with `solid`, but so do some binary ones."""
-    import numpy as np
-
     count = int.from_bytes(content[80:_STL_HEADER], "little") if len(content) >= _STL_HEADER else 0
     if count and len(content) == _STL_HEADER + _STL_FACET * count:
         check_faces(count, path)
@@ -236,8 +184,6 @@ def _stl(content: bytes, path: Path) -> Triangles:
 
 def _merged(corners: NDArray[np.float64]) -> Triangles:
     """Triangles from three corners each; corners at the same place become one vertex."""
-    import numpy as np
-
     # Equal to the bit: sorting rows as wholes takes a tenth of the time of np.unique(axis=0).
     corners = np.ascontiguousarray(corners) + 0.0
     rows = corners.view([("x", "<f8"), ("y", "<f8"), ("z", "<f8")]).ravel()
@@ -247,8 +193,6 @@ def _merged(corners: NDArray[np.float64]) -> Triangles:
 
 def _obj(content: bytes, path: Path) -> Triangles:
     """`v` and `f` lines; polygons are cut into fans. Negative numbers count back from the last vertex."""
-    import numpy as np
-
     places: list[list[bytes]] = []
     faces: list[tuple[int, int, int]] = []
     for line in content.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines():
@@ -279,11 +223,271 @@ def _obj_index(word: bytes, count: int) -> int:
 
 def used(vertices: NDArray[np.float64], faces: NDArray[np.int32], path: Path) -> Triangles:
     """Only the vertices that a triangle has. Raises BadMesh for triangles with others than there are."""
-    import numpy as np
-
     if faces.min() < 0 or faces.max() >= len(vertices):
         text = f"a triangle has the vertex {max(faces.max(), -faces.min())} of {len(vertices)}"
         raise BadMesh(f"cannot read the mesh: {text}", path)
     is_used = np.zeros(len(vertices), bool)
     is_used[faces.ravel()] = True
     return Triangles(vertices[is_used], (np.cumsum(is_used) - 1)[faces].astype(np.int32))
+
+
+# --- DAE -------------------------------------------------------------------------------------------------------------
+
+
+def _dae(content: bytes, path: Path) -> Triangles:
+    """All triangles of the file's scene, in metres.
+
+    Raises:
+        BadMesh: no XML, no scene, over a bound. ValueError: numbers that are none.
+    """
+    try:
+        root = xml_tree.read(content, str(path), MOST_BYTES_OF_TEXT)
+    except BadFile as error:
+        raise BadMesh(f"cannot read the mesh: {error.reason}", path) from None
+    if _kind(root) != "COLLADA":
+        raise BadMesh(f"cannot read the mesh: the outermost element is <{root.tag}>, expected <COLLADA>", path)
+    return _Scene(root, path).triangles()
+
+
+class _Scene:
+    def __init__(self, root: Element, path: Path) -> None:
+        self.root = root
+        self.path = path
+        self.by_id = {element.attributes["id"]: element for element in root.walk() if "id" in element.attributes}
+        self.surfaces: dict[int, Triangles] = {}
+        """Of each geometry, by the identity of its element."""
+        self.points_read = 0
+
+    def triangles(self) -> Triangles:
+        vertices: list[NDArray[np.float64]] = []
+        faces: list[NDArray[np.int32]] = []
+        vertex_count = face_count = 0
+        for geometry, placed in self._instances():
+            surface = self.surfaces.get(id(geometry))
+            if surface is None:
+                surface = self.surfaces[id(geometry)] = self._read_surface(geometry)
+            if not len(surface.faces):
+                continue
+            face_count += len(surface.faces)
+            check_faces(face_count, self.path)
+            vertices.append(surface.vertices @ placed[:3, :3].T + placed[:3, 3])
+            turned = surface.faces[:, ::-1] if np.linalg.det(placed[:3, :3]) < 0 else surface.faces
+            faces.append(turned + vertex_count)
+            vertex_count += len(surface.vertices)
+        if not faces:
+            raise BadMesh("the mesh has no triangle", self.path)
+        return Triangles(np.concatenate(vertices) * self._metres(), np.concatenate(faces).astype(np.int32))
+
+    def _metres(self) -> float:
+        """What one unit of the file is in metres."""
+        asset = _child(self.root, "asset")
+        unit = _child(asset, "unit") if asset is not None else None
+        metres = float((unit.get("meter") if unit is not None else None) or 1.0)
+        if not 0.0 < metres < math.inf:
+            raise BadMesh(f"cannot read the mesh: a unit of {metres:g} m", self.path)
+        return metres
+
+    def _instances(self) -> Iterator[tuple[Element, NDArray[np.float64]]]:
+        """Each geometry of the scene, as often as it is there, with its place."""
+        count = 0
+        waiting = [(node, np.eye(4), 0) for node in reversed(self._top_nodes())]
+        while waiting:
+            node, place, depth = waiting.pop()
+            count += 1 + len(node.children)
+            if count > MOST_PARTS:
+                raise BadMesh(f"the scene has more than {MOST_PARTS} nodes, instances included", self.path)
+            if depth > DEEPEST:
+                raise BadMesh(f"the nodes of the scene are nested deeper than {DEEPEST}", self.path)
+            below: list[tuple[Element, NDArray[np.float64], int]] = []
+            for child in node.children:
+                kind = _kind(child)
+                if (placed := _transform(child)) is not None:
+                    place = place @ placed
+                elif kind == "node":
+                    below.append((child, place, depth + 1))
+                elif kind == "instance_node":
+                    below.append((self._target(child, "url"), place, depth + 1))
+                elif kind in ("instance_geometry", "instance_controller"):
+                    yield self._geometry(child), place
+            waiting.extend(reversed(below))
+
+    def _top_nodes(self) -> list[Element]:
+        scene = _child(self.root, "scene")
+        instance = _child(scene, "instance_visual_scene") if scene is not None else None
+        if instance is not None:
+            shown: Element | None = self._target(instance, "url")
+        else:
+            library = _child(self.root, "library_visual_scenes")
+            shown = _child(library, "visual_scene") if library is not None else None
+        if shown is None:
+            raise BadMesh("cannot read the mesh: it has no <visual_scene>", self.path)
+        return _children(shown, "node")
+
+    def _geometry(self, instance: Element) -> Element:
+        """The geometry that is instanced; that of a skin or a morph as it is drawn at rest."""
+        target = self._target(instance, "url")
+        for _ in range(DEEPEST):
+            if _kind(target) == "geometry":
+                return target
+            skin = _child(target, "skin") or _child(target, "morph")
+            if skin is None:
+                break
+            target = self._target(skin, "source")
+        raise BadMesh(f"cannot read the mesh: {instance.get('url')!r} is no geometry", self.path)
+
+    def _target(self, element: Element, attribute: str) -> Element:
+        name = (element.get(attribute) or "").removeprefix("#")
+        found = self.by_id.get(name)
+        if found is None:
+            where = f"<{element.tag} {attribute}={element.get(attribute)!r}>"
+            raise BadMesh(f"cannot read the mesh: {where} in line {element.line} names nothing in the file", self.path)
+        return found
+
+    def _read_surface(self, geometry: Element) -> Triangles:
+        mesh = _child(geometry, "mesh")
+        vertices: list[NDArray[np.float64]] = []
+        faces: list[NDArray[np.int64]] = []
+        starts: dict[int, int] = {}
+        total = 0
+        for primitive in mesh.children if mesh is not None else ():
+            if _kind(primitive) in _PRIMITIVES and (inputs := _children(primitive, "input")):
+                source, offset = self._positions(primitive, inputs)
+                if id(source) not in starts:
+                    starts[id(source)] = total
+                    vertices.append(self._points(source))
+                    total += len(vertices[-1])
+                    # Many geometries may share one long list of points, and each would have a copy of it.
+                    self.points_read += len(vertices[-1])
+                    if self.points_read > 3 * MOST_FACES:
+                        raise BadMesh(f"the mesh has more than {3 * MOST_FACES} vertices", self.path)
+                stride = 1 + max(int(entry.get("offset") or 0) for entry in inputs)
+                corners = _corners(primitive, offset, stride)
+                if len(corners) and not 0 <= corners.min() <= corners.max() < total - starts[id(source)]:
+                    raise BadMesh(f"cannot read the mesh: line {primitive.line} uses vertices that are none", self.path)
+                faces.append(corners + starts[id(source)])
+                check_faces(sum(map(len, faces)), self.path)
+        if not faces:
+            return Triangles(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+        every = np.concatenate(faces).astype(np.int32)
+        return used(np.concatenate(vertices), every, self.path) if len(every) else Triangles(np.zeros((0, 3)), every)
+
+    def _positions(self, primitive: Element, inputs: list[Element]) -> tuple[Element, int]:
+        """The source of the positions of a primitive's corners, and where their indices are among those of a corner."""
+        for entry in inputs:
+            if entry.get("semantic") == "VERTEX":
+                for inner in _children(self._target(entry, "source"), "input"):
+                    if inner.get("semantic") == "POSITION":
+                        return self._target(inner, "source"), int(entry.get("offset") or 0)
+        raise BadMesh(f"cannot read the mesh: line {primitive.line} has no positions", self.path)
+
+    def _points(self, source: Element) -> NDArray[np.float64]:
+        array = _child(source, "float_array")
+        common = _child(source, "technique_common")
+        accessor = _child(common, "accessor") if common is not None else None
+        if accessor is not None and (accessor.get("source") or "").removeprefix("#") in self.by_id:
+            array = self._target(accessor, "source")
+        if array is None:
+            raise BadMesh(f"cannot read the mesh: line {source.line} has no <float_array>", self.path)
+        numbers = _floats(array)
+        stride = int((accessor.get("stride") if accessor is not None else None) or 3)
+        offset = int((accessor.get("offset") if accessor is not None else None) or 0)
+        if stride < 3 or offset < 0:
+            raise BadMesh(f"cannot read the mesh: line {source.line} has points of {stride} numbers", self.path)
+        numbers = numbers[offset:]
+        return numbers[: len(numbers) // stride * stride].reshape(-1, stride)[:, :3]
+
+
+def _corners(primitive: Element, offset: int, stride: int) -> NDArray[np.int64]:
+    """Triangles, as indices of positions; polygons are cut into fans, and their holes are filled."""
+    kind = _kind(primitive)
+    holed = [inner for outer in _children(primitive, "ph") for inner in _children(outer, "p")]
+    rows = [np.zeros(0, np.int64)]
+    for text in _children(primitive, "p") + holed:
+        numbers = _integers(text)
+        rows.append(numbers[: len(numbers) // stride * stride].reshape(-1, stride)[:, offset])
+    if kind == "triangles":
+        return np.concatenate([row[: len(row) // 3 * 3] for row in rows]).reshape(-1, 3)
+    if kind == "tristrips":
+        strips = [np.stack([row[:-2], row[1:-1], row[2:]], axis=1) for row in rows if len(row) > 2]
+        for strip in strips:
+            strip[1::2] = strip[1::2, ::-1]
+        return np.concatenate([np.zeros((0, 3), np.int64), *strips])
+    counts = _child(primitive, "vcount")
+    if kind != "polylist":
+        sizes = np.array([len(row) for row in rows], np.int64)
+    else:
+        sizes = _integers(counts) if counts is not None else np.zeros(0, np.int64)
+    return _fans(np.concatenate(rows), sizes)
+
+
+def _fans(corners: NDArray[np.int64], sizes: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Each polygon of so many corners as triangles that all have its first. Raises ValueError: too few corners."""
+    if len(sizes) and (sizes.min() < 0 or sizes.max() > len(corners) or sizes.sum() > len(corners)):
+        raise ValueError(f"{len(sizes)} polygons have not the {len(corners)} corners that are there")
+    counts = np.maximum(sizes - 2, 0)
+    starts = np.repeat(np.cumsum(sizes) - sizes, counts)
+    steps = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    return np.stack([corners[starts], corners[starts + steps + 1], corners[starts + steps + 2]], axis=1)
+
+
+def _kind(element: Element) -> str:
+    """The tag without its namespace's prefix."""
+    return element.tag.rpartition(":")[2]
+
+
+def _children(element: Element, kind: str) -> list[Element]:
+    return [child for child in element.children if _kind(child) == kind]
+
+
+def _child(element: Element, kind: str) -> Element | None:
+    return next((child for child in element.children if _kind(child) == kind), None)
+
+
+def _text(element: Element) -> str:
+    return "".join(node for node in element.content if isinstance(node, str) and not isinstance(node, Comment))
+
+
+def _floats(element: Element) -> NDArray[np.float64]:
+    return np.array(_text(element).replace(",", " ").split(), dtype=np.float64)
+
+
+def _integers(element: Element) -> NDArray[np.int64]:
+    return np.array(_text(element).split(), dtype=np.int64)
+
+
+def _transform(element: Element) -> NDArray[np.float64] | None:
+    """The 4 x 4 matrix of a node's transform; None of other elements. Raises ValueError for numbers too few or many."""
+    kind = _kind(element)
+    if kind not in _TRANSFORMS:
+        return None
+    numbers = _floats(element)
+    if len(numbers) != _TRANSFORMS[kind]:
+        found = f"{len(numbers)} numbers instead of {_TRANSFORMS[kind]}"
+        raise ValueError(f"<{element.tag}> in line {element.line} has {found}")
+    if kind == "matrix":
+        return numbers.reshape(4, 4)
+    if kind == "scale":
+        return np.diag([*numbers, 1.0])
+    placed = np.eye(4)
+    if kind == "translate":
+        placed[:3, 3] = numbers
+    elif kind == "rotate":
+        # About an axis by an angle in degrees: the formula of Rodrigues.
+        length = float(np.linalg.norm(numbers[:3]))
+        if length > 0.0:
+            x, y, z = numbers[:3] / length
+            cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+            angle = math.radians(numbers[3])
+            placed[:3, :3] += math.sin(angle) * cross + (1.0 - math.cos(angle)) * (cross @ cross)
+    else:
+        # An eye, where it looks (-z) and what is up (y).
+        eye, interest, up = numbers.reshape(3, 3)
+        back = eye - interest
+        side = np.cross(up, back)
+        axes = np.stack([side, np.cross(back, side), back], axis=1)
+        lengths = np.linalg.norm(axes, axis=0)
+        if lengths.min() == 0.0:
+            raise ValueError(f"<{element.tag}> in line {element.line} has no direction")
+        placed[:3, :3] = axes / lengths
+        placed[:3, 3] = eye
+    return placed

@@ -15,7 +15,7 @@ from typing import Any, cast, get_args
 
 from slidectl.description import values, xml_tree
 from slidectl.description.gazebo_tags import GazeboReader
-from slidectl.description.meshes import SUFFIXES, MeshFiles
+from slidectl.description.mesh_files import SUFFIXES, MeshFiles
 from slidectl.description.packages import Packages
 from slidectl.description.report import Report, one_line
 from slidectl.description.rigid_bodies import WORLD, Weigher

@@ -222,7 +222,7 @@ def test_what_is_wrong_in_a_dae_is_said(tmp_path: Path, before: str, after: str,
 
 
 def test_long_lists_that_many_geometries_share_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("slidectl.description.collada.MOST_FACES", 10)
+    monkeypatch.setattr("slidectl.description.meshes.MOST_FACES", 10)
     triangles = "<triangles>{}<p>0 2 1</p></triangles>"
     nodes = "".join(f'<node><instance_geometry url="#g{k}"/></node>' for k in range(9))
     text = scene(nodes, triangles)

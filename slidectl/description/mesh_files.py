@@ -1,0 +1,72 @@
+"""Where the file of a mesh is: `package://`, `model://`, `file://` and plain paths, absolute or relative.
+
+Finds files and knows their kinds by suffix; meshes.py reads them.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from urllib.parse import unquote
+
+from slidectl.description.packages import Packages, UnknownPackage, is_file
+
+SUFFIXES = (".stl", ".obj", ".dae")
+
+_USABLE = "a path is relative to the robot's file, else it is absolute or begins with package://, model:// or file://"
+
+
+class MeshFiles:
+    """Looks mesh files up; `base` is the folder of the robot's file, None when it came without one."""
+
+    def __init__(self, packages: Packages, base: Path | None) -> None:
+        self.packages = packages
+        self.base = base
+
+    def locate(self, uri: str, written_in: str) -> tuple[Path | None, str]:
+        """The file (absolute) or None, and in words why not. `written_in` is the file that names the mesh.
+
+        Relative paths are looked up beside that file, and then beside the robot's own.
+        """
+        try:
+            candidates = self._candidates(uri.strip(), written_in)
+        except UnknownPackage as error:
+            return None, str(error)
+        for path in candidates:
+            if is_file(path):
+                return path.absolute(), ""
+        places = ", ".join(str(path) for path in dict.fromkeys(candidates))
+        return None, f"no such file; looked for {places}" if candidates else f"cannot be found: {_USABLE}"
+
+    def expected(self, uri: str, written_in: str) -> Path | None:
+        """Where a file that is not there was looked for first; None where its package is not there either."""
+        try:
+            return next(iter(self._candidates(uri.strip(), written_in)), None)
+        except UnknownPackage:
+            return None
+
+    def _candidates(self, uri: str, written_in: str) -> list[Path]:
+        scheme, separator, rest = uri.partition("://")
+        if scheme in ("package", "model") and separator:
+            name, _, inside = rest.partition("/")
+            folder = self.packages.find(unquote(name))
+            return [folder / inside, folder / unquote(inside)]
+        if scheme == "file" and separator:
+            path = rest if rest.startswith("/") else "/" + rest.partition("/")[2]
+            return [Path(path), Path(unquote(path))]
+        if separator:
+            return []
+        if Path(uri).is_absolute():
+            return [Path(uri)]
+        folders = [Path(written_in).absolute().parent] if is_file(Path(written_in)) else []
+        folders += [self.base] if self.base is not None else []
+        return [folder / uri for folder in dict.fromkeys(folders)]
+
+
+class UnreadMeshes(MeshFiles):
+    """For whoever reads a robot for its joints alone: every mesh is taken to be there."""
+
+    def __init__(self) -> None:
+        super().__init__(Packages(), None)
+
+    def locate(self, uri: str, written_in: str) -> tuple[Path | None, str]:  # noqa: ARG002 - nothing is looked up
+        return Path(uri), ""
