@@ -5,13 +5,11 @@ No parsing and no physics here. SI units, angles in radians, `rpy` fixed-axis ro
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
-
-if TYPE_CHECKING:
-    from slidectl.description.sensors import Sensor
+from typing import Literal
 
 from slidectl import names
 
@@ -222,6 +220,64 @@ class ControlPlugin:
     estop_topic: str | None = None
     line: int | None = None
     file: str | None = None
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """What all kinds share."""
+
+    name: str
+    link: str
+    """The link that it is on."""
+    topic: str
+    """Relative to the robot's namespace, unless it begins with a slash."""
+    frame: str
+    rate_hz: float
+    """0: in each step of the world."""
+    origin: Pose
+    """In the link's frame."""
+    noise: float
+    """Standard deviation of the Gaussian noise, in the unit of what is measured."""
+    mean: float = 0.0
+    """Mean of the noise."""
+
+
+@dataclass(frozen=True)
+class Laser(Sensor):
+    """A planar laser scanner: `<sensor type="ray">` with libgazebo_ros_laser.so. sensor_msgs/LaserScan."""
+
+    samples: int = 640
+    min_angle: float = 0.0
+    """rad, about the sensor's z axis from its x axis."""
+    max_angle: float = 0.0
+    min_range: float = 0.0
+    """m."""
+    max_range: float = math.inf
+
+
+@dataclass(frozen=True)
+class Imu(Sensor):
+    """libgazebo_ros_imu_sensor.so in a `<sensor type="imu">`, or a plugin of a model. sensor_msgs/Imu."""
+
+    feels_gravity: bool = True
+    """Whether the acceleration holds the reaction to gravity; libgazebo_ros_imu.so leaves it out."""
+
+
+@dataclass(frozen=True)
+class GroundTruth(Sensor):
+    """libgazebo_ros_p3d.so: place and velocity of a link as the world has them. nav_msgs/Odometry."""
+
+
+@dataclass(frozen=True)
+class Bumper(Sensor):
+    """`<sensor type="contact">` with libgazebo_ros_bumper.so. gazebo_msgs/ContactsState."""
+
+
+@dataclass(frozen=True)
+class JointStates(Sensor):
+    """libgazebo_ros_joint_state_publisher.so. sensor_msgs/JointState."""
+
+    joints: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -1,77 +1,17 @@
-"""Sensors that a model declares: Gazebo's `<sensor>` tags of links, and the plugins of gazebo_ros that measure.
+"""Reads the sensors that a model declares: Gazebo's `<sensor>` tags of links, and plugins of gazebo_ros that measure.
 
-Read into plain data; simulation/sensors.py publishes what they measure. Defaults are those of the plugins.
+Defaults are those of the plugins. What sensors measure is published by simulation/sensors.py.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from dataclasses import dataclass
 
 from slidectl.description.report import Report
-from slidectl.description.robot import Pose, Vector
+from slidectl.description.robot import Bumper, GroundTruth, Imu, JointStates, Laser, Pose, Sensor, Vector
 from slidectl.description.values import parse_number
 from slidectl.description.xml_tree import Element
-
-
-@dataclass(frozen=True)
-class Sensor:
-    """What all kinds share."""
-
-    name: str
-    link: str
-    """The link that it is on."""
-    topic: str
-    """Relative to the robot's namespace, unless it begins with a slash."""
-    frame: str
-    rate_hz: float
-    """0: in each step of the world."""
-    origin: Pose
-    """In the link's frame."""
-    noise: float
-    """Standard deviation of the Gaussian noise, in the unit of what is measured."""
-    mean: float = 0.0
-    """Mean of the noise."""
-
-
-@dataclass(frozen=True)
-class Laser(Sensor):
-    """A planar laser scanner: `<sensor type="ray">` with libgazebo_ros_laser.so. sensor_msgs/LaserScan."""
-
-    samples: int = 640
-    min_angle: float = 0.0
-    """rad, about the sensor's z axis from its x axis."""
-    max_angle: float = 0.0
-    min_range: float = 0.0
-    """m."""
-    max_range: float = math.inf
-
-
-@dataclass(frozen=True)
-class Imu(Sensor):
-    """libgazebo_ros_imu_sensor.so in a `<sensor type="imu">`, or a plugin of a model. sensor_msgs/Imu."""
-
-    feels_gravity: bool = True
-    """Whether the acceleration holds the reaction to gravity; libgazebo_ros_imu.so leaves it out."""
-
-
-@dataclass(frozen=True)
-class GroundTruth(Sensor):
-    """libgazebo_ros_p3d.so: place and velocity of a link as the world has them. nav_msgs/Odometry."""
-
-
-@dataclass(frozen=True)
-class Bumper(Sensor):
-    """`<sensor type="contact">` with libgazebo_ros_bumper.so. gazebo_msgs/ContactsState."""
-
-
-@dataclass(frozen=True)
-class JointStates(Sensor):
-    """libgazebo_ros_joint_state_publisher.so. sensor_msgs/JointState."""
-
-    joints: tuple[str, ...] = ()
-
 
 _OF_LINK = {
     "ray": ("libgazebo_ros_laser", "libgazebo_ros_gpu_laser"),

@@ -15,7 +15,7 @@ import numpy as np
 
 from slidectl import names
 from slidectl.control.node_handle import Message
-from slidectl.description.sensors import Bumper, GroundTruth, Imu, JointStates, Laser, Sensor
+from slidectl.description.robot import Bumper, GroundTruth, Imu, JointStates, Laser, Sensor
 from slidectl.physics import sensing
 from slidectl.physics.frames import add, rotate, subtract
 from slidectl.physics.rotation import Pose, cross
