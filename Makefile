@@ -28,9 +28,10 @@ test: $(STAMP)  ## all tests, two at a time
 fuzz: $(STAMP)  ## attack a daemon and the readers of files for 2 to 3 minutes, with another seed each time
 	@$(BIN)/python tests/fuzz/fuzz.py $(ARGS)
 
-lint: $(STAMP)  ## ruff: rules and formatting
+lint: $(STAMP)  ## ruff: rules and formatting; vulture: what only tests call
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
+	@! $(BIN)/vulture | grep -v "unused attribute"  # attributes that are set are read by libraries
 
 types: $(STAMP)  ## mypy, strict
 	@$(BIN)/mypy

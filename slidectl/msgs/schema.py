@@ -8,7 +8,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 SCALAR = -1
-VARIABLE = 0
 
 INTEGER_RANGES = {
     **{f"int{bits}": (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) for bits in (8, 16, 32, 64)},

@@ -288,14 +288,6 @@ class World:
         loads = self.loads
         return not loads.has_forces and (loads.motors.is_empty or loads.motors.is_compilable)
 
-    def step_n(self, cycles: int) -> None:
-        """Advance by many steps without a pause, at the speed of C where no outside force acts."""
-        if self.loads.is_empty:
-            mujoco.mj_step(self.model, self.data, nstep=cycles)
-            return
-        for _ in range(cycles):
-            self.step()
-
     def memory(self) -> Memory:
         """Where the model and its state lie, until the next rebuild."""
         model, data = self.model, self.data

@@ -122,7 +122,8 @@ def test_a_robot_that_comes_later_moves_as_if_it_were_the_only_one() -> None:
     world = World()
     for number, guest in enumerate(GUESTS):
         world.attach(guest, f"guest{number}", at(10.0 + 3.0 * number, 0.0, 1.0))
-    world.step_n(123)
+    for _ in range(123):
+        world.step()
     world.attach(robot, "subject", pose)
     for joint in world.body("subject").joints:
         world.set_joint("subject", joint, 0.1, velocity=0.3)
@@ -131,9 +132,11 @@ def test_a_robot_that_comes_later_moves_as_if_it_were_the_only_one() -> None:
 
 def test_steps_taken_at_once_are_the_same_as_steps_one_by_one() -> None:
     one, other = (start(*SUBJECTS["a free arm"]) for _ in range(2))
-    one.step_n(777)
+    for _ in range(777):
+        one.step()
     for _ in range(7):
-        other.step_n(111)
+        for _ in range(111):
+            other.step()
     assert state_of(one, "subject") == state_of(other, "subject")
 
 
@@ -141,7 +144,8 @@ def test_steps_taken_at_once_are_the_same_as_steps_one_by_one() -> None:
 def test_a_snapshot_brings_the_same_future_again(subject: str) -> None:
     world = start(*SUBJECTS[subject])
     world.add_joint_force("subject", "joint0", 0.5, duration_ns=700_000_000) if world.body("subject").joints else None
-    world.step_n(400)
+    for _ in range(400):
+        world.step()
     snapshot = world.snapshot()
     first = record(world, 600)
     world.restore(snapshot)
@@ -192,7 +196,8 @@ def test_everything_about_the_robots_that_stay_is_kept_when_one_goes() -> None:
         world.attach(robot, name, at(x, 0.0, 0.5))
     world.set_pose("first", at(0.5, 0.0, 0.5))
     world.data.qfrc_applied[:] = np.linspace(0.1, 1.0, world.model.nv)
-    world.step_n(500)
+    for _ in range(500):
+        world.step()
     before = {name: world.body(name).capture() for name in ("first", "last")}
     world.detach("goes")
     for name, state in before.items():
@@ -230,6 +235,7 @@ def test_the_guests_of_these_tests_do_something_worth_resisting() -> None:
     most = 0
     for _ in range(20):
         crowd.stir(world)
-        world.step_n(100)
+        for _ in range(100):
+            world.step()
         most = max(most, world.data.nefc)
     assert most >= 8

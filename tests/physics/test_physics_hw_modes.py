@@ -131,7 +131,8 @@ def test_motors_go_with_their_robot_and_with_a_reset(bench: Bench) -> None:
     bench.take(driven(one_joint(limit=LIMIT), VELOCITY))
     bench.cycle(10, joint1=0.5)
     bench.world.reset()
-    bench.world.step_n(10)
+    for _ in range(10):
+        bench.world.step()
     assert bench.world.joint_state("robot", "joint1") == (0.0, 0.0, 0.0)
     bench.cycle(10, joint1=0.5)
     bench.world.detach("robot")
@@ -223,7 +224,8 @@ def test_one_robot_with_motors_leaves_the_others_to_themselves() -> None:
     for world in (bench.world, alone):
         world.set_joint("other", "joint1", 0.0, velocity=1.0)
     bench.cycle(100, joint1=0.5)
-    alone.step_n(100)
+    for _ in range(100):
+        alone.step()
     assert bench.world.joint_state("other", "joint1") == alone.joint_state("other", "joint1")
 
 

@@ -58,7 +58,8 @@ def test_links_welded_together_move_as_one() -> None:
     world = World(gravity=(0.0, 0.0, 0.0))
     world.attach(tree(links, joints), "robot")
     world.add_joint_force("robot", "slide", 6.0)
-    world.step_n(1000)
+    for _ in range(1000):
+        world.step()
     assert world.joint_state("robot", "slide")[1] == pytest.approx(2.0)
     assert world.link_pose("robot", "tip")[0] == pytest.approx((1.0 + 0.001 + 0.1, 0.0, 0.2))
 
@@ -100,7 +101,8 @@ def test_digits_lost_in_a_file_are_forgiven() -> None:
 def test_a_refused_robot_leaves_the_world_as_it_was() -> None:
     world = World()
     world.attach(one_joint(), "one")
-    world.step_n(10)
+    for _ in range(10):
+        world.step()
     model, before = world.model, world.joint_state("one", "joint1")
     broken = tree([Link("cart")], [Joint("joint1", "continuous", "world", "cart")])
     with pytest.raises(SlidectlError):

@@ -79,7 +79,8 @@ def test_a_joint_is_stopped_at_its_limits(kind: str) -> None:
     world.attach(one_joint(kind, limit=Limit(-0.5, 1.5, 100.0, 100.0)), "one")
     for effort, end in ((1.0, 1.5), (-1.0, -0.5)):
         world.add_joint_force("one", "joint1", effort * (1.0 if kind == "prismatic" else 0.01))
-        world.step_n(8000)
+        for _ in range(8000):
+            world.step()
         world.clear_joint_forces("one", "joint1")
         assert world.joint_state("one", "joint1")[0] == pytest.approx(end, abs=0.02)
 
@@ -88,14 +89,16 @@ def test_a_continuous_joint_turns_for_ever() -> None:
     world = World(gravity=WEIGHTLESS)
     world.attach(one_joint("continuous", limit=Limit(0.0, 0.0, 1.0, 100.0)), "one")
     world.set_joint("one", "joint1", 0.0, velocity=10.0)
-    world.step_n(2000)
+    for _ in range(2000):
+        world.step()
     assert world.joint_state("one", "joint1")[0] == pytest.approx(20.0)
 
 
 def test_equal_limits_lock_a_joint() -> None:
     world = World()
     world.attach(one_joint("prismatic", limit=Limit(0.2, 0.2, 100.0, 100.0)), "one")
-    world.step_n(2000)
+    for _ in range(2000):
+        world.step()
     assert world.joint_state("one", "joint1")[0] == pytest.approx(0.2, abs=0.01)
 
 
@@ -111,7 +114,8 @@ def test_a_joint_without_damping_keeps_its_velocity_to_the_bit() -> None:
     world = World(gravity=WEIGHTLESS)
     world.attach(one_joint(), "one")
     world.set_joint("one", "joint1", 0.0, velocity=0.3)
-    world.step_n(1000)
+    for _ in range(1000):
+        world.step()
     assert world.joint_state("one", "joint1")[1] == 0.3
 
 
@@ -121,7 +125,8 @@ def test_friction_holds_a_joint_until_it_is_overcome() -> None:
     for effort, acceleration in ((1.5, 0.0), (3.0, 1.0)):
         world.add_joint_force("one", "joint1", effort)
         before = world.joint_state("one", "joint1")[1]
-        world.step_n(1000)
+        for _ in range(1000):
+            world.step()
         world.clear_joint_forces("one", "joint1")
         assert world.joint_state("one", "joint1")[1] - before == pytest.approx(acceleration, abs=0.02)
 
@@ -141,7 +146,8 @@ def test_a_mimic_joint_follows_its_leader() -> None:
     world.attach(chain(leader, follower), "robot")
     assert world.joint_state("robot", "follower")[0] == 0.25
     world.add_joint_force("robot", "leader", 1.0, duration_ns=500_000_000)
-    world.step_n(1000)
+    for _ in range(1000):
+        world.step()
     position = world.joint_state("robot", "leader")[0]
     assert position > 0.05
     assert world.joint_state("robot", "follower")[0] == pytest.approx(0.25 - 2.0 * position, abs=1e-3)
@@ -164,7 +170,8 @@ def test_a_planar_joint_moves_in_its_plane_only() -> None:
     world = World()
     world.attach(robot, "robot")
     world.add_wrench("robot", "a", (1.0, 2.0, 5.0), (0.0, 0.0, 0.001))
-    world.step_n(1000)
+    for _ in range(1000):
+        world.step()
     (x, y, z), attitude = world.link_pose("robot", "a")
     assert (x, y, z) == pytest.approx((0.5, 1.0, 1.0), abs=0.01)
     assert attitude[:2] == pytest.approx((0.0, 0.0))
@@ -178,7 +185,8 @@ def test_a_floating_joint_lets_its_link_go() -> None:
     )
     world = World(ground=False)
     world.attach(robot, "robot")
-    world.step_n(1000)
+    for _ in range(1000):
+        world.step()
     assert world.link_pose("robot", "b")[0] == pytest.approx((0.0, 0.0, 2.0 - 4.9), abs=0.01)
 
 

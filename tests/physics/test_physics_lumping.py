@@ -115,7 +115,8 @@ def test_robots_move_as_if_each_link_had_a_body_of_its_own(seed: int) -> None:
     pushed, force, torque = random.Random(seed).choice(list(robot.links)), (1.0, -2.0, 3.0), (0.1, 0.2, -0.3)
     world.add_wrench("robot", pushed, force, torque)
     separate.push(pushed, force, torque)
-    world.step_n(100)
+    for _ in range(100):
+        world.step()
     mujoco.mj_step(separate.model, separate.data, nstep=100)
     mujoco.mj_forward(separate.model, separate.data)
     for link in robot.links:
@@ -160,9 +161,11 @@ def test_a_link_on_a_fixed_joint_keeps_its_own_friction() -> None:
     ], "base")  # fmt: skip
     world = World()
     world.attach(sledge, "sledge", at(0.0, 0.0, 0.11))
-    world.step_n(200)
+    for _ in range(200):
+        world.step()
     world.set_pose("sledge", world.link_pose("sledge", "base"), ((1.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
-    world.step_n(100)
+    for _ in range(100):
+        world.step()
     assert world.link_twist("sledge", "sole")[0][0] == pytest.approx(1.0 - 0.05 * 9.8 * 0.1, abs=0.01)
 
 
@@ -174,7 +177,8 @@ def test_shapes_that_can_touch_nothing_are_not_asked_for_contacts_until_somethin
     assert not world.model.body_contype.any()
     world.attach(block((0.2, 0.2, 0.2)), "block", at(0.0, 0.0, 1.1))
     assert world.model.geom_contype.all()
-    world.step_n(500)
+    for _ in range(500):
+        world.step()
     assert world.link_pose("block", "base")[0][2] == pytest.approx(1.1, abs=0.01)
     world.detach("block")
     assert not world.model.geom_contype.any()

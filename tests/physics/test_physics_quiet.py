@@ -19,7 +19,8 @@ from slidectl.physics import Diverged, World, take_warnings
 world = World()
 world.attach(one_joint(), "one")
 world.data.qfrc_applied[:] = float("inf")
-world.step_n(10)
+for _ in range(10):
+    world.step()
 try:
     world.check()
 except Diverged as error:
@@ -47,12 +48,14 @@ def test_the_robot_that_diverged_is_named_and_the_others_go_on(value: float) -> 
     world.check()
     place = world.body("mad").place("joint1")
     world.data.qvel[place.dof] = value
-    world.step_n(3)
+    for _ in range(3):
+        world.step()
     with pytest.raises(Diverged, match="the simulation of robot 'mad' diverged"):
         world.check()
     alone = World()
     alone.attach(one_joint(), "sane")
-    alone.step_n(3)
+    for _ in range(3):
+        alone.step()
     assert state_of(world, "sane") == state_of(alone, "sane")
 
 
@@ -60,13 +63,16 @@ def test_a_reset_brings_a_diverged_robot_back() -> None:
     world = World()
     world.attach(arm(2, reach=1.0), "arm")
     world.data.qvel[:] = float("nan")
-    world.step_n(3)
+    for _ in range(3):
+        world.step()
     world.reset()
-    world.step_n(100)
+    for _ in range(100):
+        world.step()
     world.check()
     fresh = World()
     fresh.attach(arm(2, reach=1.0), "arm")
-    fresh.step_n(100)
+    for _ in range(100):
+        fresh.step()
     assert state_of(world, "arm") == state_of(fresh, "arm")
     take_warnings()
 
@@ -85,5 +91,6 @@ def test_more_contacts_than_the_engine_can_hold_are_an_error_that_a_reset_surviv
             pytest.skip("this version of MuJoCo has the memory for it")
     for number in range(40):
         world.detach(f"arm{number}")
-    world.step_n(100)
+    for _ in range(100):
+        world.step()
     assert world.link_pose("alone", "base")[0][2] == pytest.approx(-0.05, abs=0.01)

@@ -29,7 +29,8 @@ def height_at_rest(robot: Robot) -> float:
     """Where the link's origin comes to rest above the ground."""
     world = World()
     world.attach(robot, "robot", at(0.0, 0.0, 0.6))
-    world.step_n(4000)
+    for _ in range(4000):
+        world.step()
     return world.link_pose("robot", "base")[0][2]
 
 
@@ -73,7 +74,8 @@ def test_a_slippery_link_slides_down_where_a_rough_one_stays() -> None:
     for name, surface in {"rough": Surface(), "slippery": Surface(mu1=0.05), "only mu2": Surface(mu2=0.05)}.items():
         world = World(gravity=(2.0, 0.0, -9.0))
         world.attach(block(surface=surface), "block", at(0.0, 0.0, 0.2))
-        world.step_n(1000)
+        for _ in range(1000):
+            world.step()
         travelled[name] = world.link_pose("block", "base")[0][0]
     assert travelled["rough"] < 0.01
     assert travelled["slippery"] == pytest.approx(0.5 * (2.0 - 0.05 * 9.0), rel=0.05)
@@ -83,7 +85,8 @@ def test_a_slippery_link_slides_down_where_a_rough_one_stays() -> None:
 def test_gravity_can_be_turned_off_for_a_link() -> None:
     world = World()
     world.attach(block(surface=Surface(turn_gravity_off=True)), "block", at(0.0, 0.0, 1.0))
-    world.step_n(1000)
+    for _ in range(1000):
+        world.step()
     assert world.link_pose("block", "base")[0] == pytest.approx((0.0, 0.0, 1.0), abs=1e-12)
 
 

@@ -36,7 +36,8 @@ def two_carts(left: bool | None, right: bool | None) -> Robot:
 def where_the_left_cart_gets(world: World) -> float:
     """Pushed to the right for a second."""
     world.set_joint("robot", "left_joint", 0.0, velocity=1.0)
-    world.step_n(1000)
+    for _ in range(1000):
+        world.step()
     return world.joint_state("robot", "left_joint")[0]
 
 
@@ -67,7 +68,8 @@ def test_links_joined_by_a_joint_do_not_collide_even_then() -> None:
     world = World(gravity=(0.0, 0.0, 0.0), ground=False)
     world.attach(tree(links, joints, "base"), "robot")
     world.set_joint("robot", "turn", 0.0, velocity=1.0)
-    world.step_n(1000)
+    for _ in range(1000):
+        world.step()
     assert world.data.ncon == 0
     assert world.joint_state("robot", "turn")[0] == pytest.approx(1.0)
 

@@ -15,7 +15,8 @@ from slidectl.physics import World
 def test_a_free_robot_falls_to_the_ground_and_rests_there() -> None:
     world = World()
     world.attach(block(), "block", at(0.0, 0.0, 1.0))
-    world.step_n(3000)
+    for _ in range(3000):
+        world.step()
     (_, _, height), _ = world.link_pose("block", "base")
     assert height == pytest.approx(0.2, abs=1e-3)
 
@@ -23,14 +24,16 @@ def test_a_free_robot_falls_to_the_ground_and_rests_there() -> None:
 def test_a_world_without_ground_lets_it_fall_for_ever() -> None:
     world = World(ground=False)
     world.attach(block(), "block", at(0.0, 0.0, 1.0))
-    world.step_n(2000)
+    for _ in range(2000):
+        world.step()
     assert world.link_pose("block", "base")[0][2] == pytest.approx(1.0 - 0.5 * 9.8 * 2.0**2, rel=1e-3)
 
 
 def test_a_root_called_world_is_fixed_where_the_robot_was_put() -> None:
     world = World()
     world.attach(one_joint("continuous"), "one", at(1.0, 2.0, 3.0))
-    world.step_n(100)
+    for _ in range(100):
+        world.step()
     assert world.link_pose("one", "world")[0] == (1.0, 2.0, 3.0)
     assert world.link_pose("one", "cart")[0] == (1.0, 2.0, 3.0)
 
@@ -96,7 +99,8 @@ def test_gravity_and_time_step_can_be_changed_and_stay_when_robots_come() -> Non
     world.set_gravity((0.0, 0.0, 1.0))
     world.set_timestep(0.002)
     world.attach(block(), "other", at(2.0, 0.0, 5.0))
-    world.step_n(500)
+    for _ in range(500):
+        world.step()
     assert world.link_twist("block", "base")[0] == pytest.approx((0.0, 0.0, 1.0))
     assert world.timestep == 0.002
     assert world.gravity == (0.0, 0.0, 1.0)
@@ -111,7 +115,8 @@ def test_a_robot_can_be_put_elsewhere_with_a_twist_in_the_axes_of_the_world() ->
     assert world.link_pose("block", "base") == ((1.0, 2.0, 3.0), turned)
     assert linear == pytest.approx((0.1, 0.2, 0.3))
     assert angular == pytest.approx((0.4, 0.5, 0.6))
-    world.step_n(1000)
+    for _ in range(1000):
+        world.step()
     assert world.link_pose("block", "base")[0] == pytest.approx((1.1, 2.2, 3.3))
 
 
@@ -120,7 +125,8 @@ def test_a_fixed_robot_can_be_put_elsewhere_and_stays_there_when_others_come() -
     world.attach(one_joint("continuous"), "one")
     world.set_pose("one", at(4.0, 5.0, 6.0), ((1.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
     world.attach(block(), "block", at(0.0, 0.0, 1.0))
-    world.step_n(10)
+    for _ in range(10):
+        world.step()
     assert world.link_pose("one", "cart")[0] == (4.0, 5.0, 6.0)
     world.reset()
     assert world.link_pose("one", "cart")[0] == (0.0, 0.0, 0.0)
@@ -153,7 +159,8 @@ def test_two_hundred_robots_that_came_and_went_leave_nothing_behind() -> None:
     memory = 0
     for round_ in range(200):
         world.attach(arm(2, free=True, reach=1.0), "guest", at(3.0, 0.0, 1.0))
-        world.step_n(2)
+        for _ in range(2):
+            world.step()
         world.link_pose("guest", "base")
         world.detach("guest")
         if round_ == 50:

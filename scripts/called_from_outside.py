@@ -1,0 +1,49 @@
+"""Names that the package does not use itself, for vulture: what calls them, group by group.
+
+Lines are never run. A name that nothing calls belongs out of the package, not in here.
+"""
+
+# ruff: noqa
+
+# click calls these of a command, and looks commands up by name.
+get_help_option_names
+format_options
+command_class
+list_actions, list_controllers, unspawn, logs, clean, ros, ros_commands, type_, list_frames, find_topics
+
+# cli.ros.command looks the ROS commands up by name.
+roslaunch, roscore, rosmsg, rossrv, rosnode, rosrun, rosservice, rostopic
+
+# Registered by their decorators, or as subclasses that are looked up by type.
+ForwardEffortController, ForwardVelocityController, ForwardPositionController
+ForwardGroupEffortController, ForwardGroupVelocityController, ForwardGroupPositionController
+EffortJointPositionController, VelocityJointPositionController, EffortJointGroupPositionController
+PositionJointTrajectoryController, EffortJointTrajectoryController, VelocityJointTrajectoryController
+PosVelAccJointTrajectoryController, PositionGripperActionController, EffortGripperActionController, DiffDriveController
+Unspawner, GroupScript, StaticTransform, Viewer, Window, JointStatePublisher
+
+# For authors of controllers and of other sources of controllers.
+MultiInterfaceController, register_loader, ONGOING
+
+# Transmissions and limits of ros_control: compared with the original by vectors, used when transmissions are applied.
+SimpleTransmission, DifferentialTransmission, FourBarLinkageTransmission
+joint_absolute_position, joint_torque_sensor, actuator_effort, actuator_position
+has_jerk_limits, max_jerk, soft_limits_from_parameters
+
+# daemon.session calls an operation of the wire by its name; logging calls its handler.
+_advertise, _unadvertise, _subscribe, _unsubscribe, _call_service, _advertise_service, _unadvertise_service
+_service_response, _set_level, handleError
+
+# xacro and ast call these of its adapter and of the evaluator.
+eval_all, check_attrs, handle_macro_call, process_include, print_location, safe_eval, load_yaml
+_tuple, _dict, _listcomp, _setcomp, _dictcomp, _joinedstr, _formattedvalue, _generatorexp, _lambda, _binop, _unaryop
+_boolop, _compare, _ifexp, _attribute, _subscript
+
+# numba puts these in the place of what they are registered for.
+_fmod, _physics_step, _update_controller, _put_element
+
+# Python asks modules for it.
+__getattr__
+
+# One of a row of indices.
+ACCELERATION
