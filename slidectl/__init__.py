@@ -1,6 +1,6 @@
 """slidectl: the ros_control and Gazebo tutorials without ROS and without Gazebo.
 
-The package's front door. `Client` and `Simulation` are resolved on first use, so that importing the package costs
+What the package gives. `Client` and `Simulation` are resolved on first use, so that importing the package costs
 nothing; not even typing is imported, so that a Ctrl-C in a command's first milliseconds finds somebody who takes it.
 """
 

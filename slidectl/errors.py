@@ -1,7 +1,7 @@
 """One exception class per cause, each with its exit code.
 
 An error is one to three lines: what failed, what exists, what to type next. The classes build that text
-themselves, so that every door (CLI, client, service answer, log) says the same. Standard library only.
+themselves, so that command line, client, service answer and log say the same. Standard library only.
 """
 
 from __future__ import annotations

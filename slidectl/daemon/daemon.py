@@ -68,7 +68,7 @@ class Daemon:
         graph.log.sink = self._keep_line
         graph.services.advertise("/slidectl/shutdown", "slidectl/Shutdown", NODE, self._shut_down)
         self._loop = EventLoop()
-        self._pacer = Pacer(self.simulation.loop, knocked=self._loop.is_ready)
+        self._pacer = Pacer(self.simulation.loop, clients_wait=self._loop.is_ready)
         self._server = Server(listener, self._loop, graph, self._unexpected)
         self._mesh_reader = MeshReader(self._loop, self._unexpected)
         self.simulation.read_meshes = self._mesh_reader.read

@@ -35,17 +35,17 @@ class Pacer:
     Cycles at a real-time factor run in groups of at least 1 ms of wall time, each group when its time has come:
     one cycle at the usual 1 kHz. `lateness` is how much later than that a group began, `durations` the wall time of a
     cycle (the mean of a group), `overruns` the groups that began more than their own length too late. Cycles that run
-    as fast as possible make way as soon as `knocked` says that a client wants something.
+    as fast as possible make way as soon as `clients_wait` is true.
     """
 
     def __init__(
         self,
         simulation: Loop,
         clock: Callable[[], float] = time.perf_counter,
-        knocked: Callable[[], bool] = lambda: False,
+        clients_wait: Callable[[], bool] = lambda: False,
     ) -> None:
         self._simulation = simulation
-        self._knocked = knocked
+        self._clients_wait = clients_wait
         self._clock = clock
         self._mode: tuple[float, int] | None = None
         self._step_s = 0.0
@@ -111,7 +111,7 @@ class Pacer:
             if now >= self._next_mark_s:
                 self._mark(now)
             self._chunk = max(1, min(_LONGEST_CHUNK, int(_CHUNK_S / max(duration, 1e-9))))
-            if self._knocked():
+            if self._clients_wait():
                 break
         return 0.0
 

@@ -165,7 +165,7 @@ class _OneNode(Terminal):
 
 
 class _Running:
-    """The door to a daemon that runs already."""
+    """Access to a daemon that runs already."""
 
     def __init__(self, context: Context) -> None:
         self.context = context
@@ -217,10 +217,10 @@ def _run_node(ctx: Context, package: str, kind: str, words: Sequence[str]) -> No
             task.goes_on = True  # the script goes on after a failure where a launch ends
     # A Gazebo brings its world with it; everything else needs one that is there.
     is_world = package == "gazebo_ros" and kind in ("gazebo", "gzserver", "debug", "perf")
-    door = LaunchDaemon(ctx, child=True, wait=False) if is_world else _Running(ctx)
+    daemon = LaunchDaemon(ctx, child=True, wait=False) if is_world else _Running(ctx)
     with Interrupts() as interrupts:
         folder = str(ctx.paths.folder / "launch")
-        session = Execution(Run(plan, packages, _OneNode(ctx), Options(), interrupts, folder), made, door)
+        session = Execution(Run(plan, packages, _OneNode(ctx), Options(), interrupts, folder), made, daemon)
         try:
             session.bring_up()
             session.watch()

@@ -126,14 +126,14 @@ def _made(source: str, name: str, space: dict[str, Any]) -> Callable[..., Any]:
 
 
 def _object_file(code: str, entry: str) -> bytes:
-    """Code, guard and door as one module in which only the door can be called from outside."""
+    """Code, guard and entry as one module in which only the entry can be called from outside."""
     target = machine()
     module = llvm.parse_assembly(code)
     module.get_function(entry).name = guard.CYCLE
-    for other in (guard.CODE, guard.door(len(_arguments()))):
+    for other in (guard.CODE, guard.entry(len(_arguments()))):
         module.link_in(llvm.parse_assembly(other))
     for function in module.functions:
-        if not function.is_declaration and function.name not in (guard.DOOR, guard.ERROR_TEXT):
+        if not function.is_declaration and function.name not in (guard.ENTRY, guard.ERROR_TEXT):
             function.linkage = "internal"
     for variable in module.global_variables:
         if not variable.is_declaration:

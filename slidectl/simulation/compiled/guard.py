@@ -1,4 +1,4 @@
-"""What numba cannot say, in LLVM's language: mj_step with its fatal errors caught, and the door to the cycle.
+"""What numba cannot say, in LLVM's language: mj_step with its fatal errors caught, and the entry to the cycle.
 
 MuJoCo ends the process on an error unless a hook leaves the step by `longjmp`. The hook is in place during the step
 only. Nothing here is Python but the text.
@@ -10,7 +10,7 @@ STEP = "slidectl_physics_step"
 GET, PUT = "slidectl_get", "slidectl_put"
 """An element of the array that a variable of MuJoCo points to: it moves from step to step."""
 ERROR_TEXT = "slidectl_error_text"
-DOOR = "slidectl_run"
+ENTRY = "slidectl_run"
 """The cycle with one argument: the address of the addresses of its tables. Returns what the cycle returns."""
 
 CODE = """
@@ -76,8 +76,8 @@ attributes #2 = { noinline }
 """
 
 
-def door(tables: int) -> str:
-    """Code of the door for so many tables."""
+def entry(tables: int) -> str:
+    """Code of the entry for so many tables."""
     loads = "".join(
         f"  %place{k} = getelementptr ptr, ptr %tables, i64 {k}\n  %table{k} = load ptr, ptr %place{k}\n"
         for k in range(tables)
@@ -86,7 +86,7 @@ def door(tables: int) -> str:
     return f"""
 declare i32 @{CYCLE}(ptr, ptr{", ptr" * tables})
 
-define i64 @{DOOR}(ptr %tables) {{
+define i64 @{ENTRY}(ptr %tables) {{
   %result = alloca i64
 {loads}  %status = call i32 @{CYCLE}(ptr %result, ptr null{arguments})
   %turn = load i64, ptr %result

@@ -167,7 +167,7 @@ def load() -> Cycle:
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine())
     engine.add_object_file(llvm.ObjectFileRef.from_data(_read()))
     engine.finalize_object()
-    addresses = [engine.get_function_address(name) for name in (guard.DOOR, guard.ERROR_TEXT)]
+    addresses = [engine.get_function_address(name) for name in (guard.ENTRY, guard.ERROR_TEXT)]
     if not all(addresses):
         raise RuntimeError(f"{place()} is not what it should be; delete it")
     # The interpreter's lock is kept: there is one thread, and MuJoCo's warnings come back through Python.
