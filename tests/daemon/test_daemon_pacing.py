@@ -168,8 +168,8 @@ def test_short_cycles_are_grouped_so_that_the_loop_sleeps(simulation: FakeSimula
 
 
 def test_cycles_that_run_as_fast_as_possible_make_way_for_who_knocks(simulation: FakeSimulation) -> None:
-    knocks = iter([False, False, True, False])
-    pacer = Pacer(simulation, simulation.clock, knocked=lambda: next(knocks, False))
+    calls = iter([False, False, True, False])
+    pacer = Pacer(simulation, simulation.clock, clients_wait=lambda: next(calls, False))
     simulation.run.speed = math.inf
     begun = simulation.now_s
     assert pacer.turn() == 0.0
@@ -198,11 +198,11 @@ def test_a_speed_of_almost_nothing_is_waited_for(simulation: FakeSimulation, pac
     assert wait_s > 1e6
     loop = EventLoop()
     knocking, door = os.pipe()
-    knocks: list[bytes] = []
-    loop.watch(knocking, READ, lambda _: knocks.append(os.read(knocking, 1)))
+    calls: list[bytes] = []
+    loop.watch(knocking, READ, lambda _: calls.append(os.read(knocking, 1)))
     os.write(door, b"x")
     loop.poll(wait_s)
-    assert knocks == [b"x"]
+    assert calls == [b"x"]
     loop.close()
     os.close(knocking)
     os.close(door)
