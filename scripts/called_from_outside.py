@@ -25,10 +25,11 @@ Unspawner, GroupScript, StaticTransform, Viewer, Window, JointStatePublisher
 # For authors of controllers and of other sources of controllers.
 MultiInterfaceController, register_loader, ONGOING
 
-# Transmissions and limits of ros_control: compared with the original by vectors, used when transmissions are applied.
+# Transmissions, limits and PIDs of ros_control: compared with the original by vectors, used when transmissions are applied.
 SimpleTransmission, DifferentialTransmission, FourBarLinkageTransmission
 joint_absolute_position, joint_torque_sensor, actuator_effort, actuator_position
 has_jerk_limits, max_jerk, soft_limits_from_parameters
+reset_to
 
 # daemon.session calls an operation of the wire by its name; logging calls its handler.
 _advertise, _unadvertise, _subscribe, _unsubscribe, _call_service, _advertise_service, _unadvertise_service

@@ -163,6 +163,13 @@ class Pid:
         self.p_error = self.p_error_last = self.i_error = self.d_error = self.command = 0.0
         self.p_error_last_is_valid = True
 
+    def reset_to(self, d_error: float, i_error: float) -> None:
+        """Start from this derivative, used as it is by the next command, and this integral of the error."""
+        self.reset()
+        self.d_error = d_error
+        self.i_error = i_error
+        self.p_error_last_is_valid = False
+
     def compute_command(self, error: float, period_s: float) -> float:
         """`next_command`, told to the observer."""
         command = next_command(self, error, period_s)
