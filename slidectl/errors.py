@@ -46,7 +46,6 @@ def closest(name: str, known: Iterable[str]) -> str | None:
         return None
     from bisect import bisect  # only an error needs these, and every command imports us
     from difflib import SequenceMatcher, get_close_matches
-    from os.path import commonprefix
 
     known = sorted(full for full in known if len(full) <= 2 * _LONGEST_COMPARED)
     begin = max(0, bisect(known, name) - _MOST_COMPARED // 2) if len(known) > _MOST_COMPARED else 0
@@ -58,9 +57,17 @@ def closest(name: str, known: Iterable[str]) -> str | None:
         if not name.startswith("/"):
             by_end.setdefault("/".join(full.split("/")[-components:]), full)
     matches = get_close_matches(name, by_end, n=3, cutoff=0.6)
+    if not matches:
+        return None
     # Among equals it is the beginning that people get right.
-    matches.sort(key=lambda match: (SequenceMatcher(None, match, name).ratio(), len(commonprefix((match, name)))))  # noqa: RUF071
-    return by_end[matches[-1]] if matches else None
+    nearest = max(matches, key=lambda match: (SequenceMatcher(None, match, name).ratio(), _common_start(match, name)))
+    return by_end[nearest]
+
+
+def _common_start(one: str, other: str) -> int:
+    """How many letters two names have in common from their beginning."""
+    pairs = enumerate(zip(one, other, strict=False))
+    return next((at for at, (a, b) in pairs if a != b), min(len(one), len(other)))
 
 
 def _suggestion(name: str, known: Iterable[str]) -> str:

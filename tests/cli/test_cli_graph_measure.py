@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 from cli_graph_types import schema
-from slidectl.cli.stream import Event
 
 from slidectl import msgs
 from slidectl.cli.topic_measure import (
@@ -18,6 +17,7 @@ from slidectl.cli.topic_measure import (
     sizes_text,
     spread_of,
 )
+from slidectl.cli.topics import Event
 
 
 def rates(times_ms: list[int], window: int = 1000) -> Record:

@@ -269,7 +269,7 @@ def test_a_gain_that_the_controller_cannot_take_is_refused(world: World, name: s
         ("/slidectl/set_params", {"names": ["/x", f"{PID}/p"], "values": ["1", '"x"']}, "must be a number"),
         ("/slidectl/set_params", {"names": [f"{PID}/q"], "values": ["1"], "known_only": True}, "Did you mean"),
         ("/rosapi/delete_param", {"name": f"{PID}/d"}, "is a gain of a loaded controller"),
-        (f"{PID}/set_parameters", {"config": {"doubles": [{"name": "q", "value": 1.0}]}}, "no gain 'q'"),
+        (f"{PID}/set_parameters", {"config": {"doubles": [{"name": "q", "value": 1.0}]}}, "no double 'q'"),
     ],
 )
 def test_what_is_refused_over_the_wire_changes_nothing(
