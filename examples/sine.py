@@ -13,7 +13,7 @@ FREQUENCY = Parameter("frequency", NUMBER, "how often a second", "Hz", 0.5)
 
 
 class Sine(Controller):
-    """command = amplitude * sin(2 pi frequency t), where t counts from the start. It publishes the command on ~command."""
+    """command = amplitude * sin(2 pi frequency t), where t counts from the start; it is published on ~command."""
 
     interface_type = EffortJointInterface
     parameters = (JOINT, AMPLITUDE, FREQUENCY)
