@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import json
+import os
 from collections.abc import Callable, Sequence
 from time import monotonic, sleep
 from typing import TYPE_CHECKING, Any
@@ -191,16 +192,83 @@ def types(ctx: Context, manager: str | None) -> None:
         ctx.emit_rows([{"type": name, "base_class": found[name]} for name in sorted(found)], ["type", "base_class"])
 
 
-@controller.command("load", examples=["slidectl controller load joint1_position_controller"])
+@controller.command(
+    "load",
+    examples=[
+        "slidectl controller load joint1_position_controller",
+        "slidectl controller load my_law --from my_laws.py:Gravity",
+    ],
+)
 @_cm
+@click.option(
+    "--from",
+    "source",
+    metavar="FILE.py[:CLASS]",
+    shell_complete=completion.files,
+    help="One of your own: this class in this file.",
+)
 @_names
 @click.pass_obj
-def load(ctx: Context, manager: str | None, names: tuple[str, ...]) -> None:
-    """Load controllers; they are ready to be started."""
+def load(ctx: Context, manager: str | None, source: str | None, names: tuple[str, ...]) -> None:
+    """Load controllers; they are ready to be started.
+
+    With --from one controller, whose class is in a Python file; docs/extending.md has such a file. Its code runs in the
+    daemon. CLASS may be left out when the file has one controller.
+    """
+    if source is not None:
+        _load_file(ctx, manager, source, names)
+        return
     target, local = owner(ctx, manager, names)
     _warn_unknown(ctx, target.namespace, local)
     with ChangeReport(ctx, target, local):
         target.loaded(target.ask_to_load(local))
+
+
+def _load_file(ctx: Context, manager: str | None, source: str, names: Sequence[str]) -> None:
+    if len(names) > 1:
+        raise UsageError(f"--from is for one controller, and here are {len(names)} names")
+    file, class_name = source, ""
+    if not source.endswith(".py"):
+        file, _, class_name = source.rpartition(":")
+    if not file.endswith(".py"):
+        raise UsageError(f"--from takes FILE.py or FILE.py:CLASS, not {source!r}")
+    file = os.path.abspath(os.path.expanduser(file))
+    target, name = _place_for(ctx, manager, names[0])
+    with ChangeReport(ctx, target, [name]):
+        target.load_file(name, file, class_name)
+
+
+def _place_for(ctx: Context, manager: str | None, controller: str) -> tuple[Manager, str]:
+    """The manager for a controller that need not be configured: the only one, else the one that knows the name."""
+    candidates = chosen(ctx, manager)
+    inside = [one for one in candidates if controller.startswith(one.namespace.rstrip("/") + "/")] or candidates
+    if len(inside) == 1:
+        return inside[0], controller.removeprefix(inside[0].namespace.rstrip("/") + "/")
+    if not any(_places(candidates, [controller])[controller]):
+        spaces = [one.namespace for one in candidates]
+        if spaces:
+            raise UsageError(f"which robot is {controller} for?", f"say it with --cm: {', '.join(spaces)}")
+    target, [name] = owner(ctx, manager, [controller])
+    return target, name
+
+
+@controller.command("reload", examples=["slidectl controller reload my_law"])
+@_cm
+@_names
+@click.pass_obj
+def reload(ctx: Context, manager: str | None, names: tuple[str, ...]) -> None:
+    """Put controllers of your own in their place as their files are now.
+
+    Each is stopped if it runs, loaded anew, and started again if it ran or was aborted. Name, parameters and topics
+    stay. When the edited file is broken nothing changes.
+    """
+    target, local = owner(ctx, manager, names)
+    for name in local:
+        before = target.states().get(name, UNLOADED)
+        target.reload(name)
+        state = target.states().get(name, UNLOADED)
+        record = {"manager": target.namespace, "name": name, "state": state, "before": before}
+        ctx.done(record, f"{name}: reloaded, {state}" + ("" if state == before else f" (was {before})"))
 
 
 @controller.command("unload", examples=["slidectl controller unload joint1_position_controller"])

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
-from slidectl.cli import output
+from slidectl.cli import completion, output
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
 from slidectl.cli.sim import status_text
@@ -46,6 +46,14 @@ def _world(function: Callable[..., Any]) -> Callable[..., Any]:
             default="auto",
             help="Who runs the cycles: Python, machine code (needs numba), or the latter if it can be (auto).",
         ),
+        click.option(
+            "--import",
+            "imports",
+            multiple=True,
+            metavar="MODULE",
+            shell_complete=completion.files,
+            help="Import controllers of your own from this module or FILE.py; may repeat.",
+        ),
     ]
     for option in reversed(options):
         function = option(function)
@@ -58,7 +66,16 @@ def _options(click_context: click.Context, world: dict[str, Any]) -> tuple[Daemo
 
     source = click_context.get_parameter_source
     given = [name for name in click_context.params if source(name) is click.core.ParameterSource.COMMANDLINE]
-    return options.DaemonOptions(**{**world, "rtf": options.rtf(world["rtf"])}, chosen=tuple(given)), given
+    world |= {"rtf": options.rtf(world["rtf"]), "imports": tuple(map(module_or_file, world["imports"]))}
+    return options.DaemonOptions(**world, chosen=tuple(given)), given
+
+
+def module_or_file(word: str) -> str:
+    """A file as an absolute path, also one that is meant by its module's name; any other name as it is."""
+    file = word if word.endswith(".py") else f"{word}.py"
+    if word.endswith(".py") or os.path.isfile(file):
+        return os.path.abspath(os.path.expanduser(file))
+    return word
 
 
 @daemon.command("start", examples=["slidectl daemon start", "slidectl -i other daemon start --rtf max"])
@@ -73,7 +90,8 @@ def start(click_context: click.Context, /, **world: Any) -> None:
     options, given = _options(click_context, world)
     already = _start(ctx, options)
     if already and given:
-        ctx.warn(f"it runs already, so {', '.join('--' + name for name in given)} had no effect")
+        names = ", ".join("--import" if name == "imports" else f"--{name}" for name in given)
+        ctx.warn(f"it runs already, so {names} had no effect")
 
 
 def _start(ctx: Context, options: DaemonOptions) -> bool:
@@ -165,6 +183,7 @@ def _shown(options: DaemonOptions, names: list[str]) -> list[str]:
         "gravity": "--gravity " + " ".join(f"{component:g}" for component in options.gravity),
         "ground": "--ground" if options.ground else "--no-ground",
         "engine": f"--engine {options.engine}",
+        "imports": " ".join(f"--import {module}" for module in options.imports),
     }
     return [texts[name] for name in names if getattr(options, name) != getattr(usual, name)]
 

@@ -722,6 +722,19 @@ class Manager:
         """Raises Refused when controllers are in the way."""
         self._act("reload the libraries", "reload_controller_libraries", force_kill=True)
 
+    def load_file(self, name: str, file: str, class_name: str = "") -> None:
+        """Load a controller of a class in a Python file (an absolute path). Raises Refused with the reason."""
+        request = {"robot": self.namespace, "name": name, "file": file, "class_name": class_name}
+        self._answered(f"load {name}", self.client.call_async("/slidectl/load_controller_file", request))
+
+    def reload(self, name: str) -> None:
+        """Put a controller of a user in its place as its file is now. Raises Refused with the reasons."""
+        request = {"robot": self.namespace, "name": name}
+        before = self.states().get(name)
+        self._answered(f"reload {name}", self.client.call_async("/slidectl/reload_controller", request))
+        if before in STARTED or before == "aborted":
+            self.check_started([name])
+
     def ask_to_load(self, wanted: Sequence[str]) -> dict[str, str]:
         """Send the requests; `loaded` takes the answers."""
         service = f"{self.name}/load_controller"

@@ -2,4 +2,51 @@
 
 After ros_control, ros_controllers and control_toolbox (ROS 1 Noetic), whose arithmetic it keeps to the bit.
 A controller sees handles and a node; nothing here knows the physics, sockets or the command line.
+
+What authors of controllers need is here by name, as `from slidectl.control import Controller`, and in `params`.
 """
+
+from __future__ import annotations
+
+from slidectl.control.controller_interface import Controller, MultiInterfaceController
+from slidectl.control.hardware_interface import (
+    EffortJointInterface,
+    JointHandle,
+    JointStateHandle,
+    JointStateInterface,
+    PositionJointInterface,
+    RobotHW,
+    VelocityJointInterface,
+)
+from slidectl.control.node_handle import Message, NodeHandle, Publisher
+from slidectl.control.params import BOOLEAN, INTEGER, NUMBER, NUMBERS, TEXT, TEXTS, Parameter
+from slidectl.control.pid import Gains, Pid
+from slidectl.control.registry import controller
+from slidectl.errors import MessageRefused, Refused
+
+__all__ = [
+    "BOOLEAN",
+    "INTEGER",
+    "NUMBER",
+    "NUMBERS",
+    "TEXT",
+    "TEXTS",
+    "Controller",
+    "EffortJointInterface",
+    "Gains",
+    "JointHandle",
+    "JointStateHandle",
+    "JointStateInterface",
+    "Message",
+    "MessageRefused",
+    "MultiInterfaceController",
+    "NodeHandle",
+    "Parameter",
+    "Pid",
+    "PositionJointInterface",
+    "Publisher",
+    "Refused",
+    "RobotHW",
+    "VelocityJointInterface",
+    "controller",
+]

@@ -6,18 +6,19 @@ It knows neither the names of the services around it nor who waits for an answer
 
 from __future__ import annotations
 
-import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from slidectl import names
+from slidectl.control import registry
 from slidectl.control.controller_interface import ControllerBase, State
 from slidectl.control.duration import to_seconds
 from slidectl.control.hardware_interface import ControllerInfo, RobotHW, SwitchState
 from slidectl.control.node_handle import NodeHandle, Reasons
 from slidectl.control.params import Guard
 from slidectl.control.registry import ControllerLoader, RegistryLoader, UnknownType
+from slidectl.control.user_classes import place_of, watched
 from slidectl.errors import BadName, Refused, SlidectlError, UnknownName, quoted
 
 
@@ -89,7 +90,8 @@ class LoadedController:
 
     def _request(self, request: Callable[[int], bool], time_ns: int) -> None:
         try:
-            request(time_ns)
+            with watched(type(self.controller)):
+                request(time_ns)
         except Exception as failure:
             self.fail(failure, time_ns)
 
@@ -98,9 +100,9 @@ def described(failure: Exception) -> str:
     """An error on one line: our own by their text, others with their class and the place."""
     if isinstance(failure, SlidectlError):
         return "; ".join(line.rstrip(".") for line in str(failure).splitlines())
-    frames = traceback.extract_tb(failure.__traceback__)
-    place = f" ({frames[-1].filename}:{frames[-1].lineno})" if frames else ""
-    return f"{type(failure).__name__}: {failure}{place}".replace("\n", " ")
+    place = place_of(failure)
+    where = f" ({place[0]}:{place[1]})" if place else ""
+    return f"{type(failure).__name__}: {failure}{where}".replace("\n", " ")
 
 
 BEST_EFFORT = 1
@@ -378,21 +380,26 @@ class ControllerManager:
     def load(self, name: str) -> bool:
         """Load and initialise the controller that `<node>/<name>` describes. False: refused, nothing is left."""
         try:
+            self.check_new(name)
             self._loaded[name] = self._load(name)
         except Exception as failure:
             return self._refuse(f"cannot load controller {quoted(name)}: {described(failure)}")
         return True
 
-    def _load(self, name: str) -> LoadedController:
+    def check_new(self, name: str) -> None:
+        """Raise Refused when a controller of that name is loaded, BadName when none can have it."""
         if name in self._loaded:
             raise Refused("it is loaded already")
         if not names.is_legal(name) or name.startswith("~"):
             raise BadName(name)
+
+    def _load(self, name: str) -> LoadedController:
         node = self._node.child(name)
         try:
             type_name = _type_of(node)
             controller = self._create(type_name)
-            controller.init_request(self._hw, self._node, node)
+            with watched(type(controller)):
+                controller.init_request(self._hw, self._node, node)
         except BaseException:
             node.shutdown()
             raise
@@ -401,7 +408,7 @@ class ControllerManager:
 
     def _create(self, type_name: str) -> ControllerBase:
         for loader in self._loaders:
-            if type_name in loader.types():
+            if loader.has(type_name):
                 return loader.create(type_name)
         raise UnknownType(type_name, self.types())
 
@@ -417,6 +424,42 @@ class ControllerManager:
         del self._loaded[name]
         entry.node.shutdown()
         return True
+
+    def renew(self, name: str) -> State:
+        """Import the file of a loaded controller's class anew, for `exchange`. Returns the controller's state.
+
+        Raises:
+            UnknownName. SlidectlError: as `registry.renewed`; then nothing has changed.
+        """
+        entry = self._loaded.get(name)
+        if entry is None:
+            raise UnknownName("controller", name, self.names(), "to reload")
+        registry.renewed(type(entry.controller))
+        return entry.controller.state
+
+    def exchange(self, name: str) -> bool:
+        """Make a stopped controller anew from what its type means now, in its place in the order.
+
+        False: that cannot be loaded, so the class that it had is loaded again.
+        """
+        entry = self._loaded[name]
+        if entry.is_running:
+            return self._refuse(f"cannot reload controller {quoted(name)}: it is running still")
+        former = type(entry.controller)
+        entry.node.shutdown()
+        try:
+            self._loaded[name] = self._load(name)  # a key that is there keeps its place
+        except Exception as failure:
+            text = f"cannot load controller {quoted(name)} from its edited file: {described(failure)}"
+            registry.put_back(former)
+        else:
+            return True
+        try:
+            self._loaded[name] = self._load(name)
+        except Exception:
+            del self._loaded[name]
+            return self._refuse(f"{text}; nor can the class that it had be loaded again")
+        return self._refuse(f"{text}; the class that it had is loaded again")
 
     def reload_libraries(self, force_kill: bool) -> bool:
         """Let the loaders look anew. Loaded controllers are in the way: they are killed, or it is refused."""

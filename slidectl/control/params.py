@@ -193,6 +193,14 @@ class Parameter:
     """What becomes of a number that is not above 0; empty: such a number is like any other."""
 
 
+def value_of(node: NodeHandle, parameter: Parameter) -> Any:
+    """The declared parameter, its default when it is not set. Raises BadParameter: it is required and not set."""
+    if parameter.required:
+        return needed(node, parameter.name, parameter.kind)
+    found = read(node, parameter.name, parameter.kind)
+    return parameter.default if found is None else found
+
+
 def within(prefix: str, parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
     """The same parameters below a name."""
     return tuple(replace(parameter, name=f"{prefix}/{parameter.name}") for parameter in parameters)

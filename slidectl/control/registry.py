@@ -1,6 +1,7 @@
 """Controllers by type name: the decorator that registers a class, and the loader that makes instances.
 
-Every module of `controllers/` is imported when types are first asked for; that is all it takes to add a family.
+Every module of `controllers/` is imported when types are first asked for; that is all it takes to add a family. Users'
+classes come from files, from modules, and from installed packages by their entry points.
 """
 
 from __future__ import annotations
@@ -8,11 +9,18 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import cache
 from importlib import import_module
+from pathlib import Path
 from pkgutil import iter_modules
-from typing import Protocol, TypeVar
+from types import ModuleType
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
+from slidectl.control import user_classes
 from slidectl.control.controller_interface import Compiled, ControllerBase
-from slidectl.errors import UnknownName
+from slidectl.control.user_classes import ControllerClass
+from slidectl.errors import BadFile, Refused, UnknownName
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 C = TypeVar("C", bound=type[ControllerBase])
 
@@ -21,7 +29,9 @@ _ELSEWHERE = {
     "AckermannSteeringController", "ForceTorqueSensorController", "FourWheelSteeringController",
     "ImuSensorController",
 }  # fmt: skip
-_known: dict[str, type[ControllerBase]] = {}
+ENTRY_POINTS = "slidectl.controllers"
+"""The group in which an installed package names its controllers: a type, and `module:Class`."""
+_known: dict[str, ControllerClass] = {}
 
 
 class UnknownType(UnknownName):
@@ -41,6 +51,10 @@ class ControllerLoader(Protocol):
     def types(self) -> list[str]:
         """The types that it can make."""
 
+    def has(self, type_name: str) -> bool:
+        """Can it make this one?"""
+        return type_name in self.types()
+
     def create(self, type_name: str) -> ControllerBase:
         """A fresh controller of one of these types."""
 
@@ -56,6 +70,11 @@ class RegistryLoader:
     def types(self) -> list[str]:
         """All registered types."""
         return types()
+
+    def has(self, type_name: str) -> bool:
+        """Is it registered, or named by an installed package?"""
+        _import_shipped()
+        return type_name in _known or type_name in _entry_points()
 
     def create(self, type_name: str) -> ControllerBase:
         """A fresh controller of that type. Raises UnknownType."""
@@ -77,31 +96,138 @@ def controller(*type_names: str) -> Callable[[C], C]:
 
 
 def types() -> list[str]:
-    """All registered types, alphabetical."""
+    """All registered types and those of installed packages, alphabetical."""
     _import_shipped()
-    return sorted(_known)
+    return sorted({*_known, *_entry_points()})
 
 
-def find(type_name: str) -> type[ControllerBase]:
-    """The class of that type. Raises UnknownType."""
+def find(type_name: str) -> ControllerClass:
+    """The class of that type.
+
+    Raises:
+        UnknownType. BadFile: an installed package names it, and its code fails.
+    """
     _import_shipped()
     cls = _known.get(type_name)
     if cls is None:
-        raise UnknownType(type_name, types())
+        point = _entry_points().get(type_name)
+        if point is None:
+            raise UnknownType(type_name, types())
+        module = user_classes.import_named(point.module)
+        cls = _known[type_name] = user_classes.chosen_class(module, point.attr)
     return cls
 
 
 def create(type_name: str) -> ControllerBase:
-    """A fresh controller of that type. Raises UnknownType."""
-    return find(type_name)()
+    """A fresh controller of that type. Raises as `find`."""
+    return user_classes.made(find(type_name))
 
 
-def compiled_forms() -> dict[type[ControllerBase], Compiled]:
+def compiled_forms() -> dict[ControllerClass, Compiled]:
     """The classes that declare how they run compiled, with that declaration, by name: the same order in any process."""
     _import_shipped()
-    classes = {cls for registered in _known.values() for cls in registered.__mro__ if issubclass(cls, ControllerBase)}
+    classes = {
+        cls
+        for registered in _known.values()
+        for cls in registered.__mro__
+        if issubclass(cls, ControllerBase) and not user_classes.is_of_a_user(cls)
+    }
     by_name = sorted(classes, key=lambda cls: f"{cls.__module__}.{cls.__qualname__}")
     return {cls: form for cls in by_name if (form := vars(cls).get("compiled")) is not None}
+
+
+# -- users' classes ----------------------------------------------------------------------------------------------------
+
+
+def add_file(file: str, class_name: str) -> str:
+    """Import the file anew and register its controllers. Returns the type of the class of that name, `STEM/CLASS`.
+
+    An empty name means the only controller in it. All or nothing. Raises as `user_classes.run_file` and
+    `user_classes.chosen_class`.
+    """
+    before = dict(_known)
+    try:
+        module = user_classes.run_file(file)
+        cls = user_classes.chosen_class(module, class_name)
+        _register_all(module)
+    except BaseException:
+        _restore(before)
+        raise
+    return _type_in(module, cls.__name__)
+
+
+def add_module(name: str) -> list[str]:
+    """Import a module, or a file that ends with `.py`, and register its controllers. Returns their types.
+
+    All or nothing. Raises as `user_classes.import_named`, and BadFile: it has no controller, or a broken one.
+    """
+    before = dict(_known)
+    try:
+        module = user_classes.import_named(name)
+        found = user_classes.classes_of(module)
+        for class_name, cls in found.items():
+            user_classes.check_class(cls, class_name, module.__file__)
+        _register_all(module)
+    except BaseException:
+        _restore(before)
+        raise
+    added = [type_name for type_name, cls in _known.items() if before.get(type_name) is not cls]
+    if not added:
+        raise BadFile("there is no controller in it", module.__file__ or name)
+    return added
+
+
+def renewed(cls: ControllerClass) -> ControllerClass:
+    """The class as its edited file has it: the file is imported anew, and all types of the class mean the new one.
+
+    Raises:
+        Refused: it is no user's class, or not in a file. Else as `add_file`; then the types mean what they did.
+    """
+    if not user_classes.is_of_a_user(cls):
+        raise Refused("it is a controller of slidectl itself; only those of users are reloaded")
+    file = user_classes.file_of(cls)
+    if file is None:
+        raise Refused(f"{cls.__name__} was not read from a file")
+    before = dict(_known)
+    try:
+        module = user_classes.run_file(file, cls.__module__)
+        new = user_classes.chosen_class(module, cls.__name__)
+        _register_all(module)
+    except BaseException:
+        _restore(before)
+        raise
+    put_back(new)
+    return new
+
+
+def put_back(cls: ControllerClass) -> None:
+    """All types of classes of that module and name mean this class."""
+    for type_name, registered in _known.items():
+        if (registered.__module__, registered.__name__) == (cls.__module__, cls.__name__):
+            _known[type_name] = cls
+
+
+def _register_all(module: ModuleType) -> None:
+    for class_name, cls in user_classes.classes_of(module).items():
+        _known[_type_in(module, class_name)] = cls
+
+
+def _type_in(module: ModuleType, class_name: str) -> str:
+    name = module.__name__
+    return f"{Path(name).stem if name.endswith('.py') else name.rpartition('.')[2]}/{class_name}"
+
+
+def _restore(before: dict[str, ControllerClass]) -> None:
+    _known.clear()
+    _known.update(before)
+
+
+@cache
+def _entry_points() -> dict[str, EntryPoint]:
+    """Types that installed packages name. Looked up when a type is not known, since reading the metadata takes long."""
+    from importlib.metadata import entry_points
+
+    return {point.name: point for point in entry_points(group=ENTRY_POINTS)}
 
 
 @cache

@@ -16,6 +16,7 @@ from contextlib import suppress
 from typing import Any
 
 import slidectl
+from slidectl.control import user_classes
 from slidectl.control.node_handle import Message
 from slidectl.daemon.logfile import LogFile
 from slidectl.daemon.loop import READ, EventLoop
@@ -24,6 +25,7 @@ from slidectl.daemon.options import Start
 from slidectl.daemon.pacing import Pacer
 from slidectl.daemon.place import Place, TakenOver
 from slidectl.daemon.server import Server
+from slidectl.daemon.time_limit import time_limit
 from slidectl.errors import SlidectlError
 from slidectl.paths import shown
 from slidectl.simulation.robots import SpawnedRobot
@@ -57,7 +59,8 @@ class Daemon:
         self._kept_robots: frozenset[SpawnedRobot] = frozenset()
         self._most_kept_objects = 0
         options = start.options
-        self.simulation = Simulation(options.timestep, options.gravity, options.ground, options.engine)
+        user_classes.limit = time_limit
+        self.simulation = Simulation(options.timestep, options.gravity, options.ground, options.engine, options.imports)
         self.simulation.driven = True
         self.simulation.engine.may_load = False
         self.simulation.run.paused = options.paused
@@ -170,8 +173,9 @@ class Daemon:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGTERM, signal.SIGINT))
 
     def _take_signal(self, _: int) -> None:
-        number = os.read(self._signals, 64)[0]
-        self._stopping = f"stopped by {signal.Signals(number).name}"
+        for number in os.read(self._signals, 64):
+            if number != signal.SIGALRM:  # that of time_limit, which was taken when it came
+                self._stopping = f"stopped by {signal.Signals(number).name}"
 
     def _shut_down(self, _: Message) -> Message:
         self._stopping = "asked to stop"

@@ -34,6 +34,8 @@ class DaemonOptions:
     child: bool = False
     engine: str = "auto"
     chosen: tuple[str, ...] = ()
+    imports: tuple[str, ...] = ()
+    """Modules with controllers of users: dotted names, or absolute paths that end with `.py`."""
 
     def __post_init__(self) -> None:
         if not self.rtf > 0:
@@ -78,6 +80,7 @@ class Start:
         values = json.loads(text)
         options = values.pop("options")
         options |= {"gravity": tuple(options["gravity"]), "chosen": tuple(options["chosen"])}
+        options["imports"] = tuple(options["imports"])
         return cls(DaemonOptions(**options), **values)
 
 

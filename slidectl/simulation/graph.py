@@ -145,6 +145,10 @@ class GraphNode:
     def set_param(self, name: str, value: Any) -> None:
         self._graph.parameters.set(self._absolute(name), value)
 
+    def delete_param(self, name: str) -> None:
+        """Delete the parameter, or all below it. Raises UnknownName."""
+        self._graph.parameters.delete(self._absolute(name))
+
     def search_param(self, name: str) -> str | None:
         return self._graph.parameters.search(self.namespace, name)
 

@@ -11,8 +11,11 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
 
+from slidectl.control import registry
+from slidectl.control.controller_interface import State
+from slidectl.control.controller_manager import STRICT
 from slidectl.control.node_handle import Message, Reasons
-from slidectl.errors import SlidectlError
+from slidectl.errors import Refused, SlidectlError
 from slidectl.simulation.pending import Pending
 
 if TYPE_CHECKING:
@@ -63,6 +66,53 @@ class ManagerServices:
             self._look()
             self._manager.manage_switch(self._node.now_ns())
 
+    def load_file(self, name: str, file: str, class_name: str) -> Pending:
+        """Load a user's class from a file under a name; its type becomes the controller's parameter `type`.
+
+        Answered with `ok`. Fails, and changes nothing, as `registry.add_file`, and when the name cannot be had.
+        """
+
+        def load(_request: Message, _pending: Pending) -> Message:
+            manager, node = self._manager, self._node
+            try:
+                manager.check_new(name)
+            except Refused as error:
+                raise Refused(
+                    f"cannot load controller {name!r}: {error}", f"slidectl controller reload {name}"
+                ) from None
+            type_name = registry.add_file(file, class_name)
+            parameter = f"{name}/type"
+            before = node.get_param(parameter, None)
+            node.set_param(parameter, type_name)
+            ok = manager.load(name)
+            if not ok and before is not None:
+                node.set_param(parameter, before)
+            elif not ok:
+                node.delete_param(parameter)
+            return {"ok": ok}
+
+        return self._take(load, {})
+
+    def reload(self, name: str) -> Pending:
+        """Put what a controller's file is now in its place: stop it if it runs, load the new class, start it again.
+
+        One that was aborted is started too. Name, parameters and place in the order of updates stay. Answered with
+        `ok`. Raises as `registry.renewed` and changes nothing then; when the new class refuses to be loaded the former
+        one goes on.
+        """
+        manager = self._manager
+        if self._switch is not None:
+            raise Refused(f"cannot reload controller {name!r}: a switch is under way")
+        state = manager.renew(name)
+        acts: list[tuple[Act, Message]] = [(lambda *_: {"ok": manager.exchange(name)}, {})]
+        strict = {"start_asap": False, "timeout": 0.0, "strictness": STRICT}
+        if state is State.RUNNING:
+            acts.insert(0, (self._start_switch, {**strict, "start_controllers": [], "stop_controllers": [name]}))
+        if state in (State.RUNNING, State.ABORTED):
+            acts.append((self._start_switch, {**strict, "start_controllers": [name], "stop_controllers": []}))
+        answers = [self._take(act, request) for act, request in acts]
+        return answers[-1].converted(lambda _: {"ok": all(answer.result()["ok"] for answer in answers)})
+
     def _take(self, act: Act, request: Message) -> Pending:
         pending = Pending()
         self._queue.append((act, request, pending, self._node.reasons))
@@ -76,6 +126,7 @@ class ManagerServices:
             if pending.cancelled:
                 continue
             with self._node.answering(reasons):  # it may have waited for the switch of another request
+                self._node.before_entry()  # those who run the cycles give the robot back
                 try:
                     response = act(request, pending)
                 except SlidectlError as error:

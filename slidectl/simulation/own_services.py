@@ -1,6 +1,7 @@
 """The services of `/slidectl` but `wait`, which has a module of its own, and `shutdown`, which is the daemon's.
 
-These are not in ROS: status, step, sleep, set_speed, set_params, list_robots, sources, resolve, estop, rest_joints.
+These are not in ROS: status, step, sleep, set_speed, set_params, list_robots, sources, resolve, estop, rest_joints,
+load_controller_file, reload_controller.
 """
 
 from __future__ import annotations
@@ -58,6 +59,8 @@ class OwnServices:
         node.advertise_service("resolve", "slidectl/Resolve", self._resolve)
         node.advertise_service("estop", "slidectl/EmergencyStop", self._stop)
         node.advertise_service("rest_joints", "slidectl/RestJoints", self._rest)
+        node.advertise_service("load_controller_file", "slidectl/LoadControllerFile", self._load_file)
+        node.advertise_service("reload_controller", "slidectl/ReloadController", self._reload)
 
     def _status(self, _: Message) -> Message:
         simulation = self._simulation
@@ -333,6 +336,17 @@ class OwnServices:
         joints = list(dict.fromkeys(joint for _, joint in commands))
         text = "; ".join(f"{joint} keeps {_QUANTITIES[kind]} {value:g}" for (kind, joint), value in commands.items())
         return {"success": True, "message": text or "no joint is concerned", "joints": joints}
+
+    # Controllers of users
+
+    def _load_file(self, request: Message) -> Pending:
+        if not request["file"].startswith("/"):
+            raise UsageError(f"the file {request['file']!r} is not an absolute path")
+        robot = self._robot(request["robot"])
+        return robot.services.load_file(request["name"], request["file"], request["class_name"])
+
+    def _reload(self, request: Message) -> Pending:
+        return self._robot(request["robot"]).services.reload(request["name"])
 
 
 def _resting_claims(robot: SpawnedRobot, request: Message) -> list[Claim]:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
+from slidectl.control import registry
 from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message, MessageCallback
 from slidectl.errors import Refused
@@ -41,12 +42,13 @@ class Simulation:
         ground: whether there is a floor at height 0.
         engine: who runs the cycles: `plain` (the interpreter), `compiled` (machine code; needs numba) or `auto`, which
             is compiled as soon as it can be. The results are the same to the bit.
+        imports: modules with controllers of your own, by dotted name or as files (`FILE.py`), imported first.
 
     Callbacks of `subscribe` and of `graph.timers` find what the script holds of a robot (controllers, joint handles) as
     it is in that moment. Who listens in another way, as a node of the graph, takes it from `robots` anew.
 
     Raises:
-        Refused: `compiled` without numba.
+        Refused: `compiled` without numba. BadFile: a module cannot be found, its code fails, or it has no controller.
     """
 
     def __init__(
@@ -55,7 +57,10 @@ class Simulation:
         gravity: tuple[float, float, float] = (0.0, 0.0, -9.8),
         ground: bool = True,
         engine: str = "auto",
+        imports: Sequence[str] = (),
     ) -> None:
+        for module in imports:
+            registry.add_module(module)
         self.world = World(timestep, gravity, ground)
         self.graph = Graph()
         self.loop = Loop(self.graph, self.world, from_seconds(timestep), engine)

@@ -1,0 +1,241 @@
+"""Classes of controllers that users write: read from a file or a module, and judged before anything is made of them.
+
+Errors name the user's file and line. It knows no manager and registers nothing. `limit` surrounds the users' code
+where it would hold up everybody else; who runs in a process that others wait for sets it.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from importlib import import_module
+from pathlib import Path
+from types import FunctionType, ModuleType
+
+from slidectl.control.controller_interface import Controller, ControllerBase, MultiInterfaceController
+from slidectl.errors import BadFile, Refused, UnknownName, UsageError, listing
+
+ControllerClass = type[ControllerBase]
+
+PACKAGE = str(Path(__file__).parent.parent) + os.sep
+_STANDARD_LIBRARY = os.path.dirname(os.__file__) + os.sep
+_HOOKS: dict[str, tuple[str, ...]] = {
+    "update": ("time_ns", "period_s"),
+    "starting": ("time_ns",),
+    "stopping": ("time_ns",),
+    "waiting": ("time_ns",),
+    "aborting": ("time_ns",),
+    "init": ("interface", "node"),
+    "init_in_root": ("interface", "root", "node"),
+    "__init__": (),
+}
+"""What the hooks are called with, besides `self`."""
+
+
+class TookTooLong(BaseException):
+    """Users' code was ended by `limit`. Not an Exception: `except Exception` in that code must not keep it."""
+
+
+limit: Callable[[], AbstractContextManager[None]] = nullcontext
+"""Surrounds users' code and raises TookTooLong in it. The daemon sets it, since its clients wait meanwhile."""
+
+
+def is_of_a_user(cls: ControllerClass) -> bool:
+    """False for the controllers of slidectl itself."""
+    return not cls.__module__.startswith("slidectl.")
+
+
+@contextmanager
+def watched(cls: ControllerClass) -> Iterator[None]:
+    """Inside, a hook of the class runs. Raises Refused when a user's class took too long."""
+    if not is_of_a_user(cls):
+        yield
+        return
+    try:
+        with limit():
+            yield
+    except TookTooLong as failure:
+        raise _too_long(failure) from None
+
+
+def _too_long(failure: TookTooLong) -> Refused:
+    place = place_of(failure)
+    return Refused(f"{failure}{f' ({place[0]}:{place[1]})' if place else ''}", "look for a loop without an end there")
+
+
+def place_of(failure: BaseException) -> tuple[str, int] | None:
+    """File and line in which it was raised: of the users' code, when that called what raised it; None: unknown."""
+    frames = [(frame.filename, frame.lineno or 0) for frame in traceback.extract_tb(failure.__traceback__)]
+    outside = [frame for frame in frames if not _is_library(frame[0])]
+    return next(reversed(outside or frames), None)
+
+
+def _is_library(file: str) -> bool:
+    return file.startswith((PACKAGE, "<")) or (file.startswith(_STANDARD_LIBRARY) and "site-packages" not in file)
+
+
+# -- files and modules -------------------------------------------------------------------------------------------------
+
+
+def run_file(file: str, name: str = "") -> ModuleType:
+    """The module that the file is now, imported anew each time. What stands in its folder can be imported by it.
+
+    Without a name it is called by its path, since two files may have one stem. The bytes are compiled here and not by
+    Python's importer: that one trusts a cache by size and whole seconds, and a file may be edited twice in a second.
+
+    Raises:
+        BadFile: there is no such file, or its code fails (file, line). Refused: it took too long.
+    """
+    path = Path(file)
+    try:
+        code = compile(path.read_bytes(), file, "exec", dont_inherit=True)
+    except SyntaxError as error:
+        text = f": {error.text.strip()}" if error.text else ""
+        raise BadFile(f"{error.msg}{text}", file, error.lineno) from None
+    except FileNotFoundError:
+        raise BadFile("no such file", file) from None
+    except (OSError, ValueError) as error:
+        raise BadFile(f"cannot be read: {getattr(error, 'strerror', None) or error}", file) from None
+    name = name or file
+    module = ModuleType(name)
+    module.__file__ = file
+    before = sys.modules.get(name)
+    module.__package__ = getattr(before, "__package__", None)  # for its relative imports
+    sys.modules[name] = module  # dataclasses look up the module of their class
+    sys.path.insert(0, str(path.parent))
+    try:
+        with _importing(file), limit():
+            exec(code, vars(module))
+    except BaseException:
+        del sys.modules[name]
+        if before is not None:
+            sys.modules[name] = before
+        raise
+    finally:
+        if str(path.parent) in sys.path:
+            sys.path.remove(str(path.parent))
+    return module
+
+
+def import_named(name: str) -> ModuleType:
+    """The module of that dotted name, or what `run_file` makes of a name that ends with `.py`.
+
+    Raises:
+        BadFile: it cannot be found, or its code fails. Refused: it took too long.
+    """
+    if name.endswith(".py"):
+        return run_file(name)
+    with _importing(name), limit():
+        return import_module(name)
+
+
+@contextmanager
+def _importing(what: str) -> Iterator[None]:
+    """Turn what users' code raises at its import into an error with file and line. SystemExit would end the process."""
+    try:
+        yield
+    except (Exception, SystemExit) as failure:
+        file, line = place_of(failure) or (what, 0)
+        if isinstance(failure, SyntaxError) and failure.filename:
+            file, line = failure.filename, failure.lineno or 0
+        elif isinstance(failure, ModuleNotFoundError) and failure.name == what:
+            raise BadFile(f"no module {what!r} is installed, nor is there a file {what}.py here") from None
+        raise BadFile(f"{type(failure).__name__}: {failure}", file, line or None) from None
+    except TookTooLong as failure:
+        raise _too_long(failure) from None
+
+
+# -- classes -----------------------------------------------------------------------------------------------------------
+
+
+def classes_of(module: ModuleType) -> dict[str, ControllerClass]:
+    """The controllers that a module defines, by name, without those that begin with `_` or are bases for others."""
+    return {
+        name: value
+        for name, value in vars(module).items()
+        if isinstance(value, type)
+        and issubclass(value, ControllerBase)
+        and value.__module__ == module.__name__
+        and value.update is not ControllerBase.update
+        and not name.startswith("_")
+    }
+
+
+def chosen_class(module: ModuleType, class_name: str) -> ControllerClass:
+    """The class of that name; with an empty one the only controller that the module defines.
+
+    Raises:
+        UnknownName: there is no such class. UsageError: which one is not clear. BadFile: it is no controller.
+    """
+    file = str(module.__file__)
+    known = classes_of(module)
+    if not class_name:
+        if len(known) != 1:
+            hint = f"say which: {file}:{next(iter(known))}" if known else "a controller is a class with an `update`"
+            raise UsageError(f"{file} has {len(known)} controllers: {listing(known)}", hint)
+        return next(iter(known.values()))
+    found = vars(module).get(class_name)
+    if found is None:
+        raise UnknownName("controller class", class_name, list(known), f"in {file}")
+    check_class(found, class_name, file)
+    cls: ControllerClass = found
+    return cls
+
+
+def check_class(cls: object, name: str, file: str | None = None) -> None:
+    """Raise BadFile when it is no controller, or when a hook of it cannot be called as it will be."""
+    import inspect
+
+    if not isinstance(cls, type) or not issubclass(cls, ControllerBase):
+        line = _line(cls) if isinstance(cls, type | FunctionType) else None
+        hint = f"class {name}(slidectl.control.Controller): ..."
+        raise BadFile(f"{name} is no controller: it is not derived from slidectl.control.Controller", file, line, hint)
+    if cls.update is ControllerBase.update:
+        raise BadFile(f"{name} has no update", file, _line(cls), "def update(self, time_ns, period_s): ...")
+    if issubclass(cls, Controller) and not hasattr(cls, "interface_type"):
+        hint = "interface_type = slidectl.control.EffortJointInterface, say"
+        raise BadFile(f"{name} does not say on which interface it is", file, _line(cls), hint)
+    for hook, wanted in _HOOKS.items():
+        function = inspect.getattr_static(cls, hook, None)
+        if not isinstance(function, FunctionType) or function.__code__.co_filename.startswith(PACKAGE):
+            continue
+        if hook == "init" and issubclass(cls, MultiInterfaceController):
+            wanted = ("hw", "node")
+        try:
+            inspect.signature(function).bind("self", *wanted)
+        except TypeError:
+            written = f"def {hook}({', '.join(('self', *wanted))})"
+            line = function.__code__.co_firstlineno
+            has = inspect.signature(function).replace(return_annotation=inspect.Signature.empty)
+            taken = str(has.replace(parameters=[p.replace(annotation=p.empty) for p in has.parameters.values()]))
+            text = f"{name}.{hook} has a wrong signature: {taken} takes no call with {', '.join(wanted) or 'nothing'}"
+            raise BadFile(text, function.__code__.co_filename, line, f"{written}: ...") from None
+
+
+def made(cls: ControllerClass) -> ControllerBase:
+    """An instance. Raises BadFile: its `__init__` leaves out what a controller needs."""
+    with watched(cls):
+        controller = cls()
+    if not hasattr(controller, "state"):
+        raise BadFile(f"{cls.__name__}.__init__ does not call super().__init__()", file_of(cls), _line(cls))
+    return controller
+
+
+def file_of(cls: ControllerClass) -> str | None:
+    """The file of the class's module; None when it has none."""
+    return getattr(sys.modules.get(cls.__module__), "__file__", None)
+
+
+def _line(written: type | FunctionType) -> int | None:
+    """Where a class or a function begins; None when its source is not there."""
+    import inspect
+    import linecache
+
+    linecache.checkcache()  # the file was edited, perhaps
+    try:
+        return inspect.getsourcelines(written)[1]
+    except (OSError, TypeError):
+        return None

@@ -1,0 +1,233 @@
+"""Controllers of the user's own, from files: loaded, edited, reloaded, and every way in which they may be broken."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from textwrap import dedent
+
+import pytest
+from command_line import CommandLine, Done
+from daemon_fixture import Runtime
+
+LAW = """
+from slidectl.control import NUMBER, TEXT, Controller, EffortJointInterface, Parameter, params
+
+JOINT = Parameter("joint", TEXT, "the joint that it pushes", default="joint1")
+PUSH = Parameter("push", NUMBER, "how hard", unit="N", default=1.0)
+
+
+class Push(Controller):
+    interface_type = EffortJointInterface
+    parameters = (JOINT, PUSH)
+
+    def init(self, interface, node):
+        self.joint = interface.get_handle(params.value_of(node, JOINT))
+        self.push = params.value_of(node, PUSH)
+        self.told = node.advertise("told", "std_msgs/Float64")
+
+    def update(self, time_ns, period_s):
+        self.joint.command = self.push
+        self.told.publish({"data": self.joint.command})
+"""
+
+
+@pytest.fixture(autouse=True)
+def _empty_again(world: CommandLine) -> Iterator[None]:
+    yield
+    if world.ok("robots", "--json"):
+        world.ok("delete", "slider")
+    with world.client() as client:
+        for top in {name.split("/")[1] for name in client.call("/rosapi/get_param_names")["names"]}:
+            client.call("/rosapi/delete_param", {"name": f"/{top}"})
+
+
+@pytest.fixture
+def slider(world: CommandLine) -> CommandLine:
+    world.ok("spawn", "slider")
+    return world
+
+
+@pytest.fixture
+def law(tmp_path: Path) -> Path:
+    """The file of a law that works."""
+    return written(tmp_path / "my_laws.py", LAW)
+
+
+def written(path: Path, text: str) -> Path:
+    path.write_text(dedent(text), encoding="utf-8")
+    return path
+
+
+def state(world: CommandLine, name: str = "my_law") -> str | None:
+    records = map(json.loads, world.ok("controller", "list", "--json").splitlines())
+    return {record["name"]: record["state"] for record in records}.get(name)
+
+
+def effort(world: CommandLine) -> float:
+    """What the law tells in the next cycle."""
+    with world.client() as client, client.subscribe("/slider/my_law/told") as told:
+        client.step(2)
+        return float(told.get()["data"])
+
+
+def refused(world: CommandLine, file: Path, class_name: str = "Push", code: int = 2) -> str:
+    """What `load --from` says. Nothing is left behind."""
+    done: Done = world("controller", "load", "my_law", "--from", f"{file}:{class_name}")
+    assert done.returncode == code, done.stderr
+    assert state(world) is None
+    assert "/slider/my_law/type" not in world.ok("param", "list")
+    assert "internal error" not in done.stderr
+    return done.stderr
+
+
+# -- load --------------------------------------------------------------------------------------------------------------
+
+
+def test_a_law_from_a_file_is_loaded_started_and_listed(slider: CommandLine, law: Path) -> None:
+    loaded = slider("controller", "load", "my_law", "--from", "my_laws.py:Push", cwd=law.parent)
+    assert loaded.stdout == "my_law: initialized (was unloaded)\n", loaded.stderr
+    assert slider.ok("controller", "start", "my_law") == "my_law: running (was initialized)\n"
+    assert "my_laws/Push" in slider.ok("controller", "list", "-v")
+    assert effort(slider) == 1.0
+    assert "my_laws/Push" in slider.ok("controller", "types")
+
+
+def test_any_client_can_load_and_reload(slider: CommandLine, law: Path) -> None:
+    with slider.client() as client:
+        request = {"robot": "slider", "name": "my_law", "file": str(law), "class_name": "Push"}
+        assert client.call("/slidectl/load_controller_file", request) == {"ok": True}
+        assert client.call("/slidectl/reload_controller", {"robot": "/slider", "name": "my_law"}) == {"ok": True}
+        assert client.controllers("/slider").states() == {"my_law": "initialized"}
+
+
+def test_a_file_that_is_not_there(slider: CommandLine, tmp_path: Path) -> None:
+    assert refused(slider, tmp_path / "no.py") == f"error: {tmp_path}/no.py: no such file\n"
+
+
+def test_a_word_that_names_no_python_file(world: CommandLine) -> None:
+    done = world("controller", "load", "my_law", "--from", "my_laws:Push")
+    assert (done.returncode, done.stderr) == (2, "error: --from takes FILE.py or FILE.py:CLASS, not 'my_laws:Push'\n")
+
+
+@pytest.mark.parametrize(("old", "line"), [("JOINT = ", 4), ("        self.told =", 15)])
+def test_a_loop_without_an_end_is_ended_and_the_daemon_answers_again(
+    slider: CommandLine, tmp_path: Path, old: str, line: int
+) -> None:
+    space = " " * (len(old) - len(old.lstrip()))
+    bad = written(tmp_path / "bad.py", LAW.replace(old, f"{space}while True: pass\n{old}", 1))
+    text = refused(slider, bad, code=1)
+    assert f"the code ran longer than 5 s and was ended ({bad}:{line})" in text
+    assert slider.ok("sim", "status")
+
+
+# -- edited ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def pushing(slider: CommandLine, law: Path) -> CommandLine:
+    """The law runs."""
+    slider.ok("param", "set", "/slider/my_law/push", "2.0", "--new")
+    slider.ok("controller", "load", "my_law", "--from", f"{law}:Push")
+    slider.ok("controller", "start", "my_law")
+    return slider
+
+
+def test_an_edited_law_runs_on_with_its_name_and_parameters(pushing: CommandLine, law: Path) -> None:
+    assert effort(pushing) == 2.0
+    for factor in (3, 4):
+        written(law, LAW.replace("= self.push\n", f"= {factor} * self.push\n"))
+        assert pushing.ok("controller", "reload", "my_law") == "my_law: reloaded, running\n"
+        assert effort(pushing) == factor * 2.0
+
+
+def test_a_law_that_raises_is_aborted_with_file_and_line_and_runs_again_when_it_is_mended(
+    pushing: CommandLine, law: Path
+) -> None:
+    pushing.ok("param", "set", "/slider/states/type", "joint_state_controller/JointStateController", "--new")
+    pushing.ok("controller", "spawn", "states")
+    written(law, LAW.replace("= self.push\n", "= self.push / 0\n"))
+    pushing.ok("controller", "reload", "my_law")
+    pushing.ok("sim", "step", "2")
+    assert state(pushing) == "aborted"
+    assert state(pushing, "states") == "running"
+    log = pushing.ok("daemon", "logs", "-n", "5")
+    assert f"'my_law' failed and is aborted: ZeroDivisionError: float division by zero ({law}:18)" in log
+    written(law, LAW)
+    assert pushing.ok("controller", "reload", "my_law") == "my_law: reloaded, running (was aborted)\n"
+    assert effort(pushing) == 2.0
+
+
+# -- daemon start --import ---------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def empty() -> Iterator[CommandLine]:
+    """The command line in a folder of its own, without a daemon."""
+    runtime = Runtime()
+    yield CommandLine(runtime.folder)
+    runtime.remove()
+
+
+def test_types_of_an_imported_module_are_there_from_the_start(empty: CommandLine, law: Path) -> None:
+    done = empty("daemon", "start", "--paused", "--import", "my_laws", cwd=law.parent)
+    assert done.returncode == 0, done.stderr
+    empty.ok("spawn", "slider")
+    assert "my_laws/Push" in empty.ok("controller", "types")
+    empty.ok("param", "set", "/slider/my_law/type", "my_laws/Push", "--new")
+    empty.ok("controller", "spawn", "my_law")
+    assert effort(empty) == 1.0
+    written(law, LAW.replace("= self.push\n", "= 5.0\n"))
+    empty.ok("controller", "reload", "my_law")
+    assert effort(empty) == 5.0
+    assert f"--import {law}" in empty("daemon", "restart").stderr
+    empty.ok("spawn", "slider")
+    assert "my_laws/Push" in empty.ok("controller", "types")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("1 / 0\n", "my_laws.py:1: ZeroDivisionError: division by zero"),
+        ("x = 1\n", "my_laws.py: there is no controller in it"),
+        (LAW.replace("time_ns, period_s", "time"), "Push.update has a wrong signature"),
+        ("while True: pass\n", "the code ran longer than 5 s"),
+    ],
+)
+def test_a_daemon_with_a_broken_module_does_not_start(empty: CommandLine, law: Path, text: str, said: str) -> None:
+    written(law, text)
+    done = empty("daemon", "start", "--import", str(law))
+    assert done.returncode in (1, 2)
+    assert said in done.stderr
+    assert empty("daemon", "status").returncode == 3
+
+
+def test_a_module_that_is_nowhere(empty: CommandLine) -> None:
+    done = empty("daemon", "start", "--import", "no_such_laws")
+    assert done.returncode == 2
+    assert "no module 'no_such_laws' is installed, nor is there a file no_such_laws.py here" in done.stderr
+
+
+# -- entry points ------------------------------------------------------------------------------------------------------
+
+
+def test_an_installed_package_brings_types_by_its_entry_points(empty: CommandLine, law: Path) -> None:
+    folder = law.parent / "site"
+    info = folder / "laws_of_mine-1.0.dist-info"
+    info.mkdir(parents=True)
+    written(folder / "laws_of_mine.py", LAW)
+    written(info / "METADATA", "Metadata-Version: 2.1\nName: laws-of-mine\nVersion: 1.0\n")
+    points = "[slidectl.controllers]\nmine/Push = laws_of_mine:Push\nmine/Broken = laws_of_mine:Gone\n"
+    written(info / "entry_points.txt", points)
+    path = f"{folder}:{empty.environment['PYTHONPATH']}"
+    empty.ok("daemon", "start", "--paused", PYTHONPATH=path)
+    empty.ok("spawn", "slider")
+    assert "mine/Push" in empty.ok("controller", "types")
+    empty.ok("param", "set", "/slider/my_law/type", "mine/Push", "--new")
+    empty.ok("controller", "spawn", "my_law")
+    assert effort(empty) == 1.0
+    empty.ok("param", "set", "/slider/other/type", "mine/Broken", "--new")
+    done = empty("controller", "load", "other")
+    assert done.returncode == 1
+    assert "no controller class 'Gone'" in done.stderr

@@ -1,0 +1,250 @@
+"""Controllers of users, from files: what is wrong with a file is said with its line, and changes nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sim_robots import STATES, cart, switch
+
+from slidectl.errors import SlidectlError
+from slidectl.simulation import Simulation
+
+LAW = """
+from slidectl.control import NUMBER, TEXT, Controller, EffortJointInterface, Parameter, params
+
+JOINT = Parameter("joint", TEXT, "the joint that it pushes", default="joint1")
+PUSH = Parameter("push", NUMBER, "how hard", unit="N", default=1.0)
+
+
+class Push(Controller):
+    interface_type = EffortJointInterface
+    parameters = (JOINT, PUSH)
+
+    def init(self, interface, node):
+        self.joint = interface.get_handle(params.value_of(node, JOINT))
+        self.push = params.value_of(node, PUSH)
+        self.told = node.advertise("told", "std_msgs/Float64")
+
+    def update(self, time_ns, period_s):
+        self.joint.command = self.push
+        self.told.publish({"data": self.joint.command})
+"""
+
+
+class Bench:
+    """A cart in a simulation, and a file of laws."""
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+        self.simulation = Simulation()
+        self.robot = self.simulation.spawn(cart(), "cart")
+        self.write()
+
+    def write(self, old: str = "", new: str = "") -> None:
+        """The file holds the law that works, with `new` instead of `old`."""
+        assert old in LAW
+        self.file.write_text(LAW.replace(old, new, 1) if old else LAW, encoding="utf-8")
+
+    def set(self, name: str, value: Any) -> None:
+        self.simulation.parameters.set(f"/cart/my_law/{name}", value)
+
+    def load(self, class_name: str = "Push") -> bool:
+        request = {"robot": "cart", "name": "my_law", "file": str(self.file), "class_name": class_name}
+        ok: bool = self.simulation.call("/slidectl/load_controller_file", request)["ok"]
+        return ok
+
+    def reload(self) -> bool:
+        ok: bool = self.simulation.call("/slidectl/reload_controller", {"robot": "cart", "name": "my_law"})["ok"]
+        return ok
+
+    def states(self) -> dict[str, str]:
+        return {one["name"]: one["state"] for one in self.robot.manager.list()}
+
+    def effort(self) -> float:
+        """What the law told last, two cycles later."""
+        told: list[float] = []
+        subscription = self.simulation.subscribe("/cart/my_law/told", lambda message: told.append(message["data"]))
+        self.simulation.step(2)
+        subscription.close()
+        return told[-1]
+
+    def reasons(self) -> str:
+        """Of a load or reload that is refused. Nothing is left behind."""
+        reasons: list[str] = []
+        with self.simulation.graph.log.answering(reasons):
+            assert not self.load()
+        assert self.states() == {}
+        assert not self.simulation.parameters.has("/cart/my_law/type")
+        return "\n".join(reasons)
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Bench:
+    return Bench(tmp_path / "my_laws.py")
+
+
+@pytest.fixture
+def pushing(bench: Bench) -> Bench:
+    """The law runs and pushes with 2 N."""
+    bench.set("push", 2.0)
+    assert bench.load()
+    assert switch(bench.simulation, start=["my_law"])
+    return bench
+
+
+# -- load --------------------------------------------------------------------------------------------------------------
+
+
+def test_the_class_need_not_be_named_when_the_file_has_one_controller(bench: Bench) -> None:
+    assert bench.load("")
+    assert bench.simulation.parameters.get("/cart/my_law/type") == "my_laws/Push"
+
+
+def test_parameters_are_those_of_the_namespace_and_are_judged_like_any(pushing: Bench) -> None:
+    assert pushing.effort() == 2.0
+    with pytest.raises(SlidectlError, match="must be a number"):
+        pushing.set("push", "much")
+
+
+def test_it_is_loaded_again_by_its_type(bench: Bench) -> None:
+    bench.load()
+    bench.simulation.call("/cart/controller_manager/unload_controller", {"name": "my_law"})
+    assert bench.simulation.call("/cart/controller_manager/load_controller", {"name": "my_law"})["ok"]
+
+
+def test_a_file_imports_what_stands_beside_it(bench: Bench) -> None:
+    bench.file.with_name("beside_a_law.py").write_text("FACTOR = 7.0\n")
+    bench.write("\nJOINT", "from beside_a_law import FACTOR\nJOINT")
+    assert bench.load()
+
+
+# -- what is wrong with a file -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "said"),
+    [
+        ("def init(self", "def init(self:", 12, "def init(self:, interface, node)"),
+        ("time_ns, period_s", "time_ns", 17, "Push.update has a wrong signature: (self, time_ns) takes no call with"),
+        ("self, interface, node", "self", 12, "def init(self, interface, node): ..."),
+        ("def update", "def updates", 8, "Push has no update"),
+        ("    interface_type = EffortJointInterface\n", "", 8, "Push does not say on which interface it is"),
+        ("def init(", "def __init__(self, gain): pass\n\n    def init(", 12, "Push.__init__ has a wrong signature"),
+        ("\nJOINT", "1 / 0\nJOINT", 3, "ZeroDivisionError: division by zero"),
+        ("\nJOINT", "import no_such_thing\nJOINT", 3, "No module named 'no_such_thing'"),
+        ("\nJOINT", "raise SystemExit(1)\nJOINT", 3, "SystemExit: 1"),
+        ("class Push(Controller)", "class Push", 8, "Push is no controller"),
+    ],
+)
+def test_what_is_wrong_is_said_with_file_and_line(bench: Bench, old: str, new: str, line: int, said: str) -> None:
+    bench.write(old, new)
+    with pytest.raises(SlidectlError) as error:
+        bench.load()
+    assert str(error.value).startswith(f"{bench.file}:{line}: ")
+    assert said in str(error.value)
+    assert error.value.exit_code == 2
+    assert bench.states() == {}
+    assert not bench.simulation.parameters.has("/cart/my_law/type")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("        self.told =", "        {}['gain']\n        self.told =", "KeyError: 'gain' (FILE:15)"),
+        (
+            "def init(",
+            "def __init__(self): pass\n\n    def init(",
+            "FILE:8: Push.__init__ does not call super()",
+        ),
+        ('"joint1"', '"elbow"', "no joint 'elbow'"),
+    ],
+)
+def test_what_is_wrong_in_init_is_a_reason(bench: Bench, old: str, new: str, said: str) -> None:
+    bench.write(old, new)
+    assert said.replace("FILE", str(bench.file)) in bench.reasons()
+
+
+def test_a_class_that_is_not_in_the_file(bench: Bench) -> None:
+    with pytest.raises(SlidectlError, match=r"no controller class 'Pusch' in .* Did you mean 'Push'"):
+        bench.load("Pusch")
+
+
+def test_two_controllers_and_no_class_named(bench: Bench) -> None:
+    bench.write()
+    with bench.file.open("a") as file:
+        file.write("\nclass Pull(Push):\n    pass\n")
+    with pytest.raises(SlidectlError, match="has 2 controllers: Pull, Push"):
+        bench.load("")
+
+
+def test_a_name_that_is_taken(bench: Bench) -> None:
+    bench.load()
+    with pytest.raises(SlidectlError, match="it is loaded already\nslidectl controller reload my_law"):
+        bench.load()
+
+
+# -- edited ------------------------------------------------------------------------------------------------------------
+
+
+def test_an_edited_law_runs_on_with_its_name_place_and_parameters(pushing: Bench) -> None:
+    pushing.simulation.parameters.set("/cart/states", {"type": STATES, "publish_rate": 50})
+    pushing.simulation.call("/cart/controller_manager/load_controller", {"name": "states"})
+    for factor in (3, 4, 5):
+        pushing.write("= self.push\n", f"= {factor} * self.push\n")
+        assert pushing.reload()
+        assert pushing.effort() == factor * 2.0
+    assert pushing.states() == {"my_law": "running", "states": "initialized"}
+    assert list(pushing.states()) == ["my_law", "states"]
+
+
+def test_a_stopped_law_stays_stopped(pushing: Bench) -> None:
+    switch(pushing.simulation, stop=["my_law"])
+    assert pushing.reload()
+    assert pushing.states() == {"my_law": "initialized"}
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [("def update(self", "def update(self:"), ("time_ns, period_s", "time"), ("class Push", "class Pull")],
+)
+def test_a_law_runs_on_untouched_when_its_edited_file_is_broken(pushing: Bench, old: str, new: str) -> None:
+    before = pushing.robot.manager.get("my_law")
+    pushing.write(old, new)
+    with pytest.raises(SlidectlError, match="my_laws"):
+        pushing.reload()
+    assert pushing.robot.manager.get("my_law") is before
+    assert pushing.effort() == 2.0
+
+
+def test_the_former_class_runs_when_the_edited_one_refuses_to_be_loaded(pushing: Bench) -> None:
+    pushing.write("self.push = ", "self.push = 1 / 0 + ")
+    reasons: list[str] = []
+    with pushing.simulation.graph.log.answering(reasons):
+        assert not pushing.reload()
+    assert "the class that it had is loaded again" in reasons[0]
+    assert pushing.effort() == 2.0
+
+
+def test_a_law_that_raises_is_aborted_and_runs_again_when_it_is_mended(pushing: Bench) -> None:
+    pushing.write("= self.push\n", "= self.push / 0\n")
+    assert pushing.reload()
+    pushing.simulation.step(2)
+    assert pushing.states() == {"my_law": "aborted"}
+    pushing.write()
+    assert pushing.reload()
+    assert pushing.effort() == 2.0
+
+
+def test_a_controller_of_slidectl_is_not_reloaded(bench: Bench) -> None:
+    bench.simulation.parameters.set("/cart/my_law", {"type": STATES, "publish_rate": 50})
+    bench.simulation.call("/cart/controller_manager/load_controller", {"name": "my_law"})
+    with pytest.raises(SlidectlError, match="only those of users are reloaded"):
+        bench.reload()
+
+
+def test_a_simulation_imports_modules_by_file(bench: Bench) -> None:
+    simulation = Simulation(imports=[str(bench.file)])
+    robot = simulation.spawn(cart(), "cart")
+    assert "my_laws/Push" in robot.manager.types()
