@@ -14,9 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from slidectl.control.node_handle import Message
 from slidectl.errors import AmbiguousName, Refused, SlidectlError, UnknownName, quoted
 from slidectl.physics import hulls
-from slidectl.physics.frames import add, compose, rotate, subtract
-from slidectl.physics.rotation import cross
-from slidectl.rotations import IDENTITY, Vector, from_rpy
+from slidectl.rotations import IDENTITY, Vector, add, compose, cross, from_rpy, rotate, subtract
 from slidectl.simulation.clock import SECOND, stamp
 from slidectl.simulation.gazebo_frames import (
     STILL,

@@ -24,7 +24,7 @@ from slidectl.physics import EngineError, Overlap, World
 from slidectl.physics.body import Body
 from slidectl.physics.hulls import Hulls
 from slidectl.physics.robot_hw import MujocoRobotHW
-from slidectl.physics.rotation import ORIGIN, Pose
+from slidectl.rotations import ORIGIN, Pose
 from slidectl.simulation.cycle import ControlCycle
 from slidectl.simulation.graph import GraphNode
 from slidectl.simulation.loop import Loop

@@ -14,9 +14,7 @@ from typing import TYPE_CHECKING
 from slidectl import names
 from slidectl.control.node_handle import Message
 from slidectl.description.robot import Joint
-from slidectl.physics.frames import compose, relative
-from slidectl.physics.rotation import Pose
-from slidectl.rotations import IDENTITY, from_rpy
+from slidectl.rotations import IDENTITY, Pose, compose, from_rpy, relative
 from slidectl.simulation.clock import SECOND, stamp
 from slidectl.simulation.robots import SpawnedRobot
 from slidectl.simulation.topics import NodePublisher, PeriodicTopic, TopicPublisher
