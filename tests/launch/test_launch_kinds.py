@@ -59,8 +59,8 @@ def test_each_is_what_it_is_here(workspace: Workspace, kind: str, args: str, fam
     [
         ("gazebo_ros/spawn_model", "-urdf -param d", "needs a name for the robot: -model NAME"),
         ("gazebo_ros/spawn_model", "-urdf -model m", "takes one of -param NAME and -file FILE"),
-        ("gazebo_ros/spawn_model", "-sdf -model m -file x", "-sdf: only URDF can be spawned, and this is SDF"),
-        ("gazebo_ros/spawn_model", "-model m -database d", "-database: there is no model database here"),
+        ("gazebo_ros/spawn_model", "-sdf -model m", "takes one of -param NAME and -file FILE"),
+        ("gazebo_ros/spawn_model", "-model m -database d", "-database NAME is model://NAME, which is SDF"),
         ("gazebo_ros/spawn_model", "-model m -param d -x one", "-x is a number, not 'one'"),
         ("gazebo_ros/spawn_model", "-model m -param d -J joint1", "argument -J: expected 2 arguments"),
         ("gazebo_ros/spawn_model", "-model m -param d -J joint1 inf", "-J joint1 is a number, not 'inf'"),
