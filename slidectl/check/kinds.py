@@ -1,4 +1,4 @@
-"""What a file is: a model, a launch file, or controllers; by its suffix, else by what stands in it."""
+"""What a file is: a model, SDF, a launch file, or controllers; by its suffix, else by what stands in it."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from typing import Literal
 
 from slidectl.errors import BadFile
 
-Kind = Literal["model", "launch", "controllers"]
+Kind = Literal["model", "scene", "launch", "controllers"]
 
 _SUFFIXES: dict[str, Kind] = {
     ".xacro": "model", ".urdf": "model", ".launch": "launch", ".test": "launch", ".yaml": "controllers",
-    ".yml": "controllers",
+    ".yml": "controllers", ".sdf": "scene", ".world": "scene",
 }  # fmt: skip
+_ROOTS: dict[str, Kind] = {"robot": "model", "launch": "launch", "sdf": "scene"}
 _ROOT = re.compile(rb"<([A-Za-z_][\w:.-]*)")
 _SKIPPED = re.compile(rb"<!--.*?-->|<\?.*?\?>|<!DOCTYPE[^>]*>", re.DOTALL)
 
@@ -27,14 +28,14 @@ def of_text(text: bytes, file: str) -> Kind:
     """The kind of a text; `file` is its name in the error. What is no XML is taken for YAML.
 
     Raises:
-        BadFile: XML that is neither a robot nor a launch file.
+        BadFile: XML that is neither a robot nor SDF nor a launch file.
     """
     start = text.removeprefix(b"\xef\xbb\xbf").lstrip()
     if not start.startswith(b"<"):
         return "controllers"
     root = _ROOT.match(_SKIPPED.sub(b"", start).lstrip())
     tag = root.group(1).decode() if root else ""
-    if tag in ("robot", "launch"):
-        return "model" if tag == "robot" else "launch"
+    if tag in _ROOTS:
+        return _ROOTS[tag]
     what = f"the outermost element is <{tag}>" if tag else "it is no XML"
-    raise BadFile(f"{what}, expected <robot> or <launch>", file, 1)
+    raise BadFile(f"{what}, expected <robot>, <launch> or <sdf>", file, 1)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from slidectl import description, names, paths
-from slidectl.check import kinds, model
+from slidectl.check import kinds, model, scenes
 from slidectl.check.controllers import ControllerCheck, ParameterFile
 from slidectl.check.findings import Findings
 from slidectl.check.model import Model
@@ -31,6 +31,7 @@ from slidectl.launch.files import LaunchFile, find
 from slidectl.launch.node_kinds import tasks
 from slidectl.launch.nodes.controller_nodes import Spawner
 from slidectl.launch.nodes.frame_nodes import HONOURED, SEARCHED, WITHOUT_EFFECT, RobotStatePublisher
+from slidectl.launch.nodes.gazebo import Gazebo
 from slidectl.launch.nodes.programs import Process, ToolProcess
 from slidectl.launch.nodes.spawn_model import SpawnModel
 from slidectl.launch.plan import LaunchPlan, Location, Node, Remap, Setting, leaves
@@ -259,8 +260,28 @@ class _LaunchCheck:
     def read_nodes(self) -> None:
         """Make the tasks, and the robots of those that spawn one."""
         self.tasks = [task for node in self.plan.nodes if (task := self._task(node)) is not None]
-        self.robots = [self._robot(task) for task in self.tasks if isinstance(task, SpawnModel)]
+        self.robots = [self._robot(task) for task in self._spawns]
         self._withdraw_starts()
+        self._read_scenes()
+
+    @property
+    def _spawns(self) -> list[SpawnModel]:
+        """The nodes that spawn a robot; models of SDF are none."""
+        return [task for task in self.tasks if isinstance(task, SpawnModel) and not task.is_sdf]
+
+    def _read_scenes(self) -> None:
+        """The models of worlds, and of nodes that spawn SDF."""
+        for task in self.tasks:
+            if not isinstance(task, Gazebo) and not (isinstance(task, SpawnModel) and task.is_sdf):
+                continue
+            leaves_of = {name: (value, task.node.place) for name, value in self.values.items()}
+            try:
+                task.look_ahead(self.plan, self.packages, leaves_of)
+            except BadFile as error:
+                self.findings.fail(f"node {task.node.full_name}", error)
+                continue
+            if task.scene is not None:
+                scenes.tell_scene(task.scene, self.findings, self.strict)
 
     @property
     def has_programs(self) -> bool:
@@ -313,7 +334,7 @@ class _LaunchCheck:
 
     def _withdraw_starts(self) -> None:
         """A joint that every spawn of a robot puts between its limits (-J) does not start outside of them."""
-        spawns = [task for task in self.tasks if isinstance(task, SpawnModel)]
+        spawns = self._spawns
         put: dict[int, list[SpawnModel]] = {}
         for spawned, task in zip(self.robots, spawns, strict=True):
             if spawned.model is not None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from slidectl.check import controllers, kinds, model
+from slidectl.check import controllers, kinds, model, scenes
 from slidectl.check.findings import Findings
-from slidectl.description import models
+from slidectl.description import models, sdf
 from slidectl.description.missing import Missing
 from slidectl.description.packages import Packages, is_file, shown
 from slidectl.errors import UsageError
@@ -58,7 +58,8 @@ def check(
             hint = f"a file of controllers stands behind an option: --controllers {words[1]}"
         raise UsageError(f"{words[1]!r} is not KEY:=VALUE", hint)
     if kind != "model" and parameter_files:
-        raise UsageError(f"--controllers goes with a model; {source} is a file of {kind}")
+        what = "SDF" if kind == "scene" else f"a file of {kind}"
+        raise UsageError(f"--controllers goes with a model; {source} is {what}")
     if kind == "launch":
         from slidectl.check import launch_check
 
@@ -68,6 +69,12 @@ def check(
         for name in arguments:
             raise UsageError(f"{name}:= has no meaning for {source}, a file of parameters")
         controllers.check(source, None, findings, text)
+        return findings
+    if kind == "scene":
+        for name in arguments:
+            raise UsageError(f"{name}:= has no meaning for {source}: SDF takes no arguments")
+        findings.is_drivable = scenes.check(sdf.find(source, packages), packages, findings, text, strict)
+        findings.tell_missing()
         return findings
     title = source if text is not None else None
     read = text.decode("utf-8", "replace") if text is not None else source
@@ -84,6 +91,8 @@ def _kind(source: str, text: bytes | None) -> kinds.Kind:
     """What one word means; a name that nothing has is an unknown model. Raises BadFile: XML of no kind."""
     if text is not None:
         return kinds.of_text(text, source)
+    if source.startswith(sdf.SCHEME):
+        return "scene"
     path = Path(source).expanduser()
     if source in models.shipped():
         return "model"

@@ -44,7 +44,8 @@ def robots(ctx: Context, name: str | None) -> None:
     """List the robots, or show one with its joints.
 
     Lengths in m, angles in rad, forces in N or N m; a joint without a limit has none. With a name and -v also what
-    became of each tag of the model. JSON keys: name, namespace, fixed, pose (x y z qx qy qz qw), links, joints (name,
+    became of each tag of the model. KIND is robot, model (without a controller manager, from SDF), or static (a model
+    that does not move). JSON keys: name, namespace, kind, fixed, pose (x y z qx qy qz qw), links, joints (name,
     type, interface, position, velocity, effort, lower, upper, max_velocity, max_effort), controllers, estop (true in
     an emergency stop), and report (verdict, subject, text, file, line) when a name is given.
     """
@@ -54,7 +55,7 @@ def robots(ctx: Context, name: str | None) -> None:
         rows = [record(robot, with_report=False) for robot in found]
         if ctx.format in ("text", "csv"):
             rows = [{**row, "joints": moving(row)} for row in rows]
-        ctx.emit_rows(rows, ["name", "namespace", "fixed", "joints", "controllers"], empty=_NONE)
+        ctx.emit_rows(rows, ["name", "namespace", "kind", "fixed", "joints", "controllers"], empty=_NONE)
         return
     one = record(found[0])
     if ctx.format == "csv":
@@ -67,7 +68,7 @@ def record(robot: Robot, with_report: bool = True) -> Robot:
     """A slidectl/RobotInfo with the keys that this command line promises."""
     joints = [{**joint, "interface": joint["hardware_interface"]} for joint in robot["joints"]]
     shown = {**robot, "joints": [{key: joint[key] for key in _JOINT_COLUMNS} for joint in joints]}
-    keys = ("name", "namespace", "fixed", "pose", "links", "joints", "controllers", "estop", "report")
+    keys = ("name", "namespace", "kind", "fixed", "pose", "links", "joints", "controllers", "estop", "report")
     return {key: shown[key] for key in (keys if with_report else keys[:-1])}
 
 
@@ -87,6 +88,7 @@ def robot_text(robot: Robot, with_report: bool) -> str:
     head = {
         "name": robot["name"],
         "namespace": robot["namespace"],
+        "kind": robot["kind"],
         "root": "fixed to the world" if robot["fixed"] else "free",
         "position": robot["pose"][:3],
         "quaternion": robot["pose"][3:],
@@ -153,7 +155,7 @@ def estop(ctx: Context, words: tuple[str, ...], namespaces: tuple[str, ...]) -> 
     JSON keys: name, namespace, estop, before.
     """
     stop = words[:1] != ("release",)
-    present = all_robots(ctx)
+    present = [robot for robot in all_robots(ctx) if robot["kind"] == "robot"]
     asked = [*(words if stop else words[1:]), *(join("/", namespace) for namespace in namespaces)]
     try:
         meant = [find(present, name) for name in asked] or _below(present, ctx.namespace)

@@ -9,7 +9,7 @@ import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -26,6 +26,7 @@ from slidectl.errors import BadFile, NotThere, Refused, UnknownName, UsageError
 if TYPE_CHECKING:
     from slidectl.description import Document, Packages
     from slidectl.description.missing import Missing
+    from slidectl.description.sdf import Scene
 
 
 @command(
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
         " --start joint_state_controller",
         "slidectl spawn models/rrbot.xacro --fixed",
         "slidectl spawn rrbot_description rrbot.xacro",
+        "slidectl spawn house.world --at 2 0 0",
+        "slidectl spawn model://table -n desk",
     ]
 )
 @click.argument("model", shell_complete=completion.models)
@@ -69,8 +72,10 @@ def spawn(
 
     MODEL is a .xacro or .urdf file, a shipped model (slider, rrbot), a package with FILE as the name of a file in it,
     or - for standard input. KEY:=VALUE are xacro arguments; a model with an argument `namespace` gets /NAME for it
-    when -n is given. A root link called `world` is fixed, any other is free. JSON keys: name, namespace, fixed, pose,
-    links, joints, controllers, report.
+    when -n is given. A root link called `world` is fixed, any other is free. MODEL may also be a .sdf or .world file,
+    or model://NAME, which is looked for in GAZEBO_MODEL_PATH: all models in it are spawned, without controllers, or
+    none; --at is where the file's origin is. JSON keys: name, namespace, kind, fixed, pose, links, joints, controllers,
+    report.
     """
     if name is not None:
         names.check_robot(name)
@@ -80,6 +85,11 @@ def spawn(
     missing = Missing("all" if keep_going else "nothing")
     places = package_lookup(packages)
     source, given = in_package(model, arguments, places)
+    if spawning.is_scene(source):
+        spawning.check_scene_options(given, controllers, start)
+        _spawn_scene(ctx, spawning.scene(source, places, missing), name, at, fixed, strict)
+        _tell_left_out(ctx, missing)
+        return
     text, title = source, None
     if source == "-":  # it may be a parameter's, as `slidectl param get` prints it: the daemon knows its sources
         text, title = standard_input(), "<stdin>"
@@ -88,7 +98,7 @@ def spawn(
     document = spawning.document(text, given, name, places, missing, title)
     tell_own_packages(ctx, places)
     missing.refuse()
-    xml = _rooted(document, fixed)
+    xml = _rooted(document.xml, document.file, fixed)
     pose = spawning.pose(at, "--at")
     wanted, namespace = spawning.identity(xml, document, name, strict)
     spawning.check_free(robots.all_robots(ctx), wanted, namespace)
@@ -116,8 +126,7 @@ def spawn(
         _tell(ctx, wanted)
         raise
     _tell(ctx, wanted)
-    if lines := missing.lines():
-        ctx.warn("\n".join(["left out:", *lines]))
+    _tell_left_out(ctx, missing)
     if start and not there:
         raise Refused(f"nothing is left to drive {wanted}: none of its controllers is there")
 
@@ -137,17 +146,21 @@ def spawn(
 def urdf(ctx: Context, model: str, arguments: tuple[str, ...], target: str | None, packages: tuple[str, ...]) -> None:
     """Print the URDF that xacro makes of a model, without a daemon.
 
-    MODEL, FILE and KEY:=VALUE are as for spawn. Any URDF parser reads what is printed; meshes keep the names that the
-    model gives them. JSON keys: urdf, file.
+    MODEL, FILE and KEY:=VALUE are as for spawn; of SDF, a file with one model. Any URDF parser reads what is printed;
+    meshes keep the names that the model gives them. JSON keys: urdf, file.
     """
     from slidectl import description
     from slidectl.writing import write_whole
 
     places = package_lookup(packages, "urdf")
     source, given = in_package(model, arguments, places, "urdf")
-    title = "<stdin>" if source == "-" else None
-    text = standard_input() if source == "-" else source
-    document = description.load(text, given, places, title=title, as_written=True)
+    if spawning.is_scene(source):
+        spawning.check_scene_options(given, None, ())
+        document = _single_model(source, places)
+    else:
+        title = "<stdin>" if source == "-" else None
+        text = standard_input() if source == "-" else source
+        document = description.load(text, given, places, title=title, as_written=True)
     tell_own_packages(ctx, places)
     for notice in document.report:
         ctx.warn(str(notice))
@@ -162,6 +175,17 @@ def urdf(ctx: Context, model: str, arguments: tuple[str, ...], target: str | Non
     except OSError as error:
         raise BadFile(f"cannot be written: {error.strerror or error}", target) from None
     ctx.done({"file": target}, f"{target}: written")
+
+
+def _single_model(source: str, places: Packages) -> Document:
+    """The URDF of SDF with one model. Raises UsageError where there are several."""
+    from slidectl import description
+
+    scene = spawning.scene(source, places)
+    if len(scene.models) > 1:
+        known = ", ".join(model.name for model in scene.models)
+        raise UsageError(f"{source} has {len(scene.models)} models, and URDF holds one: {known}")
+    return description.Document(scene.models[0].xml, source, tuple(scene.notices))
 
 
 def pairs(words: Sequence[str], sign: str, command: str = "spawn") -> dict[str, str]:
@@ -237,13 +261,41 @@ def parameter_text(text: str) -> str:
     return value if isinstance(value, str) and value.lstrip().startswith("<") else text
 
 
-def _rooted(document: Document, fixed: bool | None) -> str:
+def _rooted(xml: str, file: str, fixed: bool | None) -> str:
     from slidectl import description
 
     if fixed is None:
-        return document.xml
+        return xml
     change = description.with_root_fixed if fixed else description.with_root_free
-    return change(document.xml, document.file)
+    return change(xml, file)
+
+
+def _spawn_scene(
+    ctx: Context, scene: Scene, name: str | None, at: Sequence[float], fixed: bool | None, strict: bool
+) -> None:
+    """All models of a file, or none of them."""
+    from slidectl import description
+
+    requests = []
+    for model in scene.named(name):
+        xml = _rooted(model.xml, model.file, fixed)
+        if strict:
+            description.parse(xml, model.file, strict=True)
+        requests.append({**spawning.request(model, at, "--at"), "model_xml": xml})
+    warnings = ctx.client.spawn_models(requests, timeout=ctx.wait_limit(SPAWN_LIMIT_S))
+    reports = {robot["name"]: robot["report"] for robot in robots.all_robots(ctx)}
+    own = [vars(notice) for notice in scene.notices]
+    told = own + [notice for request in requests for notice in reports[request["model_name"]]]
+    _tell_notices(ctx, told)
+    for warning in warnings:
+        ctx.warn(warning)
+    for request in requests:
+        _tell(ctx, request["model_name"])
+
+
+def _tell_left_out(ctx: Context, missing: Missing) -> None:
+    if lines := missing.lines():
+        ctx.warn("\n".join(["left out:", *lines]))
 
 
 def _configured(manager: Manager, start: Sequence[str], missing: Missing) -> list[str]:
@@ -273,16 +325,20 @@ def _bring_up_each(manager: Manager, names: Sequence[str], missing: Missing) -> 
 
 def _tell_report(ctx: Context, name: str, document: Document) -> None:
     """What became of the tags: wrong ones and mended inertias in full, the others counted unless `-v`."""
-    from slidectl.description.report import needs_telling
-
     for notice in document.report:
         ctx.warn(str(notice))
     report = robots.find(robots.all_robots(ctx), name)["report"]
-    for notice in report:
-        if ctx.verbose or needs_telling(notice["verdict"], notice["subject"]):
-            ctx.warn(robots.notice_text(notice))
+    _tell_notices(ctx, report)
     if not ctx.verbose:
         ctx.say(robots.summary(name, report))
+
+
+def _tell_notices(ctx: Context, notices: Sequence[dict[str, Any]]) -> None:
+    from slidectl.description.report import needs_telling
+
+    for notice in notices:
+        if ctx.verbose or needs_telling(notice["verdict"], notice["subject"]):
+            ctx.warn(robots.notice_text(notice))
 
 
 def _tell(ctx: Context, name: str) -> None:
@@ -290,4 +346,7 @@ def _tell(ctx: Context, name: str) -> None:
     # Where the physics diverges at once the pose is no number, which is null on the wire.
     x, y, z = (math.nan if value is None else round(value, 3) + 0.0 for value in robot["pose"][:3])
     joints = " ".join(robots.moving(robot)) or "none"
-    ctx.done(robot, f"{name}: spawned in {robot['namespace']} at {x:g} {y:g} {z:g}, joints: {joints}")
+    if robot["kind"] == "robot":
+        ctx.done(robot, f"{name}: spawned in {robot['namespace']} at {x:g} {y:g} {z:g}, joints: {joints}")
+    else:
+        ctx.done(robot, f"{name}: {robot['kind']}, spawned at {x:g} {y:g} {z:g}, joints: {joints}")

@@ -300,10 +300,12 @@ class Client:
         start: Sequence[str] = (),
         **xacro_arguments: str,
     ) -> Message:
-        """Put a robot into the world, as `slidectl spawn` does. Returns slidectl/RobotInfo.
+        """Put a robot, or all models of a file, into the world, as `slidectl spawn` does.
+
+        Returns slidectl/RobotInfo, of a world the first model's.
 
         Args:
-            model: a shipped model's name, or the path of a .xacro or .urdf file.
+            model: a shipped model's name, the path of a .xacro, .urdf, .sdf or .world file, or `model://NAME`.
             at: x, y, z in m, or these and roll, pitch, yaw in rad.
             controllers: the YAML file of its controllers' parameters.
             start: controllers to load and start.
@@ -317,6 +319,11 @@ class Client:
         if name is not None:
             names.check_robot(name)
         pose = spawning.pose(at)
+        if spawning.is_scene(model):
+            spawning.check_scene_options(xacro_arguments, controllers, start)
+            models = spawning.scene(model).named(name)
+            self.spawn_models([spawning.request(one, at) for one in models])
+            return dict(self.call("/slidectl/list_robots", {"name": models[0].name})["robots"][0])
         document = spawning.document(model, xacro_arguments, name)
         chosen, namespace = spawning.identity(document.xml, document, name)
         spawning.check_free(self.robots(), chosen, namespace)
@@ -335,10 +342,44 @@ class Client:
 
     def spawn_urdf(self, name: str, xml: str, pose: Message, *, timeout: float = SPAWN_LIMIT_S) -> list[str]:
         """Put a URDF into the world at a geometry_msgs/Pose. Returns the world's remarks. Raises Refused."""
-        request = {"model_name": name, "model_xml": xml, "initial_pose": pose}
-        answer = self.call("/gazebo/spawn_urdf_model", request, timeout=timeout)
+        return self._spawn("urdf", {"model_name": name, "model_xml": xml, "initial_pose": pose}, timeout)
+
+    def spawn_models(self, models: Sequence[Message], *, timeout: float = SPAWN_LIMIT_S) -> list[str]:
+        """Put models into the world, all or none; it stands still meanwhile. Returns the world's remarks.
+
+        Each of `models` is a request of gazebo_msgs/SpawnModel, of SDF or of the URDF that was made of it.
+
+        Raises:
+            Refused: a name is taken, or the world cannot take a model.
+        """
+        taken = {robot["name"] for robot in self.robots()} & {model["model_name"] for model in models}
+        if taken:
+            there = ", ".join(repr(name) for name in sorted(taken))
+            raise Refused(f"there is already: {there}", f"slidectl delete {' '.join(sorted(taken))}")
+        was_running = not self.call("/slidectl/status")["paused"]
+        remarks: list[str] = []
+        spawned: list[str] = []
+        if was_running:
+            self.call("/gazebo/pause_physics")
+        try:
+            for model in models:
+                spawned.append(model["model_name"])
+                remarks += self._spawn("sdf", model, timeout)
+        except BaseException:
+            with suppress(SlidectlError):
+                for name in reversed(spawned):
+                    self.call("/gazebo/delete_model", {"model_name": name})
+            raise
+        finally:
+            if was_running:
+                with suppress(NoDaemon):
+                    self.call("/gazebo/unpause_physics")
+        return remarks
+
+    def _spawn(self, kind: str, request: Message, timeout: float) -> list[str]:
+        answer = self.call(f"/gazebo/spawn_{kind}_model", request, timeout=timeout)
         if not answer["success"]:
-            raise Refused(f"cannot spawn {name}: {answer['status_message']}")
+            raise Refused(f"cannot spawn {request['model_name']}: {answer['status_message']}")
         return list(answer["status_message"].split("\n")[1:])
 
     def delete(self, name: str) -> None:

@@ -12,11 +12,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slidectl import names, rotations
-from slidectl.errors import Refused, UsageError
+from slidectl.errors import NotThere, Refused, UsageError
 
 if TYPE_CHECKING:
     from slidectl.description import Document, Packages
     from slidectl.description.missing import Missing
+    from slidectl.description.sdf import Scene, SdfModel
 
 Tree = dict[str, Any]
 
@@ -57,21 +58,63 @@ def check_free(robots: Sequence[Mapping[str, Any]], name: str, namespace: str) -
             raise Refused(
                 f"a robot {name!r} is there already", f"give another name with -n, or: slidectl delete {name}"
             )
-        if robot["namespace"] == namespace:
+        if robot["namespace"] == namespace and robot["kind"] == "robot":
             hint = "a model with an xacro argument `namespace` gets its own with -n NAME"
             raise Refused(f"the namespace {namespace} is that of the robot {robot['name']!r}", hint)
 
 
+def is_scene(source: str) -> bool:
+    """Whether a model is one of SDF: a .sdf or .world file, or `model://NAME`."""
+    from slidectl.description import sdf
+
+    return sdf.is_scene(source)
+
+
+def check_scene_options(arguments: Mapping[str, str], controllers: str | None, start: Sequence[str]) -> None:
+    """Raise UsageError for what only a robot of URDF or xacro has."""
+    if arguments:
+        raise UsageError(f"SDF takes no arguments: {', '.join(arguments)}")
+    if controllers is not None or start:
+        raise UsageError("models of SDF have no controllers", "describe a robot that is driven in URDF or xacro")
+
+
+def scene(source: str, places: Packages | None = None, missing: Missing | None = None) -> Scene:
+    """The models of an SDF file, of a world, or of `model://NAME`. Raises BadFile, NotThere: nothing is in it."""
+    from slidectl import description
+    from slidectl.description import sdf
+
+    places = places or description.Packages({}, Path.cwd())
+    found = sdf.read(sdf.find(source, places), places, missing)
+    if missing is not None:
+        missing.refuse()
+    if not found.models:
+        raise NotThere(f"no model is left to spawn in {source}")
+    return found
+
+
+def request(model: SdfModel, at: Sequence[float] = (), what: str = "at") -> dict[str, Any]:
+    """gazebo_msgs/SpawnModel for a model whose file stands at X Y Z (m) R P Y (rad)."""
+    place = rotations.compose(_pose(at, what), model.pose)
+    return {"model_name": names.check_robot(model.name), "model_xml": model.xml, "initial_pose": _message(place)}
+
+
 def pose(at: Sequence[float], what: str = "at") -> dict[str, Any]:
     """geometry_msgs/Pose of X Y Z (m), or X Y Z R P Y (rad). Raises UsageError; `what` is how the caller calls it."""
+    return _message(_pose(at, what))
+
+
+def _message(pose: rotations.Pose) -> dict[str, Any]:
+    return {"position": dict(zip("xyz", pose[0], strict=True)), "orientation": rotations.message(pose[1])}
+
+
+def _pose(at: Sequence[float], what: str) -> rotations.Pose:
     given = " ".join(f"{value:g}" for value in at)
     if len(at) not in (0, 3, 6):
         raise UsageError(f"{what} takes X Y Z or X Y Z R P Y, not {given}")
     if not all(map(math.isfinite, at)):
         raise UsageError(f"{what} takes finite numbers, not {given}")
     x, y, z, roll, pitch, yaw = (*at, *[0.0] * (6 - len(at)))
-    turn = rotations.from_rpy((roll, pitch, yaw))
-    return {"position": {"x": x, "y": y, "z": z}, "orientation": rotations.message(turn)}
+    return (x, y, z), rotations.from_rpy((roll, pitch, yaw))
 
 
 # --- files of controllers ---------------------------------------------------------------------------------------------

@@ -15,19 +15,21 @@ import math
 import os
 import re
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from urllib.parse import unquote
 
 from slidectl.description import models, xml_tree
-from slidectl.description.packages import Packages, UnknownPackage, is_file
+from slidectl.description.missing import Missing
+from slidectl.description.packages import Packages, UnknownPackage, is_file, shown
 from slidectl.description.robot import Notice, Verdict
 from slidectl.description.values import parse_number
 from slidectl.description.xml_tree import Element
-from slidectl.errors import NotThere
+from slidectl.errors import NotThere, UsageError
 from slidectl.rotations import ORIGIN, Pose, compose, conjugate, from_rpy, relative, rotate, to_rpy
 
 SUFFIXES = (".sdf", ".world")
+SCHEME = "model://"
 GROUND_PLANE = "ground_plane"
 SUN = "sun"
 _DEEPEST_INCLUDE = 10
@@ -48,6 +50,8 @@ class SdfModel:
     """One part of a world that moves, or stands still, as a whole."""
 
     name: str
+    first: str
+    """The name of the first part of its `<model>`."""
     xml: str
     """URDF with the note of its sources."""
     pose: Pose
@@ -64,6 +68,18 @@ class Scene:
     models: list[SdfModel] = field(default_factory=list)
     has_ground: bool = False
     notices: list[Notice] = field(default_factory=list)
+
+    def named(self, name: str | None) -> list[SdfModel]:
+        """The parts, with `name` for the model; further parts keep what their names have more than the first one's.
+
+        Raises UsageError: a name, and not one model.
+        """
+        if name is None:
+            return self.models
+        first = {model.first for model in self.models}
+        if len(first) != 1:
+            raise UsageError(f"a name goes with one model, and there are {len(first)}", "leave the name out")
+        return [replace(model, name=name + model.name.removeprefix(model.first), first=name) for model in self.models]
 
 
 class SdfFiles:
@@ -118,23 +134,56 @@ class SdfFiles:
         yield Path(os.path.expanduser(_HOME))
 
 
-def read(path: Path, packages: Packages | None = None) -> Scene:
+def is_scene(source: str) -> bool:
+    """Whether a user means SDF by this word: a file of that kind, or `model://NAME`."""
+    return source.startswith(SCHEME) or source.lower().endswith(SUFFIXES)
+
+
+def is_urdf(text: str) -> bool:
+    """Whether the text is a URDF. Raises BadFile: no XML."""
+    return xml_tree.read(text, "model_xml").tag == "robot"
+
+
+def find(source: str, packages: Packages | None = None) -> Path:
+    """The file that the word means. Raises NotThere."""
+    if not source.startswith(SCHEME):
+        return Path(source).expanduser()
+    try:
+        return SdfFiles(packages or Packages(start=Path.cwd()), Path.cwd()).model_file(
+            source, Element("include", {}, "", 0)
+        )
+    except NotThere as error:
+        raise NotThere(error.reason, hint=error.hint, thing=error.thing) from None
+
+
+def read(path: Path, packages: Packages | None = None, missing: Missing | None = None) -> Scene:
     """The scene of an SDF or world file.
 
+    `missing` takes in the models and meshes that it names and are not there, which are left out.
+
     Raises:
-        BadFile: missing, not SDF, or broken (file, line). NotThere: a model or a mesh that it names.
+        BadFile: missing, not SDF, or broken (file, line). NotThere: a model or a mesh, without `missing`.
     """
-    return parse(models.read_file(path), str(path), packages, path.absolute().parent)
+    base = path.absolute().parent
+    places = packages.starting_at(base) if packages is not None else None
+    return parse(models.read_file(path), shown(path), places, base, missing)
 
 
-def parse(text: str | bytes, file: str = "<text>", packages: Packages | None = None, base: Path | None = None) -> Scene:
+def parse(
+    text: str | bytes,
+    file: str = "<text>",
+    packages: Packages | None = None,
+    base: Path | None = None,
+    missing: Missing | None = None,
+) -> Scene:
     """As read, of a text; `base` is the folder for relative paths."""
     root = xml_tree.read(text, file)
     if root.tag not in ("sdf", "gazebo", "world", "model"):
         raise root.error(f"this is no SDF: its outermost element is <{root.tag}>, expected <sdf>")
-    reader = _SceneReader(SdfFiles(packages or Packages(start=base), base))
+    reader = _SceneReader(SdfFiles(packages or Packages(start=base), base), missing)
     reader.take(root, root.get("version") or "1.6")
-    if not reader.scene.models and not reader.scene.has_ground and root.tag != "world" and root.find("world") is None:
+    is_empty = not reader.scene.models and not reader.scene.has_ground and not missing
+    if is_empty and root.tag != "world" and root.find("world") is None:
         raise root.error("there is no <model> in it")
     return reader.scene
 
@@ -142,8 +191,9 @@ def parse(text: str | bytes, file: str = "<text>", packages: Packages | None = N
 class _SceneReader:
     """Walks worlds, models and includes."""
 
-    def __init__(self, files: SdfFiles) -> None:
+    def __init__(self, files: SdfFiles, missing: Missing | None) -> None:
         self.files = files
+        self.missing = missing
         self.scene = Scene()
         self.names: set[str] = set()
         self.depth = 0
@@ -151,6 +201,12 @@ class _SceneReader:
 
     def say(self, verdict: Verdict, element: Element, text: str) -> None:
         self.scene.notices.append(Notice(verdict, element.title, text, element.file, element.line))
+
+    def absent(self, error: NotThere, loss: str) -> None:
+        """Note what is not there, or raise it where nobody takes that in."""
+        if self.missing is None:
+            raise error
+        self.missing.note(error, loss)
 
     def take(self, root: Element, version: str) -> None:
         """The first world, and models beside it."""
@@ -163,24 +219,25 @@ class _SceneReader:
             return self.model(root, ORIGIN, version)
         for holder in (*places, *worlds[:1]):
             for element in holder.children:
-                if element.tag == "model":
-                    placed = states.get(element.get("name") or "")
-                    self.model(element, ORIGIN, version, at=placed)
-                elif element.tag == "include":
-                    self.include(element, ORIGIN, states)
+                try:
+                    if element.tag == "model":
+                        placed = states.get(element.get("name") or "")
+                        self.model(element, ORIGIN, version, at=placed)
+                    elif element.tag == "include":
+                        self.include(element, ORIGIN, states)
+                except NotThere as error:
+                    self.absent(error, "the model is left out")
         return None
 
-    def include(
-        self, element: Element, frame: Pose, states: dict[str, Pose] | None = None, inner: bool = False
-    ) -> None:
+    def include(self, element: Element, frame: Pose, states: dict[str, Pose] | None = None) -> None:
         """The model of an `<include>` with what the tag says over it."""
         uri = _text(element, "uri")
         if not uri:
             raise element.error("<include> lacks <uri>")
-        short = uri.rstrip("/").rpartition("/")[2].lower().replace(" ", "_")  # Fuel calls it `Ground Plane`
-        if not inner and short == SUN:
+        short = _short(uri)
+        if short == SUN:
             return
-        if not inner and short == GROUND_PLANE:
+        if short == GROUND_PLANE:
             self.scene.has_ground = True
             return
         model, version = self.included(uri, element)
@@ -190,8 +247,10 @@ class _SceneReader:
         at = placed or (_pose(pose_element) if pose_element is not None else None)
         static = element.find("static")
         self.depth += 1
-        self.model(model, frame, version, name, at, _truth(static) if static is not None else None)
-        self.depth -= 1
+        try:
+            self.model(model, frame, version, name, at, _truth(static) if static is not None else None)
+        finally:
+            self.depth -= 1
 
     def included(self, uri: str, element: Element) -> tuple[Element, str]:
         """The `<model>` that an `<include>` names, and its version of SDF. Raises BadFile, NotThere."""
@@ -218,7 +277,7 @@ class _SceneReader:
     ) -> None:
         """One model: its links and joints, and those of the models nested in it."""
         title = name or element.get("name") or "model"
-        if _is_ground(element, title):
+        if title == GROUND_PLANE or is_ground(element):
             self.scene.has_ground = True
             return
         part = _ModelReader(self, title, element, version)
@@ -226,8 +285,7 @@ class _SceneReader:
         place = compose(frame, own)
         is_static = static if static is not None else _truth(element.find("static"))
         part.read(element, ORIGIN, "")
-        for model in part.parts(place, is_static):
-            self.scene.models.append(model)
+        self.scene.models += list(part.parts(place, is_static))  # all of them, or none where something is not there
 
     def free_name(self, wanted: str) -> str:
         """A name of a robot that no other part of the scene has."""
@@ -268,6 +326,8 @@ class _ModelReader:
         self.axis_in_model = _version(version) < (1, 5)
         self.links: dict[str, _SdfLink] = {}
         self.joints: dict[str, _SdfJoint] = {}
+        self.first = ""
+        """The name of the first part."""
 
     # --- reading -----------------------------------------------------------------------------------------------------
 
@@ -300,8 +360,10 @@ class _ModelReader:
         inner = compose(frame, _pose(pose) if pose is not None else _pose_of(model))
         name = _text(element, "name") or model.get("name") or "model"
         self.scene.depth += 1
-        self.read(model, inner, f"{prefix}{name}::")
-        self.scene.depth -= 1
+        try:
+            self.read(model, inner, f"{prefix}{name}::")
+        finally:
+            self.scene.depth -= 1
 
     def _joint(self, element: Element, prefix: str) -> None:
         name = prefix + (element.get("name") or "joint")
@@ -388,7 +450,8 @@ class _ModelReader:
         return self._model(urdf.attributes["name"], urdf, start, is_static=False)
 
     def _model(self, name: str, urdf: Element, pose: Pose, *, is_static: bool) -> SdfModel:
-        return SdfModel(name, xml_tree.write(urdf), pose, is_static, self.element.file, self.element.line)
+        self.first = self.first or name
+        return SdfModel(name, self.first, xml_tree.write(urdf), pose, is_static, self.element.file, self.element.line)
 
     def _urdf(self, name: str) -> Element:
         return self._made("robot", self.element, name=self.scene.free_name(name))
@@ -452,7 +515,14 @@ class _ModelReader:
         found = geometry.children[0] if geometry is not None and geometry.children else None
         if found is None or found.tag == "empty":
             return None
-        made_shape = self._geometry(found)
+        try:
+            made_shape = self._geometry(found)
+        except NotThere as error:
+            if element.tag == "collision":
+                self.scene.absent(error, "the <collision> is left out")
+            else:
+                self.scene.say("ignored", found, f"is left out: {error.reason}")
+            return None
         if made_shape is None:
             known = "box, sphere, cylinder and mesh"
             self.scene.say("wrong", found, f"is left out: the shapes here are {known}")
@@ -578,10 +648,17 @@ def _states(world: Element) -> dict[str, Pose]:
     return {name: _pose(pose) for name, pose in found.items() if pose is not None}
 
 
-def _is_ground(model: Element, name: str) -> bool:
-    """A model that is called so, or whose only shape is a plane."""
-    shapes = [shape for element in model.walk() if element.tag == "geometry" for shape in element.children]
-    return name == GROUND_PLANE or bool(shapes and all(shape.tag == "plane" for shape in shapes))
+def is_ground(element: Element) -> bool:
+    """A `<model>` that is called so or whose only shape is a plane, or the `<include>` of the one that is called so."""
+    if element.tag == "include":
+        return _short(_text(element, "uri")) == GROUND_PLANE
+    shapes = [shape for inner in element.walk() if inner.tag == "geometry" for shape in inner.children]
+    return element.get("name") == GROUND_PLANE or bool(shapes and all(shape.tag == "plane" for shape in shapes))
+
+
+def _short(uri: str) -> str:
+    """The name of a model in a uri, as its folder is called: Fuel has `Ground Plane`."""
+    return uri.rstrip("/").rpartition("/")[2].lower().replace(" ", "_")
 
 
 def _named_in_config(path: Path) -> str | None:

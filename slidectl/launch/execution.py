@@ -219,7 +219,7 @@ class Execution:
         if spawners:
             is_left = any(task.loaded for task in spawners)
         elif any(map(_spawns, self.run.plan.nodes)):
-            is_left = bool(self.run.spawned)
+            is_left = any(isinstance(task, SpawnModel) and task.model in self.run.spawned for task in self.tasks)
         else:
             is_left = any(task not in self.run.left_out for task in self.begun)
         if not is_left:

@@ -83,7 +83,7 @@ class Run:
     left_out: list[Task] = field(default_factory=list)
     """Those that could not be done, in a launch that keeps going."""
     spawned: list[str] = field(default_factory=list)
-    """Robots that this run has put into the world and that are to leave it with the run."""
+    """Robots and models that this run has put into the world and that are to leave it with the run."""
     _client: Client | None = None
     _log: Any = None
     _answered: list[str] = field(default_factory=list)
@@ -110,6 +110,10 @@ class Run:
     def robots(self, timeout: float | None = None) -> list[dict[str, Any]]:
         """The robots in the world (slidectl/RobotInfo)."""
         return list(self.call("/slidectl/list_robots", {"name": ""}, timeout)["robots"])
+
+    def controlled_robots(self) -> list[dict[str, Any]]:
+        """Those of them that have a controller manager: not the models that stand around them."""
+        return [robot for robot in self.robots() if robot["kind"] == "robot"]
 
     def new_warnings(self, level: int = 4) -> list[str]:
         """The warnings and errors of the world since the last time, without those that answers have brought."""

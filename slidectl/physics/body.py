@@ -15,10 +15,9 @@ import numpy as np
 from slidectl.description.robot import Joint, Link, Robot
 from slidectl.errors import UnknownName
 from slidectl.physics.builder import SCALAR_TYPES, lumps
-from slidectl.physics.frames import compose, subtract
 from slidectl.physics.hulls import Hulls
-from slidectl.physics.rotation import Pose, wxyz
-from slidectl.rotations import IDENTITY, Vector
+from slidectl.physics.rotation import wxyz
+from slidectl.rotations import IDENTITY, Pose, Vector, compose, subtract
 
 Array = np.ndarray[Any, np.dtype[Any]]
 

@@ -34,11 +34,10 @@ from slidectl.description.robot import (
 )
 from slidectl.description.transmissions import driving
 from slidectl.errors import SlidectlError
-from slidectl.physics.frames import compose
 from slidectl.physics.hulls import Hull, Hulls, source_of
-from slidectl.physics.rotation import ORIGIN, Pose, perpendicular, unit, wxyz
+from slidectl.physics.rotation import perpendicular, unit, wxyz
 from slidectl.physics.touching import ORDINARY, self_colliding
-from slidectl.rotations import Quaternion, Vector, from_rpy, matrix
+from slidectl.rotations import ORIGIN, Pose, Quaternion, Vector, compose, from_rpy, matrix
 
 Array = np.ndarray[Any, np.dtype[Any]]
 

@@ -17,10 +17,8 @@ import numpy as np
 from slidectl.control.laws import law
 from slidectl.description.robot import Joint
 from slidectl.physics.body import Array, Body
-from slidectl.physics.frames import add
 from slidectl.physics.motors import Motors, MotorsState
-from slidectl.physics.rotation import cross
-from slidectl.rotations import Vector
+from slidectl.rotations import Vector, add, cross
 
 
 @law

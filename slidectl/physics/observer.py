@@ -12,9 +12,8 @@ import mujoco
 import numpy as np
 
 from slidectl.physics.body import LinkPlace
-from slidectl.physics.frames import add, compose, rotate
-from slidectl.physics.rotation import Pose, cross, xyzw
-from slidectl.rotations import Vector
+from slidectl.physics.rotation import xyzw
+from slidectl.rotations import Pose, Vector, add, compose, cross, rotate
 
 Twist = tuple[Vector, Vector]
 """Linear (m/s) and angular (rad/s) velocity, in the world's axes."""

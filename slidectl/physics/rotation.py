@@ -1,4 +1,4 @@
-"""Rotations as physics needs them beside `slidectl.rotations`: MuJoCo's order, axes, poses.
+"""Rotations as physics needs them beside `slidectl.rotations`: MuJoCo's order, and axes.
 
 `Quaternion` is x y z w as on messages; `wxyz` turns it for MuJoCo, whose quaternions begin with w.
 """
@@ -7,12 +7,7 @@ from __future__ import annotations
 
 import math
 
-from slidectl.rotations import IDENTITY, Quaternion, Vector
-
-Pose = tuple[Vector, Quaternion]
-"""Position in m, attitude x y z w."""
-
-ORIGIN: Pose = ((0.0, 0.0, 0.0), IDENTITY)
+from slidectl.rotations import Quaternion, Vector, cross
 
 
 def wxyz(quaternion: Quaternion) -> tuple[float, float, float, float]:
@@ -40,8 +35,3 @@ def unit(vector: Vector) -> Vector:
     """The vector at length one. Raises ZeroDivisionError for the null vector."""
     length = math.sqrt(sum(part * part for part in vector))
     return (vector[0] / length, vector[1] / length, vector[2] / length)
-
-
-def cross(a: Vector, b: Vector) -> Vector:
-    """Vector product."""
-    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])

@@ -12,10 +12,8 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from slidectl.physics.frames import add, compose, rotate
-from slidectl.physics.rotation import Pose, cross
 from slidectl.physics.touching import link_of
-from slidectl.rotations import Quaternion, Vector, multiply
+from slidectl.rotations import Pose, Quaternion, Vector, add, compose, cross, multiply, rotate
 
 if TYPE_CHECKING:
     from slidectl.physics.world import World

@@ -24,9 +24,8 @@ from slidectl.physics.compiler import Settings, WorldSpec
 from slidectl.physics.hulls import Hulls
 from slidectl.physics.loads import JointForce, Loads, LoadsState, Wrench
 from slidectl.physics.observer import Observer, Twist
-from slidectl.physics.rotation import ORIGIN, Pose
 from slidectl.physics.touching import depths, link_of
-from slidectl.rotations import Vector, normalized
+from slidectl.rotations import ORIGIN, Pose, Vector, normalized
 
 GRAVITY: Vector = (0.0, 0.0, -9.8)
 """m/s², the default of SDF and so of Gazebo."""

@@ -5,10 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from slidectl.control.node_handle import Message
-from slidectl.physics.frames import add, compose, relative, rotate, subtract
 from slidectl.physics.observer import Twist
-from slidectl.physics.rotation import ORIGIN, Pose, cross
-from slidectl.rotations import Vector, conjugate, normalized
+from slidectl.rotations import (
+    ORIGIN,
+    Pose,
+    Vector,
+    add,
+    compose,
+    conjugate,
+    cross,
+    normalized,
+    relative,
+    rotate,
+    subtract,
+)
 
 STILL: Twist = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 

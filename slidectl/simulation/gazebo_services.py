@@ -12,11 +12,11 @@ from functools import wraps
 from typing import TYPE_CHECKING, Any, Literal
 
 from slidectl.control.node_handle import Message
-from slidectl.errors import AmbiguousName, Refused, SlidectlError, UnknownName, quoted
+from slidectl.description import sdf
+from slidectl.errors import AmbiguousName, Refused, SlidectlError, UnknownName
 from slidectl.physics import hulls
-from slidectl.physics.frames import add, compose, rotate, subtract
-from slidectl.physics.rotation import cross
-from slidectl.rotations import IDENTITY, Vector, from_rpy
+from slidectl.physics.hulls import Hulls
+from slidectl.rotations import IDENTITY, Pose, Vector, add, compose, cross, from_rpy, rotate, subtract
 from slidectl.simulation.clock import SECOND, stamp
 from slidectl.simulation.gazebo_frames import (
     STILL,
@@ -33,7 +33,7 @@ from slidectl.simulation.gazebo_frames import (
 )
 from slidectl.simulation.graph import WORLD_NODE
 from slidectl.simulation.pending import Pending
-from slidectl.simulation.robots import SpawnedRobot
+from slidectl.simulation.robots import ParsedRobot, SpawnedRobot
 from slidectl.simulation.services import Handler
 from slidectl.simulation.topics import PeriodicTopic
 
@@ -66,7 +66,7 @@ class GazeboServices:
         node = simulation.graph.node(WORLD_NODE)
         answered: dict[str, tuple[str, Callable[[Message], Answer | Pending]]] = {
             "spawn_urdf_model": ("SpawnModel", self._spawn),
-            "spawn_sdf_model": ("SpawnModel", self._refuse_sdf),
+            "spawn_sdf_model": ("SpawnModel", self._spawn_sdf),
             "delete_model": ("DeleteModel", self._delete),
             "get_world_properties": ("GetWorldProperties", self._world_properties),
             "get_model_properties": ("GetModelProperties", self._model_properties),
@@ -144,28 +144,54 @@ class GazeboServices:
 
     def _spawn(self, request: Message) -> Answer | Pending:
         """At once, or as soon as its meshes are read: a driver lets the world go on meanwhile."""
-        place = compose(self._frame(request["reference_frame"]).pose, pose(request["initial_pose"]))
-        tags = request["model_xml"].count("<")
-        if tags > _MOST_TAGS:
-            raise Refused(f"the URDF has {tags} tags, and {_MOST_TAGS} is the most")
+        _check_size("URDF", request["model_xml"])
         read = self._robots.read(request["model_xml"], request["model_name"], request["robot_namespace"] or None)
-        meshes = hulls.sources(read.paper)
+        return self._spawn_all([(read, self._place(request))])
+
+    def _spawn_sdf(self, request: Message) -> Answer | Pending:
+        """One model, as SDF or, as in Gazebo, as URDF. All its parts are spawned, or none.
+
+        It gets no controller manager, unless it is URDF with transmissions or the control plugin.
+        """
+        xml, name, namespace = request["model_xml"], request["model_name"], request["robot_namespace"] or None
+        _check_size("SDF", xml)
+        place = self._place(request)
+        if sdf.is_urdf(xml):
+            return self._spawn_all([(self._robots.read(xml, name, namespace, is_model=True), place)])
+        parts = sdf.parse(xml, "model_xml").named(name)
+        read = [self._robots.read(part.xml, part.name, namespace, is_model=True) for part in parts]
+        return self._spawn_all([(one, compose(place, part.pose)) for one, part in zip(read, parts, strict=True)])
+
+    def _place(self, request: Message) -> Pose:
+        return compose(self._frame(request["reference_frame"]).pose, pose(request["initial_pose"]))
+
+    def _spawn_all(self, read: list[tuple[ParsedRobot, Pose]]) -> Answer | Pending:
+        """All of them or none."""
+        meshes = list(dict.fromkeys(source for one, _ in read for source in hulls.sources(one.paper)))
         if not meshes:
-            return _spawned(self._robots.spawn_read(read, place, {}))
+            return self._spawn_now(read, {})
 
         def go_on(hulls_read: Pending) -> Answer:
             try:
-                return _spawned(self._robots.spawn_read(read, place, hulls_read.result()))
+                return self._spawn_now(read, hulls_read.result())
             except SlidectlError:
                 raise
             except Exception as error:  # nobody but the one who asked would hear of it
-                raise Refused(f"{read.name!r} cannot be spawned: {type(error).__name__}: {error}") from error
+                raise Refused(f"{read[0][0].name!r} cannot be spawned: {type(error).__name__}: {error}") from error
 
         return self._simulation.read_meshes(meshes).converted(go_on)
 
-    def _refuse_sdf(self, request: Message) -> Answer:
-        name = quoted(request["model_name"])
-        raise Refused(f"{name} is SDF, and only URDF can be spawned", "describe the robot in URDF or xacro")
+    def _spawn_now(self, read: list[tuple[ParsedRobot, Pose]], known: Hulls) -> Answer:
+        spawned: list[SpawnedRobot] = []
+        try:
+            for one, place in read:
+                spawned.append(self._robots.spawn_read(one, place, known))
+        except BaseException:
+            for robot in reversed(spawned):
+                self._robots.delete(robot.name)
+            raise
+        texts = [f"{robot.name!r} in the namespace {robot.namespace}" for robot in spawned]
+        return "\n".join([f"spawned {', '.join(texts)}", *(text for one in spawned for text in one.warnings)]), {}
 
     def _delete(self, request: Message) -> Answer:
         self._simulation.delete(request["model_name"])
@@ -182,7 +208,8 @@ class GazeboServices:
         return "got the properties of the world", fields
 
     def _model_properties(self, request: Message) -> Answer:
-        paper = self._robots.get(request["model_name"]).paper
+        robot = self._robots.get(request["model_name"])
+        paper = robot.paper
         shapes = [
             shape.name or f"{link.name}_collision{f'_{index}' if index else ''}"
             for link in paper.links.values()
@@ -194,7 +221,7 @@ class GazeboServices:
             "body_names": list(paper.links),
             "geom_names": shapes,
             "joint_names": list(paper.joints),
-            "is_static": False,
+            "is_static": robot.kind == "static",
         }
         return f"got the properties of {request['model_name']!r}", fields
 
@@ -396,9 +423,10 @@ def _failure(error: SlidectlError) -> Message:
     return {"success": False, "status_message": str(error)}
 
 
-def _spawned(robot: SpawnedRobot) -> Answer:
-    lines = [f"spawned {robot.name!r} in the namespace {robot.namespace}", *robot.warnings]
-    return "\n".join(lines), {}
+def _check_size(kind: str, xml: str) -> None:
+    tags = xml.count("<")
+    if tags > _MOST_TAGS:
+        raise Refused(f"the {kind} has {tags} tags, and {_MOST_TAGS} is the most")
 
 
 def _states(frames: dict[str, Frame]) -> Message:

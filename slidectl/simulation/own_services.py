@@ -64,7 +64,7 @@ class OwnServices:
 
     def _status(self, _: Message) -> Message:
         simulation = self._simulation
-        managers = [robot.parts.manager for robot in self._robots]
+        managers = [robot.parts.manager for robot in self._robots if robot.is_controlled]
         return {
             "version": slidectl.__version__,
             "time": self._graph.clock.seconds,
@@ -267,10 +267,11 @@ class OwnServices:
         return {
             "name": robot.name,
             "namespace": robot.namespace,
+            "kind": robot.kind,
             "fixed": paper.is_fixed_to_world,
             "links": list(paper.links),
             "joints": [self._joint_info(robot, joint, interfaces) for joint in paper.joints.values()],
-            "controllers": list(robot.parts.manager.names()),
+            "controllers": list(robot.parts.manager.names()) if robot.is_controlled else [],
             "pose": [*map(float, position), *map(float, attitude)],
             "report": [
                 {"verdict": n.verdict, "subject": n.subject, "text": n.text, "file": n.file, "line": n.line or 0}
@@ -308,9 +309,12 @@ class OwnServices:
         All robots in one cycle, or none where a name is unknown.
         """
         try:
-            meant = [self._robot(name) for name in dict.fromkeys(request["names"])] or list(self._robots)
+            controlled = [robot for robot in self._robots if robot.is_controlled]
+            meant = [self._robot(name) for name in dict.fromkeys(request["names"])] or controlled
             if not meant:
                 raise Refused("no robots in the world")
+            for robot in meant:
+                robot.check_controlled()
         except SlidectlError as error:
             return {"success": False, "message": str(error), "robots": []}
         for robot in meant:

@@ -24,7 +24,7 @@ from slidectl.physics import EngineError, Overlap, World
 from slidectl.physics.body import Body
 from slidectl.physics.hulls import Hulls
 from slidectl.physics.robot_hw import MujocoRobotHW
-from slidectl.physics.rotation import ORIGIN, Pose
+from slidectl.rotations import ORIGIN, Pose
 from slidectl.simulation.cycle import ControlCycle
 from slidectl.simulation.graph import GraphNode
 from slidectl.simulation.loop import Loop
@@ -65,6 +65,8 @@ class SpawnedRobot:
         self.xml = parsed.xml
         self.caller = parsed.caller
         """The session id of the process that asked for it, 0 when nobody knows."""
+        self.is_controlled = parsed.is_controlled
+        """False for a model that stands around robots: it has no hardware, no controllers and no cycle."""
         self.node = node
         self.taken = ExitStack()
         self.parts = ControlParts()
@@ -76,27 +78,44 @@ class SpawnedRobot:
         self.node.before_entry = callback
 
     @property
-    def hardware(self) -> MujocoRobotHW:
-        """The joints as controllers see them."""
+    def kind(self) -> str:
+        """What it is: `robot`, `model` (without a controller manager), or `static` (a model that does not move)."""
+        if self.is_controlled:
+            return "robot"
+        moving = any(joint.type != "fixed" for joint in self.paper.joints.values())
+        return "model" if moving or not self.paper.is_fixed_to_world else "static"
+
+    def check_controlled(self) -> None:
+        """Raises Refused for a model without a controller manager."""
+        if not self.is_controlled:
+            raise Refused(f"{self.name!r} is a model without a controller manager")
+
+    def _enter(self) -> None:
+        self.check_controlled()
         self.node.before_entry()
+
+    @property
+    def hardware(self) -> MujocoRobotHW:
+        """The joints as controllers see them. Raises Refused for a model without a controller manager."""
+        self._enter()
         return self.parts.hardware
 
     @property
     def manager(self) -> ControllerManager:
-        """The controllers."""
-        self.node.before_entry()
+        """The controllers. Raises Refused for a model without them."""
+        self._enter()
         return self.parts.manager
 
     @property
     def cycle(self) -> ControlCycle:
-        """Its part of each cycle of the world."""
-        self.node.before_entry()
+        """Its part of each cycle of the world. Raises Refused for a model without one."""
+        self._enter()
         return self.parts.cycle
 
     @property
     def emergency_stop(self) -> bool:
         """True: efforts and velocities are 0, positions are held. Controllers go on; its end starts them anew."""
-        return self.parts.cycle.emergency_stop
+        return self.is_controlled and self.parts.cycle.emergency_stop
 
     @emergency_stop.setter
     def emergency_stop(self, stopped: bool) -> None:
@@ -113,6 +132,8 @@ class SpawnedRobot:
 
         The hardware comes first, since a controller's set point is what it measures when it starts.
         """
+        if not self.is_controlled:
+            return
         self.hardware.reset()
         self.cycle.rewind(time_ns)
         self.look()
@@ -133,6 +154,7 @@ class ParsedRobot(NamedTuple):
     """Where its lines were written, and its meshes found."""
     caller: int
     """The session id of the process that asks for it, 0 when nobody knows."""
+    is_controlled: bool
 
 
 class Sources:
@@ -205,8 +227,11 @@ class Robots:
         """
         return self._spawn(self.read(xml, name, namespace), pose, hulls)
 
-    def read(self, xml: str, name: str, namespace: str | None = None) -> ParsedRobot:
-        """A robot that may be spawned as far as one can tell without its meshes. Raises as `spawn`."""
+    def read(self, xml: str, name: str, namespace: str | None = None, *, is_model: bool = False) -> ParsedRobot:
+        """A robot that may be spawned as far as one can tell without its meshes. Raises as `spawn`.
+
+        One that `is_model` gets no controller manager, unless it has transmissions or the control plugin.
+        """
         self._check_name(name)
         urdf, note = source_note.split(xml)
         note = note or self.sources.get(source_note.digest(urdf))
@@ -217,13 +242,15 @@ class Robots:
             raise BadFile(reason, DESCRIPTION, plugin.line)
         asked = (names.join("/", namespace).rstrip("/") or "/") if namespace else description.namespace_of(paper, name)
         place = names.check(asked)
-        self._check_namespace(place)
-        return ParsedRobot(name, place, paper, urdf, note, self._loop.graph.caller)
+        is_controlled = not is_model or paper.plugin is not None or bool(paper.transmissions)
+        parsed = ParsedRobot(name, place, paper, urdf, note, self._loop.graph.caller, is_controlled)
+        self._check_namespace(parsed)
+        return parsed
 
     def spawn_read(self, parsed: ParsedRobot, pose: Pose, hulls: Hulls) -> SpawnedRobot:
         """Spawn what was read some cycles ago. Raises as `spawn`: others may have come meanwhile."""
         self._check_name(parsed.name)
-        self._check_namespace(parsed.namespace)
+        self._check_namespace(parsed)
         return self._spawn(parsed, pose, hulls)
 
     def _spawn(self, parsed: ParsedRobot, pose: Pose, hulls: Hulls | None) -> SpawnedRobot:
@@ -245,8 +272,14 @@ class Robots:
 
     def _bring_up(self, robot: SpawnedRobot, undoing: ExitStack) -> None:
         """All that belongs to a robot whose body is in the world. What takes it back goes on the stack `undoing`."""
-        loop, parts, plugin = self._loop, robot.parts, robot.paper.plugin or ControlPlugin()
         undoing.callback(robot.node.shutdown)
+        if robot.is_controlled:
+            self._bring_up_control(robot, undoing)
+        for bring_up in self.on_spawn:
+            undoing.callback(bring_up(robot))
+
+    def _bring_up_control(self, robot: SpawnedRobot, undoing: ExitStack) -> None:
+        loop, parts, plugin = self._loop, robot.parts, robot.paper.plugin or ControlPlugin()
         _put_description(robot, loop, undoing)
         parts.hardware = MujocoRobotHW(self._world, robot.body, robot.paper, robot.node, robot.namespace)
         robot.look()
@@ -260,8 +293,6 @@ class Robots:
                 robot.emergency_stop = message["data"]
 
             robot.node.subscribe(plugin.estop_topic, "std_msgs/Bool", take_emergency_stop)
-        for bring_up in self.on_spawn:
-            undoing.callback(bring_up(robot))
 
     def delete(self, name: str) -> None:
         """Take all that belongs to the robot out of the world, and stop its controllers. Raises UnknownName.
@@ -275,7 +306,8 @@ class Robots:
         try:
             with ExitStack() as ending:  # what is put on last comes first, and the rest comes whatever fails
                 ending.callback(robot.taken.close)
-                robot.manager.stop_running(robot.node.now_ns())
+                if robot.is_controlled:
+                    robot.manager.stop_running(robot.node.now_ns())
         except Exception as error:
             text = f"{name} is deleted, but not all went well: {type(error).__name__}: {error}"
             self._loop.graph.log("error", robot.node.name, text)
@@ -291,14 +323,16 @@ class Robots:
     def settle_switches(self) -> None:
         """The world has come to a stand: what waits for a cycle is finished now."""
         for robot in self:
-            robot.services.settle()
+            if robot.is_controlled:
+                robot.services.settle()
 
     def _forget(self, robot: SpawnedRobot) -> None:
         self._robots.pop(robot.name, None)
         self._tell_loop()
 
     def _tell_loop(self) -> None:
-        self._loop.take_robots(tuple(self._robots.values()))
+        """A model costs a cycle nothing but what the world does with it."""
+        self._loop.take_robots(tuple(robot for robot in self._robots.values() if robot.is_controlled))
 
     def _check_name(self, name: str) -> None:
         names.check_robot(name)
@@ -313,10 +347,12 @@ class Robots:
                 "choose another name (-n), or delete that one first",
             )
 
-    def _check_namespace(self, namespace: str) -> None:
-        owner = next((robot for robot in self if robot.namespace == namespace), None)
+    def _check_namespace(self, parsed: ParsedRobot) -> None:
+        """Models have nothing in their namespaces, so they take none."""
+        controlled = [robot for robot in self if robot.is_controlled and parsed.is_controlled]
+        owner = next((robot for robot in controlled if robot.namespace == parsed.namespace), None)
         if owner is not None:
-            text = f"the namespace {namespace} belongs to robot {owner.name!r} already"
+            text = f"the namespace {parsed.namespace} belongs to robot {owner.name!r} already"
             raise Refused(text, "give this one another namespace")
 
 

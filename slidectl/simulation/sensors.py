@@ -17,9 +17,7 @@ from slidectl import names
 from slidectl.control.node_handle import Message
 from slidectl.description.robot import Bumper, GroundTruth, Imu, JointStates, Laser, Sensor
 from slidectl.physics import sensing
-from slidectl.physics.frames import add, rotate, subtract
-from slidectl.physics.rotation import Pose, cross
-from slidectl.rotations import Quaternion, Vector, conjugate, from_rpy, message
+from slidectl.rotations import Pose, Quaternion, Vector, add, conjugate, cross, from_rpy, message, rotate, subtract
 from slidectl.simulation.clock import SECOND, stamp
 from slidectl.simulation.robots import SpawnedRobot
 from slidectl.simulation.topics import PeriodicTopic

@@ -15,7 +15,7 @@ from slidectl.control.node_handle import Message, MessageCallback
 from slidectl.errors import Refused
 from slidectl.physics import World, hulls
 from slidectl.physics.hulls import Source
-from slidectl.physics.rotation import ORIGIN, Pose
+from slidectl.rotations import ORIGIN, Pose
 from slidectl.simulation import rosapi, waits
 from slidectl.simulation.compiled.engine import Engine
 from slidectl.simulation.gazebo_services import GazeboServices

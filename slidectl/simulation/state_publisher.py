@@ -14,9 +14,7 @@ from typing import TYPE_CHECKING
 from slidectl import names
 from slidectl.control.node_handle import Message
 from slidectl.description.robot import Joint
-from slidectl.physics.frames import compose, relative
-from slidectl.physics.rotation import Pose
-from slidectl.rotations import IDENTITY, from_rpy
+from slidectl.rotations import IDENTITY, Pose, compose, from_rpy, relative
 from slidectl.simulation.clock import SECOND, stamp
 from slidectl.simulation.robots import SpawnedRobot
 from slidectl.simulation.topics import NodePublisher, PeriodicTopic, TopicPublisher
@@ -36,10 +34,12 @@ class StatePublishers:
         self._publishers: dict[str, StatePublisher] = {}
 
     def bring_up(self, robot: SpawnedRobot) -> Callable[[], None]:
-        """Give the robot its own. Returns what takes it back.
+        """Give the robot its own, and a model that stands around robots none. Returns what takes it back.
 
         Two robots with the same links would speak of the same frames: the later one gets a prefix of its own.
         """
+        if not robot.is_controlled:
+            return lambda: None
         parameters = self._simulation.parameters
         others = {frame for publisher in self._publishers.values() for frame in publisher.frames()}
         shares_frames = not others.isdisjoint(set(robot.paper.links) - {"world"})

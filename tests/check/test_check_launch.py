@@ -200,7 +200,7 @@ BROKEN = [
     ('<param name="a" value="$(arg nope)"/>', 2, "there is no argument 'nope' here"),
     ('<rosparam file="$(dirname)/none.yaml"/>', 2, "no such file"),
     ("<rosparam>\na: [1\n</rosparam>", None, "not YAML"),
-    (SPAWN.replace("-urdf", "-sdf"), 2, "only URDF can be spawned"),
+    (SPAWN.replace("-urdf", "-trimesh"), 2, "only URDF and SDF can be spawned"),
     ('<node name="n" pkg="nowhere" type="nothing"/>', 2, "no package 'nowhere'"),
 ]
 

@@ -45,7 +45,8 @@ slidectl.cli.entry()
 FLOOR = "import sys, click, json, socket; print(*sys.modules)"
 
 SLIDER = {
-    "name": "slider", "namespace": "/slider", "fixed": True, "links": ["base_link"], "joints": [], "controllers": [],
+    "name": "slider", "namespace": "/slider", "kind": "robot", "fixed": True,
+    "links": ["base_link"], "joints": [], "controllers": [],
     "pose": [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], "report": [], "estop": False,
 }  # fmt: skip
 STATUS = {

@@ -46,14 +46,16 @@ def box(tmp_path: Path, mass: float = 1.0, more: str = "") -> str:
 def test_a_shipped_model_is_there_when_spawn_returns(world: CommandLine) -> None:
     assert world.ok("spawn", "slider") == "slider: spawned in /slider at 0 0 0, joints: joint1\n"
     listed = world.ok("robots").splitlines()
-    assert listed[0].split() == ["NAME", "NAMESPACE", "FIXED", "JOINTS", "CONTROLLERS"]
-    assert listed[1].split() == ["slider", "/slider", "yes", "joint1", "-"]
+    assert listed[0].split() == ["NAME", "NAMESPACE", "KIND", "FIXED", "JOINTS", "CONTROLLERS"]
+    assert listed[1].split() == ["slider", "/slider", "robot", "yes", "joint1", "-"]
 
 
 def test_spawn_in_json_has_the_keys_of_robots(world: CommandLine) -> None:
     spawned = json.loads(world.ok("spawn", "rrbot", "--json"))
     assert spawned == robot(world, "rrbot")
-    assert list(spawned) == ["name", "namespace", "fixed", "pose", "links", "joints", "controllers", "estop", "report"]
+    assert list(spawned) == [
+        "name", "namespace", "kind", "fixed", "pose", "links", "joints", "controllers", "estop", "report",
+    ]  # fmt: skip
     joint = next(joint for joint in spawned["joints"] if joint["name"] == "joint1")
     assert list(joint) == [
         "name", "type", "interface", "position", "velocity", "effort", "lower", "upper", "max_velocity", "max_effort",

@@ -54,9 +54,9 @@ def test_an_arm_whose_plugin_names_no_namespace_lives_in_that_of_its_spawn_node(
 
 
 def test_a_robot_on_wheels_with_a_world_of_its_own(ros: CommandLine) -> None:
-    launched = Launched(ros, "wheels_gazebo", "wheels_world.launch")
-    text = launched.up()
-    assert "wheels.world:6: <include>: the model 'turtlebot' is not in this world" in text
+    launched = Launched(ros, "wheels_gazebo", "wheels_world.launch", "--keep-going")
+    text = launched.until("the model is left out")
+    assert "wheels.world:6: model 'turtlebot' is not there" in text
     assert "/gazebo: the world: step 0.002 s, as fast as possible" in text
     assert "/gazebo_gui: there is no window here" in text
     assert "/wheels/controller_spawner: joint_state_controller, leftWheel_effort_controller running in /wheels" in text

@@ -215,7 +215,8 @@ def test_a_world_file_makes_the_world_that_is_started_for_it(slidectl: CommandLi
     (tmp_path / "moon.world").write_text(
         '<sdf version="1.6"><world name="moon"><gravity>0 0 -1.62</gravity><physics type="ode">'
         "<max_step_size>0.002</max_step_size><real_time_update_rate>1000</real_time_update_rate></physics>"
-        '\n<model name="rock"/></world></sdf>'
+        '\n<model name="rock"><pose>0 0 1 0 0 0</pose><static>1</static><link name="l"><collision name="c"><geometry>'
+        "<sphere><radius>1</radius></sphere></geometry></collision></link></model></world></sdf>"
     )
     path = write(
         tmp_path,
@@ -225,7 +226,8 @@ def test_a_world_file_makes_the_world_that_is_started_for_it(slidectl: CommandLi
     )
     launched = Launched(slidectl, path)
     text = launched.up()
-    assert 'moon.world:2: <model name="rock">: models of a world file are not in this world' in text
+    assert "1 model of the world spawned: rock" in text
+    assert slidectl.ok("robots").splitlines()[1].split() == ["rock", "/rock", "static", "yes", "-", "-"]
     physics = slidectl.ok("service", "call", "/gazebo/get_physics_properties", "--json")
     answer = json.loads(physics)
     assert answer["time_step"] == pytest.approx(0.002)

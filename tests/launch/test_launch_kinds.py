@@ -59,8 +59,8 @@ def test_each_is_what_it_is_here(workspace: Workspace, kind: str, args: str, fam
     [
         ("gazebo_ros/spawn_model", "-urdf -param d", "needs a name for the robot: -model NAME"),
         ("gazebo_ros/spawn_model", "-urdf -model m", "takes one of -param NAME and -file FILE"),
-        ("gazebo_ros/spawn_model", "-sdf -model m -file x", "-sdf: only URDF can be spawned, and this is SDF"),
-        ("gazebo_ros/spawn_model", "-model m -database d", "-database: there is no model database here"),
+        ("gazebo_ros/spawn_model", "-sdf -model m", "takes one of -param NAME and -file FILE"),
+        ("gazebo_ros/spawn_model", "-model m -database d", "-database NAME is model://NAME, which is SDF"),
         ("gazebo_ros/spawn_model", "-model m -param d -x one", "-x is a number, not 'one'"),
         ("gazebo_ros/spawn_model", "-model m -param d -J joint1", "argument -J: expected 2 arguments"),
         ("gazebo_ros/spawn_model", "-model m -param d -J joint1 inf", "-J joint1 is a number, not 'inf'"),
@@ -103,7 +103,7 @@ def test_arguments_that_make_no_sense_are_refused_before_anything_starts(
 def test_a_number_is_a_value_however_it_is_written(workspace: Workspace) -> None:
     made = task(workspace, "gazebo_ros/spawn_model", "-urdf -model m -param d -x -1e-3 -z -.5 -J m::j -2")
     assert isinstance(made, SpawnModel)
-    assert (made.pose["position"], made.joints) == ({"x": -0.001, "y": 0.0, "z": -0.5}, {"j": -2.0})
+    assert (made.pose[0], made.joints) == ((-0.001, 0.0, -0.5), {"j": -2.0})
 
 
 def test_attributes_that_only_mean_something_for_a_process_are_pointed_out(workspace: Workspace) -> None:

@@ -13,7 +13,7 @@ from physics_robots import POSITION, arm, at, block, box_inertial, driven, state
 from slidectl.description.robot import Joint, Link, Mimic, Robot, Surface
 from slidectl.errors import Refused
 from slidectl.physics import MujocoRobotHW, World
-from slidectl.physics.rotation import Pose
+from slidectl.rotations import Pose
 from slidectl.simulation.graph import Graph
 
 TILTED = ((0.0, 0.0, 1.0), (0.1, 0.2, 0.3, 0.9))

@@ -71,7 +71,7 @@ def test_a_refusal_says_why_and_leaves_the_world_as_it_was(simulation: Simulatio
     assert "robot_description" in broken["status_message"]
     sdf = ask(simulation, "spawn_sdf_model", model_name="ball", model_xml="<sdf/>")
     assert not sdf["success"]
-    assert "URDF" in sdf["status_message"]
+    assert "there is no <model> in it" in sdf["status_message"]
     assert not ask(simulation, "delete_model", model_name="ball")["success"]
     assert ask(simulation, "get_world_properties")["model_names"] == []
 

@@ -53,7 +53,7 @@ class _ControllerTask(Task):
         manager = self.manager(run)
         if manager.is_there():
             return self.act(run, manager)
-        elsewhere = ", ".join(f"{robot['name']} is in {robot['namespace']}" for robot in run.robots())
+        elsewhere = ", ".join(f"{robot['name']} is in {robot['namespace']}" for robot in run.controlled_robots())
         return f"{manager.name} (no robot is in {self.namespace} yet{f'; {elsewhere}' if elsewhere else ''})"
 
     def act(self, run: Run, manager: Manager) -> str | None:

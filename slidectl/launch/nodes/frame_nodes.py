@@ -47,7 +47,7 @@ class RobotStatePublisher(Task):
         return self.node.resolve("joint_states")
 
     def start(self, run: Run) -> str | None:
-        robots = run.robots()
+        robots = run.controlled_robots()
         robot = self._by_namespace(robots)
         coming = [task for task in _spawns(run) if task not in run.left_out]
         awaited = [task.model for task in coming if task.model not in run.spawned]
@@ -151,7 +151,7 @@ class RobotStatePublisher(Task):
 
 def _spawns(run: Run) -> list[SpawnModel]:
     """The nodes of the launch that put robots into the world."""
-    return [task for task in run.tasks if isinstance(task, SpawnModel)]
+    return [task for task in run.tasks if isinstance(task, SpawnModel) and not task.is_sdf]
 
 
 def _found(run: Run, name: str) -> str | None:

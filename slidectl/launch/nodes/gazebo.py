@@ -1,26 +1,29 @@
 """gazebo_ros's gazebo and gzserver: the daemon has the world; arguments and a world file (SDF) say how it is to be.
 
-Of a world file ground, light, gravity, length of a step and real-time factor count; everything else is reported.
+Of a world file ground, light, gravity, length of a step, real-time factor and models count; everything else is
+reported. The models are put into the world before the nodes behind this one start.
 """
 
 from __future__ import annotations
 
 import math
 import os
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from slidectl import paths
-from slidectl.description import xml_tree
+from slidectl.client import spawning
+from slidectl.description import sdf, xml_tree
 from slidectl.description.models import read_file
-from slidectl.description.packages import is_file, shown
+from slidectl.description.packages import Packages, is_file, shown
 from slidectl.description.robot import Notice
 from slidectl.description.xml_tree import Element
 from slidectl.errors import NotThere
-from slidectl.launch.plan import LaunchPlan, Node
-from slidectl.launch.task import HOOK_LIMIT_S, Run, Task, parse
+from slidectl.launch.plan import LaunchPlan, Leaf, Node
+from slidectl.launch.task import HOOK_LIMIT_S, SPAWN_LIMIT_S, Run, Task, parse
 
 Vector = tuple[float, float, float]
 
@@ -29,6 +32,7 @@ _OPTIONS = {
     "--verbose": 0, "-r": 0, "--record": 0, "--record_path": 1, "-p": 1, "--play": 1, "--seed": 1, "--iters": 1,
     "--minimal_comms": 0, "--lockstep": 0, "-q": 0, "--profile": 1, "-o": 1,
 }  # fmt: skip
+_MOST_NAMED = 8
 _EMPTY = "the world is the empty one"
 _QUIET = ("-u", "--pause", "-e", "--physics", "--verbose", "-q", "--minimal_comms", "--lockstep")
 
@@ -59,6 +63,8 @@ class Gazebo(Task):
         words = parse(node, _OPTIONS)
         self.paused = words.has("-u") or words.has("--pause")
         self.world: WorldFile | None = None
+        self.scene: sdf.Scene | None = None
+        """What the world file has beside its settings, once it was looked ahead."""
         for option in words.given:
             if option not in _QUIET:
                 plan.notice("ignored", node.place, node.full_name, f"Gazebo's option {option} has no effect")
@@ -71,7 +77,8 @@ class Gazebo(Task):
             plan.missing.note(error, _EMPTY)
         if words.rest:
             try:
-                self.world = read_world(_find(node, words.rest[0]))
+                self.path = _find(node, words.rest[0])
+                self.world = read_world(self.path)
             except NotThere as error:
                 plan.missing.note(error, _EMPTY)
             else:
@@ -88,6 +95,12 @@ class Gazebo(Task):
         asked = replace(self.world.settings if self.world else WorldSettings(), paused=self.paused)
         return asked.over(others)
 
+    def look_ahead(self, plan: LaunchPlan, packages: Packages, parameters: Mapping[str, Leaf]) -> None:  # noqa: ARG002
+        """Read the models of the world; what they need and is not there is left out."""
+        if self.world is not None and self.scene is None:
+            self.scene = sdf.read(self.path, packages, plan.missing)
+            plan.notices += self.scene.notices
+
     def start(self, run: Run) -> str | None:
         if not run.owns_daemon:
             self._adapt(run)
@@ -95,7 +108,21 @@ class Gazebo(Task):
         pace = "as fast as possible" if status["speed"] == 0 else f"speed {status['speed']:g}"
         moving = "paused" if status["paused"] else pace
         self.settled(run, f"the world: step {status['timestep']:g} s, {moving}")
+        if self.scene is not None and self.scene.models:
+            self._spawn_models(run, self.scene.models)
         return None
+
+    def _spawn_models(self, run: Run, models: list[sdf.SdfModel]) -> None:
+        run.new_warnings()
+        there = run.call("/slidectl/status")["robots"]
+        named = [model.name for model in models]
+        run.spawned += [name for name in named if name not in there]  # a call that is cut short may have been heard
+        for warning in run.client.spawn_models(list(map(spawning.request, models)), timeout=SPAWN_LIMIT_S):
+            self.warn(run, warning.partition(" (--at")[0])
+        run.new_warnings()  # the same is said here
+        few = ", ".join(named[:_MOST_NAMED]) + (f" and {len(named) - _MOST_NAMED} more" if named[_MOST_NAMED:] else "")
+        plural = "" if len(named) == 1 else "s"
+        self.settled(run, f"{len(named)} model{plural} of the world spawned: {few}", models=named)
 
     def _adapt(self, run: Run) -> None:
         """A world that runs already takes on what it can. An option of the daemon's, or `sim speed`, goes before."""
@@ -163,15 +190,27 @@ class WorldFile:
 
 def read_world(path: Path) -> WorldFile:
     """Raises BadFile: missing, not XML, no world in it, or numbers that are none."""
-    root = xml_tree.read(read_file(path), shown(path))
-    worlds = root.find_all("world") if root.tag in ("sdf", "gazebo") else [root] if root.tag == "world" else []
+    return parse_world(read_file(path), shown(path))
+
+
+def has_world(text: bytes, file: str) -> bool:
+    """Whether a text of SDF has a world in it. Raises BadFile: not XML."""
+    return bool(_worlds(xml_tree.read(text, file)))
+
+
+def _worlds(root: Element) -> list[Element]:
+    return root.find_all("world") if root.tag in ("sdf", "gazebo") else [root] if root.tag == "world" else []
+
+
+def parse_world(text: bytes, file: str) -> WorldFile:
+    """As read_world, of a text."""
+    root = xml_tree.read(text, file)
+    worlds = _worlds(root)
     if not worlds:
         raise root.error("this is no world file: it has no <sdf> with a <world> inside")
     found = WorldFile(root.file)
     for element in worlds[0].children:
         _take(element, found)
-    for extra in worlds[1:]:
-        found.say("wrong", extra, "only the first world of a file is used")
     return found
 
 
@@ -180,31 +219,13 @@ def _take(element: Element, found: WorldFile) -> None:
         found.set(gravity=_vector(element))
     elif element.tag == "physics":
         _take_physics(element, found)
-    elif element.tag == "include":
-        _take_include(element, found)
-    elif element.tag == "model" and _is_ground(element):
-        found.set(ground=True)
-    elif element.tag == "model":
-        found.say("wrong", element, "models of a world file are not in this world; spawn them from URDF or xacro")
+    elif element.tag in ("model", "include"):  # which sdf reads; the ground is the world's own
+        if sdf.is_ground(element):
+            found.set(ground=True)
     elif element.tag == "plugin":
         found.say("wrong", element, "plugins of Gazebo have no effect")
-    elif element.tag not in ("light", "name"):
+    elif element.tag not in ("light", "name", "state"):  # of a state the poses of models count
         found.say("ignored", element, "has no effect: there is nothing like it here")
-
-
-def _take_include(element: Element, found: WorldFile) -> None:
-    uri = element.find("uri")
-    name = (uri.first_text if uri is not None else "").removeprefix("model://").strip("/")
-    if name == "ground_plane":
-        found.set(ground=True)
-    elif name != "sun":
-        found.say("wrong", element, f"the model {name!r} is not in this world; spawn it from URDF or xacro")
-
-
-def _is_ground(model: Element) -> bool:
-    """A static model that is called so, or whose only shape is a plane."""
-    shapes = [shape for element in model.walk() if element.tag == "geometry" for shape in element.children]
-    return model.get("name") == "ground_plane" or bool(shapes and all(shape.tag == "plane" for shape in shapes))
 
 
 def _take_physics(physics: Element, found: WorldFile) -> None:

@@ -1,4 +1,4 @@
-"""gazebo_ros/spawn_model: a URDF from a parameter or a file becomes a robot in the world."""
+"""gazebo_ros/spawn_model: a URDF from a parameter or a file becomes a robot in the world, and SDF a model."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from slidectl import description, names, rotations
-from slidectl.description import source_note
+from slidectl.description import sdf, source_note
 from slidectl.description.packages import Packages, is_file, shown
 from slidectl.description.parser import STARTS_OUTSIDE, place_of_limit
 from slidectl.description.report import needs_telling
-from slidectl.errors import BadFile, BadName, Refused
+from slidectl.errors import BadFile, BadName, NotThere, Refused
 from slidectl.launch.plan import LaunchPlan, Leaf, Node
 from slidectl.launch.task import HOOK_LIMIT_S, SPAWN_LIMIT_S, Run, Task, Words, number, parse
 
@@ -22,9 +22,7 @@ _OPTIONS = {
     "-P": 1, "-Y": 1, "-J": 2, "-unpause": 0, "-wait": 1, "-package_to_model": 0, "-b": 0, "-v": 0, "--verbose": 0,
 }  # fmt: skip
 _REFUSED = {
-    "-sdf": "only URDF can be spawned, and this is SDF",
-    "-trimesh": "only URDF can be spawned, and this is a bare mesh",
-    "-database": "there is no model database here",
+    "-trimesh": "only URDF and SDF can be spawned, and this is a bare mesh",
     "-stdin": "nodes of a launch file have no standard input",
 }
 
@@ -43,8 +41,11 @@ class SpawnModel(Task):
         for option, reason in _REFUSED.items():
             if words.has(option):
                 raise self.error(f"{option}: {reason}", "describe the robot in URDF or xacro")
-        if words.has("-file") == words.has("-param"):
-            raise self.error("takes one of -param NAME and -file FILE")
+        self.is_sdf = words.has("-sdf")
+        if words.has("-database") and not self.is_sdf:
+            raise self.error("-database NAME is model://NAME, which is SDF", "give it -sdf instead of -urdf")
+        if sum(words.has(option) for option in ("-file", "-param", "-database")) != 1:
+            raise self.error("takes one of -param NAME and -file FILE, or with -sdf -database NAME")
         if words.rest:
             raise self.error(f"does not understand {' '.join(words.rest)!r}")
         if not words.one("-model"):
@@ -56,6 +57,10 @@ class SpawnModel(Task):
         except BadName as error:
             raise self.error(error.message, "give it another name (-model NAME)") from None
         self.pose = _pose(words)
+        self.scene: sdf.Scene | None = None
+        """Of SDF, once it was looked ahead."""
+        self.parts: list[str] = []
+        """The names in the world: several where links of SDF have no joint between them."""
         self.joints = {
             joint.removeprefix(f"{self.model}::"): number(node, f"-J {joint}", value)
             for joint, value in words.given.get("-J", [])
@@ -93,7 +98,10 @@ class SpawnModel(Task):
 
     @property
     def text(self) -> str:
-        source = f"file {self.words.one('-file')}" if self.words.has("-file") else f"parameter {self.parameter}"
+        source = f"parameter {self.parameter}"
+        for option, what in (("-file", "file "), ("-database", sdf.SCHEME)):
+            if self.words.has(option):
+                source = what + self.words.one(option)
         return f"spawn {self.model} from {source}"
 
     @property
@@ -102,6 +110,9 @@ class SpawnModel(Task):
         return self.node.resolve(self.words.one("-param")) if self.words.has("-param") else None
 
     def look_ahead(self, plan: LaunchPlan, packages: Packages, parameters: Mapping[str, Leaf]) -> None:
+        if self.words.has("-database"):
+            self._look_at_scene(None, packages, plan)
+            return
         source: Any = Path(self.words.one("-file"))
         if self.parameter is not None:
             source = parameters[self.parameter][0] if self.parameter in parameters else None
@@ -110,8 +121,30 @@ class SpawnModel(Task):
             plan.missing.note(self.node.place.absence(message, thing=f"file {source}"), f"{self.model} is left out")
             return
         if isinstance(source, Path) or (isinstance(source, str) and _is_xml(source)):
+            if self.is_sdf:
+                self._look_at_scene(source, packages, plan)
+                return
             with suppress(BadFile):  # which is said when it is spawned
                 description.load(source, {}, self._packages(packages), missing=plan.missing)
+
+    def _look_at_scene(self, source: Path | str | None, packages: Packages, plan: LaunchPlan) -> None:
+        try:
+            self.scene = self._scene(source, packages, plan)
+        except NotThere as error:
+            plan.missing.note(error, f"{self.model} is left out")
+
+    def _scene(self, source: Path | str | None, packages: Packages, plan: LaunchPlan) -> sdf.Scene:
+        """The model of a file, a text, or without either of -database. Raises BadFile."""
+        places = self._packages(packages)
+        if isinstance(source, str):
+            return sdf.parse(source, f"parameter {self.parameter}", places, None, plan.missing)
+        try:
+            path = source or sdf.find(sdf.SCHEME + self.words.one("-database"), places)
+        except NotThere as error:
+            place = self.node.place
+            message = f"{self.node.full_name}: {error.reason}"
+            raise NotThere(message, place.file, place.line, error.hint, error.thing) from None
+        return sdf.read(path, places, plan.missing)
 
     def _packages(self, packages: Packages) -> Packages:
         """The lookup, from the launch file upwards too."""
@@ -122,30 +155,81 @@ class SpawnModel(Task):
         if awaited and awaited not in run.call("/slidectl/status")["robots"]:
             return f"the model {awaited}"
         run.new_warnings()
-        document = self._document(run)
-        if run.options.strict:
-            description.parse(document.xml, document.file, strict=True)
-        if self.model not in run.call("/slidectl/status")["robots"]:
-            run.spawned.append(self.model)  # before it is there: a call that is cut short may have been heard
+        requests = self._sdf_requests(run) if self.is_sdf else [self._urdf_request(run)]
+        self.parts = [request["model_name"] for request in requests]
+        there = run.call("/slidectl/status")["robots"]
+        added = [name for name in self.parts if name not in there]
+        run.spawned += added  # before it is there: a call that is cut short may have been heard
         try:
-            self._spawn(run, document)
+            self._spawn(run, requests)
         except Refused:
-            if self.model in run.spawned:
-                run.spawned.remove(self.model)
+            run.spawned[:] = [name for name in run.spawned if name not in added]
             raise
         if self.words.has("-unpause"):
             run.call("/gazebo/unpause_physics")
         self._tell(run)
         return None
 
+    def _sdf_requests(self, run: Run) -> list[dict[str, Any]]:
+        """Of the model's parts, each at the pose that the file gives it, seen from the one that was asked for."""
+        source: Path | str | None = None
+        if self.words.has("-file"):
+            source = self._file()
+        elif self.parameter is not None:
+            source = self._text(run)[0]
+        scene = self._scene(source, run.packages, run.plan)
+        parts = scene.named(self.model)
+        for notice in scene.notices:
+            if notice.verdict == "wrong" or run.console.verbose:
+                run.console.warn(str(notice))
+        requests = []
+        for part in parts:
+            if run.options.strict:
+                description.parse(part.xml, part.file, strict=True)
+            requests.append(self._request(part.name, part.xml, rotations.compose(self.pose, part.pose)))
+        return requests
+
+    def _urdf_request(self, run: Run) -> dict[str, Any]:
+        document = self._document(run)
+        if run.options.strict:
+            description.parse(document.xml, document.file, strict=True)
+        namespace = self.asked_namespace or ""  # empty where the plugin says it, or the robot's name does
+        if not namespace and self._is_spoken_to(run.tasks):
+            namespace = self.home(description.parse(document.xml), run.tasks)
+        return {**self._request(self.model, document.xml, self.pose), "robot_namespace": namespace}
+
+    def _request(self, name: str, xml: str, pose: rotations.Pose) -> dict[str, Any]:
+        """gazebo_msgs/SpawnModel."""
+        position, turn = dict(zip("xyz", pose[0], strict=True)), rotations.message(pose[1])
+        return {
+            "model_name": name,
+            "model_xml": xml,
+            "initial_pose": {"position": position, "orientation": turn},
+            "reference_frame": self.words.one("-reference_frame"),
+        }
+
+    def _file(self) -> Path:
+        path = Path(self.words.one("-file"))
+        if not is_file(path):
+            raise Refused(f"there is no file {path}")
+        return path
+
     def _document(self, run: Run) -> description.Document:
         """Expanded, with meshes found. Raises Refused, BadFile."""
         packages, missing = self._packages(run.packages), run.plan.missing
         if self.words.has("-file"):
-            path = Path(self.words.one("-file"))
-            if not is_file(path):
-                raise Refused(f"there is no file {path}")
-            return description.load(path, {}, packages, missing=missing)
+            return description.load(self._file(), {}, packages, missing=missing)
+        xml, is_own = self._text(run)
+        if not is_own:
+            known = run.call("/slidectl/sources", {"digest": source_note.digest(xml)})  # where elements were written
+            return description.load(source_note.join(xml, known["note"]), {}, packages, missing=missing)
+        name = self.parameter
+        setting = next((one for one in reversed(run.plan.settings) if one.name == name), None)
+        title = shown(setting.source) if setting is not None and setting.source else f"parameter {name}"
+        return description.load(xml, {}, packages, missing=missing, title=title)
+
+    def _text(self, run: Run) -> tuple[str, bool]:
+        """The text of the parameter, and whether this launch sets it. Raises Refused."""
         name = self.parameter
         assert name is not None
         # What the files say is what is meant, though another launch may have set the same name meanwhile.
@@ -157,29 +241,17 @@ class SpawnModel(Task):
             raise Refused(f"the parameter {name} is not set to a robot's description", hint)
         if not _is_xml(xml):
             raise Refused(f"the parameter {name} holds no XML")
-        if own is None:
-            known = run.call("/slidectl/sources", {"digest": source_note.digest(xml)})  # where elements were written
-            return description.load(source_note.join(xml, known["note"]), {}, packages, missing=missing)
-        setting = next((one for one in reversed(run.plan.settings) if one.name == name), None)
-        title = shown(setting.source) if setting is not None and setting.source else f"parameter {name}"
-        return description.load(xml, {}, packages, missing=missing, title=title)
+        return xml, own is not None
 
-    def _spawn(self, run: Run, document: description.Document) -> None:
-        namespace = self.asked_namespace or ""  # empty where the plugin says it, or the robot's name does
-        if not namespace and self._is_spoken_to(run.tasks):
-            namespace = self.home(description.parse(document.xml), run.tasks)
-        request: dict[str, Any] = {
-            "model_name": self.model,
-            "model_xml": document.xml,
-            "robot_namespace": namespace,
-            "initial_pose": self.pose,
-            "reference_frame": self.words.one("-reference_frame"),
-        }
+    def _spawn(self, run: Run, requests: Sequence[dict[str, Any]]) -> None:
         halt = bool(self.joints) and not run.call("/slidectl/status")["paused"]
         if halt:  # no moment passes between the two
             run.call("/gazebo/pause_physics")
         try:
-            warnings = _act(run, "/gazebo/spawn_urdf_model", request, SPAWN_LIMIT_S)
+            if self.is_sdf:
+                warnings = run.client.spawn_models(requests, timeout=SPAWN_LIMIT_S)
+            else:
+                warnings = _act(run, "/gazebo/spawn_urdf_model", requests[0], SPAWN_LIMIT_S)
             if self.joints:
                 self._set_joints(run)  # which may bring it out of what it was put into
             else:
@@ -199,7 +271,8 @@ class SpawnModel(Task):
         try:
             _act(run, "/gazebo/set_model_configuration", request)
         except Refused:
-            run.call("/gazebo/delete_model", {"model_name": self.model})
+            for name in self.parts:
+                run.call("/gazebo/delete_model", {"model_name": name})
             raise
 
     def _tell(self, run: Run) -> None:
@@ -219,15 +292,17 @@ class SpawnModel(Task):
                 ignored += 1
         joints = " ".join(joint["name"] for joint in robot["joints"] if joint["type"] != "fixed") or "none"
         more = f"; {ignored} {'tag' if ignored == 1 else 'tags'} without effect, -v shows them" if ignored else ""
-        self.settled(run, f"{self.model} spawned in {robot['namespace']}, joints: {joints}{more}", robot=self.model)
+        where = f"spawned in {robot['namespace']}" if robot["kind"] == "robot" else f"spawned, {robot['kind']}"
+        self.settled(run, f"{self.model} {where}, joints: {joints}{more}", robot=self.model)
 
     def stop(self, run: Run) -> None:
         """The robot goes with `-b`, and with a launch that failed; where the daemon goes too, it goes with that."""
         if not (self.bound or (run.failed and not run.owns_daemon)) or self.model not in run.spawned:
             return
-        run.spawned.remove(self.model)
-        if run.call("/gazebo/delete_model", {"model_name": self.model}, HOOK_LIMIT_S)["success"]:
-            self.settled(run, f"{self.model}: deleted")
+        for name in reversed(self.parts):
+            run.spawned.remove(name)
+            if run.call("/gazebo/delete_model", {"model_name": name}, HOOK_LIMIT_S)["success"]:
+                self.settled(run, f"{name}: deleted")
 
 
 def _is_xml(text: str) -> bool:
@@ -243,8 +318,7 @@ def _act(run: Run, service: str, request: dict[str, Any], timeout: float | None 
     return list(rest.splitlines())
 
 
-def _pose(words: Words) -> dict[str, Any]:
-    """geometry_msgs/Pose: metres, and fixed-axis angles in radians, about x, then y, then z of the world."""
+def _pose(words: Words) -> rotations.Pose:
+    """Metres, and fixed-axis angles in radians, about x, then y, then z of the world."""
     x, y, z, roll, pitch, yaw = (words.number(option, 0.0) for option in ("-x", "-y", "-z", "-R", "-P", "-Y"))
-    turn = rotations.from_rpy((roll, pitch, yaw))
-    return {"position": {"x": x, "y": y, "z": z}, "orientation": rotations.message(turn)}
+    return (x, y, z), rotations.from_rpy((roll, pitch, yaw))

@@ -1,0 +1,56 @@
+"""Checks SDF and Gazebo worlds: what becomes of their models, and of the settings of a world."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+
+from slidectl import description
+from slidectl.check import bodies
+from slidectl.check.findings import Findings
+from slidectl.description import models, sdf
+from slidectl.description.packages import Packages, shown
+from slidectl.errors import BadFile
+from slidectl.launch.nodes import gazebo
+
+
+def check(path: Path, packages: Packages, findings: Findings, text: bytes | None = None, strict: bool = False) -> bool:
+    """Add what there is to say of a file, or of `text` that came from elsewhere. Whether a model is in it."""
+    content = models.read_file(path) if text is None else text
+    base = Path.cwd() if text is not None else path.absolute().parent
+    try:
+        scene = sdf.parse(content, shown(path), packages.starting_at(base), base, findings.missing)
+        world = gazebo.parse_world(content, shown(path)) if gazebo.has_world(content, shown(path)) else None
+    except BadFile as error:
+        findings.fail("SDF", error)
+        return False
+    if world is not None:
+        tell_settings(world, findings)
+    tell_scene(scene, findings, strict)
+    return bool(scene.models)
+
+
+def tell_settings(world: gazebo.WorldFile, findings: Findings) -> None:
+    """What a world asks of the daemon."""
+    findings.extend(world.notices)
+    asked = {field.name: getattr(world.settings, field.name) for field in fields(world.settings)}
+    for name, value in asked.items():
+        if value is not None and name != "paused":
+            findings.add("used", f"world, {name}", f"{value}", world.file, 1)
+
+
+def tell_scene(scene: sdf.Scene, findings: Findings, strict: bool = False) -> None:
+    """What becomes of each model, and whether it makes sense."""
+    findings.extend(scene.notices)
+    for model in scene.models:
+        x, y, z = model.pose[0]
+        kind = "static" if model.is_static else "free, or held by its joints"
+        where = f"{kind}; its root is at {x:g} {y:g} {z:g}"
+        findings.add("used", f"model {model.name!r}", where, model.file, model.line)
+        try:
+            robot = description.parse(model.xml, model.file, strict=strict)
+        except BadFile as error:
+            findings.fail(f"model {model.name!r}", error)
+            continue
+        findings.extend(robot.report)
+        bodies.tell(robot, findings)
