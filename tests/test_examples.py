@@ -22,7 +22,7 @@ def place() -> Iterator[Path]:
         yield Path(folder)
 
 
-@pytest.mark.parametrize("name", ["slide.sh", "rrbot.sh", "two_robots.sh", "demo.py"])
+@pytest.mark.parametrize("name", ["slide.sh", "rrbot.sh", "two_robots.sh", "trajectory.sh", "cart.sh", "demo.py"])
 def test_an_example_runs_and_leaves_nothing_behind(place: Path, name: str) -> None:
     folders = {"XDG_RUNTIME_DIR": place / "run", "TMPDIR": place / "tmp"}
     for folder in folders.values():

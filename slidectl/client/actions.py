@@ -27,7 +27,6 @@ STATES = (
 """By the numbers of actionlib_msgs/GoalStatus."""
 SUCCEEDED, LOST = 3, 9
 _SUFFIX = "ActionGoal"
-_LIST_EVERY_MS = 200
 
 _serial = itertools.count(1)
 
@@ -102,7 +101,7 @@ class Action:
         self._client = client
         self._results = client.subscribe(f"{self.name}/result")
         self._feedback = client.subscribe(f"{self.name}/feedback")
-        self._lists = client.subscribe(f"{self.name}/status", queue_length=1, throttle_rate=_LIST_EVERY_MS)
+        self._lists = client.subscribe(f"{self.name}/status", queue_length=1)
         self._ended: dict[str, ActionResult | None] = {}
         """The goals that were sent here, with their results."""
         self._listed: set[str] = set()
@@ -179,7 +178,8 @@ class Action:
 
     def goals(self) -> list[Message]:
         """The goals that the server knows (actionlib_msgs/GoalStatus): `goal_id`, `status`, `text`. Raises TimedOut."""
-        with self._client.subscribe(f"{self.name}/status") as lists:
+        # Older lists may still be on the way to the other subscription: the newest one counts.
+        with self._client.subscribe(f"{self.name}/status", queue_length=1) as lists:
             return list(lists.get()["status_list"])
 
     def close(self) -> None:
