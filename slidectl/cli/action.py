@@ -18,7 +18,7 @@ from slidectl.cli.topics import paused
 from slidectl.errors import Refused, TimedOut, UsageError
 
 if TYPE_CHECKING:
-    from slidectl.client.actions import Action, ActionResult
+    from slidectl.client.action_client import Action, ActionResult
 
 Message = dict[str, Any]
 Describe = Callable[[Message], str]
@@ -27,7 +27,7 @@ TOPICS = ("feedback", "result", "status", "goal", "cancel")
 
 
 def _names(ctx: Context) -> list[str]:
-    from slidectl.client.actions import goal_topics
+    from slidectl.client.action_client import goal_topics
 
     return list(goal_topics(ctx.client.topics()))
 
@@ -55,7 +55,7 @@ def list_actions(ctx: Context) -> None:
 
     JSON keys: action, type.
     """
-    from slidectl.client.actions import goal_topics
+    from slidectl.client.action_client import goal_topics
 
     known = goal_topics(ctx.client.topics())
     rows = [{"action": name, "type": kind} for name, kind in known.items()]
@@ -70,7 +70,7 @@ def info(ctx: Context, name: str) -> None:
 
     JSON keys: action, type, servers, goals (id, state, text).
     """
-    from slidectl.client.actions import STATES
+    from slidectl.client.action_client import STATES
 
     with _open(ctx, name) as chosen:
         servers = ctx.call("/rosapi/publishers", {"topic": f"{chosen.name}/result"})["publishers"]
@@ -140,7 +140,7 @@ def echo(click_context: click.Context, name: str, topic: str, count: int | None)
 
 
 def _open(ctx: Context, name: str) -> Action:
-    from slidectl.client.actions import Action
+    from slidectl.client.action_client import Action
 
     return Action(ctx.client, name, ctx.namespace)
 
@@ -168,7 +168,7 @@ def run(
     Raises:
         Refused: it did not succeed; the text is the server's. TimedOut: --timeout; the goal goes on.
     """
-    from slidectl.client.actions import new_goal_id
+    from slidectl.client.action_client import new_goal_id
 
     goal_id = new_goal_id()
     try:
@@ -191,7 +191,7 @@ def run(
 
 
 def _follow(ctx: Context, chosen: Action, goal_id: str, tell_feedback: bool, describe: Describe) -> ActionResult:
-    from slidectl.client.actions import ActionResult
+    from slidectl.client.action_client import ActionResult
 
     status = ctx.call("/slidectl/status")
     robots.warn_stopped(ctx, status["estop"])

@@ -23,7 +23,7 @@ from slidectl.cli.context import Context
 from slidectl.errors import BadFile, UnknownName, UsageError
 
 if TYPE_CHECKING:
-    from slidectl.client.actions import Action
+    from slidectl.client.action_client import Action
 
 Message = dict[str, Any]
 
@@ -36,7 +36,7 @@ _DURATIONS = (("secs", "nsecs"), ("sec", "nanosec"))
 
 def _controllers(ctx: Context) -> dict[str, str]:
     """Full name of each trajectory controller -> its action."""
-    from slidectl.client.actions import goal_topics
+    from slidectl.client.action_client import goal_topics
 
     return {names.parent(name): name for name, kind in goal_topics(ctx.client.topics()).items() if kind == TYPE}
 
@@ -297,7 +297,7 @@ def _target(text: str) -> tuple[str, float]:
 
 def _action(ctx: Context, controller: str) -> Action:
     """The action of a trajectory controller. Raises UnknownName, AmbiguousName."""
-    from slidectl.client.actions import Action
+    from slidectl.client.action_client import Action
 
     known = _controllers(ctx)
     full = names.resolve(controller, known, kind="trajectory controller", namespace=ctx.namespace)

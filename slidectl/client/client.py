@@ -30,7 +30,7 @@ from slidectl.errors import (
 )
 
 if TYPE_CHECKING:
-    from slidectl.client.actions import Action
+    from slidectl.client.action_client import Action
 
 Message = dict[str, Any]
 
@@ -365,7 +365,7 @@ class Client:
         Raises:
             UnknownName, AmbiguousName.
         """
-        from slidectl.client.actions import Action
+        from slidectl.client.action_client import Action
 
         return Action(self, name)
 

@@ -15,7 +15,7 @@ from command_line import CommandLine, Done
 from daemon_fixture import running_daemon
 
 from slidectl.client import Client
-from slidectl.client.actions import Action
+from slidectl.client.action_client import Action
 from slidectl.errors import AmbiguousName, TimedOut, UnknownName
 
 ACTION = "/arm/arm_controller/follow_joint_trajectory"
