@@ -3,29 +3,49 @@
 from __future__ import annotations
 
 import math
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from slidectl.cli import completion
+from slidectl.cli import completion, output, robots, values
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
-from slidectl.errors import Refused, UsageError
+from slidectl.cli.echo import echo as echo_topic
+from slidectl.cli.topics import paused
+from slidectl.errors import Refused, TimedOut, UsageError
 
 if TYPE_CHECKING:
-    from slidectl.client.actions import Action, ActionResult
+    from slidectl.client.action_client import Action, ActionResult
 
-TOPICS = ("status", "feedback", "result", "goal", "cancel")
+Message = dict[str, Any]
+Describe = Callable[[Message], str]
+
+TOPICS = ("feedback", "result", "status", "goal", "cancel")
+
+
+def _names(ctx: Context) -> list[str]:
+    from slidectl.client.action_client import goal_topics
+
+    return list(goal_topics(ctx.client.topics()))
+
+
+_name = click.argument("name", metavar="ACTION", shell_complete=completion.completer(_names))
 
 
 @group(
     examples=[
         "slidectl action list",
-        "slidectl action send gripper_controller/gripper_cmd '{command: {position: 0.02}}' --wait",
+        "slidectl action send gripper_controller/gripper_cmd '{command: {position: 0.02, max_effort: 20}}' --wait",
     ]
 )
 def action() -> None:
-    """Goals of actions: list, inspect, send, cancel, follow."""
+    """Goals of actions: list, inspect, send, cancel, follow.
+
+    ACTION is a name or its unique end, or the name of a controller with one action.
+    """
 
 
 @action.command("list", examples=["slidectl action list", "slidectl action list --json"])
@@ -35,7 +55,7 @@ def list_actions(ctx: Context) -> None:
 
     JSON keys: action, type.
     """
-    from slidectl.client.actions import goal_topics
+    from slidectl.client.action_client import goal_topics
 
     known = goal_topics(ctx.client.topics())
     rows = [{"action": name, "type": kind} for name, kind in known.items()]
@@ -43,48 +63,46 @@ def list_actions(ctx: Context) -> None:
 
 
 @action.command("info", examples=["slidectl action info arm_controller"])
-@click.argument("name", metavar="ACTION", shell_complete=completion.topics)
+@_name
 @click.pass_obj
 def info(ctx: Context, name: str) -> None:
-    """Show an action's type, its server and the goals that it knows.
+    """Show an action's type, its servers and the goals that they know.
 
     JSON keys: action, type, servers, goals (id, state, text).
     """
-    from slidectl.client.actions import STATES
+    from slidectl.client.action_client import STATES
 
     with _open(ctx, name) as chosen:
-        servers = ctx.resolve("topic", f"{chosen.name}/result", role="publishers")["nodes"]
+        servers = ctx.call("/rosapi/publishers", {"topic": f"{chosen.name}/result"})["publishers"]
         goals = [
             {"id": goal["goal_id"]["id"], "state": STATES[goal["status"]], "text": goal["text"]}
-            for goal in chosen.goals()
+            for goal in (chosen.goals() if servers else ())
         ]
-        record = {"action": chosen.name, "type": chosen.type, "servers": servers, "goals": goals}
-    lines = [f"Action: {chosen.name}", f"Type: {chosen.type}", f"Servers: {' '.join(servers)}"]
+    record = {"action": chosen.name, "type": chosen.type, "servers": servers, "goals": goals}
+    lines = [f"Action: {chosen.name}", f"Type: {chosen.type}", f"Servers: {' '.join(servers) or 'none'}"]
     lines += [f"Goal {goal['id']}: {goal['state']}{goal['text'] and ', ' + goal['text']}" for goal in goals]
     ctx.emit(record, "\n".join(lines))
 
 
 @action.command(
     "send",
-    examples=["slidectl action send gripper_controller/gripper_cmd '{command: {position: 0.02}}' --wait --feedback"],
+    examples=[
+        "slidectl action send gripper_controller/gripper_cmd '{command: {position: 0.02, max_effort: 20}}' --wait"
+    ],
 )
-@click.argument("name", metavar="ACTION", shell_complete=completion.topics)
+@_name
 @click.argument("goal", metavar="GOAL")
-@click.option("--wait", is_flag=True, help="Wait for the result; the exit code is 0 only for a goal that succeeded.")
-@click.option("--feedback", is_flag=True, help="Print the feedback while waiting.")
+@click.option("--wait", is_flag=True, help="Wait for the result; exits 0 only when the goal succeeded.")
+@click.option("--feedback", is_flag=True, help="Wait, and print the feedback before the result.")
 @click.pass_obj
 def send(ctx: Context, name: str, goal: str, wait: bool, feedback: bool) -> None:
     """Send a goal: the fields of the action's Goal as YAML.
 
-    Without --wait it prints the goal's id and ends when the server has the goal. JSON keys: id, and with --wait
-    state, status, text, result. Interrupted while it waits, it cancels the goal.
+    Without --wait it prints the goal's id, and exits 1 when the server rejects the goal. While it waits, Ctrl-C
+    cancels the goal, and --timeout (4) leaves it under way. JSON keys: id, and of a goal that has ended state, status,
+    text, result.
     """
-    import yaml
-
-    try:
-        fields = yaml.safe_load(goal)
-    except yaml.YAMLError as error:
-        raise UsageError(f"the GOAL is no YAML: {' '.join(str(error).split())}") from None
+    fields = values.read(goal)
     if not isinstance(fields, dict):
         raise UsageError(f"the GOAL {goal!r} is no mapping of fields", "write '{field: value}'; {} for the defaults")
     with _open(ctx, name) as chosen:
@@ -92,83 +110,134 @@ def send(ctx: Context, name: str, goal: str, wait: bool, feedback: bool) -> None
 
 
 @action.command("cancel", examples=["slidectl action cancel arm_controller"])
-@click.argument("name", metavar="ACTION", shell_complete=completion.topics)
+@_name
 @click.argument("goal_id", required=False, metavar="[ID]")
 @click.pass_obj
 def cancel(ctx: Context, name: str, goal_id: str | None) -> None:
-    """Cancel one goal, or all goals of an action."""
-    with _open(ctx, name) as chosen:
-        chosen.cancel(goal_id or "")
-    ctx.done({"action": chosen.name, "id": goal_id or ""}, f"{chosen.name}: {goal_id or 'all goals'} cancelled")
+    """Cancel one goal, or all goals of an action.
 
-
-@action.command("echo", examples=["slidectl action echo arm_controller feedback -n 1"])
-@click.argument("name", metavar="ACTION", shell_complete=completion.topics)
-@click.argument("topic", type=click.Choice(TOPICS), default="feedback")
-@click.option("-n", "--count", type=int, help="End after so many messages.")
-@click.pass_obj
-def echo(ctx: Context, name: str, topic: str, count: int | None) -> None:
-    """Print what an action's server publishes: feedback, status or result.
-
-    JSON is the message, one a line.
+    JSON keys: action, id (empty for all).
     """
     with _open(ctx, name) as chosen:
+        cancel_goals(ctx, chosen, goal_id or "")
+
+
+@action.command("echo", examples=["slidectl action echo arm_controller result -n 1"])
+@_name
+@click.argument("topic", type=click.Choice(TOPICS), default="feedback")
+@click.option("-n", "--count", type=click.IntRange(min=0), metavar="COUNT", help="End after so many messages.")
+@click.pass_context
+def echo(click_context: click.Context, name: str, topic: str, count: int | None) -> None:
+    """Print the messages of one of an action's topics, the feedback by default.
+
+    As 'slidectl echo' prints them, until -n is reached or Ctrl-C is pressed.
+    """
+    ctx = click_context.find_object(Context)
+    assert ctx is not None
+    with _open(ctx, name) as chosen:
         full = f"{chosen.name}/{topic}"
-    with ctx.client.subscribe(full) as messages:
-        for number, message in enumerate(messages, 1):
-            emit_message(ctx, message)
-            if number == count:
-                return
-
-
-def emit_message(ctx: Context, message: dict[str, Any]) -> None:
-    """A message as YAML documents, or in the chosen format."""
-    from slidectl.cli import output
-
-    ctx.emit(message, output.as_yaml(message) + "---")
+    click_context.invoke(echo_topic, target=full, count=count)
 
 
 def _open(ctx: Context, name: str) -> Action:
-    from slidectl.client.actions import Action
+    from slidectl.client.action_client import Action
 
-    return Action(ctx.client, name)
+    return Action(ctx.client, name, ctx.namespace)
 
 
-def run(ctx: Context, chosen: Action, goal: dict[str, Any], *, wait: bool, tell_feedback: bool = False) -> None:
-    """Send a goal and, if asked, follow it to its end.
+# --- goals, for other groups of commands too --------------------------------------------------------------------------
+
+
+def cancel_goals(ctx: Context, chosen: Action, goal_id: str = "") -> None:
+    """Cancel one goal or all, and say so."""
+    chosen.cancel(goal_id)
+    ctx.done({"action": chosen.name, "id": goal_id}, f"{chosen.name}: {goal_id or 'all goals'} cancelled")
+
+
+def run(
+    ctx: Context,
+    chosen: Action,
+    goal: Message,
+    *,
+    wait: bool,
+    tell_feedback: bool = False,
+    describe: Describe = lambda _feedback: "the goal is active",
+) -> None:
+    """Send a goal and, if asked, follow it to its end. `describe` makes the line for the terminal of a feedback.
 
     Raises:
         Refused: it did not succeed; the text is the server's. TimedOut: --timeout; the goal goes on.
     """
-    from slidectl.client.actions import ActionResult
+    from slidectl.client.action_client import new_goal_id
 
-    goal_id = chosen.send(goal)
-    if not wait:
-        return ctx.done({"id": goal_id}, goal_id)
+    goal_id = new_goal_id()
     try:
-        for event in chosen.follow(goal_id, ctx.wait_limit(math.inf)):
-            if isinstance(event, ActionResult):
-                return _tell(ctx, chosen, goal_id, event)
-            if tell_feedback:
-                emit_message(ctx, event)
+        chosen.send(goal, goal_id)
+        reasons, ended = list(ctx.client.reasons), chosen.ended(goal_id)
+        if ended is None:
+            for reason in reasons:
+                ctx.warn(reason)
+        if ended is None and wait:
+            ended = _follow(ctx, chosen, goal_id, tell_feedback, describe)
     except KeyboardInterrupt:
-        chosen.cancel(goal_id)
-        ctx.say(f"{chosen.name}: the goal is cancelled")
+        if wait:
+            chosen.cancel(goal_id)
+            ctx.say(f"{chosen.name}: the goal is cancelled")
         raise
-    return None
+    if ended is not None:
+        _tell(ctx, chosen, goal_id, ended, reasons)
+    else:
+        ctx.emit({"id": goal_id}, goal_id)
 
 
-def _tell(ctx: Context, chosen: Action, goal_id: str, ended: ActionResult) -> None:
-    record = {"id": goal_id, "state": ended.state, "status": ended.status, "text": ended.text, "result": ended.result}
-    code = ended.result.get("error_code")
-    text = ended.text or str(ended.result.get("error_string", ""))
-    line = f"{chosen.name}: {ended.state}"
-    if code:
-        line += f", error_code {code}"
-    if text:
-        line += f": {text}"
+def _follow(ctx: Context, chosen: Action, goal_id: str, tell_feedback: bool, describe: Describe) -> ActionResult:
+    from slidectl.client.action_client import ActionResult
+
+    status = ctx.call("/slidectl/status")
+    robots.warn_stopped(ctx, status["estop"])
+    if status["paused"]:
+        ctx.say(f"{paused(status)}; this waits until it goes on: slidectl sim resume, or slidectl sim step")
+    try:
+        with _progress(ctx, chosen.name, wanted=not tell_feedback) as show:
+            for event in chosen.follow(goal_id, ctx.wait_limit(math.inf)):
+                if isinstance(event, ActionResult):
+                    return event
+                if tell_feedback:
+                    ctx.emit(event, output.as_yaml(event) + "---")
+                else:
+                    show(describe(event))
+    except TimedOut as error:
+        hint = error.hint or f"it goes on; to end it: slidectl action cancel {chosen.name}"
+        raise TimedOut(error.message, hint) from None
+    raise AssertionError("follow ends with a result")
+
+
+@contextmanager
+def _progress(ctx: Context, name: str, *, wanted: bool) -> Iterator[Callable[[str], None]]:
+    """One line on the terminal that changes, and is gone at the end; nothing where there is no terminal."""
+    if not wanted or ctx.quiet or not output.is_terminal(sys.stderr):
+        yield lambda _text: None
+        return
+    from rich.console import Console
+    from rich.text import Text  # brackets of a name are no styles
+
+    with Console(stderr=True, highlight=False).status(Text(f"{name}: the goal is sent"), spinner="line") as status:
+        yield lambda text: status.update(Text(f"{name}: {text}"))
+
+
+def _tell(ctx: Context, chosen: Action, goal_id: str, ended: ActionResult, reasons: Sequence[str]) -> None:
+    """Say how a goal ended. Raises Refused unless it succeeded."""
+    result = dict(ended.result)
+    code, text = result.pop("error_code", 0), result.pop("error_string", "")
+    parts = [ended.state]
+    parts += [f"error_code {code}"] if code else []
+    parts += [f"{field} {output.cell(value)}" for field, value in result.items()]
+    text = ended.text or text or "; ".join(reasons)
+    line = f"{chosen.name}: {', '.join(parts)}" + (f": {text}" if text else "")
+    record = {"id": goal_id, "state": ended.state, "status": ended.status, "text": text, "result": ended.result}
     if ended.succeeded:
-        return ctx.done(record, line)
+        ctx.done(record, line)
+        return
     if ctx.format != "text":
         ctx.emit(record)
     raise Refused(line)

@@ -1,38 +1,48 @@
 """`slidectl trajectory`: goals of joint trajectory controllers, from files or from the command line.
 
-A file is YAML or JSON (trajectory_msgs/JointTrajectory, or control_msgs/FollowJointTrajectoryGoal with `trajectory`) or
-CSV: a column `time` in s, a column a joint with its position, and columns JOINT.velocity and JOINT.acceleration.
+The checks here are those of a file's form. Whether a trajectory fits the controller is up to the controller, and its
+text is shown.
 """
 
 from __future__ import annotations
 
 import csv
 import io
+import json
 import math
-import sys
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from slidectl.cli import completion, output
-from slidectl.cli.action import run
-from slidectl.cli.commands import Variadic, group
+from slidectl import names
+from slidectl.cli import completion, values
+from slidectl.cli.action import cancel_goals, run
+from slidectl.cli.commands import Variadic, group, simulated_seconds
 from slidectl.cli.context import Context
 from slidectl.errors import BadFile, UnknownName, UsageError
 
 if TYPE_CHECKING:
-    from slidectl.client.actions import Action
+    from slidectl.client.action_client import Action
+
+Message = dict[str, Any]
 
 TYPE = "control_msgs/FollowJointTrajectory"
 _TIMES = ("time", "time_from_start")
 _QUANTITIES = {"position": "positions", "velocity": "velocities", "acceleration": "accelerations"}
+_DURATIONS = (("secs", "nsecs"), ("sec", "nanosec"))
+"""The fields of a duration as ROS 1 and ROS 2 write them."""
 
-_controller = click.argument("controller", metavar="CONTROLLER", shell_complete=completion.controllers)
-_wait = click.option(
-    "--wait", is_flag=True, help="Wait for the end; the exit code is 0 only when the goal was reached."
-)
+
+def _controllers(ctx: Context) -> dict[str, str]:
+    """Full name of each trajectory controller -> its action."""
+    from slidectl.client.action_client import goal_topics
+
+    return {names.parent(name): name for name, kind in goal_topics(ctx.client.topics()).items() if kind == TYPE}
+
+
+_controller = click.argument("controller", metavar="CONTROLLER", shell_complete=completion.completer(_controllers))
+_wait = click.option("--wait", is_flag=True, help="Wait for the end; exits 0 only when the goal was reached.")
 
 
 @group(
@@ -47,13 +57,16 @@ def trajectory() -> None:
 
 @trajectory.command("send", examples=["slidectl trajectory send arm_controller path.csv --wait"])
 @_controller
-@click.argument("file", metavar="FILE")
+@click.argument("file", metavar="FILE", shell_complete=completion.files)
 @_wait
 @click.pass_obj
 def send(ctx: Context, controller: str, file: str, wait: bool) -> None:
-    """Send a trajectory from a .yaml, .json or .csv file; - is standard input.
+    """Send a trajectory from a .yaml, .json or .csv file; - is YAML or JSON on standard input.
 
-    Interrupted while it waits, it cancels the goal. JSON keys: id, and with --wait state, status, text, result.
+    YAML and JSON hold a trajectory_msgs/JointTrajectory, or the goal that has one as trajectory; times may be seconds.
+    CSV has columns time, JOINT, JOINT.velocity and JOINT.acceleration. Without --wait it prints the goal's id, and
+    exits 1 when the controller rejects the goal. While it waits, Ctrl-C cancels the goal, and --timeout (4) leaves it
+    under way. JSON keys: id, and of a goal that has ended state, status, text, result.
     """
     goal = read_goal(file)
     with _action(ctx, controller) as action:
@@ -67,48 +80,61 @@ def send(ctx: Context, controller: str, file: str, wait: bool) -> None:
 @click.option(
     "--to", "targets", cls=Variadic, metavar="JOINT=POSITION...", required=True, help="Where to go, rad or m."
 )
-@click.option("--duration", type=float, required=True, metavar="SECONDS", help="Simulated time that it takes.")
+@click.option(
+    "--duration",
+    type=float,
+    callback=simulated_seconds,
+    required=True,
+    metavar="S",
+    help="Simulated seconds that it takes.",
+)
 @_wait
 @click.pass_obj
 def plan(ctx: Context, controller: str, targets: tuple[str, ...], duration: float, wait: bool) -> None:
-    """Go to positions of some joints in a time; the other joints stay where they are asked to be.
+    """Go to positions of some joints in a time; the other joints go where they are to be now.
 
-    JSON keys as for send.
+    All come to rest at the end, by a polynomial without jumps of velocity and acceleration. JSON keys as for send.
     """
-    if not 0 < duration < math.inf:
-        raise UsageError(f"--duration is a time above 0, not {duration:g}")
     wanted = dict(_target(text) for text in targets)
     with _action(ctx, controller) as action:
-        now = _state(ctx, action)
+        now = _desired(ctx, action)
         for joint in wanted:
-            if joint not in now["joint_names"]:
-                raise UnknownName("joint", joint, now["joint_names"], f"of {controller}")
-        held = dict(zip(now["joint_names"], now["desired"]["positions"], strict=True))
-        positions = [wanted.get(joint, held[joint]) for joint in now["joint_names"]]
-        zeros = [0.0] * len(positions)
-        point = {"positions": positions, "velocities": zeros, "time_from_start": duration_message(duration)}
-        _run(ctx, action, {"trajectory": {"joint_names": now["joint_names"], "points": [point]}}, wait)
+            if joint not in now:
+                raise UnknownName("joint", joint, list(now), f"of {names.parent(action.name)}")
+        zeros = [0.0] * len(now)
+        point = {
+            "positions": list((now | wanted).values()),
+            "velocities": zeros,
+            "accelerations": zeros,
+            "time_from_start": _duration(duration, "--duration"),
+        }
+        _run(ctx, action, {"trajectory": {"joint_names": list(now), "points": [point]}}, wait)
 
 
 @trajectory.command("hold", examples=["slidectl trajectory hold arm_controller"])
 @_controller
 @click.pass_obj
 def hold(ctx: Context, controller: str) -> None:
-    """Give up what is under way, and hold the joints in place: an empty trajectory on the command topic."""
+    """Give up what is under way, and hold the joints in place: an empty trajectory on the command topic.
+
+    JSON key: controller.
+    """
     with _action(ctx, controller) as action:
-        topic = action.name.rpartition("/")[0] + "/command"
-    ctx.client.deliver(topic, {})
-    ctx.done({"topic": topic}, f"{controller}: holds its position")
+        full = names.parent(action.name)
+        ctx.client.deliver(f"{full}/command", {})
+    ctx.done({"controller": full}, f"{full}: the joints hold their positions")
 
 
 @trajectory.command("cancel", examples=["slidectl trajectory cancel arm_controller"])
 @_controller
 @click.pass_obj
 def cancel(ctx: Context, controller: str) -> None:
-    """Cancel the goals of the action; the joints hold their position."""
+    """Cancel the goals of the action; the joints hold their positions.
+
+    JSON keys: action, id (empty, for all).
+    """
     with _action(ctx, controller) as action:
-        action.cancel()
-    ctx.done({"action": action.name}, f"{action.name}: all goals cancelled")
+        cancel_goals(ctx, action)
 
 
 @trajectory.command("state", examples=["slidectl trajectory state arm_controller"])
@@ -120,105 +146,135 @@ def state(ctx: Context, controller: str) -> None:
     JSON keys of each joint: joint, desired, actual, error, desired_velocity, actual_velocity.
     """
     with _action(ctx, controller) as action:
-        now = _state(ctx, action)
-    rows = [
-        {
-            "joint": joint,
-            "desired": now["desired"]["positions"][index],
-            "actual": now["actual"]["positions"][index],
-            "error": now["error"]["positions"][index],
-            "desired_velocity": now["desired"]["velocities"][index],
-            "actual_velocity": now["actual"]["velocities"][index],
-        }
-        for index, joint in enumerate(now["joint_names"])
-    ]
-    ctx.emit_rows(rows, ["joint", "desired", "actual", "error", "desired_velocity", "actual_velocity"])
+        _desired(ctx, action)  # a controller that does not run says so; it would publish no state
+        with ctx.client.subscribe(f"{names.parent(action.name)}/state") as states:
+            now = states.get()
+    columns = {
+        "joint": now["joint_names"],
+        "desired": now["desired"]["positions"],
+        "actual": now["actual"]["positions"],
+        "error": now["error"]["positions"],
+        "desired_velocity": now["desired"]["velocities"],
+        "actual_velocity": now["actual"]["velocities"],
+    }
+    rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+    ctx.emit_rows(rows, list(columns))
 
 
-# --- goals ------------------------------------------------------------------------------------------------------------
+# --- files ------------------------------------------------------------------------------------------------------------
 
 
-def read_goal(file: str) -> dict[str, Any]:
-    """The FollowJointTrajectoryGoal of a file. Raises BadFile."""
-    shown = "<stdin>" if file == "-" else file
+def read_goal(file: str) -> Message:
+    """The FollowJointTrajectoryGoal of a file; `-` is standard input. Raises BadFile, UsageError."""
+    text, shown = values.text_of(file).removeprefix("\ufeff"), "stdin" if file == "-" else file
+    ending = file.lower().rpartition(".")[2]
+    if ending == "csv":
+        goal = _from_csv(text, shown)
+    else:
+        goal = _from_document((_from_json if ending == "json" else _from_yaml)(text, shown), shown)
+    if not goal["trajectory"]["points"]:
+        raise BadFile("has no points", shown, hint="to hold the joints in place: slidectl trajectory hold CONTROLLER")
+    return goal
+
+
+def _from_json(text: str, file: str) -> Any:
     try:
-        text = sys.stdin.read() if file == "-" else Path(file).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadFile(str(getattr(error, "strerror", None) or error), shown) from None
-    return _from_csv(text, shown) if file.lower().endswith(".csv") else _from_yaml(text, shown)
+        return json.loads(text)
+    except json.JSONDecodeError as error:
+        raise BadFile(f"not valid JSON: {error.msg}", file, error.lineno) from None
+    except (ValueError, RecursionError) as error:
+        raise BadFile(f"not valid JSON: {error}", file) from None
 
 
-def _from_yaml(text: str, file: str) -> dict[str, Any]:
-    import yaml
+def _from_yaml(text: str, file: str) -> Any:
+    documents = list(values.read_documents(text, "file", file))
+    if len(documents) > 1:
+        raise BadFile(f"holds {len(documents)} YAML documents where one was expected", file)
+    return documents[0] if documents else None
 
-    try:
-        read = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        line = mark.line + 1 if mark is not None else None
-        raise BadFile(f"no YAML: {getattr(error, 'problem', None) or error}", file, line) from None
-    if not isinstance(read, dict):
+
+def _from_document(document: Any, file: str) -> Message:
+    if not isinstance(document, dict):
         raise BadFile("holds no mapping; expected joint_names and points, or a goal with trajectory", file)
-    goal = dict(read) if "trajectory" in read else {"trajectory": read}
+    goal = dict(document) if "trajectory" in document else {"trajectory": document}
     body = goal["trajectory"]
     if not isinstance(body, dict) or not isinstance(body.get("points"), list) or "joint_names" not in body:
         raise BadFile("lacks joint_names or a list of points", file)
     points = []
     for number, point in enumerate(body["points"], 1):
+        where = f"point {number}: time_from_start"
         if not isinstance(point, dict) or "time_from_start" not in point:
-            raise BadFile(f"point {number} lacks time_from_start", file)
-        points.append({**point, "time_from_start": duration_message(point["time_from_start"], file, number)})
+            raise BadFile(f"{where} is missing", file)
+        points.append({**point, "time_from_start": _duration(point["time_from_start"], where, file)})
     goal["trajectory"] = {**body, "points": points}
+    if "goal_time_tolerance" in goal:
+        goal["goal_time_tolerance"] = _duration(goal["goal_time_tolerance"], "goal_time_tolerance", file)
     return goal
 
 
-def duration_message(value: Any, file: str = "", number: int = 0) -> dict[str, int]:
-    """A duration as secs and nsecs: from seconds, or from what is written in that form already. Raises BadFile."""
-    if isinstance(value, Mapping):
-        return {"secs": value.get("secs", 0), "nsecs": value.get("nsecs", 0)}
+def _duration(value: Any, what: str, file: str | None = None, line: int | None = None) -> dict[str, Any]:
+    """A duration as secs and nsecs: from seconds, or from either of the forms of ROS. Raises BadFile."""
+    for seconds, nanoseconds in _DURATIONS:
+        if isinstance(value, Mapping) and {seconds, nanoseconds}.issuperset(value):
+            parts = value.get(seconds, 0), value.get(nanoseconds, 0)
+            if all(type(part) is int for part in parts):
+                return {"secs": parts[0], "nsecs": parts[1]}
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise BadFile(f"point {number}: time_from_start is {value!r}, expected seconds", file)
-    nanoseconds = round(value * 1e9)
-    return {"secs": nanoseconds // 10**9, "nsecs": nanoseconds % 10**9}
+        raise BadFile(f"{what} is {value!r}, expected seconds, or secs and nsecs", file, line)
+    total_ns = round(value * 1e9)
+    return {"secs": total_ns // 10**9, "nsecs": total_ns % 10**9}
 
 
-def _from_csv(text: str, file: str) -> dict[str, Any]:
+def _from_csv(text: str, file: str) -> Message:
     reader = csv.reader(io.StringIO(text), skipinitialspace=True)
-    header = [name.strip().lstrip("#").strip() for name in next(reader, [])]
-    if not header or header[0] not in _TIMES:
-        raise BadFile("the first column of a CSV trajectory is time, in s", file, 1, "time,joint1,joint2")
-    columns = [_column(name, file) for name in header[1:]]
+    try:
+        rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
+    except csv.Error as error:
+        raise BadFile(f"not valid CSV: {error}", file, reader.line_num) from None
+    line, header = rows[0] if rows else (1, [])
+    header = [name.strip().removeprefix("#").strip() for name in header]
+    if not header or header[0] not in _TIMES or len(header) == 1:
+        raise BadFile("the first line of a CSV trajectory names its columns", file, line, "as: time,joint1,joint2")
+    columns = [_column(name, file, line) for name in header[1:]]
+    if len(set(columns)) < len(columns):
+        raise BadFile("names a column twice", file, line)
     joints = list(dict.fromkeys(joint for joint, _ in columns))
-    points = []
-    for row in reader:
-        if not any(cell.strip() for cell in row):
-            continue
-        if len(row) != len(header):
-            raise BadFile(f"has {len(row)} values, expected {len(header)}", file, reader.line_num)
-        numbers = [_cell(cell, file, reader.line_num) for cell in row]
-        point: dict[str, Any] = {"time_from_start": duration_message(numbers[0])}
-        for quantity in dict.fromkeys(quantity for _, quantity in columns):
-            values = {
-                joint: value for (joint, kind), value in zip(columns, numbers[1:], strict=True) if kind == quantity
-            }
-            if len(values) != len(joints):
-                lacking = ", ".join(joint for joint in joints if joint not in values)
-                raise BadFile(f"has no {quantity} of {lacking}", file, 1)
-            point[_QUANTITIES[quantity]] = [values[joint] for joint in joints]
-        points.append(point)
+    for quantity in {quantity for _, quantity in columns}:
+        if lacking := [joint for joint in joints if (joint, quantity) not in columns]:
+            raise BadFile(f"has no {quantity} of {', '.join(lacking)}", file, line)
+    points = [_point(row, header, columns, joints, file, number) for number, row in rows[1:]]
     return {"trajectory": {"joint_names": joints, "points": points}}
 
 
-def _column(name: str, file: str) -> tuple[str, str]:
+def _point(
+    row: Sequence[str],
+    header: Sequence[str],
+    columns: Sequence[tuple[str, str]],
+    joints: Sequence[str],
+    file: str,
+    line: int,
+) -> Message:
+    """The trajectory_msgs/JointTrajectoryPoint of one line."""
+    if len(row) != len(header):
+        raise BadFile(f"has {len(row)} values, expected {len(header)}", file, line)
+    time_s, *numbers = (_number(cell, file, line) for cell in row)
+    by_column = dict(zip(columns, numbers, strict=True))
+    point: Message = {"time_from_start": _duration(time_s, header[0], file, line)}
+    for quantity in dict.fromkeys(quantity for _, quantity in columns):
+        point[_QUANTITIES[quantity]] = [by_column[joint, quantity] for joint in joints]
+    return point
+
+
+def _column(name: str, file: str, line: int) -> tuple[str, str]:
     joint, dot, quantity = name.rpartition(".")
     if not dot:
         return name, "position"
     if quantity not in _QUANTITIES:
-        raise BadFile(f"column {name!r}: {quantity!r} is none of {', '.join(_QUANTITIES)}", file, 1)
+        raise BadFile(f"column {name!r}: {quantity!r} is none of {', '.join(_QUANTITIES)}", file, line)
     return joint, quantity
 
 
-def _cell(text: str, file: str, line: int) -> float:
+def _number(text: str, file: str, line: int) -> float:
     try:
         return float(text)
     except ValueError:
@@ -240,20 +296,33 @@ def _target(text: str) -> tuple[str, float]:
 
 
 def _action(ctx: Context, controller: str) -> Action:
-    """The controller's follow_joint_trajectory action. Raises UnknownName, AmbiguousName."""
-    from slidectl.client.actions import Action
+    """The action of a trajectory controller. Raises UnknownName, AmbiguousName."""
+    from slidectl.client.action_client import Action
 
-    return Action(ctx.client, f"{controller.rstrip('/')}/follow_joint_trajectory")
-
-
-def _state(ctx: Context, action: Action) -> dict[str, Any]:
-    with ctx.client.subscribe(action.name.rpartition("/")[0] + "/state") as states:
-        return states.get()
+    known = _controllers(ctx)
+    full = names.resolve(controller, known, kind="trajectory controller", namespace=ctx.namespace)
+    return Action(ctx.client, known[full])
 
 
-def _run(ctx: Context, action: Action, goal: dict[str, Any], wait: bool) -> None:
-    points: Sequence[Mapping[str, Any]] = goal["trajectory"]["points"]
-    if points and wait and output.is_terminal(sys.stderr) and not ctx.quiet:
-        last = points[-1]["time_from_start"]
-        ctx.say(f"{action.name}: {len(points)} points, {last['secs'] + last['nsecs'] * 1e-9:g} s")
-    run(ctx, action, goal, wait=wait)
+def _desired(ctx: Context, action: Action) -> dict[str, float]:
+    """Where each joint is to be now. Raises Refused: the controller does not run."""
+    now = ctx.call("/rosapi/get_time")["time"]
+    answer = ctx.call(f"{names.parent(action.name)}/query_state", {"time": now})
+    return dict(zip(answer["name"], answer["position"], strict=True))
+
+
+def _run(ctx: Context, action: Action, goal: Message, wait: bool) -> None:
+    last = goal["trajectory"]["points"][-1]["time_from_start"]
+    total_s = _seconds(last)
+
+    def describe(feedback: Message) -> str:
+        errors = dict(zip(feedback["joint_names"], feedback["error"]["positions"], strict=True))
+        worst = max(errors, key=lambda joint: abs(errors[joint] or 0.0))
+        passed_s = min(_seconds(feedback["actual"]["time_from_start"]), total_s)
+        return f"{passed_s:.1f} of {total_s:g} s, largest error {errors[worst] or 0.0:.3g} ({worst})"
+
+    run(ctx, action, goal, wait=wait, describe=describe)
+
+
+def _seconds(duration: Message) -> float:
+    return float(duration["secs"] + duration["nsecs"] * 1e-9)

@@ -12,7 +12,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from slidectl import __version__, names, paths
 from slidectl.client.lines import LONGEST_LINE, BadLine, encode
@@ -28,6 +28,9 @@ from slidectl.errors import (
     Unused,
     UsageError,
 )
+
+if TYPE_CHECKING:
+    from slidectl.client.action_client import Action
 
 Message = dict[str, Any]
 
@@ -396,6 +399,16 @@ class Client:
     def controllers(self, namespace: str) -> Manager:
         """The controller manager of a robot's namespace: load, start, switch, list."""
         return Manager(self, names.join("/", namespace).rstrip("/") or "/")
+
+    def action(self, name: str) -> Action:
+        """An action by its name, or by that of a controller with one: send goals, follow and cancel them.
+
+        Raises:
+            UnknownName, AmbiguousName.
+        """
+        from slidectl.client.action_client import Action
+
+        return Action(self, name)
 
     @property
     def params(self) -> Params:

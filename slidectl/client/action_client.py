@@ -1,0 +1,194 @@
+"""The client's side of an action: send a goal, follow it, cancel it, take its result.
+
+An action is five topics below one name, as in actionlib: `goal`, `cancel`, `status`, `feedback`, `result`. No thread:
+what arrives is taken in while a call waits.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import time
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from slidectl import names
+from slidectl.errors import AmbiguousName, TimedOut, UnknownName
+
+if TYPE_CHECKING:
+    from slidectl.client.client import Client
+
+Message = dict[str, Any]
+
+STATES = (
+    "pending", "active", "preempted", "succeeded", "aborted", "rejected", "preempting", "recalling", "recalled", "lost",
+)  # fmt: skip
+"""By the numbers of actionlib_msgs/GoalStatus."""
+SUCCEEDED, LOST = 3, 9
+_SUFFIX = "ActionGoal"
+
+_serial = itertools.count(1)
+
+
+class ActionResult(NamedTuple):
+    """How a goal ended: `status` is a number of actionlib_msgs/GoalStatus, `result` the action's own message."""
+
+    status: int
+    text: str
+    result: Message
+
+    @property
+    def state(self) -> str:
+        """The status in a word, as `succeeded`."""
+        return STATES[self.status] if 0 <= self.status < len(STATES) else str(self.status)
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether the goal was reached."""
+        return self.status == SUCCEEDED
+
+
+def goal_topics(topics: dict[str, str]) -> dict[str, str]:
+    """Name -> type (`control_msgs/FollowJointTrajectory`) of the actions among topics and their types."""
+    return {
+        topic.removesuffix("/goal"): kind.removesuffix(_SUFFIX)
+        for topic, kind in sorted(topics.items())
+        if topic.endswith("/goal") and kind.endswith(_SUFFIX)
+    }
+
+
+def resolve_action(name: str, known: Sequence[str], namespace: str = "/") -> str:
+    """The full name of an action: the name's own, the unique end of one, or the only one of a controller.
+
+    Raises:
+        UnknownName, AmbiguousName.
+    """
+    try:
+        return names.resolve(name, known, kind="action", namespace=namespace)
+    except UnknownName as unknown:
+        try:
+            owner = names.resolve(name, map(names.parent, known), kind="action", namespace=namespace)
+        except UnknownName:
+            raise unknown from None
+    matches = [full for full in known if names.parent(full) == owner]
+    if len(matches) > 1:
+        raise AmbiguousName("action", name, matches)
+    return matches[0]
+
+
+def new_goal_id() -> str:
+    """An id that no other goal has."""
+    return f"slidectl-{os.getpid()}-{next(_serial)}-{time.time_ns()}"
+
+
+class Action:
+    """One action of the graph. Use it as a context manager, or `close` it.
+
+    Args:
+        name: the full name, or the unique end of it, as `arm_controller/follow_joint_trajectory`; or the name of a
+            controller with one action, as `arm_controller`.
+        namespace: where relative names begin, and which of several is meant.
+
+    Raises:
+        UnknownName, AmbiguousName: no such action, or several.
+    """
+
+    def __init__(self, client: Client, name: str, namespace: str = "/") -> None:
+        known = goal_topics(client.topics())
+        self.name = resolve_action(name, list(known), namespace)
+        self.type = known[self.name]
+        self._client = client
+        self._results = client.subscribe(f"{self.name}/result")
+        self._feedback = client.subscribe(f"{self.name}/feedback")
+        self._lists = client.subscribe(f"{self.name}/status", queue_length=1)
+        self._ended: dict[str, ActionResult | None] = {}
+        """The goals that were sent here, with their results."""
+        self._listed: set[str] = set()
+        """Those that were in the server's list."""
+
+    def send(self, goal: Message, goal_id: str = "") -> str:
+        """Send a goal (the fields of the action's Goal message) and return its id, a new one by default.
+
+        What the server says of it at once, as why it rejects it, is in the client's `reasons`. Raises MessageRefused.
+        """
+        goal_id = goal_id or new_goal_id()
+        self._ended[goal_id] = None
+        self._client.deliver(f"{self.name}/goal", {"goal_id": {"id": goal_id}, "goal": goal})
+        return goal_id
+
+    def cancel(self, goal_id: str = "") -> None:
+        """Cancel a goal; without an id, all goals of the action."""
+        self._client.deliver(f"{self.name}/cancel", {"id": goal_id})
+
+    def ended(self, goal_id: str) -> ActionResult | None:
+        """The result of a goal that was sent here, if it is here already: a server rejects a goal at once."""
+        while len(self._results):
+            message = self._results.get()
+            status = message["status"]
+            if status["goal_id"]["id"] in self._ended:
+                self._ended[status["goal_id"]["id"]] = ActionResult(status["status"], status["text"], message["result"])
+        return self._ended.get(goal_id)
+
+    def wait(self, goal_id: str, timeout: float = math.inf) -> ActionResult:
+        """The result of a goal that was sent here, within `timeout` wall seconds.
+
+        Raises:
+            TimedOut: it has not ended; the goal goes on. NoDaemon.
+        """
+        for event in self.follow(goal_id, timeout):
+            if isinstance(event, ActionResult):
+                return event
+        raise AssertionError("follow ends with a result")
+
+    def follow(self, goal_id: str, timeout: float = math.inf) -> Iterator[Message | ActionResult]:
+        """The goal's feedback messages as they come, and its ActionResult as the last. Raises as `wait`.
+
+        A goal that leaves the server's list without a result is lost.
+        """
+        deadline = time.monotonic() + timeout
+        while True:
+            while len(self._feedback):
+                message = self._feedback.get()
+                if message["status"]["goal_id"]["id"] == goal_id:
+                    yield message["feedback"]
+            is_gone = self._is_gone(goal_id)
+            if (ended := self.ended(goal_id)) is not None:
+                yield ended
+                return
+            if is_gone:
+                yield ActionResult(LOST, "the server does not list the goal any more", {})
+                return
+            try:
+                self._client.wait_until(self._has_news, deadline - time.monotonic(), "")
+            except TimedOut as error:
+                raise TimedOut(f"the goal of {self.name} has not ended within {timeout:g} s", error.hint) from None
+
+    def _has_news(self) -> bool:
+        return bool(len(self._feedback) or len(self._results) or len(self._lists))
+
+    def _is_gone(self, goal_id: str) -> bool:
+        """Was the goal in an earlier list of the server, and is not in one that is here?"""
+        while len(self._lists):
+            if goal_id in (status["goal_id"]["id"] for status in self._lists.get()["status_list"]):
+                self._listed.add(goal_id)
+            elif goal_id in self._listed:
+                return True
+        return False
+
+    def goals(self) -> list[Message]:
+        """The goals that the server knows (actionlib_msgs/GoalStatus): `goal_id`, `status`, `text`. Raises TimedOut."""
+        # Older lists may still be on the way to the other subscription: the newest one counts.
+        with self._client.subscribe(f"{self.name}/status", queue_length=1) as lists:
+            return list(lists.get()["status_list"])
+
+    def close(self) -> None:
+        """Unsubscribe. The goals go on."""
+        for subscription in (self._results, self._feedback, self._lists):
+            subscription.close()
+
+    def __enter__(self) -> Action:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
