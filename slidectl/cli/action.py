@@ -14,7 +14,7 @@ from slidectl.cli import completion, output, robots, values
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
 from slidectl.cli.echo import echo as echo_topic
-from slidectl.cli.topics import paused
+from slidectl.cli.topic_streams import paused
 from slidectl.errors import Refused, TimedOut, UsageError
 
 if TYPE_CHECKING:

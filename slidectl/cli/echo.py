@@ -13,7 +13,7 @@ from slidectl.cli import completion, output
 from slidectl.cli.commands import command, simulated_seconds
 from slidectl.cli.context import Context
 from slidectl.cli.forms import CsvForm, YamlForm
-from slidectl.cli.topics import PUBLISHERS, Event, Schema, Stream, look_up, nanoseconds
+from slidectl.cli.topic_streams import PUBLISHERS, Event, Schema, Stream, look_up, nanoseconds
 from slidectl.errors import TimedOut, UsageError
 from slidectl.field_path import Selection, select
 
@@ -95,7 +95,7 @@ def predicate(condition: str | None, schema: Schema) -> Keep:
     """The test of `--filter`. Raises UsageError before the first message when it is not valid."""
     if condition is None:
         return lambda _message: True
-    from slidectl.cli.expressions import Filter
+    from slidectl.cli.templates import Filter
 
     return Filter(condition, schema)
 

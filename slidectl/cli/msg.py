@@ -13,7 +13,7 @@ from slidectl.cli.context import Context
 from slidectl.errors import UnknownName, UsageError
 
 
-class Kind(NamedTuple):
+class TypeFamily(NamedTuple):
     """Messages or services: how they are called, and the functions of slidectl.msgs for them."""
 
     noun: str
@@ -23,19 +23,19 @@ class Kind(NamedTuple):
     md5: Callable[[str], str]
 
 
-def messages() -> Kind:
+def messages() -> TypeFamily:
     from slidectl import msgs
 
-    return Kind("message type", msgs.type_names, msgs.show, msgs.definition, msgs.md5)
+    return TypeFamily("message type", msgs.type_names, msgs.show, msgs.definition, msgs.md5)
 
 
-def services() -> Kind:
+def services() -> TypeFamily:
     from slidectl import msgs
 
-    return Kind("service type", msgs.service_names, msgs.show_service, msgs.service_definition, msgs.service_md5)
+    return TypeFamily("service type", msgs.service_names, msgs.show_service, msgs.service_definition, msgs.service_md5)
 
 
-def found_types(kind: Kind, name: str) -> list[str]:
+def found_types(kind: TypeFamily, name: str) -> list[str]:
     """The types that are meant: one for `pkg/Name`, those of every package for a bare `Name`."""
     if "::" in name or "." in name:
         raise UsageError(f"{name!r} is no type: write it as package/Type, or Type alone")
@@ -46,7 +46,7 @@ def found_types(kind: Kind, name: str) -> list[str]:
     return found
 
 
-def _verbs(parent: Group, kind: Callable[[], Kind], example: str) -> None:
+def _verbs(parent: Group, kind: Callable[[], TypeFamily], example: str) -> None:
     """Give the group its three commands."""
     tool = f"slidectl {parent.name}"
 

@@ -19,13 +19,13 @@ from slidectl import names
 from slidectl.cli import completion
 from slidectl.cli.commands import Command, command, positive_seconds
 from slidectl.cli.context import Context
-from slidectl.cli.topics import SUBSCRIBERS, Schema, Target, details, look_up
+from slidectl.cli.topic_streams import SUBSCRIBERS, Schema, Target, details, look_up
 from slidectl.cli.values import check_quotes, documents_of, documents_on_stdin, is_numeric, read
 from slidectl.errors import BadFile, SlidectlError, TimedOut, UnknownName, Unused, UsageError
 from slidectl.msgs.fill import fields_from, fill
 
 if TYPE_CHECKING:
-    from slidectl.cli.expressions import Template
+    from slidectl.cli.templates import Template
 
 Values = Sequence[Any]
 """What a message is made of: one mapping of fields, or one value for each field."""
@@ -307,7 +307,7 @@ def template_of(schema: Schema, values: Values, expressions: bool = False) -> Te
     """None for values without text: nothing in them can be an expression or stand for the time."""
     if is_numeric(list(values)):
         return None
-    from slidectl.cli.expressions import Template
+    from slidectl.cli.templates import Template
 
     return Template(schema, values, expressions)
 

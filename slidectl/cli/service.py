@@ -13,7 +13,7 @@ from slidectl.cli.commands import group
 from slidectl.cli.context import Context
 from slidectl.cli.forms import YamlForm
 from slidectl.cli.pub import now, template_of
-from slidectl.cli.topics import Typedefs, from_typedefs
+from slidectl.cli.topic_streams import Typedefs, from_typedefs
 from slidectl.cli.values import check_quotes, documents_on_stdin, read
 from slidectl.errors import Refused, UsageError
 from slidectl.msgs.fill import field_paths, fields_from, fill

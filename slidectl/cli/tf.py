@@ -17,7 +17,7 @@ from slidectl import names
 from slidectl.cli import output
 from slidectl.cli.commands import group, positive_seconds
 from slidectl.cli.context import Context
-from slidectl.cli.topics import PUBLISHERS, Stream, users_of
+from slidectl.cli.topic_streams import PUBLISHERS, Stream, users_of
 from slidectl.errors import AmbiguousName, Refused, SlidectlError, UnknownName
 from slidectl.rotations import IDENTITY, Quaternion, Vector, conjugate, multiply, normalized
 

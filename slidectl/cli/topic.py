@@ -13,7 +13,7 @@ from slidectl.cli.context import Context
 from slidectl.cli.echo import echo
 from slidectl.cli.pub import pub
 from slidectl.cli.topic_measure import bw, delay, hz
-from slidectl.cli.topics import PUBLISHERS, SUBSCRIBERS, look_up, usage_of_topic, usage_of_topics, users_of
+from slidectl.cli.topic_streams import PUBLISHERS, SUBSCRIBERS, look_up, usage_of_topic, usage_of_topics, users_of
 from slidectl.errors import UsageError
 from slidectl.field_path import select
 

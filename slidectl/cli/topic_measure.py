@@ -17,7 +17,7 @@ from slidectl.cli import completion, output
 from slidectl.cli.commands import command, simulated_seconds
 from slidectl.cli.context import Context
 from slidectl.cli.echo import predicate
-from slidectl.cli.topics import PUBLISHERS, Event, Schema, Stream, Target, look_up, nanoseconds
+from slidectl.cli.topic_streams import PUBLISHERS, Event, Schema, Stream, Target, look_up, nanoseconds
 from slidectl.errors import NoDaemon, Refused, TimedOut
 from slidectl.msgs.schema import BYTES, TIMES
 

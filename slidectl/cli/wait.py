@@ -13,7 +13,7 @@ import click
 from slidectl.cli import completion, output, robots
 from slidectl.cli.commands import command, simulated_seconds, wait_for_world_s
 from slidectl.cli.context import Context
-from slidectl.cli.topics import PUBLISHERS, look_up, nanoseconds, paused
+from slidectl.cli.topic_streams import PUBLISHERS, look_up, nanoseconds, paused
 from slidectl.errors import Refused, SlidectlError, TimedOut, UsageError
 from slidectl.field_path import Selection
 

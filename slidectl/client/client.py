@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from slidectl import __version__, names, paths
 from slidectl.client.lines import LONGEST_LINE, BadLine, encode
-from slidectl.client.link import Link, command
+from slidectl.client.link import SocketLink, command
 from slidectl.errors import (
     AmbiguousName,
     MessageRefused,
@@ -75,7 +75,7 @@ class Client:
         """
         self.on_other_version: Callable[[str], None] = lambda _version: None
         """Called once, with the version of a daemon that is not this client's; empty for one that does not say."""
-        self._link = Link(self.paths, time.monotonic() + timeout)
+        self._link = SocketLink(self.paths, time.monotonic() + timeout)
         self._serial = 0
         self._awaited: set[str] = set()
         """Ids of requests whose answers somebody will ask for; other answers are not kept."""

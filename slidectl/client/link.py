@@ -37,7 +37,7 @@ def peer(connection: socket) -> tuple[int, int]:
     return pid, uid
 
 
-class Link:
+class SocketLink:
     """One connection to the daemon of `paths`. Deadlines are on `time.monotonic()`; `inf` is none."""
 
     def __init__(self, paths: InstancePaths, deadline: float) -> None:

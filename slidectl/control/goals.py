@@ -10,7 +10,7 @@ from math import inf
 
 from slidectl.control import params
 from slidectl.control.duration import BadDuration, from_seconds
-from slidectl.control.node_handle import GoalHandle, GoalStatus, Message, NodeHandle, Timer
+from slidectl.control.node_handle import GoalHandle, GoalStatus, Message, NodeHandle, RepeatingTimer
 from slidectl.control.params import NUMBER, Parameter
 from slidectl.errors import Refused
 
@@ -78,7 +78,7 @@ class GoalMonitor:
     def __init__(self, node: NodeHandle, period_ns: int) -> None:
         self._node = node
         self._period_ns = period_ns
-        self._timer: Timer | None = None
+        self._timer: RepeatingTimer | None = None
         self._goal: MonitoredGoal | None = None
 
     def watch(self, goal: MonitoredGoal) -> None:

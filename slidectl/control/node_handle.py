@@ -109,7 +109,7 @@ class GoalHandle(Protocol):
 GoalCallback = Callable[[GoalHandle], None]
 
 
-class Timer(Protocol):
+class RepeatingTimer(Protocol):
     """A callback at simulated times."""
 
     def cancel(self) -> None:
@@ -160,7 +160,7 @@ class NodeHandle(Protocol):
         `on_goal` gets each new goal, which is PENDING, and `on_cancel` one that a client wants cancelled.
         """
 
-    def call_every(self, period_ns: int, callback: Callable[[], None]) -> Timer:
+    def call_every(self, period_ns: int, callback: Callable[[], None]) -> RepeatingTimer:
         """Call back each period of simulated time, counted from now, at the end of a cycle."""
 
     def log(self, severity: str, text: str) -> None:

@@ -22,7 +22,7 @@ from slidectl.daemon.place import Place, holder
 from slidectl.errors import EXIT_DONE, Refused, SlidectlError
 
 if TYPE_CHECKING:
-    from slidectl.daemon.daemon import Daemon
+    from slidectl.daemon.main_loop import Daemon
 
 _LEAST_DESCRIPTORS = 24
 """File descriptors: those of a daemon with a few clients that reads a robot and starts a compiler."""
@@ -89,7 +89,7 @@ def _begin(start: Start, stack: ExitStack) -> Daemon | None:
     gc.disable()  # what is imported stays; looking through it for garbage would only take time
     # MuJoCo's package looks for a way to draw when it is imported. Nothing is drawn here, and the search takes 30 ms.
     os.environ.setdefault("MUJOCO_GL", "disable")
-    from slidectl.daemon.daemon import Daemon
+    from slidectl.daemon.main_loop import Daemon
 
     daemon = Daemon(start, place, listener, log, began_s)
     gc.freeze()

@@ -19,11 +19,11 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 
-from slidectl.daemon.loop import READ, EventLoop
+from slidectl.daemon.event_loop import READ, EventLoop
 from slidectl.description.meshes import BadMesh
 from slidectl.errors import Refused
 from slidectl.physics import hulls
-from slidectl.physics.hulls import Hull, Source
+from slidectl.physics.hulls import Hull, MeshSource
 from slidectl.simulation.pending import Pending
 
 MOST_CPU_S = 30
@@ -57,7 +57,7 @@ class MeshReader:
         self._running: dict[int, _Job] = {}
         """By the descriptor of the pipe."""
 
-    def read(self, sources: Sequence[Source]) -> Pending:
+    def read(self, sources: Sequence[MeshSource]) -> Pending:
         """Resolved with the hulls (physics.hulls.Hulls). Who cancels it ends the process."""
         job = _Job(sources)
         job.pending.on_cancel = job.end  # its pipe ends too then, and it is reaped
@@ -124,13 +124,13 @@ class MeshReader:
 class _Job:
     """The meshes of one robot, and the process that reads them."""
 
-    def __init__(self, sources: Sequence[Source]) -> None:
+    def __init__(self, sources: Sequence[MeshSource]) -> None:
         self.sources = sources
         self.pending = Pending()
         self.pid = 0
         self.ended = False
         self.said = bytearray()
-        self.results: dict[Source, Hull | BadMesh] = {}
+        self.results: dict[MeshSource, Hull | BadMesh] = {}
         self.unprepared: deque[Hull] = deque()
 
     def begin(self) -> int:
@@ -183,7 +183,7 @@ def _why(status: int) -> str:
     return "cannot read the mesh: the process that read it failed"
 
 
-def _work(sources: Sequence[Source], writing: int, parent: int) -> None:
+def _work(sources: Sequence[MeshSource], writing: int, parent: int) -> None:
     """The process: reads, says what it has read, and is gone. It never returns into the daemon's code."""
     code = 1
     try:

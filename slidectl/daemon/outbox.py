@@ -16,7 +16,7 @@ from typing import Any, Protocol
 
 from slidectl.client.lines import LONGEST_LINE, encode
 from slidectl.errors import MessageRefused
-from slidectl.simulation.topics import Subscription, Topics
+from slidectl.simulation.topics import Topics, TopicSubscription
 
 DEFAULT_QUEUE = 1000
 MOST_QUEUE = 100_000
@@ -289,7 +289,7 @@ class Feed:
         self._publications = publications
         self._wishes: dict[str | None, tuple[float, int]] = {}
         self._share: Share | None = None
-        self._subscription: Subscription | None = None
+        self._subscription: TopicSubscription | None = None
 
     def begin(self, topics: Topics, kind: str | None, node: str) -> None:
         """Subscribe, as was wanted before. Raises as `Topics.subscribe`."""

@@ -16,7 +16,7 @@ from typing import Any
 
 from slidectl.client.lines import BadLine, LineBuffer, encode
 from slidectl.client.link import peer
-from slidectl.daemon.loop import HANG_UP, ONCE, PEER_CLOSED, READ, WRITE, EventLoop
+from slidectl.daemon.event_loop import HANG_UP, ONCE, PEER_CLOSED, READ, WRITE, EventLoop
 from slidectl.daemon.outbox import Outbox, Publications, Reader
 from slidectl.daemon.session import Session
 from slidectl.simulation.graph import Graph

@@ -81,7 +81,7 @@ def load(
 
 def _opened(
     source: str | Path, packages: Packages | None, title: str | None = None
-) -> tuple[models.Source, Element, Path, Packages]:
+) -> tuple[models.ModelText, Element, Path, Packages]:
     """A model, its tree as it is written, the folder that it is in, and where packages are."""
     model = models.read(source)
     model = replace(model, file=title) if title is not None else model
@@ -90,7 +90,7 @@ def _opened(
     return model, xml_tree.read(model.text, model.file), base, packages
 
 
-def _is_xacro(model: models.Source, root: Element) -> bool:
+def _is_xacro(model: models.ModelText, root: Element) -> bool:
     """By its suffix, or because it has tags or attributes of xacro."""
     if model.path is not None and model.path.suffix.lower() == ".xacro":
         return True

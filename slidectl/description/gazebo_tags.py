@@ -12,7 +12,7 @@ from itertools import islice
 from typing import Any
 
 from slidectl import names
-from slidectl.description import values
+from slidectl.description import element_values
 from slidectl.description.missing import Missing
 from slidectl.description.report import Report
 from slidectl.description.robot import ControlPlugin, Surface
@@ -132,7 +132,7 @@ class GazeboReader:
 
     def _friction(self, child: Element, place: str) -> float:
         """`Inf` is a value here, and what is below 0 means the same, as in Gazebo."""
-        value = values.parse_number(_text(child), child, place, finite=False)
+        value = element_values.parse_number(_text(child), child, place, finite=False)
         if value < 0:
             self.report.converted(child, f"{value:g} is below 0 and counts as infinite, as in Gazebo", place)
             return math.inf
@@ -184,7 +184,7 @@ def _period(plugin: Element, text: str | None) -> float | None:
     if text is None:
         return None
     place = plugin.find("controlPeriod") or plugin
-    period = values.parse_number(text, place, "controlPeriod")
+    period = element_values.parse_number(text, place, "controlPeriod")
     if period <= 0:
         raise place.error(f"controlPeriod is {period:g} s; it must be above 0")
     if period > _LONGEST_PERIOD:

@@ -20,7 +20,7 @@ SUFFIXES = (".xacro", ".urdf", ".xml")
 
 
 @dataclass(frozen=True)
-class Source:
+class ModelText:
     """The raw text of a model; `path` is None when it came without a file."""
 
     text: bytes | str
@@ -28,18 +28,18 @@ class Source:
     path: Path | None
 
 
-def read(source: str | Path) -> Source:
+def read(source: str | Path) -> ModelText:
     """The text that `source` means.
 
     Raises:
         BadFile: no such file, or one that cannot be read. UnknownName: no shipped model of that name.
     """
     if source == "-":
-        return Source(sys.stdin.buffer.read(MOST_BYTES + 1), "<stdin>", None)
+        return ModelText(sys.stdin.buffer.read(MOST_BYTES + 1), "<stdin>", None)
     if isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<"):
-        return Source(source, "<text>", None)
+        return ModelText(source, "<text>", None)
     path = find(source)
-    return Source(read_file(path, pipes=True), str(path), path)
+    return ModelText(read_file(path, pipes=True), str(path), path)
 
 
 def read_file(path: Path, *, pipes: bool = False) -> bytes:

@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast, get_args
 
-from slidectl.description import values, xml_tree
+from slidectl.description import element_values, xml_tree
 from slidectl.description.gazebo_tags import GazeboReader
 from slidectl.description.mesh_files import SUFFIXES, MeshFiles
 from slidectl.description.packages import Packages
@@ -86,7 +86,7 @@ def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = 
     """
     if root.tag != "robot":
         raise root.error(f"the outermost element is <{root.tag}>, expected <robot>")
-    name = values.required(root, "name", "robot")
+    name = element_values.required(root, "name", "robot")
     report.unknown(root, {"name", "version"}, _CHILDREN)
     link_reader = _LinkReader(report, meshes, strict)
     for element in root.find_all("material"):
@@ -151,7 +151,7 @@ def _origin(report: Report, element: Element, owner: str) -> Pose:
     origin = report.only(element, "origin")
     if origin is not None:
         report.unknown(origin, {"xyz", "rpy"}, (), f"{owner}/<origin>")
-    return values.pose(origin, owner)
+    return element_values.pose(origin, owner)
 
 
 # --- links ------------------------------------------------------------------------------------------------------------
@@ -171,7 +171,7 @@ class _LinkReader:
         self.materials: dict[str, Material] = {}
 
     def read(self, element: Element) -> Link:
-        name = values.required(element, "name", "link")
+        name = element_values.required(element, "name", "link")
         owner = f"link {name!r}"
         self.report.unknown(element, {"name"}, {"inertial", "visual", "collision"})
         inertial = self.report.only(element, "inertial")
@@ -186,10 +186,10 @@ class _LinkReader:
 
     def _inertial(self, element: Element, owner: str) -> Inertial:
         self.report.unknown(element, (), {"origin", "mass", "inertia"}, f"{owner}/<inertial>")
-        mass = values.number(self._child(element, "mass", owner), "value", owner)
+        mass = element_values.number(self._child(element, "mass", owner), "value", owner)
         tensor = self._child(element, "inertia", owner)
         self.report.unknown(tensor, _MOMENTS, (), f"{owner}/<inertia>")
-        ixx, ixy, ixz, iyy, iyz, izz = (values.number(tensor, name, owner) for name in _MOMENTS)
+        ixx, ixy, ixz, iyy, iyz, izz = (element_values.number(tensor, name, owner) for name in _MOMENTS)
         return Inertial(_origin(self.report, element, owner), mass, (ixx, ixy, ixz, iyy, iyz, izz), element.line)
 
     def _child(self, element: Element, tag: str, owner: str) -> Element:
@@ -242,11 +242,11 @@ class _LinkReader:
     def _primitive(self, shape: Element, owner: str) -> Geometry | None:
         attributes = _GEOMETRIES[shape.tag]
         if shape.tag == "box":
-            sizes: tuple[float, ...] = values.vector(shape, "size", owner)
+            sizes: tuple[float, ...] = element_values.vector(shape, "size", owner)
             if min(sizes) < 0:
                 raise shape.error(f"{owner}: edges of a <box> must be above 0, not {shape.get('size')!r}")
         else:
-            sizes = tuple(values.not_negative(shape, name, owner) for name in attributes)
+            sizes = tuple(element_values.not_negative(shape, name, owner) for name in attributes)
         # The physics takes half lengths, and half of the smallest number is 0.
         if min(sizes) / 2 == 0.0:
             written = ", ".join(f"{name} {shape.get(name)!r}" for name in attributes)
@@ -262,8 +262,8 @@ class _LinkReader:
         if filename is not None and not filename.strip():
             self._leave_out(shape, owner, "attribute 'filename' of <mesh> is empty")
             return None
-        uri = values.required(shape, "filename", owner)
-        scale = values.vector(shape, "scale", owner) if "scale" in shape.attributes else (1.0, 1.0, 1.0)
+        uri = element_values.required(shape, "filename", owner)
+        scale = element_values.vector(shape, "scale", owner) if "scale" in shape.attributes else (1.0, 1.0, 1.0)
         if 0.0 in scale:
             self._leave_out(shape, owner, f"<mesh> with scale {shape.get('scale')!r} has no volume")
             return None
@@ -278,7 +278,7 @@ class _LinkReader:
 
     def global_material(self, element: Element) -> Material:
         """Take in a `<material>` child of `<robot>`."""
-        material = self._material(element, values.required(element, "name", "material"))
+        material = self._material(element, element_values.required(element, "name", "material"))
         if material.name in self.materials:
             self.report.wrong(element, "is defined twice; the first one counts")
         elif material.rgba is None and material.texture is None:
@@ -307,7 +307,7 @@ class _LinkReader:
         rgba = None
         if color is not None:
             self.report.unknown(color, {"rgba"}, ())
-            red, green, blue, alpha = values.numbers(color, "rgba", 4, f"material {name!r}")
+            red, green, blue, alpha = element_values.numbers(color, "rgba", 4, f"material {name!r}")
             rgba = red, green, blue, alpha
             if not all(0 <= part <= 1 for part in rgba):
                 self.report.wrong(color, f"material {name!r}: parts of a colour lie between 0 and 1")
@@ -324,12 +324,12 @@ class _JointReader:
         self.report = report
 
     def read(self, element: Element) -> Joint:
-        name = values.required(element, "name", "joint")
+        name = element_values.required(element, "name", "joint")
         owner = f"joint {name!r}"
         self.report.unknown(element, {"name", "type"}, _OF_JOINT)
-        written = values.required(element, "type", owner)
+        written = element_values.required(element, "type", owner)
         if written not in _TYPES:
-            raise values.unknown(element, owner, "joint type", written, _TYPES)
+            raise element_values.unknown(element, owner, "joint type", written, _TYPES)
         kind = cast(JointType, written)
         limit = self._part(element, "limit", self._limit, kind, owner)
         if limit is None and kind in _WITH_RANGE and element.find("limit") is None:
@@ -366,14 +366,14 @@ class _JointReader:
         if child is None:
             raise element.error(f"{owner} lacks <{tag}>")
         self.report.unknown(child, {"link"}, (), f"{owner}/<{tag}>")
-        return values.required(child, "link", owner)
+        return element_values.required(child, "link", owner)
 
     def _axis(self, axis: Element, kind: JointType, owner: str) -> Vector | None:
         if kind not in _WITH_AXIS:
             self._ignore(axis, owner, f"a {kind} joint has no axis")
             return None
         self.report.unknown(axis, {"xyz"}, (), f"{owner}/<axis>")
-        x, y, z = values.vector(axis, "xyz", owner)
+        x, y, z = element_values.vector(axis, "xyz", owner)
         length = math.hypot(x, y, z)
         if not 0.0 < length < math.inf:
             raise axis.error(f"{owner}: <axis> is {axis.get('xyz')!r}, which is no direction")
@@ -388,8 +388,8 @@ class _JointReader:
             self._ignore(limit, owner, f"a {kind} joint has no limits")
             return None
         self.report.unknown(limit, {"lower", "upper", "effort", "velocity"}, (), f"{owner}/<limit>")
-        effort = values.not_negative(limit, "effort", owner)
-        velocity = values.not_negative(limit, "velocity", owner)
+        effort = element_values.not_negative(limit, "effort", owner)
+        velocity = element_values.not_negative(limit, "velocity", owner)
         lower, upper = self._range(limit, kind, owner)
         return Limit(lower, upper, velocity, effort, limit.line)
 
@@ -400,8 +400,8 @@ class _JointReader:
                 if name in limit.attributes:
                     self.report.ignored(limit, f"a continuous joint has no {name!r}", place, name)
             return 0.0, 0.0
-        lower = values.number(limit, "lower", owner, 0.0)
-        upper = values.number(limit, "upper", owner, 0.0)
+        lower = element_values.number(limit, "lower", owner, 0.0)
+        upper = element_values.number(limit, "upper", owner, 0.0)
         if lower > upper:
             self.report.converted(limit, f"lower {lower:g} is above upper {upper:g}; they are swapped", place)
             return upper, lower
@@ -414,8 +414,8 @@ class _JointReader:
             self._ignore(dynamics, owner, "a fixed joint does not move")
             return None
         self.report.unknown(dynamics, {"damping", "friction"}, (), f"{owner}/<dynamics>")
-        damping = values.not_negative(dynamics, "damping", owner, 0.0)
-        return damping, values.not_negative(dynamics, "friction", owner, 0.0)
+        damping = element_values.not_negative(dynamics, "damping", owner, 0.0)
+        return damping, element_values.not_negative(dynamics, "friction", owner, 0.0)
 
     def _safety(self, safety: Element, kind: JointType, owner: str, limit: Limit | None) -> Safety | None:
         place = f"{owner}/<safety_controller>"
@@ -424,7 +424,7 @@ class _JointReader:
         if limit is None:
             self._ignore(safety, owner, "the joint has no <limit>")
             return None
-        lower, upper, k_position = (values.number(safety, name, owner, 0.0) for name in known)
+        lower, upper, k_position = (element_values.number(safety, name, owner, 0.0) for name in known)
         if kind in _WITH_RANGE:
             if lower > upper:
                 self.report.wrong(safety, "soft_lower_limit is above soft_upper_limit", place)
@@ -434,15 +434,19 @@ class _JointReader:
             if k_position == 0.0:
                 text = "with k_position 0 the soft limits allow no velocity at all"
                 self.report.add("wrong", safety, text, place, "k_position")
-        return Safety(lower, upper, k_position, values.number(safety, "k_velocity", owner))
+        return Safety(lower, upper, k_position, element_values.number(safety, "k_velocity", owner))
 
     def _mimic(self, mimic: Element, kind: JointType, owner: str) -> Mimic | None:
         if kind not in (*_WITH_RANGE, "continuous"):
             self._ignore(mimic, owner, f"a {kind} joint cannot follow another")
             return None
         self.report.unknown(mimic, {"joint", "multiplier", "offset"}, (), f"{owner}/<mimic>")
-        multiplier = values.number(mimic, "multiplier", owner, 1.0)
-        return Mimic(values.required(mimic, "joint", owner), multiplier, values.number(mimic, "offset", owner, 0.0))
+        multiplier = element_values.number(mimic, "multiplier", owner, 1.0)
+        return Mimic(
+            element_values.required(mimic, "joint", owner),
+            multiplier,
+            element_values.number(mimic, "offset", owner, 0.0),
+        )
 
 
 # --- how they hang together -------------------------------------------------------------------------------------------
@@ -488,7 +492,7 @@ class _Structure:
         joint = self.joints[element.attributes["name"]]
         for role, name in (("parent", joint.parent), ("child", joint.child)):
             if name not in self.links:
-                raise values.unknown(element, f"joint {joint.name!r}: {role}", "link", name, self.links)
+                raise element_values.unknown(element, f"joint {joint.name!r}: {role}", "link", name, self.links)
         first = self.above.setdefault(joint.child, joint)
         if first is not joint:
             raise element.error(f"link {joint.child!r} is the child of two joints, {first.name!r} and {joint.name!r}")
@@ -523,7 +527,9 @@ class _Structure:
             return True
         master = self.joints.get(joint.mimic.joint)
         if master is None:
-            raise values.unknown(element, f"joint {joint.name!r}: <mimic>", "joint", joint.mimic.joint, self.joints)
+            raise element_values.unknown(
+                element, f"joint {joint.name!r}: <mimic>", "joint", joint.mimic.joint, self.joints
+            )
         if master.type in _IMMOBILE:
             raise element.error(f"joint {joint.name!r} cannot mimic {master.name!r}, which is {master.type}")
         seen = [joint.name]

@@ -5,7 +5,7 @@ own, as they are in Gazebo. A static model hangs on the link `world`. Pose eleme
 Shapes, masses, friction, gravity and the joints that URDF has are taken; everything else is reported with its line.
 Nothing is spawned here, and worlds' physics settings are launch's.
 
-Source of the frames: the SDF 1.4 to 1.9 specification (`<pose>` is x y z roll pitch yaw in the parent's frame; a
+ModelText of the frames: the SDF 1.4 to 1.9 specification (`<pose>` is x y z roll pitch yaw in the parent's frame; a
 joint's frame is given in its child's; `<axis>` is in the joint's frame since 1.5, in the model's before).
 """
 
@@ -20,10 +20,10 @@ from pathlib import Path
 from urllib.parse import unquote
 
 from slidectl.description import models, xml_tree
+from slidectl.description.element_values import parse_number
 from slidectl.description.missing import Missing
 from slidectl.description.packages import Packages, UnknownPackage, is_file, shown
 from slidectl.description.robot import Notice, Verdict
-from slidectl.description.values import parse_number
 from slidectl.description.xml_tree import Element
 from slidectl.errors import NotThere, UsageError
 from slidectl.rotations import ORIGIN, Pose, compose, conjugate, from_rpy, relative, rotate, to_rpy

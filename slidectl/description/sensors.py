@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 
+from slidectl.description.element_values import parse_number
 from slidectl.description.report import Report
 from slidectl.description.robot import Bumper, GroundTruth, Imu, JointStates, Laser, Pose, Sensor, Vector
-from slidectl.description.values import parse_number
 from slidectl.description.xml_tree import Element
 
 _OF_LINK = {

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from slidectl.description import values
+from slidectl.description import element_values
 from slidectl.description.report import Report
 from slidectl.description.robot import Joint, TransmissionActuator, TransmissionInfo, TransmissionJoint
 from slidectl.description.xml_tree import Element
@@ -156,7 +156,7 @@ class TransmissionReader:
         if found is None:
             return None
         try:
-            value = values.parse_number(found.first_text, found, f"<{tag}>")
+            value = element_values.parse_number(found.first_text, found, f"<{tag}>")
         except BadFile as error:
             self.report.wrong(found, error.reason, f"{place}/<{tag}>")
             return None
@@ -173,7 +173,7 @@ class TransmissionReader:
         on_paper = self.joints.get(joint.name)
         if on_paper is None:
             if self.knows_all:
-                raise values.unknown(child, place, "joint", joint.name, self.joints)
+                raise element_values.unknown(child, place, "joint", joint.name, self.joints)
             return
         if on_paper.type in ("fixed", "floating", "planar"):
             raise child.error(f"{place}: joint {joint.name!r} is {on_paper.type} and cannot be driven")

@@ -261,11 +261,11 @@ def parse(node: Node, known: Mapping[str, int]) -> Words:
     """
     import argparse
 
-    class Parser(argparse.ArgumentParser):
+    class NodeArguments(argparse.ArgumentParser):
         def error(self, message: str) -> NoReturn:
             raise node.place.error(f"{node.full_name}: {message}")
 
-    parser = Parser(add_help=False)
+    parser = NodeArguments(add_help=False)
     for option, count in known.items():
         if count:
             parser.add_argument(option, dest=option, action="append", nargs=count)

@@ -4,7 +4,7 @@ Knows no topics, no clients and no wall time.
 """
 
 from slidectl.physics.body import Body
-from slidectl.physics.engine import EngineError, take_warnings
+from slidectl.physics.mujoco_library import EngineError, take_warnings
 from slidectl.physics.robot_hw import MujocoRobotHW
 from slidectl.physics.world import GRAVITY, Diverged, Overlap, Snapshot, World
 

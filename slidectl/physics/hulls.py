@@ -16,7 +16,7 @@ import numpy as np
 from slidectl.description import meshes
 from slidectl.description.meshes import BadMesh
 from slidectl.description.robot import Mesh, Robot
-from slidectl.physics import engine
+from slidectl.physics import mujoco_library
 from slidectl.rotations import Vector
 
 MOST_VERTICES = 1000
@@ -24,7 +24,7 @@ MOST_VERTICES = 1000
 is missing. One of 10 000 takes it 0.3 s to prepare, in which the world would stand still."""
 
 
-class Source(NamedTuple):
+class MeshSource(NamedTuple):
     """A mesh file as a robot uses it."""
 
     path: str
@@ -40,17 +40,17 @@ class Hull(NamedTuple):
     """The surface as the content of a binary STL file."""
 
 
-Hulls = Mapping[Source, Hull | BadMesh]
+Hulls = Mapping[MeshSource, Hull | BadMesh]
 """What became of each mesh of a robot."""
 
 
-def source_of(mesh: Mesh) -> Source:
+def source_of(mesh: Mesh) -> MeshSource:
     """The file and the scale of a mesh that was found."""
     assert mesh.path is not None
-    return Source(mesh.path, mesh.scale)
+    return MeshSource(mesh.path, mesh.scale)
 
 
-def sources(robot: Robot) -> list[Source]:
+def sources(robot: Robot) -> list[MeshSource]:
     """The meshes of a robot that collide, each once, in the order of the file."""
     shapes = (shape.geometry for link in robot.links.values() for shape in link.collisions)
     return list(dict.fromkeys(source_of(mesh) for mesh in shapes if isinstance(mesh, Mesh) and mesh.path is not None))
@@ -61,7 +61,7 @@ def read_all(robot: Robot) -> Hulls:
     return {source: read(source) for source in sources(robot)}
 
 
-def read(source: Source) -> Hull | BadMesh:
+def read(source: MeshSource) -> Hull | BadMesh:
     """The hull of one mesh file, or why there is none."""
     try:
         return _hull(source)
@@ -77,13 +77,13 @@ def prepare(hull: Hull) -> None:
         spec = _alone()
         spec.assets[hull.name] = hull.stl
         _put(spec, spec.add_mesh(name="mesh", file=hull.name))
-        with engine.warnings_kept():
+        with mujoco_library.warnings_kept():
             spec.compile()
     except (ValueError, mujoco.FatalError):
         return  # the world's compilation says it, with the robot's name
 
 
-def _hull(source: Source) -> Hull:
+def _hull(source: MeshSource) -> Hull:
     """Raises BadMesh."""
     vertices = meshes.load(source.path, source.scale).vertices
     if meshes.is_flat(vertices):
@@ -92,7 +92,7 @@ def _hull(source: Source) -> Hull:
     mesh = spec.add_mesh(name="mesh", uservert=vertices.ravel(), maxhullvert=MOST_VERTICES)
     _put(spec, mesh)
     try:
-        with engine.warnings_kept():
+        with mujoco_library.warnings_kept():
             graph = spec.compile().mesh_graph
     except (ValueError, mujoco.FatalError) as error:
         trouble = str(error).removeprefix("Error: ").split("\n", 1)[0]

@@ -18,7 +18,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from slidectl.physics import engine
+from slidectl.physics import mujoco_library
 from slidectl.physics.body import Array, Body
 
 UNBOUNDED = 1e15
@@ -117,8 +117,8 @@ class Motors:
             self._fill_table(model, data)
 
     def _fill_table(self, model: Any, data: Any) -> None:
-        variables = [data._address + place for place in engine.constraint_variables()]
-        stages = [engine.address_of(stage) for stage in _STAGES]
+        variables = [data._address + place for place in mujoco_library.constraint_variables()]
+        stages = [mujoco_library.address_of(stage) for stage in _STAGES]
         self.table[:HEADER] = len(self._dofs), model.opt.timestep, *variables, *stages
         columns = (self._dofs, self._coordinates, self._rows, self._bounds_of_dofs, self._weights)
         self.table[HEADER:] = np.column_stack(columns).ravel()
@@ -126,7 +126,7 @@ class Motors:
     @property
     def is_compilable(self) -> bool:
         """True when all is known that code without the interpreter needs."""
-        return all(engine.constraint_variables())
+        return all(mujoco_library.constraint_variables())
 
     def _set_bounds(self, model: Any, bounded: Array) -> None:
         """Let the solver keep to the bounds of these motors, and of no others."""

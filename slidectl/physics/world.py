@@ -18,13 +18,13 @@ import numpy as np
 
 from slidectl.description.robot import Robot
 from slidectl.errors import Refused, SlidectlError, UnknownName, listing
-from slidectl.physics import engine, hulls
+from slidectl.physics import hulls, mujoco_library
 from slidectl.physics.body import Body, RobotState
-from slidectl.physics.compiler import Settings, WorldSpec
 from slidectl.physics.hulls import Hulls
 from slidectl.physics.loads import JointForce, Loads, LoadsState, Wrench
 from slidectl.physics.observer import Observer, Twist
 from slidectl.physics.touching import depths, link_of
+from slidectl.physics.world_spec import Settings, WorldSpec
 from slidectl.rotations import ORIGIN, Pose, Vector, normalized
 
 GRAVITY: Vector = (0.0, 0.0, -9.8)
@@ -126,7 +126,7 @@ class World:
     """Advance by one time step. Replaced when the model is rebuilt or forces come and go: see `on_rebuild`."""
 
     def __init__(self, timestep: float = 0.001, gravity: Vector = GRAVITY, ground: bool = True) -> None:
-        engine.prepare()
+        mujoco_library.prepare()
         self._settings = Settings(positive(timestep), finite(gravity), ground)
         self._bodies: dict[str, Body] = {}
         self._listeners: list[Callable[[], None]] = []

@@ -5,7 +5,7 @@ Knows simulated time only: no sockets, no wall time, no threads.
 
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.pending import Pending
-from slidectl.simulation.robots import SpawnedRobot
 from slidectl.simulation.simulation import Simulation
+from slidectl.simulation.spawned_robots import SpawnedRobot
 
 __all__ = ["Graph", "Pending", "Simulation", "SpawnedRobot"]

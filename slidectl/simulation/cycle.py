@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from slidectl.control.controller_manager import ControllerManager
     from slidectl.control.hardware_interface import RobotHW
     from slidectl.simulation.loop import Loop
-    from slidectl.simulation.robots import SpawnedRobot
+    from slidectl.simulation.spawned_robots import SpawnedRobot
 
 CHECK_EVERY = 256
 """Cycles between two looks at whether the physics has diverged; counted from time 0, however stepping is cut."""

@@ -33,8 +33,8 @@ from slidectl.simulation.gazebo_frames import (
 )
 from slidectl.simulation.graph import WORLD_NODE
 from slidectl.simulation.pending import Pending
-from slidectl.simulation.robots import ParsedRobot, SpawnedRobot
 from slidectl.simulation.services import Handler
+from slidectl.simulation.spawned_robots import ParsedRobot, SpawnedRobot
 from slidectl.simulation.topics import PeriodicTopic
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from slidectl.control.node_handle import (
     Reasons,
 )
 from slidectl.errors import cut
-from slidectl.simulation.actions import ActionServer
+from slidectl.simulation.action_server import ActionServer
 from slidectl.simulation.clock import Clock, ClockTopic, RepeatedCall, Timers, stamp
 from slidectl.simulation.parameters import Parameters
 from slidectl.simulation.services import Handler, Services

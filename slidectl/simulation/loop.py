@@ -19,7 +19,7 @@ from slidectl.simulation.graph import WORLD_NODE, Graph
 from slidectl.simulation.pending import Pending
 
 if TYPE_CHECKING:
-    from slidectl.simulation.robots import SpawnedRobot
+    from slidectl.simulation.spawned_robots import SpawnedRobot
 
 FEW = 16
 """Fewer cycles than these are not worth the way into the tables and back, which is made when nobody drives."""

@@ -19,8 +19,8 @@ from slidectl.description.robot import Joint
 from slidectl.description.transmissions import driving
 from slidectl.errors import Refused, SlidectlError, UnknownName, Unused, UsageError, closest, listing
 from slidectl.simulation.pending import Pending
-from slidectl.simulation.robots import SpawnedRobot
 from slidectl.simulation.rosapi import absolute, from_json, typedefs
+from slidectl.simulation.spawned_robots import SpawnedRobot
 
 if TYPE_CHECKING:
     from slidectl.simulation.simulation import Simulation

@@ -14,7 +14,7 @@ from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message, MessageCallback
 from slidectl.errors import Refused
 from slidectl.physics import World, hulls
-from slidectl.physics.hulls import Source
+from slidectl.physics.hulls import MeshSource
 from slidectl.rotations import ORIGIN, Pose
 from slidectl.simulation import rosapi, waits
 from slidectl.simulation.compiled.engine import Engine
@@ -24,10 +24,10 @@ from slidectl.simulation.loop import Loop, RunState
 from slidectl.simulation.own_services import OwnServices
 from slidectl.simulation.parameters import Parameters
 from slidectl.simulation.pending import Pending
-from slidectl.simulation.robots import Robots, SpawnedRobot
-from slidectl.simulation.sensors import bring_up as bring_up_sensors
+from slidectl.simulation.sensor_topics import bring_up as bring_up_sensors
+from slidectl.simulation.spawned_robots import Robots, SpawnedRobot
 from slidectl.simulation.state_publisher import StatePublishers
-from slidectl.simulation.topics import Subscription
+from slidectl.simulation.topics import TopicSubscription
 
 SCRIPT_NODE = "/script"
 """The node under which calls of `publish` and `subscribe` appear."""
@@ -67,7 +67,7 @@ class Simulation:
         self.robots = Robots(self.world, self.loop)
         self.monitor: Callable[[], dict[str, Any]] = dict
         """What the driver adds to `/slidectl/status`: wall times, connections, memory."""
-        self.read_meshes: Callable[[Sequence[Source]], Pending] = _read_here
+        self.read_meshes: Callable[[Sequence[MeshSource]], Pending] = _read_here
         """How `/gazebo/spawn_urdf_model` gets the hulls (physics.hulls.Hulls) of meshes. A driver puts its own, which
         may answer later."""
         self.chosen: set[str] = set()
@@ -159,7 +159,7 @@ class Simulation:
         """Publish a message, complete or partial. Raises BadMessage, UnknownName, or what a subscriber says."""
         self.graph.topics.publish(topic, type_name, message, SCRIPT_NODE)
 
-    def subscribe(self, topic: str, callback: MessageCallback, type_name: str | None = None) -> Subscription:
+    def subscribe(self, topic: str, callback: MessageCallback, type_name: str | None = None) -> TopicSubscription:
         """Call back for each message. Raises UnknownName when the topic does not exist and no type is given."""
 
         def take(message: Message) -> None:
@@ -213,5 +213,5 @@ class Simulation:
         self.robots.reset()
 
 
-def _read_here(sources: Sequence[Source]) -> Pending:
+def _read_here(sources: Sequence[MeshSource]) -> Pending:
     return Pending.of({source: hulls.read(source) for source in sources})

@@ -16,7 +16,7 @@ from slidectl.control.node_handle import Message
 from slidectl.description.robot import Joint
 from slidectl.rotations import IDENTITY, Pose, compose, from_rpy, relative
 from slidectl.simulation.clock import SECOND, stamp
-from slidectl.simulation.robots import SpawnedRobot
+from slidectl.simulation.spawned_robots import SpawnedRobot
 from slidectl.simulation.topics import NodePublisher, PeriodicTopic, TopicPublisher
 
 if TYPE_CHECKING:

@@ -153,13 +153,13 @@ class PeriodicTopic:
         self._publisher.publish(self._build())
 
 
-class Subscription:
+class TopicSubscription:
     """One subscriber of one topic."""
 
     __slots__ = ("_on_close", "callback", "node", "topic")
 
     def __init__(
-        self, topic: Topic, node: str, callback: MessageCallback, on_close: Callable[[Subscription], None]
+        self, topic: Topic, node: str, callback: MessageCallback, on_close: Callable[[TopicSubscription], None]
     ) -> None:
         self.topic = topic
         self.node = node
@@ -185,7 +185,7 @@ class Topic:
         self.name = name
         self.type = type_name
         self.publishers: list[TopicPublisher] = []
-        self.subscriptions: list[Subscription] = []
+        self.subscriptions: list[TopicSubscription] = []
         self.callbacks: tuple[MessageCallback, ...] = ()
         first = msgs.fields(type_name)[:1]
         self.has_header = any(field.name == "header" and field.type == "std_msgs/Header" for field in first)
@@ -208,7 +208,7 @@ class Topics:
     def __init__(self) -> None:
         self._topics: dict[str, Topic] = {}
         # By node: one that goes must not cost a look at all topics, of which a client may have made many.
-        self._users: dict[str, dict[TopicPublisher | Subscription, None]] = {}
+        self._users: dict[str, dict[TopicPublisher | TopicSubscription, None]] = {}
         self.changes = 0
         """How often a publisher or a subscriber came or went: while it stays, so does `wanted` of every publisher."""
 
@@ -239,7 +239,7 @@ class Topics:
         node: str,
         callback: MessageCallback,
         latched: MessageCallback | None = None,
-    ) -> Subscription:
+    ) -> TopicSubscription:
         """Call back for each message; latched ones at once. Without a type the topic must exist already.
 
         Subscriptions may have a callback in common, which is called once for each message; then `latched` is what takes
@@ -249,7 +249,7 @@ class Topics:
             BadName, TypeConflict. UnknownName: no such topic or message type.
         """
         entry = self._entry(topic, type_name or self.type_of(topic))
-        subscription = Subscription(entry, node, callback, self._forget)
+        subscription = TopicSubscription(entry, node, callback, self._forget)
         entry.subscriptions.append(subscription)
         self._users.setdefault(node, {})[subscription] = None
         self._update(entry)
@@ -308,7 +308,7 @@ class Topics:
 
     def subscribed_by(self, node: str) -> list[str]:
         """Names of the topics that the node subscribes, sorted."""
-        return sorted({user.topic.name for user in self._users.get(node, ()) if isinstance(user, Subscription)})
+        return sorted({user.topic.name for user in self._users.get(node, ()) if isinstance(user, TopicSubscription)})
 
     def close_node(self, node: str) -> None:
         """A node has gone: all its publishers and subscriptions go too."""
@@ -332,7 +332,7 @@ class Topics:
             self._topics[names.check_absolute(topic, "topic")] = Topic(topic, type_name)
         return self._topics[topic]
 
-    def _forget(self, user: TopicPublisher | Subscription) -> None:
+    def _forget(self, user: TopicPublisher | TopicSubscription) -> None:
         users, topic = self._users.get(user.node, {}), user.topic
         if user not in users:  # that has been done before
             return
@@ -352,5 +352,5 @@ class Topics:
         topic.update()
 
 
-def _nodes(users: Sequence[TopicPublisher | Subscription]) -> list[str]:
+def _nodes(users: Sequence[TopicPublisher | TopicSubscription]) -> list[str]:
     return list(dict.fromkeys(user.node for user in users))

@@ -17,7 +17,7 @@ from slidectl.field_path import NoElement, Selection, select
 from slidectl.simulation.clock import Timer
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.pending import Pending
-from slidectl.simulation.topics import Subscription
+from slidectl.simulation.topics import TopicSubscription
 
 NODE = "/slidectl"
 KINDS = ("near", "above", "below", "equals")
@@ -168,7 +168,7 @@ class Wait:
         self._least = math.inf
         self._holding: Timer | None = None
         self._deadline = graph.timers.after(from_seconds(within_s), self._time_is_up) if within_s else None
-        self._subscription: Subscription | None = None
+        self._subscription: TopicSubscription | None = None
         self._subscription = graph.topics.subscribe(topic, None, NODE, self._take)
         if self.pending.done:  # by a latched message, before there was a subscription to close
             self._close()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from slidectl import msgs
-from slidectl.cli.topics import Schema
+from slidectl.cli.topic_streams import Schema
 from slidectl.msgs.schema import PRIMITIVES, Field
 
 

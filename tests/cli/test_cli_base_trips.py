@@ -12,11 +12,11 @@ from command_line import CommandLine
 COUNT = """
 import os, sys
 import slidectl.cli
-from slidectl.client.link import Link
+from slidectl.client.link import SocketLink
 from slidectl.client.client import Client
 target = sys.argv.pop(1)
 trips, waited = 0, True
-def send(link, line, deadline, real=Link.send):
+def send(link, line, deadline, real=SocketLink.send):
     global trips, waited
     trips, waited = trips + waited, False
     real(link, line, deadline)
@@ -24,7 +24,7 @@ def answer(client, call_id, timeout, real=Client._answer):
     global waited
     waited = True
     return real(client, call_id, timeout)
-Link.send, Client._answer = send, answer
+SocketLink.send, Client._answer = send, answer
 def leave(code):
     with open(target, "w") as file:
         file.write(f"{code} {trips}")

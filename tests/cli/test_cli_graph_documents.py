@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from cli_graph_types import schema
 
-from slidectl.cli.expressions import Template
+from slidectl.cli.templates import Template
 from slidectl.cli.values import split
 from slidectl.errors import UsageError
 

@@ -9,7 +9,7 @@ import pytest
 from cli_graph_types import schema
 from command_line import CommandLine
 
-from slidectl.cli.expressions import Expression, Filter
+from slidectl.cli.templates import Expression, Filter
 from slidectl.errors import Refused, UsageError
 
 JOINTS = schema("sensor_msgs/JointState")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from cli_graph_types import schema
 
-from slidectl.cli.topics import Schema
+from slidectl.cli.topic_streams import Schema
 from slidectl.errors import UnknownName, UsageError
 from slidectl.field_path import NoElement, Selection, select
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from slidectl import msgs
 from slidectl.cli.forms import CsvForm, YamlForm, quoted
-from slidectl.cli.topics import from_typedefs
+from slidectl.cli.topic_streams import from_typedefs
 from slidectl.field_path import select
 
 HEADER = {"seq": 1, "stamp": {"secs": 1795219421, "nsecs": 932599067}, "frame_id": "base"}

@@ -17,7 +17,7 @@ from slidectl.cli.topic_measure import (
     sizes_text,
     spread_of,
 )
-from slidectl.cli.topics import Event
+from slidectl.cli.topic_streams import Event
 
 
 def rates(times_ms: list[int], window: int = 1000) -> Record:

@@ -11,7 +11,7 @@ from cli_ros_world import SlideWorld, slide_world
 
 from slidectl.cli.ros import rostopic
 from slidectl.cli.topic_measure import RateMeter, Record
-from slidectl.cli.topics import Event
+from slidectl.cli.topic_streams import Event
 
 MS = 1_000_000
 SPREAD = r"\tmin: \d\.\d{3}s max: \d\.\d{3}s std dev: \d\.\d{5}s window: \d+\n"

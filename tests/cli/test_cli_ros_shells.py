@@ -234,4 +234,4 @@ def test_a_tool_imports_no_other(nobody: CommandLine, tmp_path: Path) -> None:
     done = subprocess.run(argv, capture_output=True, text=True, env=nobody.environment, cwd=tmp_path, check=True)
     imported = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines()}
     assert "slidectl.cli.msg" in imported  # rosmsg imports it
-    assert not {"slidectl.cli.topics", "slidectl.client", "slidectl.launch", "yaml", "rosbags"} & imported
+    assert not {"slidectl.cli.topic_streams", "slidectl.client", "slidectl.launch", "yaml", "rosbags"} & imported

@@ -21,7 +21,7 @@ from slidectl.control.node_handle import (
     Reasons,
     ServiceHandler,
 )
-from slidectl.simulation.actions import ActionServer
+from slidectl.simulation.action_server import ActionServer
 from slidectl.simulation.clock import RepeatedCall, Timers
 
 

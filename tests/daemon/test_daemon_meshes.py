@@ -14,12 +14,12 @@ from daemon_fixture import Runtime
 from rosbridge_wire import Wire
 
 from slidectl.daemon import mesh_reader
-from slidectl.daemon.loop import EventLoop
+from slidectl.daemon.event_loop import EventLoop
 from slidectl.daemon.mesh_reader import MeshReader
 from slidectl.description.meshes import BadMesh
 from slidectl.errors import SlidectlError
 from slidectl.physics import hulls
-from slidectl.physics.hulls import Hull, Source
+from slidectl.physics.hulls import Hull, MeshSource
 from slidectl.simulation.pending import Pending
 
 SPAWN = "/gazebo/spawn_urdf_model"
@@ -242,30 +242,30 @@ def reader() -> Any:
     loop.close()
 
 
-SOURCES = [Source(f"/mesh{k}.stl", (1.0, 1.0, 1.0)) for k in range(3)]
+SOURCES = [MeshSource(f"/mesh{k}.stl", (1.0, 1.0, 1.0)) for k in range(3)]
 
 
-def take_memory(_: Source) -> Hull:
+def take_memory(_: MeshSource) -> Hull:
     return Hull(str(len(bytearray(8 * mesh_reader.MOST_MEMORY))), b"")
 
 
-def compute(_: Source) -> Hull:
+def compute(_: MeshSource) -> Hull:
     while True:
         pass
 
 
-def wait(_: Source) -> Hull:
+def wait(_: MeshSource) -> Hull:
     while True:
         signal.pause()
 
 
-def die(_: Source) -> Hull:
+def die(_: MeshSource) -> Hull:
     os.kill(os.getpid(), signal.SIGSEGV)
     signal.pause()
     raise AssertionError
 
 
-def fail(_: Source) -> Hull:
+def fail(_: MeshSource) -> Hull:
     raise ZeroDivisionError("a fault of ours")
 
 
@@ -280,7 +280,7 @@ def fail(_: Source) -> Hull:
     ],
 )
 def test_a_process_that_does_not_come_to_its_end_is_named_with_its_mesh(
-    reader: Any, monkeypatch: pytest.MonkeyPatch, act: Callable[[Source], Hull], reason: str, capfd: Any
+    reader: Any, monkeypatch: pytest.MonkeyPatch, act: Callable[[MeshSource], Hull], reason: str, capfd: Any
 ) -> None:
     monkeypatch.setattr(mesh_reader, "MOST_CPU_S", 1)
     monkeypatch.setattr(mesh_reader, "MOST_S", 1 if act is wait else 20)
@@ -303,7 +303,7 @@ def test_jobs_beyond_those_at_once_wait_for_their_turn_and_one_that_is_dropped_n
 ) -> None:
     loop, meshes = reader
     others = children(os.getpid())
-    jobs = [meshes.read([Source(str(tetrahedron), (1.0, 1.0, float(k)))]) for k in range(1, 8)]
+    jobs = [meshes.read([MeshSource(str(tetrahedron), (1.0, 1.0, float(k)))]) for k in range(1, 8)]
     jobs[5].cancel()
     assert len(set(children(os.getpid())) - set(others)) <= mesh_reader.AT_ONCE
     for number, job in enumerate(jobs):
@@ -316,7 +316,7 @@ def test_jobs_beyond_those_at_once_wait_for_their_turn_and_one_that_is_dropped_n
 def test_a_process_and_the_daemon_itself_read_the_same_to_the_bit(reader: Any, tmp_path: Path) -> None:
     path = tmp_path / "a.dae"
     path.write_text(nodes(3), "utf-8")
-    source = Source(str(path), (1.0, 2.0, -0.5))
+    source = MeshSource(str(path), (1.0, 2.0, -0.5))
     loop, meshes = reader
     assert outcome(meshes.read([source]), loop) == {source: hulls.read(source)}
 

@@ -15,7 +15,7 @@ from slidectl.description.robot import Joint, Link, Mesh, Mimic, Robot, Shape
 from slidectl.errors import SlidectlError
 from slidectl.physics import World
 from slidectl.physics.body import Body
-from slidectl.physics.compiler import Settings, WorldSpec
+from slidectl.physics.world_spec import Settings, WorldSpec
 
 ROBOTS: dict[str, Robot] = {"arm": arm(2), "block": block(), "one": one_joint("revolute"), "more": arm(3)}
 

@@ -14,8 +14,8 @@ from sim_robots import cart, command, drive_up, logged, put_probe, state, switch
 from slidectl.errors import Refused, SlidectlError
 from slidectl.physics import hulls, world
 from slidectl.physics.body import Body
-from slidectl.physics.compiler import WorldSpec
-from slidectl.simulation import Simulation, robots
+from slidectl.physics.world_spec import WorldSpec
+from slidectl.simulation import Simulation, spawned_robots
 from slidectl.simulation.compiled import object_file
 from slidectl.simulation.loop import Loop
 
@@ -128,12 +128,12 @@ OF_DELETIONS = {
 OF_SPAWNS = {
     "carrying over the state": (world, "carry_over"),
     "putting it there": (Body, "put_at_spawn"),
-    "bringing it up": (robots.Robots, "_bring_up"),
-    "its hardware": (robots, "MujocoRobotHW"),
-    "its manager": (robots, "ControllerManager"),
-    "its services": (robots, "ManagerServices"),
+    "bringing it up": (spawned_robots.Robots, "_bring_up"),
+    "its hardware": (spawned_robots, "MujocoRobotHW"),
+    "its manager": (spawned_robots, "ControllerManager"),
+    "its services": (spawned_robots, "ManagerServices"),
     "telling the loop": (Loop, "take_robots"),
-    "its report": (robots, "_warn_of_overlaps"),
+    "its report": (spawned_robots, "_warn_of_overlaps"),
 }
 
 

@@ -380,7 +380,7 @@ def test_an_error_of_the_physics_is_an_error_and_no_end_of_the_process() -> None
     assert cycles is not None
     from ctypes import addressof, c_void_p, cast, create_string_buffer
 
-    from slidectl.physics.engine import _library
+    from slidectl.physics.mujoco_library import _library
 
     text = create_string_buffer(b"no room for contacts")
     cycles._progress.step = cast(_library().mju_error, c_void_p).value or 0  # type: ignore[union-attr]

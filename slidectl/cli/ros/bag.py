@@ -17,7 +17,7 @@ from slidectl.cli import output
 from slidectl.cli.context import Context
 from slidectl.cli.echo import Look, Write, predicate, writer
 from slidectl.cli.ros.arguments import Failure
-from slidectl.cli.topics import Event, Schema
+from slidectl.cli.topic_streams import Event, Schema
 from slidectl.errors import SlidectlError
 from slidectl.field_path import select
 from slidectl.msgs.schema import TIMES, Field

@@ -11,7 +11,7 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any, TextIO
 
 from slidectl.cli import values as typed_values
-from slidectl.cli.topics import Schema, from_typedefs
+from slidectl.cli.topic_streams import Schema, from_typedefs
 from slidectl.cli.values import bounded
 from slidectl.errors import BadMessage, SlidectlError
 from slidectl.msgs.schema import FLOATS, INTEGER_RANGES, TIMES, Field

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from slidectl.cli import output
 from slidectl.cli.context import Context
-from slidectl.cli.msg import Kind, messages, services
+from slidectl.cli.msg import TypeFamily, messages, services
 from slidectl.cli.ros.arguments import NO_SUCH_VERB, Failure, Parser, Tool, option
 from slidectl.errors import UnknownName, closest
 
@@ -21,7 +21,7 @@ _SINGLE_LINE = option("-s", "all on one line", dest="single_line")
 class _Types:
     """The verbs for one kind of type. `suffix` is that of its files."""
 
-    def __init__(self, name: str, suffix: str, kind: Kind) -> None:
+    def __init__(self, name: str, suffix: str, kind: TypeFamily) -> None:
         self.name = name
         self._suffix = suffix
         self._kind = kind

@@ -17,7 +17,7 @@ from typing import Any
 from slidectl.cli import output
 from slidectl.cli.context import Context
 from slidectl.cli.ros.arguments import HOST, Failure, Parser, Tool, below, option, pause, resolve
-from slidectl.cli.topics import PUBLISHERS, SUBSCRIBERS, users_of
+from slidectl.cli.topic_streams import PUBLISHERS, SUBSCRIBERS, users_of
 from slidectl.errors import NoDaemon, TimedOut
 
 _RULE = "-" * 80

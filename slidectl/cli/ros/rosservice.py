@@ -12,7 +12,7 @@ from slidectl.cli.context import Context
 from slidectl.cli.ros import genpy
 from slidectl.cli.ros.arguments import Failure, Parser, Tool, below, option, pause, resolve, without_remappings
 from slidectl.cli.service import argument_names, as_yaml, ask_each
-from slidectl.cli.topics import Typedefs
+from slidectl.cli.topic_streams import Typedefs
 from slidectl.cli.values import check_quotes
 from slidectl.errors import Refused, TimedOut
 

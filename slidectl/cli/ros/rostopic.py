@@ -15,7 +15,15 @@ from typing import TYPE_CHECKING
 from slidectl.cli import output
 from slidectl.cli.context import Context
 from slidectl.cli.ros.arguments import HOST, Failure, Parser, Tool, below, option, pause, resolve, without_remappings
-from slidectl.cli.topics import PUBLISHERS, SUBSCRIBERS, Target, look_up, usage_of_topic, usage_of_topics, users_of
+from slidectl.cli.topic_streams import (
+    PUBLISHERS,
+    SUBSCRIBERS,
+    Target,
+    look_up,
+    usage_of_topic,
+    usage_of_topics,
+    users_of,
+)
 from slidectl.errors import TimedOut, UnknownName
 
 if TYPE_CHECKING:
@@ -125,7 +133,7 @@ def awaited(ctx: Context, name: str) -> Target:
 def echo(ctx: Context, argv: Sequence[str]) -> None:
     """Print messages until -n are printed or Ctrl-C comes."""
     from slidectl.cli.echo import Look, follow, predicate, writer
-    from slidectl.cli.topics import Stream
+    from slidectl.cli.topic_streams import Stream
     from slidectl.field_path import select
 
     parser = Parser(
@@ -207,7 +215,7 @@ def hz(ctx: Context, argv: Sequence[str]) -> None:
 def bw(ctx: Context, argv: Sequence[str]) -> None:
     """How many bytes come, on the wall clock."""
     from slidectl.cli.topic_measure import SizeMeter, measure, size_counter
-    from slidectl.cli.topics import Stream
+    from slidectl.cli.topic_streams import Stream
 
     parser = Parser("rostopic", "rostopic bw /topic", _WINDOW)
     complaints = "topic must be specified", "you may only specify one input topic"
@@ -221,7 +229,7 @@ def bw(ctx: Context, argv: Sequence[str]) -> None:
 def delay(ctx: Context, argv: Sequence[str]) -> None:
     """How late messages come, in simulated time, by the stamps of their headers."""
     from slidectl.cli.topic_measure import DelayMeter, measure
-    from slidectl.cli.topics import Stream
+    from slidectl.cli.topic_streams import Stream
 
     parser = Parser("rostopic", "rostopic delay [options] /topic", _WINDOW, _NODELAY, modern=True)
     complaints = "the following arguments are required: topic", "unrecognized arguments: {}"

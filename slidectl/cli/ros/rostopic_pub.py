@@ -17,7 +17,7 @@ from slidectl.cli.pub import Publication
 from slidectl.cli.ros import genpy
 from slidectl.cli.ros.arguments import Failure, Parser, option, resolve_remapped, without_remappings
 from slidectl.cli.service import argument_names
-from slidectl.cli.topics import SUBSCRIBERS, Target, details, look_up, users_of
+from slidectl.cli.topic_streams import SUBSCRIBERS, Target, details, look_up, users_of
 from slidectl.cli.values import check_quotes
 from slidectl.errors import BadMessage, Refused, SlidectlError, UnknownName, Unused, UsageError
 

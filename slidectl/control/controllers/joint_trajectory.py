@@ -199,7 +199,7 @@ def wraparound_offset(previous: float, following: float) -> float:
     return (previous + distance) - following
 
 
-class JointStates(NamedTuple):
+class MeasuredJoints(NamedTuple):
     """States of all joints in one cycle. The lists are made anew in each cycle, and never changed."""
 
     positions: list[float]
@@ -279,7 +279,7 @@ class JointTrajectoryController(Controller[Any]):
         self._tolerances = self._default_tolerances()
         self._get_commands(node)
         nothing = [0.0] * len(self._names)
-        self.desired = self.actual = self.error = JointStates(nothing, nothing, nothing)
+        self.desired = self.actual = self.error = MeasuredJoints(nothing, nothing, nothing)
         self._trajectory: Trajectory = []
         self._time_ns = self._uptime_ns = self._period_ns = self._published_ns = 0
         self._period_of_s: tuple[float, int] = (0.0, 0)
@@ -383,9 +383,9 @@ class JointTrajectoryController(Controller[Any]):
         first = active[0]
         desired_s = first.time_from_start_s
         actual_s = uptime_s - first.start_s + desired_s
-        self.desired = JointStates(desired_p, desired_v, desired_a, desired_s)
-        self.actual = JointStates(actual_p, actual_v, [], actual_s)
-        self.error = JointStates(error_p, error_v, [], desired_s - actual_s)
+        self.desired = MeasuredJoints(desired_p, desired_v, desired_a, desired_s)
+        self.actual = MeasuredJoints(actual_p, actual_v, [], actual_s)
+        self.error = MeasuredJoints(error_p, error_v, [], desired_s - actual_s)
         return active
 
     def _judge(self, active: list[Segment], uptime_s: float) -> None:
@@ -418,7 +418,7 @@ class JointTrajectoryController(Controller[Any]):
         self._goal = None
         self._reached = [False] * len(self._names)
 
-    def _message(self, time_ns: int, desired: JointStates, actual: JointStates, error: JointStates) -> Message:
+    def _message(self, time_ns: int, desired: MeasuredJoints, actual: MeasuredJoints, error: MeasuredJoints) -> Message:
         """As control_msgs/JointTrajectoryControllerState, and as the action's feedback."""
         return {
             "header": {"seq": 0, "stamp": to_stamp(time_ns), "frame_id": ""},

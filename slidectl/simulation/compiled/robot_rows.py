@@ -32,7 +32,7 @@ from slidectl.simulation.compiled.tables import (
 )
 
 if TYPE_CHECKING:
-    from slidectl.simulation.robots import SpawnedRobot
+    from slidectl.simulation.spawned_robots import SpawnedRobot
 
 Update = Callable[[int, float], None]
 

@@ -12,7 +12,7 @@ from array import array
 from typing import TYPE_CHECKING
 
 from slidectl.physics import EngineError
-from slidectl.physics.engine import address_of, error_hook_address
+from slidectl.physics.mujoco_library import address_of, error_hook_address
 from slidectl.simulation.compiled import tables as turns
 from slidectl.simulation.compiled.object_file import Cycle
 from slidectl.simulation.compiled.robot_rows import InterpretedUpdate, RobotRows
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from slidectl.simulation.loop import Loop
-    from slidectl.simulation.robots import SpawnedRobot
+    from slidectl.simulation.spawned_robots import SpawnedRobot
 
 
 _FEW_ROWS = 1000

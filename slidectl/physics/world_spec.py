@@ -13,7 +13,7 @@ from typing import Any
 import mujoco
 
 from slidectl.errors import SlidectlError
-from slidectl.physics import engine
+from slidectl.physics import mujoco_library
 from slidectl.physics.body import Body
 from slidectl.physics.builder import RobotBuilder, mesh_names, put_friction
 from slidectl.physics.touching import put_robots
@@ -75,7 +75,7 @@ class WorldSpec:
         option = self._spec.option
         option.timestep, option.gravity = self._settings.timestep, self._settings.gravity
         try:
-            with engine.warnings_kept():
+            with mujoco_library.warnings_kept():
                 model = self._spec.compile()
         except (ValueError, mujoco.FatalError) as error:
             raise _explained(str(error), newest) from error

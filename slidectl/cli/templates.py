@@ -12,7 +12,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from slidectl.cli.topics import Schema
+from slidectl.cli.topic_streams import Schema
 from slidectl.errors import Refused, UnknownName, UsageError, closest
 from slidectl.expressions import FUNCTIONS, MATH, evaluate, parsed
 from slidectl.field_path import byte_values

@@ -19,7 +19,7 @@ from slidectl.description.robot import Bumper, GroundTruth, Imu, JointStates, La
 from slidectl.physics import sensing
 from slidectl.rotations import Pose, Quaternion, Vector, add, conjugate, cross, from_rpy, message, rotate, subtract
 from slidectl.simulation.clock import SECOND, stamp
-from slidectl.simulation.robots import SpawnedRobot
+from slidectl.simulation.spawned_robots import SpawnedRobot
 from slidectl.simulation.topics import PeriodicTopic
 
 if TYPE_CHECKING:

@@ -18,8 +18,8 @@ from typing import Any
 import slidectl
 from slidectl.control import user_classes
 from slidectl.control.node_handle import Message
+from slidectl.daemon.event_loop import READ, EventLoop
 from slidectl.daemon.logfile import LogFile
-from slidectl.daemon.loop import READ, EventLoop
 from slidectl.daemon.mesh_reader import MeshReader
 from slidectl.daemon.options import Start
 from slidectl.daemon.pacing import Pacer
@@ -28,8 +28,8 @@ from slidectl.daemon.server import Server
 from slidectl.daemon.time_limit import time_limit
 from slidectl.errors import SlidectlError
 from slidectl.paths import shown
-from slidectl.simulation.robots import SpawnedRobot
 from slidectl.simulation.simulation import Simulation
+from slidectl.simulation.spawned_robots import SpawnedRobot
 
 NODE = "/slidectl"
 _TIDY_EVERY_S = 1.0
