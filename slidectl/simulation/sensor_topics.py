@@ -106,6 +106,8 @@ class SensorTopic:
             "angle_min": sensor.min_angle,
             "angle_max": sensor.max_angle,
             "angle_increment": (sensor.max_angle - sensor.min_angle) / spacings,
+            "time_increment": 0.0,
+            "scan_time": 0.0,
             "range_min": sensor.min_range,
             "range_max": sensor.max_range,
             "ranges": noisy,

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from slidectl import Simulation, description
+from slidectl import Simulation, description, msgs
 from slidectl.errors import BadFile
 
 LINK = """<link name="{name}"><inertial><mass value="2"/>
@@ -35,8 +35,15 @@ def urdf(more: str = "", name: str = "thing") -> str:
 
 
 def listen(simulation: Simulation, topic: str) -> list[dict[str, Any]]:
+    """What comes on the topic; each message has all fields of its type."""
     heard: list[dict[str, Any]] = []
-    simulation.subscribe(topic, heard.append)
+    fields = {field.name for field in msgs.fields(simulation.graph.topics.type_of(topic))}
+
+    def take(message: dict[str, Any]) -> None:
+        assert message.keys() == fields
+        heard.append(message)
+
+    simulation.subscribe(topic, take)
     return heard
 
 
