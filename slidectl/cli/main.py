@@ -59,7 +59,7 @@ COMMANDS = {
     "check": Entry("Robots", "check", "Check a model, a launch file or controllers, without a daemon."),
     "urdf": Entry("Robots", "spawn", "Print the URDF that xacro makes of a model, without a daemon."),
     "controller": Entry("Robots", "controller", "Load, start, stop and list controllers."),
-    "trajectory": Entry("Robots", "trajectory", "Goals of trajectory controllers: send, plan, hold, cancel, state."),
+    "trajectory": Entry("Robots", "trajectory", "Trajectory controllers: send, plan, hold, cancel, state."),
     "launch": Entry("Robots", "launch", "Run a launch file as roslaunch does."),
     "pub": Entry("Topics, services, parameters", "pub", "Publish a message."),
     "echo": Entry("Topics, services, parameters", "echo", "Print the messages of a topic."),

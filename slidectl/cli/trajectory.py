@@ -52,7 +52,7 @@ _wait = click.option("--wait", is_flag=True, help="Wait for the end; exits 0 onl
     ]
 )
 def trajectory() -> None:
-    """Goals of trajectory controllers: send, plan, hold, cancel, state."""
+    """Trajectory controllers: send, plan, hold, cancel, state."""
 
 
 @trajectory.command("send", examples=["slidectl trajectory send arm_controller path.csv --wait"])

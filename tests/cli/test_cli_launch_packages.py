@@ -106,6 +106,9 @@ def test_a_window_that_is_required_does_not_end_the_launch_for_not_being_there(r
 
 
 def test_a_spawner_in_the_wrong_namespace_is_told_where_robots_are(ros: CommandLine, source: Path) -> None:
+    model = next(source.rglob("wheels.world")).parent / "turtlebot"
+    model.mkdir()
+    (model / "model.sdf").write_text('<sdf version="1.6"><model name="turtlebot"><link name="base"/></model></sdf>')
     path = source / "lost.launch"
     path.write_text(
         '<launch><include file="$(find wheels_gazebo)/launch/wheels_world.launch"/><node name="s" ns="wheel"'

@@ -146,6 +146,7 @@ def test_a_law_that_raises_is_aborted_with_file_and_line_and_runs_again_when_it_
     pushing: CommandLine, law: Path
 ) -> None:
     pushing.ok("param", "set", "/slider/states/type", "joint_state_controller/JointStateController", "--new")
+    pushing.ok("param", "set", "/slider/states/publish_rate", "50", "--new")
     pushing.ok("controller", "spawn", "states")
     written(law, LAW.replace("= self.push\n", "= self.push / 0\n"))
     pushing.ok("controller", "reload", "my_law")
