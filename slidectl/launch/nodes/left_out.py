@@ -17,7 +17,10 @@ _SHOWS = {
     "rqt_console": "slidectl echo /rosout shows the log",
     "rqt_tf_tree": "slidectl tf tree shows the frames",
 }
-_RQT = "in its place: slidectl pub -r (expressions), slidectl echo -p (numbers to plot) and slidectl param set (live gains)"
+_RQT = (
+    "in its place: slidectl pub -r (expressions), slidectl echo -p (numbers to plot)"
+    " and slidectl param set (live gains)"
+)
 _ROBOT = "slidectl robots NAME, slidectl echo joint_states and slidectl tf tree show the robot"
 
 
