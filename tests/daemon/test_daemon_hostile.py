@@ -228,7 +228,7 @@ def test_fifty_readers_that_stop_cost_no_memory_of_their_own_and_the_others_noth
     sleepers, reader, driver = [connect() for _ in range(50)], connect(), connect()
     for each in (*sleepers, reader):
         for topic in topics:
-            each.send(op="subscribe", topic=topic, queue_length=1000 if each is reader else 100)
+            each.send(op="subscribe", topic=topic, queue_length=2000 if each is reader else 100)
         each.call("/rosapi/get_time")
     assert daemon.pid is not None
     driver.call("/slidectl/step", cycles=1500)
