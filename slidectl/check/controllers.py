@@ -20,7 +20,7 @@ from slidectl.control import registry
 from slidectl.control.controller_interface import ControllerBase
 from slidectl.control.hardware_interface import EffortJointInterface, JointStateInterface, ResourceManager
 from slidectl.control.limits import LIMITS
-from slidectl.control.params import LIST, Parameter, as_boolean, as_number, described
+from slidectl.control.params import LIST, UPDATE_BUDGET, Parameter, as_boolean, as_number, described
 from slidectl.control.reconfigurable_pid import GAINS
 from slidectl.description.controllers_file import retarget
 from slidectl.description.models import read_file
@@ -405,7 +405,7 @@ class ControllerCheck:
             return
         kinds = " and ".join(interface.type_name for interface in _interfaces(cls))
         self.source.add("used", f"{path}/type", f"{type_name}; on {kinds or 'no interface'}")
-        declared = Declared(cls.parameters)
+        declared = Declared((*cls.parameters, UPDATE_BUDGET))
         values = {name: value for name, value in declared.leaves(tree) if name != "type"}
         said: set[str] = set()
         for space in dict.fromkeys(name.rpartition("/")[0] for name in values):

@@ -730,6 +730,10 @@ class Manager:
         """Name -> state of the loaded controllers."""
         return {controller["name"]: controller["state"] for controller in self.controllers()}
 
+    def update_times(self) -> list[Message]:
+        """How long the updates of the loaded controllers took, in load order (slidectl/UpdateTimes)."""
+        return list(self.client.call("/slidectl/update_times", {"robot": self.namespace})["controllers"])
+
     def types(self) -> Message:
         """`types` and `base_classes`, parallel lists."""
         return self._call("list_controller_types")

@@ -149,11 +149,6 @@ class ControllerBase:
         """Be aborted without a hook: for a controller whose hooks fail."""
         self.state = State.ABORTED
 
-    def update_request(self, time_ns: int, period_s: float) -> None:
-        """Update if running, else nothing."""
-        if self.state is State.RUNNING:
-            self.update(time_ns, period_s)
-
     def _enter(self, state: State, hook: Callable[[int], None], time_ns: int) -> bool:
         if self.state is State.CONSTRUCTED:
             return False

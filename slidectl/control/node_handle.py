@@ -120,6 +120,8 @@ class NodeHandle(Protocol):
     """A namespace of the graph. Relative names are resolved in it; absolute ones stay as they are."""
 
     namespace: str
+    guard: AbstractContextManager[None] | None
+    """Surrounds the callbacks that are given to this handle, or to a child of it, from now on."""
 
     def child(self, name: str) -> NodeHandle:
         """The node handle of `namespace/name`. What it advertises ends with its root's `shutdown`."""

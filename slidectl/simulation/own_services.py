@@ -1,7 +1,7 @@
 """The services of `/slidectl` but `wait`, which has a module of its own, and `shutdown`, which is the daemon's.
 
 These are not in ROS: status, step, sleep, set_speed, set_params, list_robots, sources, resolve, estop, rest_joints,
-load_controller_file, reload_controller.
+load_controller_file, reload_controller, update_times.
 """
 
 from __future__ import annotations
@@ -61,6 +61,7 @@ class OwnServices:
         node.advertise_service("rest_joints", "slidectl/RestJoints", self._rest)
         node.advertise_service("load_controller_file", "slidectl/LoadControllerFile", self._load_file)
         node.advertise_service("reload_controller", "slidectl/ReloadController", self._reload)
+        node.advertise_service("update_times", "slidectl/ListUpdateTimes", self._update_times)
 
     def _status(self, _: Message) -> Message:
         simulation = self._simulation
@@ -78,7 +79,7 @@ class OwnServices:
             "robots": self._robots.names(),
             "estop": [robot.name for robot in self._robots if robot.emergency_stop],
             "controllers": sum(len(manager.names()) for manager in managers),
-            "controllers_running": sum(manager.running_count for manager in managers),
+            "controllers_running": sum(len(manager.running) for manager in managers),
             **simulation.monitor(),
         }
 
@@ -340,6 +341,12 @@ class OwnServices:
         joints = list(dict.fromkeys(joint for _, joint in commands))
         text = "; ".join(f"{joint} keeps {_QUANTITIES[kind]} {value:g}" for (kind, joint), value in commands.items())
         return {"success": True, "message": text or "no joint is concerned", "joints": joints}
+
+    def _update_times(self, request: Message) -> Message:
+        robot = self._robot(request["robot"])
+        compiled = self._simulation.loop.compiled_controllers(robot)
+        times = robot.manager.update_times() if robot.is_controlled else []
+        return {"controllers": [{**one, "compiled": one["name"] in compiled} for one in times]}
 
     # Controllers of users
 

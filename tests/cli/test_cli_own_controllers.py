@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from textwrap import dedent
@@ -158,6 +159,85 @@ def test_a_law_that_raises_is_aborted_with_file_and_line_and_runs_again_when_it_
     written(law, LAW)
     assert pushing.ok("controller", "reload", "my_law") == "my_law: reloaded, running (was aborted)\n"
     assert effort(pushing) == 2.0
+
+
+LOOP = """while True:
+            try:
+                time_ns += 1
+            except BaseException:
+                pass
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "lines"),
+    [
+        ("self.joint.command = self.push\n", LOOP, range(18, 23)),
+        ("    def update", f"    def starting(self, time_ns):\n        {LOOP}\n    def update", range(18, 23)),
+    ],
+    ids=["update", "starting"],
+)
+def test_a_loop_without_an_end_in_a_cycle_aborts_its_controller_and_the_others_go_on(
+    pushing: CommandLine, law: Path, old: str, new: str, lines: range
+) -> None:
+    pushing.ok(
+        "param", "set", "/slider/states", "{type: joint_state_controller/JointStateController, publish_rate: 50}"
+    )
+    pushing.ok("controller", "spawn", "states")
+    written(law, LAW.replace(old, new))
+    pushing("controller", "reload", "my_law")
+    pushing.ok("sim", "step", "2")
+    assert state(pushing) == "aborted"
+    log = pushing.ok("daemon", "logs", "-n", "5")
+    [line] = [int(line) for line in re.findall(rf"ran longer than 5 s and was ended \({law}:(\d+)\)", log)]
+    assert line in lines
+    pushing.ok("sim", "step", "2000")  # with the clock of the limit that has gone by
+    assert state(pushing, "states") == "running"
+    written(law, LAW)
+    assert pushing.ok("controller", "reload", "my_law") == "my_law: reloaded, running (was aborted)\n"
+    assert effort(pushing) == 2.0
+
+
+def test_a_callback_that_fails_or_does_not_end_is_an_error_of_its_caller_and_the_controller_goes_on(
+    pushing: CommandLine, law: Path
+) -> None:
+    hear = """
+    def hear(self, message):
+        while message["data"]: pass
+        raise KeyError("gain")
+"""
+    subscribe = 'node.subscribe("hear", "std_msgs/Bool", self.hear)\n        self.told ='
+    text = LAW.replace("self.told =", subscribe, 1) + hear
+    written(law, text)
+    pushing.ok("controller", "reload", "my_law")
+    first = text.splitlines().index("    def hear(self, message):") + 1
+    for value, line, said in (
+        ("true", first + 1, "the code ran longer than 5 s"),
+        ("false", first + 2, "KeyError: 'gain'"),
+    ):
+        done = pushing("pub", "/slider/my_law/hear", value)
+        assert done.returncode == 1
+        assert said in done.stderr
+        assert f"({law}:{line})" in done.stderr
+    assert effort(pushing) == 2.0
+
+
+def test_the_times_of_updates_are_listed_and_a_budget_is_warned_of(pushing: CommandLine) -> None:
+    pushing.ok("sim", "step", "100")
+    [line] = pushing.ok("controller", "list", "-v").splitlines()[1:]
+    assert re.search(r" \d+\.\d us, longest \d+\.\d us$", line)
+    [record] = map(json.loads, pushing.ok("controller", "list", "-v", "--json").splitlines())
+    assert record["update_times"]["updates"] == 100
+    assert 0 < record["update_times"]["mean"] <= record["update_times"]["longest"] < 1
+    assert "update_times" not in pushing.ok("controller", "list", "--json")
+    pushing.ok("param", "set", "/slider/my_law/update_budget", "1e-9", "--new")
+    pushing.ok("sim", "step", "100")
+    assert pushing.ok("controller", "list", "-v").endswith("100 over 0.001 us\n")
+    log = pushing.ok("daemon", "logs", "-n", "20")
+    assert (
+        len(re.findall(r"controller 'my_law': an update took .* us, its budget is 0.001 us; so did 1 of 101", log)) == 1
+    )
+    assert state(pushing) == "running"
 
 
 # -- daemon start --import ---------------------------------------------------------------------------------------------

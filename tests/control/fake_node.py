@@ -129,6 +129,7 @@ class FakeNode:
     def __init__(self, graph: FakeGraph, namespace: str) -> None:
         self.graph = graph
         self.namespace = namespace
+        self.guard: Any = None
         self._children: list[FakeNode] = []
         self._taken: list[Callable[[], object]] = []
 

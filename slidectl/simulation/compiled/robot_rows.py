@@ -52,7 +52,7 @@ class RobotRows:
         self.robot = robot
         self.parts = robot.parts
         self.number = number
-        self.updates: tuple[Update, ...] = self.parts.manager.updates
+        self.running = self.parts.manager.running
         self.is_loaded = False
         self.publications: dict[int, RowPublisher] = {}
         """By the controller's position in the order of updates."""
@@ -78,11 +78,16 @@ class RobotRows:
 
     def is_outdated(self) -> bool:
         """Do other controllers run now than those that have rows, or has the robot moved in MuJoCo's arrays?"""
-        return self.parts.manager.updates is not self.updates or self.has_moved()
+        return self.parts.manager.running is not self.running or self.has_moved()
 
     def has_moved(self) -> bool:
         """Has the robot other places in MuJoCo's arrays than its rows say?"""
         return self.robot.body.joints is not self._places
+
+    def compiled_controllers(self) -> frozenset[str]:
+        """The names of those that have rows."""
+        places = range(len(self.running)) if self._is_possible else ()
+        return frozenset(self.running[place].name for place in places if place not in self.interpreted)
 
     def load(self) -> None:
         """From now on the rows are the truth."""
@@ -127,7 +132,7 @@ class RobotRows:
         """True when the robot can run compiled."""
         starts = [tables.count(name) for name in RANGES]
         limits, drives = self.parts.hardware.limits(), self.parts.hardware.drives
-        controllers = [_compiled(update) for update in self.updates]
+        controllers = [_compiled(entry.controller) for entry in self.running]
         is_possible = (
             type(self.parts.hardware) is MujocoRobotHW
             and all(_is_compiled(drive) for drive in drives)
@@ -163,12 +168,10 @@ class RobotRows:
     ) -> None:
         if compiled is None or any(id(handle) not in places for handle in compiled.parts.handles()):
             self._reserve_row(tables, "controllers", None, INTERPRETED, 0)
-            update = self.updates[position]
-            owner = getattr(update, "__self__", None)
-            claims = owner.claimed_resources if isinstance(owner, ControllerBase) else ()
-            names = {name for claim in claims for name in claim.resources}
+            entry = self.running[position]
+            names = {name for claim in entry.controller.claimed_resources for name in claim.resources}
             claimed = [(handle, offset) for handle, offset in self._handles if handle.name in names]
-            self.interpreted[position] = InterpretedUpdate(self, update, self._tables["joints"], claimed)
+            self.interpreted[position] = InterpretedUpdate(self, entry.update, self._tables["joints"], claimed)
             return
         controller, kind, parts = compiled
         own: list[float] = []
@@ -271,15 +274,12 @@ class CompiledController(NamedTuple):
     parts: Parts
 
 
-def _compiled(update: Update) -> CompiledController | None:
-    """The controller behind an `update`, when it runs compiled.
+def _compiled(controller: ControllerBase) -> CompiledController | None:
+    """The controller, when it runs compiled.
 
     A class or an instance that has an `update`, a `publish` or a column of its own, say as a property, means it: what
     its parent declares does not hold for it.
     """
-    controller = getattr(update, "__self__", None)
-    if not isinstance(controller, ControllerBase):
-        return None
     owner: Any = next(cls for cls in type(controller).__mro__ if "update" in vars(cls))
     if owner not in KINDS:
         return None

@@ -91,6 +91,11 @@ class CompiledRunner(Runner):
         if rows is not None:
             self._unload(rows)
 
+    def compiled_controllers(self, robot: SpawnedRobot) -> frozenset[str]:
+        """The names of the robot's running controllers that have rows."""
+        rows = self._rows_of.get(robot)
+        return frozenset() if rows is None or rows.is_outdated() else rows.compiled_controllers()
+
     def give_back_all(self) -> None:
         """All robots are as if the interpreter had run their cycles."""
         for rows in self._rows:
