@@ -1,4 +1,4 @@
-"""A goal of an action that a controller works on: what updates decide reaches the client at the ticks of a monitor.
+"""Controllers that work on a goal of an action: what updates decide reaches the client at the ticks of a monitor.
 
 After realtime_tools' RealtimeServerGoalHandle and the timer that ros_controllers put beside it.
 """
@@ -9,7 +9,9 @@ from collections.abc import Callable
 from math import inf
 
 from slidectl.control import params
+from slidectl.control.controller_interface import Controller
 from slidectl.control.duration import BadDuration, from_seconds
+from slidectl.control.hardware_interface import I
 from slidectl.control.node_handle import GoalHandle, GoalStatus, Message, NodeHandle, RepeatingTimer
 from slidectl.control.params import NUMBER, Parameter
 from slidectl.errors import Refused
@@ -96,3 +98,52 @@ class GoalMonitor:
         self._goal.tick()
         if self._goal.handle.status not in (GoalStatus.ACTIVE, GoalStatus.PREEMPTING):
             self._timer.cancel()
+
+
+class ActionController(Controller[I]):
+    """Serves one action, and works on the goal that came last. A child says what a goal means."""
+
+    def _serve(self, node: NodeHandle, action: str, type_name: str, monitor_period_ns: int) -> None:
+        """Advertise the action, as the last step of `init`."""
+        self._node = node
+        self._goal: MonitoredGoal | None = None
+        self._monitor = GoalMonitor(node, monitor_period_ns)
+        node.advertise_action(action, type_name, self._take_goal, self._take_cancel)
+
+    def _take_goal(self, handle: GoalHandle) -> None:
+        """Reject the goal, or follow it."""
+        raise NotImplementedError
+
+    def _hold(self) -> None:
+        """The goal is cancelled: come to rest."""
+        raise NotImplementedError
+
+    def stopping(self, time_ns: int) -> None:  # noqa: ARG002
+        """Nobody works on the goal any more."""
+        self._preempt()
+
+    def aborting(self, time_ns: int) -> None:  # noqa: ARG002
+        self._preempt()
+
+    def _follow(self, goal: MonitoredGoal) -> None:
+        """From now on this goal, and no other."""
+        self._preempt()
+        goal.handle.accept()
+        self._goal = goal
+        self._monitor.watch(goal)
+
+    def _reject(self, handle: GoalHandle, text: str, result: Message | None = None) -> None:
+        self._node.log("error", f"{self._node.namespace}: {text}")
+        handle.reject(result)
+
+    def _take_cancel(self, handle: GoalHandle) -> None:
+        if self._goal is not None and self._goal.handle is handle:
+            self._goal = None
+            self._hold()
+            handle.cancel()
+
+    def _preempt(self) -> None:
+        """Another motion takes the place of the goal's. One that has just ended keeps its result."""
+        goal, self._goal = self._goal, None
+        if goal is not None and goal.is_active:
+            goal.handle.cancel()

@@ -10,9 +10,9 @@ from math import isfinite
 from typing import ClassVar
 
 from slidectl.control import params
-from slidectl.control.controller_interface import Controller, State
+from slidectl.control.controller_interface import State
 from slidectl.control.duration import to_seconds
-from slidectl.control.goals import MONITOR_RATE, GoalMonitor, MonitoredGoal, period_of
+from slidectl.control.goals import MONITOR_RATE, ActionController, MonitoredGoal, period_of
 from slidectl.control.hardware_interface import EffortJointInterface, JointCommandInterface, PositionJointInterface
 from slidectl.control.joint_controller import warn_of_other_joints
 from slidectl.control.node_handle import GoalHandle, GoalStatus, Message, NodeHandle
@@ -23,7 +23,7 @@ from slidectl.control.registry import controller
 from slidectl.control.robot_description import joint_on_paper
 
 
-class GripperActionController(Controller[JointCommandInterface]):
+class GripperActionController(ActionController[JointCommandInterface]):
     """Follows the position of the goal; how is the part of the children."""
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
@@ -53,11 +53,9 @@ class GripperActionController(Controller[JointCommandInterface]):
         self.command = 0.0
         """The effort of the last update: of position joints, the largest one of the goal."""
         self._moved_ns = 0
-        self._goal: MonitoredGoal | None = None
         # One result for all goals, as upstream: an ended goal has the values of the tick that sends it.
         self._result: Message = {"position": self.position, "effort": 0.0, "stalled": False, "reached_goal": False}
-        self._monitor = GoalMonitor(node, monitor_period_ns)
-        node.advertise_action("gripper_cmd", "control_msgs/GripperCommand", self._take_goal, self._take_cancel)
+        self._serve(node, "gripper_cmd", "control_msgs/GripperCommand", monitor_period_ns)
 
     def _number(self, name: str, default: float) -> float:
         value = params.number(self._node, name)
@@ -78,13 +76,6 @@ class GripperActionController(Controller[JointCommandInterface]):
         self._hold()
         self._start_commands()
         self._moved_ns = time_ns
-
-    def stopping(self, time_ns: int) -> None:  # noqa: ARG002
-        """Nobody works on the goal any more."""
-        self._preempt()
-
-    def aborting(self, time_ns: int) -> None:  # noqa: ARG002
-        self._preempt()
 
     def update(self, time_ns: int, period_s: float) -> None:
         error = self.position - self._joint.position
@@ -117,28 +108,10 @@ class GripperActionController(Controller[JointCommandInterface]):
         elif not isfinite(command["position"]) or not isfinite(command["max_effort"]):
             self._reject(handle, "a goal of nan or infinity is not taken: it must have finite numbers")
         else:
-            self._preempt()
-            handle.accept()
+            self._follow(MonitoredGoal(handle))
             self.position, self.max_effort = command["position"], command["max_effort"]
             self._result.update(reached_goal=False, stalled=False)
             self._moved_ns = self._node.now_ns()
-            self._goal = MonitoredGoal(handle)
-            self._monitor.watch(self._goal)
-
-    def _reject(self, handle: GoalHandle, text: str) -> None:
-        self._node.log("error", f"{self._node.namespace}: {text}")
-        handle.reject()
-
-    def _take_cancel(self, handle: GoalHandle) -> None:
-        if self._goal is not None and self._goal.handle is handle:
-            self._goal = None
-            self._hold()
-            handle.cancel()
-
-    def _preempt(self) -> None:
-        goal, self._goal = self._goal, None
-        if goal is not None and goal.is_active:
-            goal.handle.cancel()
 
     def _hold(self) -> None:
         """Stay at the measured position, with the effort for no goal."""

@@ -21,9 +21,9 @@ from typing import Any, ClassVar, NamedTuple
 
 from slidectl.control import params
 from slidectl.control.angular_distance import shortest_angular_distance
-from slidectl.control.controller_interface import Controller, State
+from slidectl.control.controller_interface import State
 from slidectl.control.duration import NANOSECONDS, from_seconds, from_stamp, to_seconds, to_stamp
-from slidectl.control.goals import MONITOR_RATE, GoalMonitor, MonitoredGoal, period_of
+from slidectl.control.goals import MONITOR_RATE, ActionController, MonitoredGoal, period_of
 from slidectl.control.hardware_interface import (
     EffortJointInterface,
     JointHandle,
@@ -218,7 +218,7 @@ class MeasuredJoints(NamedTuple):
         }
 
 
-class JointTrajectoryController(Controller[Any]):
+class JointTrajectoryController(ActionController[Any]):
     """Samples the trajectory in each cycle; what becomes of the desired states is the part of the children."""
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
@@ -283,15 +283,11 @@ class JointTrajectoryController(Controller[Any]):
         self._trajectory: Trajectory = []
         self._time_ns = self._uptime_ns = self._period_ns = self._published_ns = 0
         self._period_of_s: tuple[float, int] = (0.0, 0)
-        self._goal: MonitoredGoal | None = None
         self._reached = [False] * len(self._names)
         """The joints at their goals. As upstream, only the end of a goal clears it, not its cancellation."""
-        self._monitor = GoalMonitor(node, monitor_period_ns)
         self._state = node.advertise("state", "control_msgs/JointTrajectoryControllerState")
         node.advertise_service("query_state", "control_msgs/QueryTrajectoryState", self._query_state)
-        node.advertise_action(
-            "follow_joint_trajectory", "control_msgs/FollowJointTrajectory", self._take_goal, self._take_cancel
-        )
+        self._serve(node, "follow_joint_trajectory", "control_msgs/FollowJointTrajectory", monitor_period_ns)
         node.subscribe("command", "trajectory_msgs/JointTrajectory", self._take_command)
 
     def _get_commands(self, node: NodeHandle) -> None:
@@ -334,13 +330,6 @@ class JointTrajectoryController(Controller[Any]):
         self.desired = self.desired._replace(positions=positions, velocities=velocities)
         self._hold()
         self._start_commands()
-
-    def stopping(self, time_ns: int) -> None:  # noqa: ARG002
-        """Nobody works on the goal any more."""
-        self._preempt()
-
-    def aborting(self, time_ns: int) -> None:  # noqa: ARG002
-        self._preempt()
 
     def update(self, time_ns: int, period_s: float) -> None:
         if period_s != self._period_of_s[0]:
@@ -441,36 +430,17 @@ class JointTrajectoryController(Controller[Any]):
     def _take_goal(self, handle: GoalHandle) -> None:
         trajectory = handle.goal["trajectory"]
         if self.state is not State.RUNNING:
-            self._reject(handle, INVALID_GOAL, "", "Can't accept new action goals. Controller is not running.")
+            self._reject(handle, "Can't accept new action goals. Controller is not running.", _result(INVALID_GOAL))
         elif self._order_of(trajectory["joint_names"]) is None:
-            self._reject(handle, INVALID_JOINTS, "", "Joints on incoming goal don't match the controller joints.")
+            self._reject(handle, "Joints on incoming goal don't match the controller joints.", _result(INVALID_JOINTS))
         else:
             goal = MonitoredGoal(handle)
             try:
                 self._replace(trajectory, goal)
             except Refused as refusal:
-                self._reject(handle, INVALID_GOAL, refusal.message, refusal.message)
+                self._reject(handle, refusal.message, _result(INVALID_GOAL, refusal.message))
                 return
-            self._preempt()
-            handle.accept()
-            self._goal = goal
-            self._monitor.watch(goal)
-
-    def _reject(self, handle: GoalHandle, code: int, error: str, text: str) -> None:
-        self._node.log("error", f"{self._node.namespace}: {text}")
-        handle.reject(_result(code, error))
-
-    def _take_cancel(self, handle: GoalHandle) -> None:
-        if self._goal is not None and self._goal.handle is handle:
-            self._goal = None
-            self._hold()
-            handle.cancel()
-
-    def _preempt(self) -> None:
-        """Another motion takes the place of the goal's."""
-        goal, self._goal = self._goal, None
-        if goal is not None:
-            goal.handle.cancel()
+            self._follow(goal)
 
     def _query_state(self, request: Message) -> Message:
         if self.state is not State.RUNNING:
