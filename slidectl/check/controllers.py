@@ -22,6 +22,7 @@ from slidectl.control.hardware_interface import EffortJointInterface, JointState
 from slidectl.control.limits import LIMITS
 from slidectl.control.params import LIST, UPDATE_BUDGET, Parameter, as_boolean, as_number, described
 from slidectl.control.reconfigurable_pid import GAINS
+from slidectl.control.user_classes import is_of_a_user
 from slidectl.description.controllers_file import retarget
 from slidectl.description.models import read_file
 from slidectl.description.robot import Notice, Robot, Verdict
@@ -405,6 +406,10 @@ class ControllerCheck:
             return
         kinds = " and ".join(interface.type_name for interface in _interfaces(cls))
         self.source.add("used", f"{path}/type", f"{type_name}; on {kinds or 'no interface'}")
+        if not cls.parameters and is_of_a_user(cls):
+            for name in tree.keys() - {"type"}:
+                self.source.add("used", f"{path}/{name}", f"{cls.__name__} does not say which parameters it reads")
+            return
         declared = Declared((*cls.parameters, UPDATE_BUDGET))
         values = {name: value for name, value in declared.leaves(tree) if name != "type"}
         said: set[str] = set()

@@ -36,6 +36,7 @@ _COLOURS = {"used": "green", "converted": "cyan", "ignored": "yellow", "wrong": 
         "slidectl check my_slider slider.launch",
         "slidectl check rrbot_description rrbot.xacro",
         "slidectl check config/slider_control.yaml --only ignored --only wrong",
+        "slidectl check my_control.yaml --import my_laws.py",
     ]
 )
 @click.argument("source", metavar="MODEL|LAUNCH|CONTROLLERS", shell_complete=completion.models)
@@ -46,6 +47,15 @@ _COLOURS = {"used": "green", "converted": "cyan", "ignored": "yellow", "wrong": 
     metavar="FILE",
     shell_complete=completion.files,
     help="Controllers of the model; may repeat.",
+)
+@click.option(
+    "--import",
+    "--from",
+    "imports",
+    multiple=True,
+    metavar="MODULE",
+    shell_complete=completion.files,
+    help="Know the controllers of your own in this module or FILE.py; may repeat.",
 )
 @click.option("--strict", is_flag=True, help="Exit 1 when anything is ignored, too, and refuse what spawn mends.")
 @click.option("--only", multiple=True, type=click.Choice(_VERDICTS), help="Print findings of this kind; may repeat.")
@@ -58,6 +68,7 @@ def check(
     source: str,
     arguments: tuple[str, ...],
     controllers: tuple[str, ...],
+    imports: tuple[str, ...],
     strict: bool,
     only: tuple[str, ...],
     keep_going: bool,
@@ -70,14 +81,20 @@ def check(
     input. KEY:=VALUE are their arguments. Every tag, attribute, limit and parameter is listed with file and line as
     used, converted (taken otherwise than written), ignored (no effect here) or wrong. Exits 0 when nothing is wrong, 1
     when something is, and 2 when a file cannot be used at all. With --keep-going what is not there is ignored, listed
-    at the end, and the exit code is 1 only when nothing is left to drive. JSON keys: file, line, verdict, subject,
-    text.
+    at the end, and the exit code is 1 only when nothing is left to drive. --import runs the code of the module, but no
+    controller. JSON keys: file, line, verdict, subject, text.
     """
     ctx = click_context.find_object(Context)
     assert ctx is not None
     from slidectl.check.run import check as run
     from slidectl.description.missing import Missing
 
+    if imports:
+        from slidectl.cli.daemon import module_or_file
+        from slidectl.control import registry
+
+        for module in imports:
+            registry.add_module(module_or_file(module))
     places = package_lookup(packages, "check")
     files = [spawning.find(file) for file in controllers]
     text = _streamed(source)
