@@ -23,7 +23,18 @@ def place() -> Iterator[Path]:
 
 
 @pytest.mark.parametrize(
-    "name", ["slide.sh", "rrbot.sh", "two_robots.sh", "gravity.sh", "sine.sh", "trajectory.sh", "cart.sh", "demo.py"]
+    "name",
+    [
+        "slide.sh",
+        "rrbot.sh",
+        "two_robots.sh",
+        "gravity.sh",
+        "sine.sh",
+        "trajectory.sh",
+        "cart.sh",
+        "cartpole.sh",
+        "demo.py",
+    ],
 )
 def test_an_example_runs_and_leaves_nothing_behind(place: Path, name: str) -> None:
     folders = {"XDG_RUNTIME_DIR": place / "run", "TMPDIR": place / "tmp"}
