@@ -127,8 +127,12 @@ class GroupController(CommandController):
 def joint_names(node: NodeHandle) -> list[str]:
     """The value of `joints`. Raises SlidectlError: it is missing, of another type, or empty."""
     found = params.needed_texts(node, JOINTS.name)
+    where = names.join(node.namespace, JOINTS.name)
     if not found:
-        raise Refused(f"parameter {names.join(node.namespace, JOINTS.name)} must name at least one joint")
+        raise Refused(f"parameter {where} must name at least one joint")
+    for name in dict.fromkeys(found):
+        if found.count(name) > 1:
+            node.log("warn", f"parameter {where} names {name!r} twice: the later command counts")
     return found
 
 
