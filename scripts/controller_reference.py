@@ -19,7 +19,7 @@ HEAD = """# Controllers
 
 What `slidectl controller types` lists, with the parameters below a controller's own name. Written by
 `python scripts/controller_reference.py`. They behave as those of ros_controllers; [deviations](deviations.md) has what
-differs.
+differs. Every controller reads its `type`, and `update_budget` ([times](extending.md#a-controller-of-your-own)).
 
 A trajectory controller for two joints, and a goal for it:
 

@@ -24,10 +24,23 @@ from slidectl.control.user_classes import HookGuard, is_of_a_user, place_of, wat
 from slidectl.errors import BadName, Refused, SlidectlError, UnknownName, quoted
 
 
+_LONGEST_BUDGET_S = 1e9
+
+
 class UpdateTimes:
     """Wall time, in ns, that the updates of one controller took in the interpreter since it was started."""
 
-    __slots__ = ("_name", "_next_warning_ns", "_node", "budget_ns", "count", "longest_ns", "over_budget", "total_ns")
+    __slots__ = (
+        "_name",
+        "_next_warning_ns",
+        "_node",
+        "budget_ns",
+        "count",
+        "longest_ns",
+        "notable_ns",
+        "over_budget",
+        "total_ns",
+    )
 
     def __init__(self, name: str, node: NodeHandle) -> None:
         self._name = name
@@ -40,18 +53,29 @@ class UpdateTimes:
     def clear(self) -> None:
         """Count from now on."""
         self.count = self.total_ns = self.longest_ns = self.over_budget = 0
+        self.notable_ns = 0
+        """`note` is to be told of an update that took longer."""
 
-    def add(self, began_ns: int, ended_ns: int) -> None:
-        """One more update, on the clock of `perf_counter_ns`."""
-        took_ns = ended_ns - began_ns
+    def set_budget(self, budget_s: float) -> None:
+        """From now on; not above 0: none."""
+        self.budget_ns = round(min(max(0.0, budget_s), _LONGEST_BUDGET_S) * NANOSECONDS)
+        self.notable_ns = 0
+
+    def add(self, took_ns: int, now_ns: int) -> None:
+        """One more update; now is on the clock of `perf_counter_ns`."""
         self.count += 1
         self.total_ns += took_ns
-        if took_ns > self.longest_ns:
-            self.longest_ns = took_ns
+        if took_ns > self.notable_ns:
+            self.note(took_ns, now_ns)
+
+    def note(self, took_ns: int, now_ns: int) -> None:
+        """Of an update that is the longest so far, or over the budget."""
+        self.longest_ns = max(self.longest_ns, took_ns)
+        self.notable_ns = min(self.longest_ns, self.budget_ns or self.longest_ns)
         if 0 < self.budget_ns < took_ns:
             self.over_budget += 1
-            if ended_ns >= self._next_warning_ns:
-                self._next_warning_ns = ended_ns + NANOSECONDS
+            if now_ns >= self._next_warning_ns:
+                self._next_warning_ns = now_ns + NANOSECONDS
                 took, budget = f"{took_ns / 1000:.1f} us", f"{self.budget_ns / 1000:g} us"
                 text = f"an update took {took}, its budget is {budget}; so did {self.over_budget} of {self.count}"
                 self._node.log("warn", f"controller {self._name!r}: {text}")
@@ -79,12 +103,10 @@ class LoadedController:
         node.watch_param(UPDATE_BUDGET.name, self._read_budget)
 
     def _read_budget(self) -> None:
-        self.times.budget_ns = max(0, round(value_of(self.node, UPDATE_BUDGET) * NANOSECONDS))
+        self.times.set_budget(value_of(self.node, UPDATE_BUDGET))
         if self.times.budget_ns and self.controller.compiled is not None:
             where = names.join(self.node.namespace, UPDATE_BUDGET.name)
-            self.node.log(
-                "warn", f"parameter {where} counts in the interpreter only; compiled updates are not measured"
-            )
+            self.node.log("warn", f"parameter {where} has no effect while the controller runs compiled")
 
     @property
     def name(self) -> str:
@@ -121,12 +143,18 @@ class LoadedController:
     def update(self, time_ns: int, period_s: float) -> None:
         """One cycle, measured. Raises what the controller raises."""
         began_ns = perf_counter_ns()
-        if self._watched is None:
+        self.bare_update(time_ns, period_s)
+        now_ns = perf_counter_ns()
+        self.times.add(now_ns - began_ns, now_ns)
+
+    @property
+    def bare_update(self) -> Callable[[int, float], None]:
+        """The same, not measured."""
+        return self.controller.update if self._watched is None else self._watched_update
+
+    def _watched_update(self, time_ns: int, period_s: float) -> None:
+        with self._watched or nullcontext():
             self.controller.update(time_ns, period_s)
-        else:
-            with self._watched:
-                self.controller.update(time_ns, period_s)
-        self.times.add(began_ns, perf_counter_ns())
 
     def update_if_running(self, time_ns: int, period_s: float) -> None:
         """One cycle, unless a controller before this one has stopped it. A failure aborts it."""
@@ -348,7 +376,7 @@ class ControllerManager:
         self._loaders: list[ControllerLoader] = [RegistryLoader()]
         self._loaded: dict[str, LoadedController] = {}
         self._running: tuple[LoadedController, ...] = ()
-        self._updates: tuple[Callable[[int, float], None], ...] = ()
+        self._updates: tuple[tuple[Callable[[int, float], None], UpdateTimes], ...] = ()
         self._switch: Switch | None = None
 
     # The cycle.
@@ -361,11 +389,21 @@ class ControllerManager:
         """
         if reset_controllers:
             self.restart_running(time_ns)
+        # What UpdateTimes.add does, and one look at the clock for each controller: a call more would show.
+        clock_ns = perf_counter_ns
+        began_ns = clock_ns()
         try:
-            for update in self._updates:
+            for update, times in self._updates:
                 update(time_ns, period_s)
+                now_ns = clock_ns()
+                took_ns = now_ns - began_ns
+                times.count += 1
+                times.total_ns += took_ns
+                if took_ns > times.notable_ns:
+                    times.note(took_ns, now_ns)
+                began_ns = now_ns
         except Exception as failure:
-            self._carry_on(self._updates.index(update), failure, time_ns, period_s)
+            self._carry_on(self._updates.index((update, times)), failure, time_ns, period_s)
         if self._switch is not None:
             self.manage_switch(time_ns)
 
@@ -415,7 +453,7 @@ class ControllerManager:
 
     def _refresh(self) -> None:
         self._running = tuple(entry for entry in self._loaded.values() if entry.is_running)
-        self._updates = tuple(entry.update for entry in self._running)
+        self._updates = tuple((entry.bare_update, entry.times) for entry in self._running)
 
     # What is there.
 
