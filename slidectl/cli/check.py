@@ -87,14 +87,9 @@ def check(
     ctx = click_context.find_object(Context)
     assert ctx is not None
     from slidectl.check.run import check as run
+    from slidectl.cli.daemon import module_or_file
     from slidectl.description.missing import Missing
 
-    if imports:
-        from slidectl.cli.daemon import module_or_file
-        from slidectl.control import registry
-
-        for module in imports:
-            registry.add_module(module_or_file(module))
     places = package_lookup(packages, "check")
     files = [spawning.find(file) for file in controllers]
     text = _streamed(source)
@@ -104,7 +99,17 @@ def check(
     words += [word for word in arguments if ":=" not in word]
     given = pairs([word for word in arguments if ":=" in word], ":=", "check")
     missing = Missing("all" if keep_going else "nothing")
-    findings = run(words, given, places, files, text, ask_others=second_opinion, strict=strict, missing=missing)
+    findings = run(
+        words,
+        given,
+        places,
+        files,
+        text,
+        ask_others=second_opinion,
+        strict=strict,
+        missing=missing,
+        imports=[module_or_file(module) for module in imports],
+    )
     tell_own_packages(ctx, places)
     _print(ctx, findings, only)
     if lines := missing.lines():

@@ -23,7 +23,6 @@ from slidectl.control.registry import ControllerLoader, RegistryLoader, UnknownT
 from slidectl.control.user_classes import HookGuard, is_of_a_user, place_of, watched
 from slidectl.errors import BadName, Refused, SlidectlError, UnknownName, quoted
 
-
 _LONGEST_BUDGET_S = 1e9
 
 
