@@ -188,11 +188,11 @@ class GraphNode:
         ActionServer(self.child(action), type_name, on_goal, on_cancel)
 
     def call_every(self, period_ns: int, callback: Callable[[], None]) -> RepeatedCall:
-        guarded = self._guarded(callback)
+        enter = self._entering(callback)
 
         def tick() -> None:
             with suppress(SlidectlError):  # nobody asked for this call; the guard has told of it
-                guarded()
+                enter()
 
         call = RepeatedCall(self._graph.timers, period_ns, tick, self._calls)
         self._calls.add(call)

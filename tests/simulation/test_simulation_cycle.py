@@ -90,6 +90,22 @@ def test_a_control_period_above_the_step_is_reported() -> None:
 ENGINES = ["plain", pytest.param("compiled", marks=needs_numba)]
 
 
+@needs_numba
+def test_times_of_updates_are_those_of_the_interpreter_and_say_what_runs_compiled() -> None:
+    simulation = Simulation(ground=False, engine="compiled")
+    simulation.engine.complete()
+    robot = simulation.spawn(cart(joints=2), "cart")
+    drive_up(simulation, joints=1)
+    put_probe(simulation, robot, joint="joint2")
+    assert switch(simulation, start=["probe"])
+    simulation.step(100)
+    listed = simulation.call("/slidectl/update_times", {"robot": "cart"})["controllers"]
+    times = {one["name"]: one for one in listed}
+    assert (times["position1"]["compiled"], times["probe"]["compiled"]) == (True, False)
+    assert times["position1"]["updates"] < times["probe"]["updates"] == 100
+    assert 0.0 < times["probe"]["mean"] <= times["probe"]["longest"]
+
+
 @pytest.mark.parametrize("engine", ENGINES)
 def test_no_first_period_is_longer_than_the_time_since_the_spawn_or_the_reset(engine: str) -> None:
     """Several robots, each spawned at another time, two of them with a control period of their own."""
