@@ -231,29 +231,21 @@ class GraphNode:
         return self.caution if self._parent is None else self._parent._caution()
 
     def _entering(self, callback: Callable[P, T]) -> Callable[P, T]:
-        """The callback, before which all handles above are told that somebody is about to call into what they hold."""
-
-        guarded = self._guarded(callback)
+        """The callback in its guard, before which all handles above are told that somebody is about to call into what
+        they hold."""
+        guard = self.guard
 
         def entered(*arguments: P.args, **keywords: P.kwargs) -> T:
             node: GraphNode | None = self
             while node is not None:
                 node.before_entry()
                 node = node._parent
-            return guarded(*arguments, **keywords)
-
-        return entered
-
-    def _guarded(self, callback: Callable[P, T]) -> Callable[P, T]:
-        guard = self.guard
-        if guard is None:
-            return callback
-
-        def inside(*arguments: P.args, **keywords: P.kwargs) -> T:
+            if guard is None:
+                return callback(*arguments, **keywords)
             with guard:
                 return callback(*arguments, **keywords)
 
-        return inside
+        return entered
 
     def _absolute(self, name: str) -> str:
         return names.join(self.namespace, name)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.linalg import solve_continuous_are
-from sim_robots import STATES, cart, switch
+from sim_robots import STATES, cart, logged, switch
 
 from slidectl import description
 from slidectl.errors import SlidectlError
@@ -238,6 +238,23 @@ def test_a_law_that_raises_is_aborted_and_runs_again_when_it_is_mended(pushing: 
     pushing.write()
     assert pushing.reload()
     assert pushing.effort() == 2.0
+
+
+def test_a_tick_or_a_call_that_raises_is_told_with_its_line_and_the_law_runs_on(bench: Bench) -> None:
+    failing = """
+        node.call_every(10_000_000, lambda: 1 / 0)
+        node.advertise_service("ask", "std_srvs/Trigger", lambda request: {}["gain"])
+        self.told ="""
+    bench.write("\n        self.told =", failing)
+    assert bench.load()
+    assert switch(bench.simulation, start=["my_law"])
+    lines = logged(bench.simulation)
+    bench.simulation.step(25)
+    told = ("error", f"/cart/my_law: ZeroDivisionError: division by zero ({bench.file}:15)")
+    assert lines == [told, told]
+    with pytest.raises(SlidectlError, match=r"KeyError: 'gain' \(.*my_laws.py:16\)"):
+        bench.simulation.call("/cart/my_law/ask")
+    assert bench.effort() == 1.0
 
 
 def test_a_controller_of_slidectl_is_not_reloaded(bench: Bench) -> None:
