@@ -7,6 +7,7 @@ A record is followed up to a command of nan or infinity that is refused here (do
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from math import isfinite
 from operator import attrgetter
 from typing import Any
@@ -39,8 +40,10 @@ ROOT = "/robot"
 CONTROLLER = f"{ROOT}/ctrl"
 HOST = "/host"
 ACTIONS = {"GripperActionController": "gripper_cmd", "JointTrajectoryController": "follow_joint_trajectory"}
-IGNORES_NON_FINITE = {"geometry_msgs/Twist", "four_wheel_steering_msgs/FourWheelSteering"}
-"""Messages of which upstream ignores such ones too."""
+IGNORES_NON_FINITE = {"DiffDriveController", "FourWheelSteeringController"}
+"""Controllers of which upstream ignores such commands too."""
+NOT_KEPT = {"limited.lin_y"}
+"""Columns of members that upstream stores and never uses."""
 INTERFACES: dict[str, tuple[type[Any], type[Any]]] = {
     "position": (PositionJointInterface, JointHandle),
     "velocity": (VelocityJointInterface, JointHandle),
@@ -72,7 +75,7 @@ def last_cycle(case: Case) -> int:
         event["cycle"] - 1
         for event in case["events"]
         if event["kind"] in ("command", "goal")
-        and event.get("msg_type") not in IGNORES_NON_FINITE
+        and case["type"].rpartition("/")[2] not in IGNORES_NON_FINITE
         and not is_finite(numbers_in(event["msg"]))
     ]
     return int(min([case["cycles"], *refused]))
@@ -228,6 +231,8 @@ class Replay:
 
     def _compare_row(self, row: list[Any]) -> Iterator[Comparison]:
         for column, recorded in zip(self.case["columns"][1:], row[1:], strict=True):
+            if column in NOT_KEPT:
+                continue
             yield f"cycle {self.cycle}, {column}", recorded, self._value(column)
 
     def _value(self, column: str) -> Any:
@@ -290,11 +295,20 @@ JOINT_COLUMNS: dict[str, Callable[[Any], list[float]]] = {
 }
 """The members of a controller that rows show for each joint."""
 COLUMNS: dict[str, Callable[[Any], float]] = {
-    **{f"odom.{name}": attrgetter(f"odometry.{name}") for name in ("x", "y", "heading", "linear", "angular")},
+    **{
+        f"odom.{name}": attrgetter(f"odometry.{name}")
+        for name in ("x", "y", "heading", "linear", "linear_x", "linear_y", "angular")
+    },
+    **{
+        f"odom.{name}": partial(lambda place, controller: controller.odometry.changes[place], place)
+        for place, name in enumerate(("linear_acceleration", "linear_jerk", "front_steer_vel", "rear_steer_vel"))
+    },
     "command.position": attrgetter("position"),
     "command.max_effort": attrgetter("max_effort"),
     "computed_command": attrgetter("command"),
     **{f"limited.{name}": attrgetter(f"velocity.last.{name}") for name in ("linear", "angular")},
+    "limited.lin_x": attrgetter("velocity.last.linear"),
+    "limited.ang": attrgetter("velocity.last.angular"),
 }
 """The other members that rows show."""
 

@@ -310,7 +310,7 @@ class OdometryTopics:
         self._published_ns += self.period_ns
         return True
 
-    def publish(self, time_ns: int, place: Place, velocity: tuple[float, float, float]) -> None:
+    def publish(self, time_ns: int, place: PlaceOfBase, velocity: tuple[float, float, float]) -> None:
         """`velocity` is that forwards and to the left, m/s, and of the turning to the left, rad/s."""
         half = place.heading * 0.5
         orientation = {"x": 0.0, "y": 0.0, "z": sin(half), "w": cos(half)}
@@ -334,7 +334,7 @@ class OdometryTopics:
             self._tf.publish({"transforms": [frame]})
 
 
-class Place(Protocol):
+class PlaceOfBase(Protocol):
     """Where a base is in the plane: m and rad."""
 
     x: float

@@ -26,8 +26,7 @@ C = TypeVar("C", bound=type[ControllerBase])
 
 BASE_CLASS = "controller_interface::ControllerBase"
 _ELSEWHERE = {
-    "AckermannSteeringController", "ForceTorqueSensorController", "FourWheelSteeringController",
-    "ImuSensorController",
+    "ForceTorqueSensorController", "ImuSensorController",
 }  # fmt: skip
 ENTRY_POINTS = "slidectl.controllers"
 """The group in which an installed package names its controllers: a type, and `module:Class`."""

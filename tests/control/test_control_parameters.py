@@ -10,15 +10,16 @@ from fake_robot import COMMAND_INTERFACES, FakeRobot
 
 from slidectl.control import params, registry
 from slidectl.control.controllers.diff_drive import WHEELS
+from slidectl.control.controllers.steering import TWO
 from slidectl.control.limits import LIMITS, limits_from_parameters, soft_limits_from_parameters
 from slidectl.control.mobile_base import DIAGONAL
 from slidectl.control.params import Parameter
 
 URDF = """<robot name="bot">
-  <link name="world"/>
+  <link name="joint1"/>
   <link name="arm"><inertial><mass value="1"/>
     <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
-  <joint name="joint1" type="revolute"><parent link="world"/><child link="arm"/>
+  <joint name="joint1" type="revolute"><parent link="joint1"/><child link="arm"/>
     <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
 </robot>"""
 
@@ -33,6 +34,7 @@ VALUES = {
     params.FLOAT: 1.0,
     WHEELS: "joint1",
     DIAGONAL: [1.0] * 6,
+    TWO: ["joint1", "joint1"],
 }
 
 TYPES = [name for name in registry.types() if not name.startswith("tests/")]  # whatever other tests define
