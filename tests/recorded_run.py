@@ -17,6 +17,10 @@ from slidectl.control.controller_manager import ControllerManager
 from slidectl.control.duration import from_seconds, to_stamp
 from slidectl.control.hardware_interface import (
     EffortJointInterface,
+    ForceTorqueData,
+    ForceTorqueSensorInterface,
+    ImuData,
+    ImuSensorInterface,
     JointHandle,
     JointStateInterface,
     PositionJointInterface,
@@ -25,6 +29,7 @@ from slidectl.control.hardware_interface import (
     PosVelJointHandle,
     PosVelJointInterface,
     RobotHW,
+    SensorHandle,
     VelocityJointInterface,
 )
 from slidectl.errors import SlidectlError
@@ -50,6 +55,11 @@ INTERFACES: dict[str, tuple[type[Any], type[Any]]] = {
     "effort": (EffortJointInterface, JointHandle),
     "pos_vel": (PosVelJointInterface, PosVelJointHandle),
     "pos_vel_acc": (PosVelAccJointInterface, PosVelAccJointHandle),
+}
+
+SENSORS: dict[str, tuple[type[Any], type[Any]]] = {
+    "imu": (ImuSensorInterface, ImuData),
+    "force_torque": (ForceTorqueSensorInterface, ForceTorqueData),
 }
 
 
@@ -131,6 +141,7 @@ class Replay:
         self.graph.parameters.set(CONTROLLER, {**case["params"], "type": case["type"]})
         if "urdf" in case:
             self.graph.parameters.set(f"{ROOT}/robot_description", case["urdf"])
+        self.measured: dict[str, Any] = {}
         self.manager = ControllerManager(self._hardware(), self.graph.node(ROOT))
         self.loaded = self.manager.load("ctrl")
         self.controller: ControllerBase | None = self.manager.get("ctrl")
@@ -150,7 +161,21 @@ class Replay:
         hw.register_interface(JointStateInterface(plant.handle for plant in plants))
         for name in dict.fromkeys(plant.interface for plant in plants):
             hw.register_interface(INTERFACES[name][0](plant.handle for plant in plants if plant.interface == name))
+        for key, (interface, kind) in SENSORS.items():
+            for sensor in self.case.get(f"{key}s", ()):
+                self._measure(kind, sensor)
+            handles = (
+                SensorHandle(sensor["name"], sensor["frame_id"], partial(self.measured.__getitem__, sensor["name"]))
+                for sensor in self.case.get(f"{key}s", ())
+            )
+            hw.register_interface(interface(handles))
         return hw
+
+    def _measure(self, kind: type[Any], values: Case) -> None:
+        """From now on the sensor measures this; what is not given stays."""
+        given = {name: tuple(value) for name, value in values.items() if name in kind._fields}
+        before = self.measured.get(values["name"])
+        self.measured[values["name"]] = kind(**given) if before is None else before._replace(**given)
 
     def _record(self, key: str, topic: str) -> None:
         messages = self.published.setdefault(key, [])
@@ -202,6 +227,12 @@ class Replay:
             plant.handle.position, plant.handle.velocity = event["position"], event["velocity"]
         else:
             plant.blocked = event["kind"] == "block"
+
+    def _on_imu(self, event: Case) -> None:
+        self._measure(ImuData, event)
+
+    def _on_force_torque(self, event: Case) -> None:
+        self._measure(ForceTorqueData, event)
 
     def _on_command(self, event: Case) -> None:
         self._publish(f"{CONTROLLER}/{event['topic']}", event["msg_type"], numbers_in(event["msg"]))

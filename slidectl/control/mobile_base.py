@@ -15,7 +15,7 @@ from typing import Protocol
 from slidectl import names
 from slidectl.control import params
 from slidectl.control.controller_interface import ControllerBase, State
-from slidectl.control.duration import to_seconds, to_stamp
+from slidectl.control.duration import header_of, to_seconds
 from slidectl.control.goals import period_of
 from slidectl.control.node_handle import Message, NodeHandle, Publisher
 from slidectl.control.params import BOOLEAN, INTEGER, NUMBER, TEXT, Kind, Parameter, within
@@ -346,11 +346,6 @@ def _matrix(diagonal: list[float]) -> list[float]:
     """A square matrix of zeros but for its diagonal, row by row."""
     size = len(diagonal)
     return [diagonal[k // size] if k % (size + 1) == 0 else 0.0 for k in range(size * size)]
-
-
-def header_of(time_ns: int, frame: str = "") -> Message:
-    """std_msgs/Header."""
-    return {"seq": 0, "stamp": to_stamp(time_ns), "frame_id": frame}
 
 
 def twist_of(forwards: float, sideways: float, angular: float) -> Message:

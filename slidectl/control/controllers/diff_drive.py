@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 
 from slidectl.control import params
 from slidectl.control.controller_interface import Controller
-from slidectl.control.duration import from_seconds, to_seconds, to_stamp
+from slidectl.control.duration import from_seconds, header_of, to_seconds, to_stamp
 from slidectl.control.hardware_interface import JointHandle, VelocityJointInterface
 from slidectl.control.mobile_base import (
     ALLOWS_MANY,
@@ -32,7 +32,6 @@ from slidectl.control.mobile_base import (
     Odometry,
     OdometryTopics,
     check_lengths,
-    header_of,
     publish,
     twist_of,
     velocity_commands,

@@ -13,7 +13,7 @@ from typing import ClassVar, NamedTuple
 from slidectl import msgs
 from slidectl.control import params
 from slidectl.control.controller_interface import MultiInterfaceController
-from slidectl.control.duration import to_seconds
+from slidectl.control.duration import header_of, to_seconds
 from slidectl.control.hardware_interface import (
     I,
     JointHandle,
@@ -41,7 +41,6 @@ from slidectl.control.mobile_base import (
     RollingMean,
     check_lengths,
     clamp,
-    header_of,
     publish,
     velocity_commands,
     wheel_radius,
