@@ -53,6 +53,16 @@ slidectl spawn cart --controllers config/cart_control.yaml --start joint_state_c
 slidectl pub /cart/base_controller/cmd_vel '{linear: {x: 0.5}, angular: {z: 0.3}}' -r 10
 slidectl echo /cart/base_controller/odom -n 1
 ```
+
+The shipped car, whose four wheels are steered, takes velocities as well, or a speed and the angles of its axles:
+
+```text
+slidectl spawn car --controllers config/car_control.yaml --start joint_state_controller base_controller
+slidectl pub /car/base_controller/cmd_vel '{linear: {x: 0.5}, angular: {z: 0.4}}' -r 10 -n 20
+slidectl pub /car/base_controller/cmd_four_wheel_steering \\
+  '{speed: 0.5, front_steering_angle: 0.8, rear_steering_angle: 0.8}' -r 10
+slidectl echo /car/base_controller/odom_steer -n 1
+```
 """
 
 
