@@ -67,8 +67,8 @@ slidectl echo /car/base_controller/odom_steer -n 1
 
 ROS_2 = """Files of ROS 2 are read too: what is below `ros__parameters` of a node is taken as directly below the node,
 what a `controller_manager` has there as beside it, and dots in names as slashes. Types that mean the same are
-understood, and the answer to the load says what they are here; `position_controllers/JointGroupPositionController` and others have the
-same name in both."""
+understood, and the answer to the load says what they are here; others, such as
+`position_controllers/JointGroupPositionController`, have the same name in both."""
 
 
 def page() -> str:
@@ -93,8 +93,9 @@ def names_of_ros_2() -> Iterator[str]:
         given = ", ".join(f"`{parameter}` {value}" for parameter, value in known.defaults.items())
         more = "; ".join(filter(None, (new, given and f"by default {given}", known.note)))
         yield f"| `{name}` | {types}{f'; {more}' if more else ''} |"
-    for name, (advice, _) in ros2_names.OTHERS.items():
-        yield f"| `{name}` | is refused; {advice} |"
+    for name, (advice, telling) in ros2_names.OTHERS.items():
+        with_one = f", with {' or '.join(f'`{each}`' for each in telling)}" if telling else ""
+        yield f"| `{name}`{with_one} | is refused; {advice} |"
 
 
 def family(module: str, classes: dict[str, type[ControllerBase]]) -> Iterator[str]:
