@@ -131,7 +131,9 @@ class GazeboReader:
         place = f"{element.title}/{child.title}"
         if child.tag == "sensor":
             self.sensors.of_joint(joint, child, place)
-        elif child.tag != "provideFeedback":  # what goes through a joint is measured in any case
+        elif child.tag == "provideFeedback":
+            self._truth(child, place)  # sensors measure in any case
+        else:
             self.report.ignored(child, "tags of joints have no effect here, but <sensor>", place)
         return True
 

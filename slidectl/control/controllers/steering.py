@@ -126,9 +126,9 @@ class AckermannSteeringController(SteeringController):
         )
         if separation is None or radius is None:
             robot = robot_on_paper(root)
-            wheel, steer = find_joint(robot, rear_wheel), find_joint(robot, front_steer)
+            wheel = find_joint(robot, rear_wheel)
             if separation is None:
-                separation = abs(wheel.origin.xyz[0] - steer.origin.xyz[0])
+                separation = abs(wheel.origin.xyz[0] - find_joint(robot, front_steer).origin.xyz[0])
             if radius is None:
                 radius = wheel_radius(node, robot, wheel)
         check_lengths(node, wheel_separation_h=separation * separation_scale, wheel_radius=radius * radius_scale)
