@@ -69,3 +69,18 @@ def test_a_check_says_the_same_with_the_line_of_each_parameter(world: CommandLin
     assert "makes it effort_controllers" in lines[f"{file}:14", "converted"]
     assert "/rrbot/arm/gains/joint2/d: 60.0" in lines[f"{file}:18", "used"]
     assert "/rrbot/arm/constraints/speed: is unknown to the controller" in lines[f"{file}:19", "ignored"]
+
+
+def test_a_launch_with_a_type_that_means_something_else_starts_nothing(world: CommandLine, tmp_path: Path) -> None:
+    launch = tmp_path / "car.launch"
+    launch.write_text(
+        "<launch><rosparam ns='bot'>{states: {type: joint_state_broadcaster/JointStateBroadcaster},"
+        " base: {type: tricycle_controller/TricycleController}}</rosparam>"
+        "<node name='s' pkg='controller_manager' type='spawner' ns='bot' args='states base'/></launch>",
+        encoding="utf-8",
+    )
+    done = world("launch", str(launch))
+    assert done.returncode != 0
+    assert "controller /bot/base: tricycle_controller/TricycleController of ROS 2 is another controller" in done.stderr
+    assert "JointStateBroadcaster" not in done.stderr
+    assert not world.ok("robots", "--json")
