@@ -12,6 +12,7 @@ command_class
 (
     list_actions,
     list_controllers,
+    doctor,
     reindex,
     filter_command,
     export,
