@@ -244,7 +244,7 @@ class Odometry:
         self._linear, self._angular = RollingMean(self._window), RollingMean(self._window)
 
     def forget(self) -> None:
-        """The base is at the origin."""
+        """The base is at the origin, and its wheels have made no way."""
         self.x = self.y = self.heading = 0.0
 
     def advance(self, linear: float, angular: float, time_ns: int) -> None:

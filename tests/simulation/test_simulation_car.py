@@ -63,3 +63,12 @@ def test_the_car_goes_where_it_is_driven_and_knows_it(topic: str, command: dict,
     # It takes half a second to get to its speed, and meanwhile it loses 0.125 m, or turns less.
     assert car.place() == pytest.approx(place, abs=0.2)
     assert _place(car.odom["pose"]["pose"]) == pytest.approx(car.place(), abs=0.03)
+
+
+def test_after_a_reset_the_car_stands_where_it_was_spawned_and_knows_it() -> None:
+    car = Car()
+    car.drive("cmd_vel", {"linear": {"x": 0.5}, "angular": {"z": 0.4}})
+    car.simulation.call("/gazebo/reset_simulation")
+    car.simulation.step(600)
+    assert car.place() == pytest.approx((0.0, 0.0, 0.0), abs=1e-3)
+    assert _place(car.odom["pose"]["pose"]) == pytest.approx((0.0, 0.0, 0.0), abs=1e-3)

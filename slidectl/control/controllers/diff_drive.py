@@ -66,6 +66,10 @@ class SidesOdometry(Odometry):
         super().__init__(window)
         self._left = self._right = 0.0
 
+    def forget(self) -> None:
+        super().forget()
+        self._left = self._right = 0.0
+
     def update(self, left: float, right: float, separation: float, time_ns: int) -> None:
         """The two sides have made these ways, in m, since the beginning."""
         left_change, right_change = left - self._left, right - self._right

@@ -68,7 +68,7 @@ class SteeringController(MultiInterfaceController):
     """
 
     interface_types = (VelocityJointInterface, PositionJointInterface)
-    odometry: Odometry | FourWheelOdometry
+    odometry: SteeredOdometry | FourWheelOdometry
     velocity: LimitedVelocity
     _topics: OdometryTopics
     _commands: tuple[CommandTopic, ...]
@@ -93,6 +93,23 @@ class SteeringController(MultiInterfaceController):
     def _brake(self) -> None:
         for joint in self._joints:
             joint.command = 0.0
+
+
+class SteeredOdometry(Odometry):
+    """Odometry by the way of a rear wheel and the angle of the steering in front of it."""
+
+    def __init__(self, window: int) -> None:
+        super().__init__(window)
+        self._way = 0.0
+
+    def forget(self) -> None:
+        super().forget()
+        self._way = 0.0
+
+    def update(self, way: float, angle: float, separation: float, time_ns: int) -> None:
+        """The wheel has made this way, in m, since the beginning, and the axles are so far apart."""
+        linear, self._way = way - self._way, way
+        self.advance(linear, tan(angle) * linear / separation, time_ns)
 
 
 @controller("ackermann_steering_controller/AckermannSteeringController")
@@ -135,13 +152,12 @@ class AckermannSteeringController(SteeringController):
         self._separation, self._radius = separation_scale * separation, radius
         self._odometry_radius = radius_scale * radius
         self._is_open_loop: bool = params.value_of(node, OPEN_LOOP)
-        self.odometry: Odometry = Odometry(window_of(node))
+        self.odometry: SteeredOdometry = SteeredOdometry(window_of(node))
         self.velocity = LimitedVelocity(node)
         self._topics = OdometryTopics(node, params.value_of(node, ODOM_FRAME))
         self._wheel = _interface(hw, VelocityJointInterface).get_handle(rear_wheel)
         self._steer = _interface(hw, PositionJointInterface).get_handle(front_steer)
         self._joints = (self._wheel, self._steer)
-        self._way = 0.0
         crowded = None if params.value_of(node, ALLOWS_MANY) else self._brake
         self._commands = (velocity_commands(self, node, crowded),)
 
@@ -155,8 +171,7 @@ class AckermannSteeringController(SteeringController):
             if isnan(position) or isnan(angle):
                 return
             way = position * self._odometry_radius
-            linear, self._way = way - self._way, way
-            odometry.advance(linear, tan(angle * self._steer_scale) * linear / self._separation, time_ns)
+            odometry.update(way, angle * self._steer_scale, self._separation, time_ns)
         if self._topics.are_due(time_ns):
             self._topics.publish(time_ns, odometry, (odometry.linear, 0.0, odometry.angular))
         linear, angle = self._commands[0].at(time_ns) or (0.0, 0.0)
@@ -189,10 +204,9 @@ class FourWheelOdometry:
         """The track of the steering joints, the wheels' distance from them, their radius, the distance of the axles."""
         self._window = window
         self._track, self._offset, self._radius, self._base = track, offset, radius, base
-        self.forget()
         self.linear = self.linear_x = self.linear_y = self.angular = 0.0
         """The velocity's amount, negative backwards, and its components forwards and to the left; m/s and rad/s."""
-        self._last_linear = self._last_acceleration = self._last_front = self._last_rear = 0.0
+        self.forget()
         self.start(0)
 
     def start(self, time_ns: int) -> None:
@@ -201,8 +215,9 @@ class FourWheelOdometry:
         self._acceleration, self._jerk, self._front, self._rear = (RollingMean(self._window) for _ in range(4))
 
     def forget(self) -> None:
-        """The base is at the origin."""
+        """The base is at the origin, and stands."""
         self.x = self.y = self.heading = 0.0
+        self._last_linear = self._last_acceleration = self._last_front = self._last_rear = 0.0
 
     @property
     def changes(self) -> tuple[float, float, float, float]:
