@@ -157,6 +157,18 @@ def test_controllers_publish_what_the_sensors_of_the_model_measure() -> None:
     assert attitudes[-1]["linear_acceleration_covariance"] == from_sensor[-1]["linear_acceleration_covariance"]
 
 
+def test_a_controller_of_sensors_says_that_the_robot_has_none() -> None:
+    simulation = Simulation()
+    simulation.spawn(arm(""), "arm")
+    values = {"type": "imu_sensor_controller/ImuSensorController", "publish_rate": 100}
+    simulation.graph.parameters.set("/arm/attitudes", values)
+    heard: list[str] = []
+    simulation.subscribe("/rosout", lambda message: heard.append(message["msg"]))
+    assert simulation.call("/arm/controller_manager/load_controller", {"name": "attitudes"})["ok"]
+    text = "/arm/attitudes: no sensor is in hardware_interface::ImuSensorInterface: nothing is published"
+    assert text in heard
+
+
 @pytest.mark.parametrize(
     ("more", "text"),
     [

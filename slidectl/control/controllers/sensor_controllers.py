@@ -49,6 +49,8 @@ class SensorController(Controller[I]):
         self._period_ns = from_seconds(1.0 / rate) if rate > 0.0 else None
         if self._period_ns is None:
             node.log("warn", f"{node.namespace}/publish_rate is not above 0: nothing is published")
+        if not interface.names():
+            node.log("warn", f"{node.namespace}: no sensor is in {interface.type_name}: nothing is published")
         self._published_ns = 0
         self._sensors = []
         for name in interface.names():
