@@ -12,6 +12,7 @@ command_class
 (
     list_actions,
     list_controllers,
+    doctor,
     reindex,
     filter_command,
     export,
@@ -35,10 +36,11 @@ ForwardGroupEffortController, ForwardGroupVelocityController, ForwardGroupPositi
 EffortJointPositionController, VelocityJointPositionController, EffortJointGroupPositionController
 PositionJointTrajectoryController, EffortJointTrajectoryController, VelocityJointTrajectoryController
 PosVelAccJointTrajectoryController, PositionGripperActionController, EffortGripperActionController, DiffDriveController
+AckermannSteeringController, FourWheelSteeringController
 Unspawner, GroupScript, StaticTransform, Viewer, Window, JointStatePublisher
 
 # For authors of controllers and of other sources of controllers.
-MultiInterfaceController, register_loader, ONGOING
+register_loader, ONGOING
 
 # Transmissions, limits and PIDs of ros_control: compared with the original by vectors, used when transmissions are applied.
 SimpleTransmission, DifferentialTransmission, FourBarLinkageTransmission

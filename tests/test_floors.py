@@ -135,7 +135,7 @@ def test_every_room_has_a_floor() -> None:
 
 
 def test_the_command_line_has_no_private_door() -> None:
-    doors = {f"slidectl.daemon.{door}" for door in ("cleaning", "lifecycle", "options")}
+    doors = {f"slidectl.daemon.{door}" for door in ("cleaning", "health", "lifecycle", "options")}
     for path in sorted((PACKAGE / "cli").rglob("*.py")):
         assert rooms_used(path) <= CLI_MAY_TAKE, path
         inside = {".".join(name.split(".")[:3]) for name in imported(path) if name.startswith("slidectl.daemon.")}

@@ -78,6 +78,7 @@ COMMANDS = {
     "ros": Entry("The ROS commands", "ros.command", "Run a ROS command word for word."),
     "ros-commands": Entry("The ROS commands", "ros.command", "Print shell functions named as the ROS commands."),
     "shell": Entry("slidectl", "shell", "Run many commands in one process."),
+    "doctor": Entry("slidectl", "doctor", "Look whether slidectl can run here."),
     "completion": Entry("slidectl", "completion", "Print the completion script of a shell."),
     "version": Entry("slidectl", "version", "Print the version."),
 }
