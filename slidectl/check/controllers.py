@@ -18,10 +18,11 @@ from slidectl.check.findings import Findings
 from slidectl.check.model import Model
 from slidectl.control import registry
 from slidectl.control.controller_interface import ControllerBase
-from slidectl.control.hardware_interface import EffortJointInterface, JointStateInterface, ResourceManager
+from slidectl.control.hardware_interface import JointStateInterface, ResourceManager
 from slidectl.control.limits import LIMITS
 from slidectl.control.params import LIST, Parameter, as_boolean, as_number, described
 from slidectl.control.reconfigurable_pid import GAINS
+from slidectl.description import interfaces
 from slidectl.description.controllers_file import retarget
 from slidectl.description.models import read_file
 from slidectl.description.robot import Notice, Robot, Verdict
@@ -60,7 +61,6 @@ _FLAGS = {
 }
 _UNREAD = {
     "has_jerk_limits": "simulated hardware bounds no jerk",
-    "has_soft_limits": "simulated hardware takes soft limits from <safety_controller> only",
 }
 
 
@@ -370,7 +370,7 @@ class ControllerCheck:
             elif model is not None and not driven:
                 text = f"no transmission drives joint {joint!r}, so simulated hardware does not read it"
                 self.source.add("ignored", below, text)
-            elif are_gains and driven == EffortJointInterface.__name__:
+            elif are_gains and driven == interfaces.EFFORT.name:
                 text = f"joint {joint!r} takes efforts, for which simulated hardware needs no PID"
                 self.source.add("ignored", below, text)
             elif isinstance(values, Mapping):

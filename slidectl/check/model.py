@@ -17,8 +17,7 @@ from slidectl import description
 from slidectl.check import bodies
 from slidectl.check.findings import Findings
 from slidectl.check.tags import Tags, Trace, TracedElement, TracedReport, plain, walk
-from slidectl.control.hardware_interface import EffortJointInterface, PositionJointInterface, VelocityJointInterface
-from slidectl.description import xml_tree
+from slidectl.description import interfaces, xml_tree
 from slidectl.description.document import Written
 from slidectl.description.gazebo_tags import SIM_TYPES
 from slidectl.description.mesh_files import MeshFiles
@@ -26,7 +25,7 @@ from slidectl.description.packages import Packages, is_file
 from slidectl.description.parser import parse_tree
 from slidectl.description.report import Report
 from slidectl.description.robot import ControlPlugin, Joint, Link, Notice, Robot, TransmissionInfo, Verdict
-from slidectl.description.transmissions import driving, interface_name, is_simulated
+from slidectl.description.transmissions import driving
 from slidectl.description.xml_tree import Comment, Element
 from slidectl.errors import BadFile, BadName
 
@@ -36,9 +35,6 @@ _EXPRESSION = re.compile(r"\$\{(.*?)\}", re.DOTALL)
 _WORD = re.compile(r"[A-Za-z_]\w*")
 
 _MOVING = ("revolute", "continuous", "prismatic")
-_EFFORT, _POSITION, _VELOCITY = (
-    kind.__name__ for kind in (EffortJointInterface, PositionJointInterface, VelocityJointInterface)
-)
 
 # attribute -> (unit of a joint that slides, unit of one that turns, what it does)
 _MEANINGS = {
@@ -191,7 +187,7 @@ def _tell_unused(written: Written, findings: Findings) -> None:
 
 def driven_joints(robot: Robot) -> dict[str, str]:
     joints = (transmission.joints[0] for transmission in driving(robot.transmissions))
-    return {joint.name: interface_name(joint.hardware_interfaces[0]) for joint in joints}
+    return {joint.name: interfaces.bare(joint.hardware_interfaces[0]) for joint in joints}
 
 
 class _Joints:
@@ -222,16 +218,17 @@ class _Joints:
     def _effect(self, joint: Joint, name: str) -> tuple[Verdict, str]:
         """What a limit does, which is for the interface to say that the joint takes commands by."""
         interface = self.driven.get(joint.name)
+        found = interfaces.find(interface or "")
         if not interface and name in ("velocity", "effort"):
             return "used", "bounds forces from outside only, as no transmission drives the joint"
         if not interface and name in _SOFT:
             return "ignored", "has no effect, as no transmission drives the joint"
         if joint.type == "continuous" and name in _SOFT and name != "k_velocity":
             return "ignored", "has no effect without position limits, which a continuous joint has not"
-        if interface == _POSITION and name == "effort":
+        if found is not None and found.quantity == "position" and name == "effort":
             return "used", "counts only with gains in gazebo_ros_control/pid_gains"
-        if interface in (_POSITION, _VELOCITY) and name == "k_velocity":
-            return "ignored", f"only an {_EFFORT} has a use for it, the joint's is a {interface}"
+        if found not in (None, interfaces.EFFORT) and name == "k_velocity":
+            return "ignored", f"only an {interfaces.EFFORT.name} has a use for it, the joint's is a {interface}"
         return "used", _MEANINGS[name][2]
 
     def tell(self, findings: Findings) -> None:
@@ -284,7 +281,7 @@ def _say_actuators(transmission: TransmissionInfo, root: Element, report: Report
     for actuator in (actuator for tag in whole for actuator in _inside(tag, "actuator")):
         for place in _inside(actuator, "hardwareInterface"):
             written = plain(place).first_text
-            if written and interface_name(written) != interface_name(counts):
+            if written and interfaces.bare(written) != interfaces.bare(counts):
                 text = f"{written} has no effect: the joint's interface counts, {counts}"
                 report.ignored(place, text, f"transmission {transmission.name!r}/{actuator.title}")
 
@@ -339,6 +336,6 @@ def _tell_whole(robot: Robot, root: Element, namespace: str, findings: Findings)
         findings.add("converted", f"robot {robot.name!r}", text, root.file, root.line)
     for transmission in robot.transmissions:
         interface = transmission.joints[0].hardware_interfaces[0]
-        if len(transmission.joints) == 1 and not is_simulated(interface):
+        if len(transmission.joints) == 1 and interfaces.find(interface) is None:
             text = f"transmission {transmission.name!r}: {interface} is no interface of simulated joints"
             findings.refuse(BadFile(text, transmission.file, transmission.line))

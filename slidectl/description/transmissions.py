@@ -9,44 +9,21 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from slidectl.description import element_values
+from slidectl.description import element_values, interfaces
 from slidectl.description.report import Report
 from slidectl.description.robot import Joint, TransmissionActuator, TransmissionInfo, TransmissionJoint
 from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile
 
-_PREFIX = "hardware_interface/"
-SIMULATED_INTERFACES = tuple(
-    _PREFIX + name for name in ("EffortJointInterface", "PositionJointInterface", "VelocityJointInterface")
-)
-"""What a transmission may ask for, as it is best written. `control.hardware_interface` says what each is."""
-_TO_ADD = f"add <hardwareInterface>{SIMULATED_INTERFACES[0]}</hardwareInterface>"
+_TO_ADD = f"add <hardwareInterface>{interfaces.EFFORT.written}</hardwareInterface>"
 _JOINT_CHILDREN = {"role", "hardwareInterface", "offset", "mechanicalReduction"}
 _ACTUATOR_CHILDREN = {"role", "hardwareInterface", "mechanicalReduction"}
 
 
-def is_simulated(interface: str) -> bool:
-    """Whether simulated hardware has an interface, with or without its prefix."""
-    return _prefixed(interface) in SIMULATED_INTERFACES
-
-
-def interface_name(interface: str) -> str:
-    """The name of an interface without any prefix."""
-    return interface.rpartition("/")[2]
-
-
-def _prefixed(interface: str) -> str:
-    return _PREFIX + interface.removeprefix(_PREFIX)
-
-
-def is_same_interface(first: str, second: str) -> bool:
-    """Whether two interfaces are the same, with or without their prefix."""
-    return first.removeprefix(_PREFIX) == second.removeprefix(_PREFIX)
-
-
 def takes_positions(joint: TransmissionJoint) -> bool:
     """Whether a joint of a transmission takes commands by its position."""
-    return is_same_interface(joint.hardware_interfaces[0], "PositionJointInterface")
+    interface = interfaces.find(joint.hardware_interfaces[0])
+    return interface is not None and interface.quantity == "position"
 
 
 def driving(transmissions: Iterable[TransmissionInfo]) -> list[TransmissionInfo]:
@@ -61,7 +38,7 @@ def driving(transmissions: Iterable[TransmissionInfo]) -> list[TransmissionInfo]
         if len(transmission.joints) == 1:
             joint = transmission.joints[0]
             first = counts.setdefault(joint.name, joint.hardware_interfaces[0])
-            if is_same_interface(first, joint.hardware_interfaces[0]):
+            if interfaces.bare(first) == interfaces.bare(joint.hardware_interfaces[0]):
                 found.append(transmission)
     return found
 
@@ -181,7 +158,7 @@ class TransmissionReader:
         before, counts = self.driven.setdefault(joint.name, (element, first))
         if before is not element:
             text = f"joint {joint.name!r} is driven by {before.title} already (line {before.line})"
-            if not is_same_interface(counts, first):
+            if interfaces.bare(counts) != interfaces.bare(first):
                 text = f"{text}, by {counts}: this one is dropped, and no controller finds its interface"
             self.report.wrong(element, text)
         if info.type.rpartition("/")[2] != "SimpleTransmission":
@@ -206,11 +183,12 @@ class TransmissionReader:
         first = joint.hardware_interfaces[0]
         for other in others:
             self.report.ignored(other, f"of several hardware interfaces only the first counts, {first}", place)
-        if not is_simulated(first):
-            text = f"{first} is no interface of simulated joints; known: {', '.join(SIMULATED_INTERFACES)}"
+        interface = interfaces.find(first)
+        if interface is None:
+            text = f"{first} is no interface of simulated joints; known: {interfaces.KNOWN}"
             self.report.wrong(written, text, place)
-        elif first != _prefixed(first):
-            self.report.converted(written, f"{first} is read as {_prefixed(first)}", place)
+        elif first != interface.written:
+            self.report.converted(written, f"{first} is read as {interface.written}", place)
 
 
 def _interfaces(element: Element) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Protocol
 import mujoco
 import numpy as np
 
-from slidectl.control.hardware_interface import EffortJointInterface, command_interface
+from slidectl.description import interfaces
 from slidectl.description.inertia import LEAST, can_move, is_mass, why_impossible
 from slidectl.description.parser import TOO_DEEP, too_deep
 from slidectl.description.rigid_bodies import lumped, rigid_bodies
@@ -382,7 +382,7 @@ class RobotBuilder:
         self._motors = {
             transmission.joints[0].name
             for transmission in driving(robot.transmissions)
-            if command_interface(transmission.joints[0].hardware_interfaces[0]) is not EffortJointInterface
+            if interfaces.find(transmission.joints[0].hardware_interfaces[0]) is not interfaces.EFFORT
         }
         """Joints that may get one."""
 

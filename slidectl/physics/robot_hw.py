@@ -9,18 +9,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from slidectl.control.angular_distance import distance_with_limits, shortest_angular_distance, unwrapped
 from slidectl.control.hardware_interface import (
     COMMAND_INTERFACES,
-    EffortJointInterface,
-    JointCommandInterface,
+    JointCommands,
     JointHandle,
     JointStateInterface,
-    PositionJointInterface,
+    PosVelJointHandle,
     RobotHW,
-    command_interface,
 )
 from slidectl.control.laws import Columns, law
 from slidectl.control.limits import (
@@ -33,13 +31,15 @@ from slidectl.control.limits import (
     limits_from_joint,
     limits_from_parameters,
     soft_limits_from_joint,
+    soft_limits_from_parameters,
 )
 from slidectl.control.node_handle import NodeHandle
 from slidectl.control.params import BadParameter
-from slidectl.control.pid import Pid, next_command
+from slidectl.control.pid import Pid, next_command, next_command_from
 from slidectl.control.reconfigurable_pid import ReconfigurablePid
+from slidectl.description import interfaces
 from slidectl.description.robot import Joint, Robot, TransmissionInfo, TransmissionJoint
-from slidectl.description.transmissions import SIMULATED_INTERFACES, driving
+from slidectl.description.transmissions import driving
 from slidectl.errors import Refused, SlidectlError, listing
 from slidectl.physics.body import Body, JointPlace
 from slidectl.physics.builder import BadPart
@@ -63,7 +63,7 @@ class UnsupportedInterface(BadTransmission):
     def __init__(self, robot: str, transmission: TransmissionInfo, joint: TransmissionJoint) -> None:
         asked = joint.hardware_interfaces[0]
         trouble = f"joint {joint.name!r} asks for {asked!r}, which simulated hardware has not"
-        super().__init__(robot, transmission, trouble, f"it has: {', '.join(SIMULATED_INTERFACES)}")
+        super().__init__(robot, transmission, trouble, f"it has: {interfaces.KNOWN}")
 
 
 class MissingJoint(BadTransmission):
@@ -87,13 +87,14 @@ class Bounds:
 class HardwareJoint:
     """A driven joint: where it is in the world, its handle, the interface it takes commands by, and its bounds."""
 
-    __slots__ = ("bounds", "handle", "interface", "joint", "limit", "name")
+    __slots__ = ("bounds", "handle", "interface", "joint", "limit", "name", "quantity")
 
-    def __init__(self, joint: Joint, interface: type[JointCommandInterface]) -> None:
+    def __init__(self, joint: Joint, interface: type[JointCommands[Any]]) -> None:
         self.name = joint.name
         self.joint = joint
         self.interface = interface
-        self.handle = JointHandle(joint.name)
+        self.quantity = interface.declared.quantity
+        self.handle = interface.handle_type(joint.name)
         self.bounds = Bounds()
         self.limit: LimitHandle | None = None
         self.reset()
@@ -101,9 +102,20 @@ class HardwareJoint:
     def reset(self) -> None:
         """As on the first day."""
         handle = self.handle
-        handle.position, handle.velocity, handle.effort, handle.command = INITIAL_POSITION, 0.0, INITIAL_EFFORT, 0.0
+        handle.position, handle.velocity, handle.effort = INITIAL_POSITION, 0.0, INITIAL_EFFORT
+        self.command(0.0)
         if self.limit is not None:
             self.limit.reset()
+
+    def command(self, command: float) -> None:
+        """This command, and none of velocity or acceleration beside it."""
+        self.handle.command = command
+        for beside in self.interface.declared.beside:
+            setattr(self.handle, beside, 0.0)
+
+    def resting_command(self) -> float:
+        """The command that moves the joint least: its position, or no velocity, or no effort."""
+        return self.handle.position if self.quantity == "position" else 0.0
 
     def register_limits(self, node: NodeHandle) -> None:
         """Take limits from `<limit>`, then from the parameters `joint_limits/<joint>`, which win field by field.
@@ -121,10 +133,10 @@ class HardwareJoint:
             self.bounds.lower, self.bounds.upper = limits.min_position, limits.max_position
         if limits.has_effort_limits:
             self.bounds.effort = limits.max_effort
-        soft = soft_limits_from_joint(self.joint)
+        soft = soft_limits_from_parameters(node, self.name) or soft_limits_from_joint(self.joint)
         self.limit = limit_handle(self.interface, self.handle, limits, soft)
         self.handle.lowest, self.handle.highest = self.limit.command_bounds()
-        if self.interface is EffortJointInterface:  # Gazebo cuts by the URDF, whatever the parameters say
+        if self.quantity == "effort":  # Gazebo cuts by the URDF, whatever the parameters say
             most = EffortTruncation.of(self.joint).effort
             self.handle.lowest, self.handle.highest = max(self.handle.lowest, -most), min(self.handle.highest, most)
 
@@ -142,11 +154,11 @@ def hardware_joints(body: Body) -> list[HardwareJoint]:
 
 
 def _hardware_joint(body: Body, transmission: TransmissionInfo, driven: TransmissionJoint) -> HardwareJoint:
-    interface = command_interface(driven.hardware_interfaces[0])
+    interface = interfaces.find(driven.hardware_interfaces[0])
     if interface is None:
         raise UnsupportedInterface(body.name, transmission, driven)
     try:
-        return HardwareJoint(body.place(driven.name).joint, interface)
+        return HardwareJoint(body.place(driven.name).joint, COMMAND_INTERFACES[interface])
     except SlidectlError as error:
         raise MissingJoint(body, transmission, driven.name) from error
 
@@ -231,7 +243,14 @@ class Drive:
             self._push(0.0 if stopped else self.handle.command)
         else:
             error = -self.handle.velocity if stopped and self.kind == VELOCITY else drive_error(self, self.handle)
-            self._push(bounded(self.pid.compute_command(error, period_s), -self.limit, self.limit))
+            self._push(bounded(self._pid_effort(self.pid, error, period_s), -self.limit, self.limit))
+
+    def _pid_effort(self, pid: Pid, error: float, period_s: float) -> float:
+        return pid.compute_command(error, period_s)
+
+    def _velocity(self, position: float, step_s: float) -> float:
+        """What a motor is to reach in the step; nan to set the joint instead."""
+        return motor_velocity(self, self.handle, position, step_s)
 
     def _push(self, effort: float) -> None:
         """Gazebo's SetForce: cut by the joint's limits; several in one step add up."""
@@ -240,7 +259,7 @@ class Drive:
 
     def _ask_motor(self, stopped: bool) -> None:
         views = self._world.views
-        velocity = motor_velocity(self, self.handle, views.qpos[self._qpos], self._world.timestep)
+        velocity = self._velocity(views.qpos[self._qpos], self._world.timestep)
         if stopped and self.kind == VELOCITY_MOTOR:
             velocity = 0.0
         if math.isnan(velocity):
@@ -248,17 +267,42 @@ class Drive:
         views.velocities[self._dof] = velocity
 
 
+class FeedForwardDrive(Drive):
+    """Of commands of a position with its velocity and acceleration: what the joint is to have at the start of the step.
+
+    A motor brings the joint where these lead by the end of the step, within its limits. How fast it may move is said by
+    its velocity limit, without one by the command. With gains the error of the velocity takes the place of the
+    derivative of the error; the acceleration has no effect then, as nobody knows the inertia.
+    """
+
+    handle: PosVelJointHandle
+
+    def _pid_effort(self, pid: Pid, error: float, period_s: float) -> float:
+        effort = next_command_from(pid, error, self.handle.command_velocity - self.handle.velocity, period_s)
+        pid.tell(error, period_s)
+        return effort
+
+    def _velocity(self, position: float, step_s: float) -> float:
+        acceleration = getattr(self.handle, "command_acceleration", 0.0)
+        fastest = self.joint.limit.max_velocity if self.joint.limit is not None else LARGEST
+        ahead = bounded(self.handle.command_velocity + acceleration * step_s / 2.0, -fastest, fastest)
+        velocity = (bounded(self.handle.command + ahead * step_s, self.lower, self.upper) - position) / step_s
+        most = self.fastest if self.fastest >= 0.0 else 2.0 * abs(ahead)
+        return velocity if abs(velocity) <= most else math.nan
+
+
 _POSITION_KINDS = {"revolute": REVOLVING, "continuous": TURNING}
 
 
 def drive_for(joint: HardwareJoint, node: NodeHandle) -> Drive:
     """The drive of a joint's interface: with a PID where `gazebo_ros_control/pid_gains/<joint>/p` is a number."""
-    if joint.interface is EffortJointInterface:
+    if joint.quantity == "effort":
         return Drive(joint, EFFORT)
     pid = _pid_of(joint, node)
-    if joint.interface is PositionJointInterface:
-        return Drive(joint, POSITION_MOTOR if pid is None else _POSITION_KINDS.get(joint.joint.type, LENGTH), pid)
-    return Drive(joint, VELOCITY_MOTOR if pid is None else VELOCITY, pid)
+    if joint.quantity == "velocity":
+        return Drive(joint, VELOCITY_MOTOR if pid is None else VELOCITY, pid)
+    drive = FeedForwardDrive if joint.interface.declared.beside else Drive
+    return drive(joint, POSITION_MOTOR if pid is None else _POSITION_KINDS.get(joint.joint.type, LENGTH), pid)
 
 
 def _pid_of(joint: HardwareJoint, node: NodeHandle) -> Pid | None:
@@ -295,9 +339,9 @@ class DrivenJoint(NamedTuple):
 
 
 class MujocoRobotHW(RobotHW):
-    """Joint states, and effort, position and velocity commands of the joints that have a transmission.
+    """Joint states, and commands of the joints that have a transmission, by the interfaces that these ask for.
 
-    All four interfaces exist always, even empty. `node` is the robot's: limits are looked for at
+    All interfaces exist always, even empty. `node` is the robot's: limits are looked for at
     `joint_limits/<joint>` and gains at `gazebo_ros_control/pid_gains/<joint>` in it.
 
     Raises:
@@ -398,23 +442,24 @@ class MujocoRobotHW(RobotHW):
             joint = next((one for one in self._joints if (one.interface.type_name, one.name) == (kind, name)), None)
             if joint is None:
                 continue  # another interface of the joint is the one that drives
-            if hold and joint.interface is EffortJointInterface:
+            if hold and joint.quantity == "effort":
                 raise Refused(
                     f"{name} is commanded by its effort, and without a controller no effort holds it where it is",
                     "leave a controller of positions running, or let the joint go: --zero",
                 )
-            if not hold and joint.interface is PositionJointInterface:
+            if not hold and joint.quantity == "position":
                 raise Refused(
                     f"{name} is commanded by its position: zero would move it to 0",
                     "it holds its last command by itself; --hold lets it stay where it is",
                 )
-            commands[kind, name] = joint.handle.position if joint.interface is PositionJointInterface else 0.0
+            commands[kind, name] = joint.resting_command()
         return commands
 
     def command(self, commands: Mapping[tuple[str, str], float]) -> None:
         """Set commands, by interface and joint, that stay until a controller writes others."""
         for joint in self._joints:
-            joint.handle.command = commands.get((joint.interface.type_name, joint.name), joint.handle.command)
+            if (claim := (joint.interface.type_name, joint.name)) in commands:
+                joint.command(commands[claim])
 
     def reset(self) -> None:
         """After the world was reset: angles unwrapped anew, commands 0, limits and gains without a past."""
@@ -428,7 +473,7 @@ class MujocoRobotHW(RobotHW):
 
     def _register(self, node: NodeHandle) -> None:
         states = JointStateInterface()
-        commands = {kind: kind() for kind in COMMAND_INTERFACES}
+        commands = {kind: kind() for kind in COMMAND_INTERFACES.values()}
         for joint in self._joints:
             states.register_handle(joint.handle)
             commands[joint.interface].register_handle(joint.handle)
@@ -440,7 +485,7 @@ class MujocoRobotHW(RobotHW):
     def _is_pushed(self, joint: HardwareJoint) -> bool:
         """Effort joints, except those that several transmissions drive: their efforts add up."""
         alone = sum(other.name == joint.name for other in self._joints) == 1
-        return alone and joint.interface is EffortJointInterface
+        return alone and joint.quantity == "effort"
 
     def _bind(self) -> None:
         """The model was rebuilt: look at its new data, and find the joints if they have moved."""
@@ -480,5 +525,5 @@ class MujocoRobotHW(RobotHW):
         if self._estop and self._held is None:
             self._held = [joint.handle.position for joint in self._joints]
         for joint, position in zip(self._joints, self._held or (), strict=False):
-            if joint.interface is PositionJointInterface:
-                joint.handle.command = position
+            if joint.quantity == "position":
+                joint.command(position)

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import slidectl
 from slidectl import msgs, names
 from slidectl.control.duration import from_seconds
-from slidectl.control.hardware_interface import EffortJointInterface, PositionJointInterface, VelocityJointInterface
 from slidectl.control.node_handle import Message
+from slidectl.description import interfaces
 from slidectl.description.robot import Joint
 from slidectl.description.transmissions import driving
 from slidectl.errors import Refused, SlidectlError, UnknownName, Unused, UsageError, closest, listing
@@ -30,11 +30,7 @@ LONGEST_S = 1e9
 _KINDS = ("topic", "service", "parameter", "node", "robot")
 _MOST_COMPARED = 8
 """Ways to cut a name from a field that are compared with known names for a suggestion, which takes milliseconds."""
-_QUANTITIES = {
-    EffortJointInterface.type_name: "an effort of",
-    VelocityJointInterface.type_name: "a velocity of",
-    PositionJointInterface.type_name: "the position",
-}
+_PHRASES = {interface.type_name: interface.phrase for interface in interfaces.ALL}
 
 Claim = tuple[str, str]
 """An interface and a joint."""
@@ -338,7 +334,7 @@ class OwnServices:
         except SlidectlError as error:
             return {"success": False, "message": str(error), "joints": []}
         joints = list(dict.fromkeys(joint for _, joint in commands))
-        text = "; ".join(f"{joint} keeps {_QUANTITIES[kind]} {value:g}" for (kind, joint), value in commands.items())
+        text = "; ".join(f"{joint} keeps {_PHRASES[kind]} {value:g}" for (kind, joint), value in commands.items())
         return {"success": True, "message": text or "no joint is concerned", "joints": joints}
 
     # Controllers of users

@@ -259,8 +259,8 @@ def _show(joints: bytearray, offset: int, handle: Any) -> None:
 
 
 def _is_compiled(drive: Drive) -> bool:
-    """A PID that publishes each step does so in the interpreter."""
-    return drive.pid is None or drive.pid.observer is None
+    """A PID that publishes each step does so in the interpreter; so do drives of several commands."""
+    return type(drive) is Drive and (drive.pid is None or drive.pid.observer is None)
 
 
 class CompiledController(NamedTuple):
