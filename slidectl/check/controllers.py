@@ -20,7 +20,7 @@ from slidectl.control import registry
 from slidectl.control.controller_interface import ControllerBase
 from slidectl.control.hardware_interface import JointStateInterface, ResourceManager
 from slidectl.control.limits import LIMITS
-from slidectl.control.params import LIST, Parameter, as_boolean, as_number, described
+from slidectl.control.params import LIST, TEXT, Parameter, as_boolean, as_number, described
 from slidectl.control.reconfigurable_pid import GAINS
 from slidectl.description import interfaces
 from slidectl.description.controllers_file import retarget
@@ -47,6 +47,7 @@ _OTHERS = {
 }
 _HARDWARE = ("joint_limits", "gazebo_ros_control")
 _GAINS = "pid_gains"
+_TRANSMISSIONS = Parameter("transmissions", TEXT, "gazebo or real: how transmissions count, read at the spawn")
 # How findings on names that nobody knows begin.
 _UNKNOWN = "is unknown to the controller and has no effect"
 _UNKNOWN_TO_HARDWARE = "simulated hardware does not read it"
@@ -354,6 +355,8 @@ class ControllerCheck:
             for key, value in tree.items():
                 if key == _GAINS and isinstance(value, Mapping):
                     self._joints(f"{path}/{key}", value, Declared(GAINS), model, are_gains=True)
+                elif key == _TRANSMISSIONS.name:
+                    self.source.value(f"{path}/{key}", value, Declared([_TRANSMISSIONS]), key, _UNKNOWN_TO_HARDWARE)
                 else:
                     self.source.unread(f"{path}/{key}", _UNKNOWN_TO_HARDWARE, value)
 

@@ -186,8 +186,7 @@ def _tell_unused(written: Written, findings: Findings) -> None:
 
 
 def driven_joints(robot: Robot) -> dict[str, str]:
-    joints = (transmission.joints[0] for transmission in driving(robot.transmissions))
-    return {joint.name: interfaces.bare(joint.hardware_interfaces[0]) for joint in joints}
+    return {joint.name: interfaces.bare(joint.hardware_interfaces[0]) for _, joint in driving(robot.transmissions)}
 
 
 class _Joints:

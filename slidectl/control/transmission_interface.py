@@ -1,16 +1,16 @@
-"""What a transmission makes of positions, velocities and efforts, in both directions.
+"""What a transmission makes of positions, velocities and efforts, in both directions, and its making from URDF.
 
-The maths of transmission_interface, to the bit. Values are sequences, one per actuator or joint. A simulation
-works in joint space and needs none of it.
+The maths of transmission_interface, to the bit. Values are sequences, one per actuator or joint.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import ClassVar, NamedTuple, TypeVar
 
-from slidectl.errors import Refused
+from slidectl.description.robot import TransmissionActuator, TransmissionInfo, TransmissionJoint
+from slidectl.errors import Refused, UnknownName, listing
 
 Values = Sequence[float]
 
@@ -213,3 +213,60 @@ class FourBarLinkageTransmission(_TwoDofTransmission):
 def _check_reductions(what: str, reductions: Values) -> None:
     if 0.0 in reductions:
         raise BadReductions(f"{what} must not be 0, but is {list(reductions)}")
+
+
+# -- the loaders -------------------------------------------------------------------------------------------------------
+
+_PREFIX = "transmission_interface/"
+_KINDS: dict[str, type[SimpleTransmission | _TwoDofTransmission]] = {
+    _PREFIX + kind.__name__: kind for kind in (SimpleTransmission, DifferentialTransmission, FourBarLinkageTransmission)
+}
+P = TypeVar("P", TransmissionJoint, TransmissionActuator)
+
+
+class LoadedTransmission(NamedTuple):
+    """The maths of a transmission, with its joints and actuators in the order in which that takes values."""
+
+    maths: Transmission
+    joints: tuple[TransmissionJoint, ...]
+    actuators: tuple[TransmissionActuator, ...]
+
+
+def load(info: TransmissionInfo) -> LoadedTransmission:
+    """What the loaders of ros_control make of a transmission.
+
+    Raises:
+        Refused: no such type; too few or too many joints or actuators; a role that is missing, unknown or there twice;
+        an actuator without reduction; a reduction of 0; joints with other interfaces than the first.
+    """
+    kind = _KINDS.get(info.type)
+    if kind is None:
+        raise UnknownName("transmission type", info.type, list(_KINDS))
+    for what, parts in (("joint", info.joints), ("actuator", info.actuators)):
+        if len(parts) != kind.size:
+            raise Refused(f"{info.type} has {kind.size} {what}{'s' * (kind.size > 1)}, not {len(parts)}")
+    for actuator in info.actuators:
+        if actuator.reduction is None:
+            raise Refused(f"actuator {actuator.name!r} has no <mechanicalReduction>")
+    for joint in info.joints:
+        if set(joint.hardware_interfaces) != set(info.joints[0].hardware_interfaces):
+            raise Refused(f"joint {joint.name!r} has other interfaces than joint {info.joints[0].name!r}")
+    joints, actuators = info.joints, info.actuators
+    if kind.size > 1:
+        joints, actuators = _in_roles("joint", joints), _in_roles("actuator", actuators)
+    reductions = [actuator.reduction or 0.0 for actuator in actuators]
+    offsets = [joint.offset for joint in joints]
+    maths: Transmission
+    if issubclass(kind, SimpleTransmission):
+        maths = SimpleTransmission(reductions[0], offsets[0])
+    else:
+        maths = kind(reductions, [joint.reduction for joint in joints], offsets)
+    return LoadedTransmission(maths, joints, actuators)
+
+
+def _in_roles(what: str, parts: Sequence[P]) -> tuple[P, ...]:
+    roles = [f"{what}{number}" for number in range(1, len(parts) + 1)]
+    if sorted(part.role for part in parts) != roles:
+        given = listing([part.role or "none" for part in parts])
+        raise Refused(f"the {what}s need the roles {' and '.join(roles)}, each once; given: {given}")
+    return tuple(sorted(parts, key=lambda part: part.role))

@@ -9,16 +9,16 @@ import math
 from collections.abc import Collection
 from dataclasses import replace
 from itertools import islice
-from typing import Any
+from typing import Any, cast, get_args
 
 from slidectl import names
 from slidectl.description import element_values
 from slidectl.description.missing import Missing
 from slidectl.description.report import Report
-from slidectl.description.robot import ControlPlugin, Surface
+from slidectl.description.robot import ControlPlugin, Surface, Transmissions
 from slidectl.description.sensors import OF_MODEL, SensorReader, library
 from slidectl.description.xml_tree import Element
-from slidectl.errors import NotThere, closest
+from slidectl.errors import NotThere, UnknownName, closest
 
 _CONTROL_PLUGIN = "libgazebo_ros_control"
 _SIM_TYPE = "gazebo_ros_control/DefaultRobotHWSim"
@@ -26,7 +26,15 @@ SIM_TYPES = (_SIM_TYPE, "DefaultRobotHWSim")
 """The hardware that there is, by its names."""
 _MOST_COMPARED = 1000
 _LONGEST_PERIOD = 2**31 - 1
-_PARAMETERS = {"robotNamespace", "robotParam", "robotSimType", "controlPeriod", "eStopTopic", "legacyModeNS"}
+_PARAMETERS = {
+    "robotNamespace",
+    "robotParam",
+    "robotSimType",
+    "controlPeriod",
+    "eStopTopic",
+    "legacyModeNS",
+    "transmissions",
+}
 _OF_LINK = ("mu1", "mu2", "material", "selfCollide", "turnGravityOff")
 _YES = ("true", "yes", "1")
 _NO = ("false", "no", "0")
@@ -106,6 +114,7 @@ class GazeboReader:
             texts.get("eStopTopic") or None,
             element.line,
             element.file,
+            _transmissions(element, texts.get("transmissions")),
         )
 
     def _of_link(self, child: Element, link: str, element: Element) -> bool:
@@ -147,15 +156,30 @@ class GazeboReader:
 
 def leave_out_hardware(root: Element, missing: Missing) -> None:
     """Take the tag away that asks for simulated hardware which is not there, so that the default one is meant."""
-    for gazebo in root.find_all("gazebo"):
-        for plugin in (child for child in gazebo.find_all("plugin") if _is_control(child)):
-            for kind in plugin.find_all("robotSimType"):
-                if _text(kind) in SIM_TYPES:
-                    continue
-                text = f"<robotSimType> {_text(kind)!r} is no simulated hardware; there is {_SIM_TYPE}"
-                error = NotThere(text, kind.file, kind.line, thing=f"robotSimType {_text(kind)}")
-                missing.note(error, "the default is taken")
-                plugin.content[:] = [node for node in plugin.content if node is not kind]
+    for plugin in _control_plugins(root):
+        for kind in plugin.find_all("robotSimType"):
+            if _text(kind) in SIM_TYPES:
+                continue
+            text = f"<robotSimType> {_text(kind)!r} is no simulated hardware; there is {_SIM_TYPE}"
+            error = NotThere(text, kind.file, kind.line, thing=f"robotSimType {_text(kind)}")
+            missing.note(error, "the default is taken")
+            plugin.content[:] = [node for node in plugin.content if node is not kind]
+
+
+def set_transmissions(root: Element, how: Transmissions) -> None:
+    """Have the control plugin say so. A robot without one gets it."""
+    plugin = next(iter(_control_plugins(root)), None)
+    if plugin is None:
+        attributes = {"name": "gazebo_ros_control", "filename": f"{_CONTROL_PLUGIN}.so"}
+        plugin = Element("plugin", attributes, root.file, root.line, [])
+        root.content.append(Element("gazebo", {}, root.file, root.line, [plugin]))
+    others = [node for node in plugin.content if not (isinstance(node, Element) and node.tag == "transmissions")]
+    plugin.content[:] = [*others, Element("transmissions", {}, plugin.file, plugin.line, [how])]
+
+
+def _control_plugins(root: Element) -> list[Element]:
+    plugins = (plugin for gazebo in root.find_all("gazebo") for plugin in gazebo.find_all("plugin"))
+    return [plugin for plugin in plugins if _is_control(plugin)]
 
 
 def _is_control(plugin: Element) -> bool:
@@ -178,6 +202,21 @@ def _namespace(plugin: Element, text: str | None) -> str | None:
         place = plugin.find("robotNamespace") or plugin
         raise place.error(f"robotNamespace {text!r} is not a legal name (letters, digits, '_' and '/')")
     return text
+
+
+def _transmissions(plugin: Element, text: str | None) -> Transmissions | None:
+    try:
+        return None if text is None else transmissions_named(text)
+    except UnknownName as error:
+        raise (plugin.find("transmissions") or plugin).error(error.message, error.hint) from None
+
+
+def transmissions_named(text: str) -> Transmissions:
+    """How transmissions count. Raises UnknownName."""
+    for how in get_args(Transmissions):
+        if text == how:
+            return cast(Transmissions, how)
+    raise UnknownName("way of transmissions", text, get_args(Transmissions))
 
 
 def _period(plugin: Element, text: str | None) -> float | None:

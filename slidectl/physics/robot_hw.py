@@ -7,13 +7,14 @@ robot. `read` and `write` are the hot path: plain tuples and memoryviews, nothin
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from slidectl.control.angular_distance import distance_with_limits, shortest_angular_distance, unwrapped
 from slidectl.control.hardware_interface import (
     COMMAND_INTERFACES,
+    ControllerInfo,
     JointCommands,
     JointHandle,
     JointStateInterface,
@@ -42,19 +43,14 @@ from slidectl.description.robot import Joint, Robot, TransmissionInfo, Transmiss
 from slidectl.description.transmissions import driving
 from slidectl.errors import Refused, SlidectlError, listing
 from slidectl.physics.body import Body, JointPlace
-from slidectl.physics.builder import BadPart
+from slidectl.physics.builder import BadTransmission
 from slidectl.physics.loads import EffortTruncation, truncated
+from slidectl.physics.real_transmissions import ActuatorState, RealTransmission
 from slidectl.physics.world import World
 
 INITIAL_POSITION = 1.0
 INITIAL_EFFORT = 1.0
 """What a handle holds before the first read, as in DefaultRobotHWSim; angles are unwrapped from there."""
-
-
-class BadTransmission(BadPart, Refused):
-    """A transmission that simulated hardware cannot do."""
-
-    kind = "transmission"
 
 
 class UnsupportedInterface(BadTransmission):
@@ -113,6 +109,12 @@ class HardwareJoint:
         for beside in self.interface.declared.beside:
             setattr(self.handle, beside, 0.0)
 
+    def rest(self) -> None:
+        """Begin with the command that moves the joint least."""
+        self.command(self.resting_command())
+        if self.limit is not None:
+            self.limit.reset()
+
     def resting_command(self) -> float:
         """The command that moves the joint least: its position, or no velocity, or no effort."""
         return self.handle.position if self.quantity == "position" else 0.0
@@ -142,25 +144,29 @@ class HardwareJoint:
 
 
 def hardware_joints(body: Body) -> list[HardwareJoint]:
-    """The joints that the transmissions drive, in the order of the file; those with several joints are passed over.
+    """What the transmissions drive, in the order of the file, see `driving`: one for each joint and interface.
 
-    Of several interfaces of a joint the first counts, with or without its prefix.
+    Of several interfaces of a joint the first counts, with or without its prefix; of a real transmission all of those
+    that simulated hardware has, one at a time.
 
     Raises:
         UnsupportedInterface, MissingJoint.
     """
-    found = driving(body.robot.transmissions)
-    return [_hardware_joint(body, transmission, transmission.joints[0]) for transmission in found]
+    return [
+        joint for transmission, driven in driving(body.robot.transmissions) for joint in _of(body, transmission, driven)
+    ]
 
 
-def _hardware_joint(body: Body, transmission: TransmissionInfo, driven: TransmissionJoint) -> HardwareJoint:
-    interface = interfaces.find(driven.hardware_interfaces[0])
-    if interface is None:
+def _of(body: Body, transmission: TransmissionInfo, driven: TransmissionJoint) -> list[HardwareJoint]:
+    written = driven.hardware_interfaces if transmission.is_real else driven.hardware_interfaces[:1]
+    found = [interface for interface in map(interfaces.find, written) if interface is not None]
+    if not found:
         raise UnsupportedInterface(body.name, transmission, driven)
     try:
-        return HardwareJoint(body.place(driven.name).joint, COMMAND_INTERFACES[interface])
+        joint = body.place(driven.name).joint
     except SlidectlError as error:
         raise MissingJoint(body, transmission, driven.name) from error
+    return [HardwareJoint(joint, COMMAND_INTERFACES[interface]) for interface in dict.fromkeys(found)]
 
 
 GAINS = "gazebo_ros_control/pid_gains"
@@ -355,18 +361,37 @@ class MujocoRobotHW(RobotHW):
         self._loads = world.loads
         self._body = body
         self._places: dict[str, JointPlace] = {}
-        self._joints = hardware_joints(body)
+        self._offered = hardware_joints(body)
+        first = {joint.name: joint for joint in reversed(self._offered)}
+        are_real = any(transmission.is_real for transmission in robot.transmissions)
+        self._joints = [joint for joint in self._offered if not are_real or first[joint.name] is joint]
+        """Those that are driven now: by one interface at a time."""
         node = node if node.namespace == namespace else node.child(namespace)
         self._register(node)
-        self._enforce = tuple(limit.enforce for limit in self.limits())
+        self._transmissions = tuple(RealTransmission(body, info) for info in robot.transmissions if info.is_real)
+        self._limited = tuple(transmission for transmission in self._transmissions if transmission.is_limited)
+        self._most = {joint: gears.most_effort(joint) for gears in self._limited for joint in gears.joints}
+        self._drive_of = {joint: drive_for(joint, node) for joint in self._offered if not self._is_pushed(joint)}
         self._held: list[float] | None = None
-        self._drives = tuple(drive_for(joint, node) for joint in self._joints if not self._is_pushed(joint))
-        motors = {drive.joint.name: effort for drive in self._drives if (effort := drive.most_effort) is not None}
-        if motors:
-            world.add_motors(body, motors)
-        self.estop = False
-        self._bind()
+        self._estop = False
+        self._engage()
         body.on_rebound(self._bind)
+
+    def _engage(self) -> None:
+        """Drive the joints by the interfaces that count now."""
+        self._enforce = tuple(limit.enforce for limit in self.limits())
+        self._drives = tuple(self._drive_of[joint] for joint in self._joints if not self._is_pushed(joint))
+        motors = {drive.joint.name: most for drive in self._drives if (most := self._most_of(drive)) is not None}
+        if motors or self._world.has_motors(self._body):
+            self._world.set_motors(self._body, motors)
+        self.estop = self._estop
+        self._places = {}
+        self._bind()
+
+    def _most_of(self, drive: Drive) -> float | None:
+        """The largest effort of a drive's motor; None when it has none. Positions are held by whatever it takes."""
+        most = drive.most_effort
+        return min(most or 0.0, self._most.get(drive.joint.name, math.inf)) if drive.kind == VELOCITY_MOTOR else most
 
     # -- the cycle -------------------------------------------------------------------------------------------------
 
@@ -408,9 +433,40 @@ class MujocoRobotHW(RobotHW):
     @estop.setter
     def estop(self, stopped: bool) -> None:
         self._estop = stopped
-        self._is_special = stopped or bool(self._drives)
+        self._is_special = stopped or bool(self._drives) or bool(self._limited)
         if not stopped:
             self._held = None
+
+    @property
+    def has_compiled_form(self) -> bool:
+        """False for what the interpreter alone does: joints of several interfaces, and actuators with limits."""
+        return len(self._offered) == len(self._joints) and not self._limited
+
+    def do_switch(self, start: Sequence[ControllerInfo], stop: Sequence[ControllerInfo]) -> None:  # noqa: ARG002
+        """Drive joints of several interfaces by those that the controllers claim, from where they are."""
+        claims = {
+            (of.hardware_interface, name) for one in start for of in one.claimed_resources for name in of.resources
+        }
+        claimed = [joint for joint in self._offered if (joint.interface.type_name, joint.name) in claims]
+        new = [joint for joint in claimed if joint not in self._joints]
+        if not new:
+            return
+        names = {joint.name for joint in new}
+        self._joints = [
+            joint for joint in self._offered if joint in new or (joint in self._joints and joint.name not in names)
+        ]
+        for joint in new:
+            joint.rest()
+            drive = self._drive_of.get(joint)
+            if drive is not None and drive.pid is not None:
+                drive.pid.reset()
+        self._held = None
+        self._engage()
+
+    def actuator_states(self) -> list[ActuatorState]:
+        """The actuators of all real transmissions, as the joints were read last."""
+        handles = {joint.name: joint.handle for joint in self._joints}
+        return [state for transmission in self._transmissions for state in transmission.states(handles)]
 
     @property
     def drives(self) -> tuple[Drive, ...]:
@@ -463,9 +519,9 @@ class MujocoRobotHW(RobotHW):
 
     def reset(self) -> None:
         """After the world was reset: angles unwrapped anew, commands 0, limits and gains without a past."""
-        for joint in self._joints:
+        for joint in self._offered:
             joint.reset()
-        for drive in self._drives:
+        for drive in self._drive_of.values():
             if drive.pid is not None:
                 drive.pid.reset()
         self._held = None
@@ -474,7 +530,7 @@ class MujocoRobotHW(RobotHW):
     def _register(self, node: NodeHandle) -> None:
         states = JointStateInterface()
         commands = {kind: kind() for kind in COMMAND_INTERFACES.values()}
-        for joint in self._joints:
+        for joint in self._offered:
             states.register_handle(joint.handle)
             commands[joint.interface].register_handle(joint.handle)
             joint.register_limits(node)
@@ -484,7 +540,7 @@ class MujocoRobotHW(RobotHW):
 
     def _is_pushed(self, joint: HardwareJoint) -> bool:
         """Effort joints, except those that several transmissions drive: their efforts add up."""
-        alone = sum(other.name == joint.name for other in self._joints) == 1
+        alone = joint not in self._joints or sum(other.name == joint.name for other in self._joints) == 1
         return alone and joint.quantity == "effort"
 
     def _bind(self) -> None:
@@ -501,11 +557,13 @@ class MujocoRobotHW(RobotHW):
         sliding: list[_Measured] = []
         turning: list[_Measured] = []
         pushed: list[_Pushed] = []
-        for joint in self._joints:
+        for transmission in self._transmissions:
+            transmission.bind(self._body)
+        for joint in self._offered:
             place = self._body.place(joint.name)
             group = sliding if joint.joint.type == "prismatic" else turning
             group.append((joint.handle, place.qpos, place.dof))
-            if self._is_pushed(joint):
+            if joint in self._joints and self._is_pushed(joint):
                 bounds = EffortTruncation.of(joint.joint)
                 pushed.append((joint.handle, place.dof, bounds.effort, bounds.velocity))
         self._sliding, self._turning, self._pushed = tuple(sliding), tuple(turning), tuple(pushed)
@@ -519,6 +577,8 @@ class MujocoRobotHW(RobotHW):
             self._forces[dof] = 0.0
         for drive in self._drives:
             drive.apply(period_s, self._estop)
+        for transmission in self._limited:
+            transmission.bound(self._forces)
 
     def _mind_estop(self) -> None:
         """While stopped, position commands are the positions that were read when it began."""

@@ -256,9 +256,8 @@ class OwnServices:
     def _robot_info(self, robot: SpawnedRobot) -> Message:
         """slidectl/RobotInfo."""
         paper = robot.paper
-        driven = [transmission.joints[0] for transmission in driving(paper.transmissions)]
         # A joint is commanded through the first of its interfaces, as the hardware reads it.
-        interfaces = {joint.name: joint.hardware_interfaces[0] for joint in driven}
+        first = {joint.name: joint.hardware_interfaces[0] for _, joint in driving(paper.transmissions)}
         position, attitude = self._simulation.world.link_pose(robot.name, paper.root)
         return {
             "name": robot.name,
@@ -266,7 +265,7 @@ class OwnServices:
             "kind": robot.kind,
             "fixed": paper.is_fixed_to_world,
             "links": list(paper.links),
-            "joints": [self._joint_info(robot, joint, interfaces) for joint in paper.joints.values()],
+            "joints": [self._joint_info(robot, joint, first) for joint in paper.joints.values()],
             "controllers": list(robot.parts.manager.names()) if robot.is_controlled else [],
             "pose": [*map(float, position), *map(float, attitude)],
             "report": [

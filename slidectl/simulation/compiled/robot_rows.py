@@ -130,6 +130,7 @@ class RobotRows:
         controllers = [_compiled(update) for update in self.updates]
         is_possible = (
             type(self.parts.hardware) is MujocoRobotHW
+            and self.parts.hardware.has_compiled_form
             and all(_is_compiled(drive) for drive in drives)
             and (not controllers or any(controllers))
         )
