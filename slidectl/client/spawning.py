@@ -43,7 +43,7 @@ def document(
 
 
 def with_transmissions(model: Document, how: str | None, xml: str | None = None) -> str:
-    """The URDF of the model, or `xml` made of it, whose transmissions count so; None: as it says. Raises UnknownName."""
+    """The URDF of the model, or `xml` made of it, whose transmissions count so; None: as it says."""
     from slidectl import description
 
     xml = model.xml if xml is None else xml
