@@ -17,6 +17,7 @@ from slidectl import description
 from slidectl.check import bodies
 from slidectl.check.findings import Findings
 from slidectl.check.tags import Tags, Trace, TracedElement, TracedReport, plain, walk
+from slidectl.control.transmission_interface import load
 from slidectl.description import interfaces, xml_tree
 from slidectl.description.document import Written
 from slidectl.description.gazebo_tags import SIM_TYPES
@@ -27,7 +28,7 @@ from slidectl.description.report import Report
 from slidectl.description.robot import ControlPlugin, Joint, Link, Notice, Robot, TransmissionInfo, Verdict
 from slidectl.description.transmissions import driving
 from slidectl.description.xml_tree import Comment, Element
-from slidectl.errors import BadFile, BadName
+from slidectl.errors import BadFile, BadName, SlidectlError
 
 _PLUGIN = "libgazebo_ros_control.so"
 _TIMESTEP_S = 0.001  # the daemon's own
@@ -74,11 +75,13 @@ def check(
     ask_others: bool = False,
     title: str | None = None,
     strict: bool = False,
+    transmissions: str | None = None,
 ) -> Model | None:
     """Add what there is to say of a model (as description.load takes it); the robot, None when it cannot be read.
 
     `ask_others` asks yourdfpy too, which takes half a second. `title` is what to call a text. `strict` refuses
-    impossible masses, inertias and shapes instead of mending them, as `slidectl spawn --strict` does.
+    impossible masses, inertias and shapes instead of mending them, as `slidectl spawn --strict` does. `transmissions`
+    says how they count, whatever the model says.
 
     Raises:
         BadFile: there is no such file. UnknownName: no such shipped model.
@@ -100,7 +103,10 @@ def check(
         if written.is_whole:
             _tell_unused(written, findings)
     findings.extend(document.report)
-    return check_text(document.xml, document.file, findings, ask_others, packages, strict)
+    xml = document.xml
+    if transmissions is not None:
+        xml = description.with_transmissions(xml, transmissions, document.file)
+    return check_text(xml, document.file, findings, ask_others, packages, strict)
 
 
 def check_text(
@@ -334,6 +340,12 @@ def _tell_whole(robot: Robot, root: Element, namespace: str, findings: Findings)
         text = f"has transmissions but no {_PLUGIN}; here it is driven all the same, in the namespace {namespace}"
         findings.add("converted", f"robot {robot.name!r}", text, root.file, root.line)
     for transmission in robot.transmissions:
+        if transmission.is_real:
+            try:
+                load(transmission)
+            except SlidectlError as error:
+                text = f"transmission {transmission.name!r}: {error.message}"
+                findings.refuse(BadFile(text, transmission.file, transmission.line, error.hint))
         interface = transmission.joints[0].hardware_interfaces[0]
         if len(transmission.joints) == 1 and interfaces.find(interface) is None:
             text = f"transmission {transmission.name!r}: {interface} is no interface of simulated joints"

@@ -87,7 +87,7 @@ class TransmissionReader:
             for joint in info.joints:
                 self._check_real(element, joint)
         elif len(info.joints) > 1:
-            self.report.ignored(element, "simulated hardware takes transmissions with one joint only; this has more")
+            self.report.ignored(element, f"simulated hardware takes transmissions with one joint only; one with more {_IF_REAL}")
         else:
             self._check_simulated(element, info)
         return info

@@ -391,7 +391,7 @@ def _actuator_states(robot: SpawnedRobot) -> Message:
     """As sensor_msgs/JointState."""
     states = robot.hardware.actuator_states()
     return {
-        "header": {"stamp": stamp(robot.node.now_ns())},
+        "header": {"stamp": stamp(robot.node.now_ns()), "frame_id": ""},
         "name": [state.name for state in states],
         "position": [state.position for state in states],
         "velocity": [state.velocity for state in states],
