@@ -17,10 +17,10 @@ from slidectl import description
 from slidectl.check import bodies
 from slidectl.check.findings import Findings
 from slidectl.check.tags import Tags, Trace, TracedElement, TracedReport, plain, walk
+from slidectl.control import hardware_types
 from slidectl.control.transmission_interface import load
 from slidectl.description import interfaces, xml_tree
 from slidectl.description.document import Written
-from slidectl.description.gazebo_tags import SIM_TYPES
 from slidectl.description.mesh_files import MeshFiles
 from slidectl.description.packages import Packages, is_file
 from slidectl.description.parser import parse_tree
@@ -28,7 +28,7 @@ from slidectl.description.report import Report
 from slidectl.description.robot import ControlPlugin, Joint, Link, Notice, Robot, TransmissionInfo, Verdict
 from slidectl.description.transmissions import driving
 from slidectl.description.xml_tree import Comment, Element
-from slidectl.errors import BadFile, BadName, SlidectlError
+from slidectl.errors import BadFile, BadName, SlidectlError, UnknownName
 
 _PLUGIN = "libgazebo_ros_control.so"
 _TIMESTEP_S = 0.001  # the daemon's own
@@ -333,9 +333,10 @@ def _tell_whole(robot: Robot, root: Element, namespace: str, findings: Findings)
         findings.add("used", subject, f"note: controllers live in the namespace {namespace}", file, plugin.line)
         if not is_driven:
             findings.add("used", subject, "note: without a transmission it drives no joint", file, plugin.line)
-        if plugin.robot_sim_type not in SIM_TYPES:
-            text = f"robotSimType {plugin.robot_sim_type} is unknown"
-            findings.refuse(BadFile(text, plugin.file, plugin.line, f"there is {SIM_TYPES[0]}"))
+        try:
+            hardware_types.check_known(plugin.robot_sim_type)
+        except UnknownName as error:
+            findings.refuse(BadFile(error.message, plugin.file, plugin.line, error.hint))
     elif is_driven:
         text = f"has transmissions but no {_PLUGIN}; here it is driven all the same, in the namespace {namespace}"
         findings.add("converted", f"robot {robot.name!r}", text, root.file, root.line)

@@ -8,8 +8,9 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 from dataclasses import replace
+from functools import cache
 from itertools import islice
-from typing import Any, cast, get_args
+from typing import TYPE_CHECKING, Any, cast, get_args
 
 from slidectl import names
 from slidectl.description import element_values
@@ -18,12 +19,16 @@ from slidectl.description.report import Report
 from slidectl.description.robot import ControlPlugin, Surface, Transmissions
 from slidectl.description.sensors import OF_MODEL, SensorReader, library
 from slidectl.description.xml_tree import Element
-from slidectl.errors import NotThere, UnknownName, closest
+from slidectl.errors import NotThere, UnknownName, closest, listing
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 _CONTROL_PLUGIN = "libgazebo_ros_control"
-_SIM_TYPE = "gazebo_ros_control/DefaultRobotHWSim"
-SIM_TYPES = (_SIM_TYPE, "DefaultRobotHWSim")
-"""The hardware that there is, by its names."""
+SIM_TYPES = (ControlPlugin.robot_sim_type, "DefaultRobotHWSim")
+"""The default hardware, by its names."""
+HARDWARE_ENTRY_POINTS = "slidectl.robot_hw"
+"""The group in which an installed package names its simulated hardware: a type, and `module:Class`."""
 _MOST_COMPARED = 1000
 _LONGEST_PERIOD = 2**31 - 1
 _PARAMETERS = {
@@ -100,16 +105,12 @@ class GazeboReader:
         self.report.unknown(element, {"name", "filename"}, _PARAMETERS, place)
         found = {tag: child for tag in _PARAMETERS if (child := self.report.only(element, tag)) is not None}
         texts = {tag: _text(child) for tag, child in found.items()}
-        sim_type = texts.get("robotSimType", _SIM_TYPE)
-        if sim_type not in SIM_TYPES:
-            text = f"robotSimType {sim_type} is unknown; there is {_SIM_TYPE} only, and no robot without"
-            self.report.wrong(found["robotSimType"], text, place)
         if "legacyModeNS" in texts:
             self.report.ignored(found["legacyModeNS"], "legacyModeNS has no effect, as since ROS Melodic", place)
         return ControlPlugin(
             _namespace(element, texts.get("robotNamespace")),
             texts.get("robotParam") or "robot_description",
-            sim_type,
+            texts.get("robotSimType") or ControlPlugin.robot_sim_type,
             _period(element, texts.get("controlPeriod")),
             texts.get("eStopTopic") or None,
             element.line,
@@ -155,15 +156,29 @@ class GazeboReader:
 
 
 def leave_out_hardware(root: Element, missing: Missing) -> None:
-    """Take the tag away that asks for simulated hardware which is not there, so that the default one is meant."""
+    """Take the tag away that asks for simulated hardware which is not there, so that the default one is meant.
+
+    Where nothing is left out and nothing else is missing the daemon judges: it may have imported more.
+    """
+    if not missing and not missing.keeps_going:
+        return
+    known = (*SIM_TYPES, *installed_hardware())
     for plugin in _control_plugins(root):
         for kind in plugin.find_all("robotSimType"):
-            if _text(kind) in SIM_TYPES:
+            if _text(kind) in known:
                 continue
-            text = f"<robotSimType> {_text(kind)!r} is no simulated hardware; there is {_SIM_TYPE}"
+            text = f"<robotSimType> {_text(kind)!r} is no simulated hardware; there is {listing(known)}"
             error = NotThere(text, kind.file, kind.line, thing=f"robotSimType {_text(kind)}")
             missing.note(error, "the default is taken")
             plugin.content[:] = [node for node in plugin.content if node is not kind]
+
+
+@cache
+def installed_hardware() -> dict[str, EntryPoint]:
+    """The types of hardware that installed packages name."""
+    from importlib.metadata import entry_points
+
+    return {point.name: point for point in entry_points(group=HARDWARE_ENTRY_POINTS)}
 
 
 def set_transmissions(root: Element, how: Transmissions) -> None:

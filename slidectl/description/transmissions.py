@@ -87,7 +87,9 @@ class TransmissionReader:
             for joint in info.joints:
                 self._check_real(element, joint)
         elif len(info.joints) > 1:
-            self.report.ignored(element, f"simulated hardware takes transmissions with one joint only; one with more {_IF_REAL}")
+            self.report.ignored(
+                element, f"simulated hardware takes transmissions with one joint only; one with more {_IF_REAL}"
+            )
         else:
             self._check_simulated(element, info)
         return info

@@ -376,6 +376,22 @@ class MujocoRobotHW(RobotHW):
         self._estop = False
         self._engage()
         body.on_rebound(self._bind)
+        self.init(node)
+
+    def init(self, node: NodeHandle) -> None:
+        """For classes of users: once, when the robot is spawned, with its namespace. Parameters, topics, interfaces."""
+
+    def joint_state(self, joint: str) -> tuple[float, float, float]:
+        """Position, velocity and effort of the last step of any joint that moves. Raises UnknownName."""
+        return self._world.joint_state(self._body.name, joint)
+
+    def joint_effort(self, joint: str) -> float:
+        """The effort of the hardware on a joint in the coming step. Raises UnknownName."""
+        return self._world.views.forces[self._body.place(joint).dof]
+
+    def set_joint_effort(self, joint: str, effort: float) -> None:
+        """Another effort, after `write`; on a joint without transmission it stays. Raises UnknownName."""
+        self._world.views.forces[self._body.place(joint).dof] = effort
 
     def _engage(self) -> None:
         """Drive the joints by the interfaces that count now."""

@@ -14,11 +14,12 @@ from functools import partial
 from typing import NamedTuple
 
 from slidectl import description, names
+from slidectl.control import hardware_types
 from slidectl.control.controller_manager import ControllerManager
 from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message
+from slidectl.control.user_classes import file_of, watched_for
 from slidectl.description import source_note
-from slidectl.description.gazebo_tags import SIM_TYPES
 from slidectl.description.robot import ControlPlugin, Robot
 from slidectl.errors import BadFile, Refused, UnknownName
 from slidectl.physics import EngineError, Overlap, World
@@ -249,9 +250,10 @@ class Robots:
         if plugin.transmissions is None and how is not None:
             urdf, note = source_note.split(description.with_transmissions(source_note.join(urdf, note), str(how)))
             paper = description.parse(source_note.join(urdf, note))
-        if plugin.robot_sim_type not in SIM_TYPES:
-            reason = f"<robotSimType> {plugin.robot_sim_type!r} is no simulated hardware; there is {SIM_TYPES[0]}"
-            raise BadFile(reason, DESCRIPTION, plugin.line)
+        try:
+            hardware_types.check_known(plugin.robot_sim_type)
+        except UnknownName as error:
+            raise BadFile(error.message, plugin.file or DESCRIPTION, plugin.line, error.hint) from None
         is_controlled = not is_model or paper.plugin is not None or bool(paper.transmissions)
         parsed = ParsedRobot(name, place, paper, urdf, note, self._loop.graph.caller, is_controlled)
         self._check_namespace(parsed)
@@ -291,7 +293,9 @@ class Robots:
     def _bring_up_control(self, robot: SpawnedRobot, undoing: ExitStack) -> None:
         loop, parts, plugin = self._loop, robot.parts, robot.paper.plugin or ControlPlugin()
         _put_description(robot, loop, undoing)
-        parts.hardware = MujocoRobotHW(self._world, robot.body, robot.paper, robot.node, robot.namespace)
+        with watched_for("robotSimType", plugin.robot_sim_type):
+            made = _hardware_class(plugin.robot_sim_type)
+            parts.hardware = made(self._world, robot.body, robot.paper, robot.node, robot.namespace)
         robot.look()
         parts.manager = ControllerManager(parts.hardware, robot.node)
         period_ns = _control_period(plugin, loop.step_ns, robot)
@@ -369,6 +373,15 @@ class Robots:
         if owner is not None:
             text = f"the namespace {parsed.namespace} belongs to robot {owner.name!r} already"
             raise Refused(text, "give this one another namespace")
+
+
+def _hardware_class(sim_type: str) -> type[MujocoRobotHW]:
+    """Raises BadFile: the class is none of simulated hardware. Else as `hardware_types.find`."""
+    cls = hardware_types.find(sim_type) or MujocoRobotHW
+    if not issubclass(cls, MujocoRobotHW):
+        hint = f"class {cls.__name__}(slidectl.physics.MujocoRobotHW): ..."
+        raise BadFile(f"{sim_type} is not derived from slidectl.physics.MujocoRobotHW", file_of(cls), None, hint)
+    return cls
 
 
 def _put_description(robot: SpawnedRobot, loop: Loop, undoing: ExitStack) -> None:
