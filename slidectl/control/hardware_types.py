@@ -25,7 +25,7 @@ def types() -> list[str]:
 
 
 def add_all(module: ModuleType, prefix: str) -> list[str]:
-    """Take in the hardware that a module defines: the prefix and the name of the class; but none that begins with `_`."""
+    """Take in the hardware that a module defines: the prefix and the class name; but none that begins with `_`."""
     found = {
         f"{prefix}{name}": value
         for name, value in vars(module).items()
