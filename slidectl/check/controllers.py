@@ -373,7 +373,7 @@ class ControllerCheck:
             elif model is not None and not driven:
                 text = f"no transmission drives joint {joint!r}, so simulated hardware does not read it"
                 self.source.add("ignored", below, text)
-            elif are_gains and driven == interfaces.EFFORT.name:
+            elif are_gains and driven == [interfaces.EFFORT.name]:
                 text = f"joint {joint!r} takes efforts, for which simulated hardware needs no PID"
                 self.source.add("ignored", below, text)
             elif isinstance(values, Mapping):
@@ -473,8 +473,9 @@ def _trouble(model: Model, joint: str, cls: type[ControllerBase]) -> str | None:
     if offered is None:
         return f"no transmission drives joint {joint!r}, so controllers do not know it"
     wanted = {interface.type_name.rpartition("::")[2] for interface in _interfaces(cls)}
-    if wanted and not wanted & {offered, JointStateInterface.__name__}:
-        return f"the transmission of joint {joint!r} offers {offered}, the controller needs {' or '.join(wanted)}"
+    if wanted and not wanted & {*offered, JointStateInterface.__name__}:
+        needed = f"the controller needs {' or '.join(wanted)}"
+        return f"the transmission of joint {joint!r} offers {' and '.join(offered)}, {needed}"
     return None
 
 

@@ -62,8 +62,8 @@ class Model:
     namespace: str
 
     @cached_property
-    def driven(self) -> dict[str, str]:
-        """The joints that simulated hardware drives, with the name of the interface that each takes commands by."""
+    def driven(self) -> dict[str, list[str]]:
+        """The joints that simulated hardware drives, with the names of the interfaces that each takes commands by."""
         return driven_joints(self.robot)
 
 
@@ -191,8 +191,9 @@ def _tell_unused(written: Written, findings: Findings) -> None:
 # --- joints -----------------------------------------------------------------------------------------------------------
 
 
-def driven_joints(robot: Robot) -> dict[str, str]:
-    return {joint.name: interfaces.bare(joint.hardware_interfaces[0]) for _, joint in driving(robot.transmissions)}
+def driven_joints(robot: Robot) -> dict[str, list[str]]:
+    joints = (joint for _, joint in driving(robot.transmissions))
+    return {joint.name: list(map(interfaces.bare, joint.hardware_interfaces)) for joint in joints}
 
 
 class _Joints:
@@ -222,7 +223,7 @@ class _Joints:
 
     def _effect(self, joint: Joint, name: str) -> tuple[Verdict, str]:
         """What a limit does, which is for the interface to say that the joint takes commands by."""
-        interface = self.driven.get(joint.name)
+        interface = next(iter(self.driven.get(joint.name, ())), None)
         found = interfaces.find(interface or "")
         if not interface and name in ("velocity", "effort"):
             return "used", "bounds forces from outside only, as no transmission drives the joint"
@@ -343,11 +344,12 @@ def _tell_whole(robot: Robot, root: Element, namespace: str, findings: Findings)
     for transmission in robot.transmissions:
         if transmission.is_real:
             try:
-                load(transmission)
+                load(transmission, robot)
             except SlidectlError as error:
                 text = f"transmission {transmission.name!r}: {error.message}"
                 findings.refuse(BadFile(text, transmission.file, transmission.line, error.hint))
-        interface = transmission.joints[0].hardware_interfaces[0]
-        if len(transmission.joints) == 1 and interfaces.find(interface) is None:
-            text = f"transmission {transmission.name!r}: {interface} is no interface of simulated joints"
+    for transmission, joint in driving(robot.transmissions):
+        if not any(map(interfaces.find, joint.hardware_interfaces)):
+            written = ", ".join(joint.hardware_interfaces)
+            text = f"transmission {transmission.name!r}: {written} is no interface of simulated joints"
             findings.refuse(BadFile(text, transmission.file, transmission.line))

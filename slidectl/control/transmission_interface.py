@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import ClassVar, NamedTuple, TypeVar
 
-from slidectl.description.robot import TransmissionActuator, TransmissionInfo, TransmissionJoint
+from slidectl.description.robot import Robot, TransmissionActuator, TransmissionInfo, TransmissionJoint
 from slidectl.errors import Refused, UnknownName, listing
 
 Values = Sequence[float]
@@ -231,13 +231,29 @@ class LoadedTransmission(NamedTuple):
     joints: tuple[TransmissionJoint, ...]
     actuators: tuple[TransmissionActuator, ...]
 
+    @property
+    def ratios(self) -> list[list[float]]:
+        """The velocities of the actuators by the joint that has one of 1 alone."""
+        size = range(len(self.joints))
+        return [self.maths.actuator_velocity([float(row == column) for row in size]) for column in size]
 
-def load(info: TransmissionInfo) -> LoadedTransmission:
+    @property
+    def rotor_inertia(self) -> list[list[float]]:
+        """What the actuators' rotors add to the mass matrix of the joints."""
+        inertias = [actuator.rotor_inertia for actuator in self.actuators]
+        return [
+            [sum(i * a * b for i, a, b in zip(inertias, first, second, strict=True)) for second in self.ratios]
+            for first in self.ratios
+        ]
+
+
+def load(info: TransmissionInfo, robot: Robot) -> LoadedTransmission:
     """What the loaders of ros_control make of a transmission.
 
     Raises:
         Refused: no such type; too few or too many joints or actuators; a role that is missing, unknown or there twice;
-        an actuator without reduction; a reduction of 0; joints with other interfaces than the first.
+        an actuator without reduction; a reduction of 0; joints with other interfaces than the first; rotors that couple
+        joints of which neither is above the other, which the physics cannot do.
     """
     kind = _KINDS.get(info.type)
     if kind is None:
@@ -261,7 +277,22 @@ def load(info: TransmissionInfo) -> LoadedTransmission:
         maths = SimpleTransmission(reductions[0], offsets[0])
     else:
         maths = kind(reductions, [joint.reduction for joint in joints], offsets)
-    return LoadedTransmission(maths, joints, actuators)
+    loaded = LoadedTransmission(maths, joints, actuators)
+    if kind.size > 1 and loaded.rotor_inertia[0][1] != 0.0 and not _are_in_a_chain(robot, *joints):
+        text = "its rotors couple two joints of which neither is above the other, which MuJoCo cannot do"
+        raise Refused(text, "give rotors that the joints feel alike, or none")
+    return loaded
+
+
+def _are_in_a_chain(robot: Robot, first: TransmissionJoint, second: TransmissionJoint) -> bool:
+    above = {joint.child: joint for joint in robot.joints.values()}
+    for start, end in ((first, second), (second, first)):
+        joint = robot.joints.get(start.name)
+        while joint is not None and joint.name != end.name:
+            joint = above.get(joint.parent)
+        if joint is not None:
+            return True
+    return False
 
 
 def _in_roles(what: str, parts: Sequence[P]) -> tuple[P, ...]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import Any
 
 from slidectl.description import element_values, interfaces
@@ -36,10 +37,11 @@ def takes_positions(joint: TransmissionJoint) -> bool:
 
 
 def driving(transmissions: Iterable[TransmissionInfo]) -> list[tuple[TransmissionInfo, TransmissionJoint]]:
-    """The transmissions that simulated hardware makes use of, each with a joint that it drives by its first interface.
+    """The transmissions that simulated hardware makes use of, each with a joint and the interfaces that count.
 
-    All joints of real transmissions; of the others those with one joint. Of several interfaces of one joint the first
-    counts then, in one transmission as in several. Several transmissions by the same interface all drive the joint.
+    All joints of real transmissions, with all interfaces; of the others those with one joint. Of several interfaces of
+    a joint the first counts then, in one transmission as in several. Several transmissions by the same interface all
+    drive the joint.
     """
     counts: dict[str, str] = {}
     found: list[tuple[TransmissionInfo, TransmissionJoint]] = []
@@ -50,7 +52,7 @@ def driving(transmissions: Iterable[TransmissionInfo]) -> list[tuple[Transmissio
             joint = transmission.joints[0]
             first = counts.setdefault(joint.name, joint.hardware_interfaces[0])
             if interfaces.bare(first) == interfaces.bare(joint.hardware_interfaces[0]):
-                found.append((transmission, joint))
+                found.append((transmission, replace(joint, hardware_interfaces=joint.hardware_interfaces[:1])))
     return found
 
 

@@ -389,8 +389,8 @@ class RobotBuilder:
         self.hulls = hulls
         self._motors = {
             joint.name
-            for transmission, joint in driving(robot.transmissions)
-            for written in (joint.hardware_interfaces if transmission.is_real else joint.hardware_interfaces[:1])
+            for _, joint in driving(robot.transmissions)
+            for written in joint.hardware_interfaces
             if interfaces.find(written) is not interfaces.EFFORT
         }
         """Joints that may get one."""
@@ -504,50 +504,29 @@ class RobotBuilder:
 
         Where two joints share rotors it couples them, which a tendon does for each rotor that has the rotor's velocity.
         """
-        maths, joints, actuators = loaded(self.name, info)
-        if not any(actuator.rotor_inertia for actuator in actuators):
-            return
-        if any(joint.name not in self._made for joint in joints):
+        transmission = loaded(self.robot, self.name, info)
+        if any(joint.name not in self._made for joint in transmission.joints):
             return  # the hardware says which joint is not there
-        made = [self._made[joint.name] for joint in joints]
-        size = len(joints)
-        ratios = [maths.actuator_velocity([float(row == column) for row in range(size)]) for column in range(size)]
-
-        def felt(first: int, second: int) -> float:
-            rotors = enumerate(actuator.rotor_inertia for actuator in actuators)
-            return sum(inertia * ratios[first][at] * ratios[second][at] for at, inertia in rotors)
-
-        if size == 1 or felt(0, 1) == 0.0:
+        made = [self._made[joint.name] for joint in transmission.joints]
+        felt = transmission.rotor_inertia
+        if len(made) == 1 or felt[0][1] == 0.0:
             for at, joint in enumerate(made):
-                joint.armature += felt(at, at)
+                joint.armature += felt[at][at]
             return
-        if not self._are_in_a_chain(*(self.robot.joints[joint.name] for joint in joints)):
-            text = "its rotors couple two joints of which neither is above the other, which MuJoCo cannot do"
-            raise BadTransmission(self.name, info, text, "give rotors that the joints feel alike, or none")
-        for at, actuator in enumerate(actuators):
+        for at, actuator in enumerate(transmission.actuators):
             if actuator.rotor_inertia:
                 rotor = self.spec.add_tendon(name=f"{self.name}//{len(self.spec.tendons)}")
                 rotor.armature = actuator.rotor_inertia
-                for joint, ratio in zip(made, ratios, strict=True):
-                    rotor.wrap_joint(joint.name, ratio[at])
-
-    def _are_in_a_chain(self, first: Joint, second: Joint) -> bool:
-        above = {joint.child: joint for joint in self.robot.joints.values()}
-        for start, end in ((first, second), (second, first)):
-            joint: Joint | None = start
-            while joint is not None and joint is not end:
-                joint = above.get(joint.parent)
-            if joint is end:
-                return True
-        return False
+                for joint, ratios in zip(made, transmission.ratios, strict=True):
+                    rotor.wrap_joint(joint.name, ratios[at])
 
 
-def loaded(robot: str, info: TransmissionInfo) -> LoadedTransmission:
+def loaded(robot: Robot, name: str, info: TransmissionInfo) -> LoadedTransmission:
     """What the loaders of ros_control make of a transmission. Raises BadTransmission, with the reason of theirs."""
     try:
-        return load(info)
+        return load(info, robot)
     except SlidectlError as error:
-        raise BadTransmission(robot, info, error.message, error.hint) from None
+        raise BadTransmission(name, info, error.message, error.hint) from None
 
 
 def set_damping(made: Any, damping: float) -> None:

@@ -29,7 +29,7 @@ class RealTransmission:
 
     def __init__(self, body: Body, info: TransmissionInfo) -> None:
         """Raises BadTransmission: the loaders of ros_control refuse it."""
-        self._maths, joints, self._actuators = loaded(body.name, info)
+        self._maths, joints, self._actuators = loaded(body.robot, body.name, info)
         self.joints = [joint.name for joint in joints]
         self._most = [actuator.max_effort for actuator in self._actuators]
         self.is_limited = min(self._most) < math.inf

@@ -158,8 +158,7 @@ def hardware_joints(body: Body) -> list[HardwareJoint]:
 
 
 def _of(body: Body, transmission: TransmissionInfo, driven: TransmissionJoint) -> list[HardwareJoint]:
-    written = driven.hardware_interfaces if transmission.is_real else driven.hardware_interfaces[:1]
-    found = [interface for interface in map(interfaces.find, written) if interface is not None]
+    found = [interface for interface in map(interfaces.find, driven.hardware_interfaces) if interface is not None]
     if not found:
         raise UnsupportedInterface(body.name, transmission, driven)
     try:
@@ -478,6 +477,10 @@ class MujocoRobotHW(RobotHW):
                 drive.pid.reset()
         self._held = None
         self._engage()
+
+    def interfaces(self) -> dict[str, str]:
+        """By which interface each joint takes commands now."""
+        return {joint.name: joint.interface.declared.written for joint in self._joints}
 
     def actuator_states(self) -> list[ActuatorState]:
         """The actuators of all real transmissions, as the joints were read last."""

@@ -16,7 +16,6 @@ from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message
 from slidectl.description import interfaces
 from slidectl.description.robot import Joint
-from slidectl.description.transmissions import driving
 from slidectl.errors import Refused, SlidectlError, UnknownName, Unused, UsageError, closest, listing
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.rosapi import absolute, from_json, typedefs
@@ -256,8 +255,7 @@ class OwnServices:
     def _robot_info(self, robot: SpawnedRobot) -> Message:
         """slidectl/RobotInfo."""
         paper = robot.paper
-        # A joint is commanded through the first of its interfaces, as the hardware reads it.
-        first = {joint.name: joint.hardware_interfaces[0] for _, joint in driving(paper.transmissions)}
+        commanded = robot.parts.hardware.interfaces() if robot.is_controlled else {}
         position, attitude = self._simulation.world.link_pose(robot.name, paper.root)
         return {
             "name": robot.name,
@@ -265,7 +263,7 @@ class OwnServices:
             "kind": robot.kind,
             "fixed": paper.is_fixed_to_world,
             "links": list(paper.links),
-            "joints": [self._joint_info(robot, joint, first) for joint in paper.joints.values()],
+            "joints": [self._joint_info(robot, joint, commanded) for joint in paper.joints.values()],
             "controllers": list(robot.parts.manager.names()) if robot.is_controlled else [],
             "pose": [*map(float, position), *map(float, attitude)],
             "report": [
@@ -276,7 +274,7 @@ class OwnServices:
             "process_session": robot.caller,
         }
 
-    def _joint_info(self, robot: SpawnedRobot, joint: Joint, interfaces: dict[str, str]) -> Message:
+    def _joint_info(self, robot: SpawnedRobot, joint: Joint, commanded: dict[str, str]) -> Message:
         position: Any = math.nan
         velocity = effort = position
         if joint.type in ("revolute", "continuous", "prismatic"):
@@ -286,7 +284,7 @@ class OwnServices:
         return {
             "name": joint.name,
             "type": joint.type,
-            "hardware_interface": interfaces.get(joint.name, ""),
+            "hardware_interface": commanded.get(joint.name, ""),
             "position": position,
             "velocity": velocity,
             "effort": effort,

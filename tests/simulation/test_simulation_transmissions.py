@@ -277,6 +277,8 @@ def test_a_joint_goes_to_the_interface_of_the_controller_that_starts_and_stays_w
         there = position()
         simulation.step(300)
         assert position() == pytest.approx(there, abs=1e-3), f"held by {name}"
+        [robot] = simulation.call("/slidectl/list_robots")["robots"]
+        assert name in robot["joints"][0]["hardware_interface"].lower()
     simulation.publish("/a/velocity/command", {"data": 0.5})
     simulation.step(100)
     assert simulation.world.joint_state("a", "joint1")[1] == pytest.approx(0.5)
