@@ -22,8 +22,8 @@ PositionJointTrajectoryController, EffortJointTrajectoryController, VelocityJoin
 PosVelAccJointTrajectoryController, PositionGripperActionController, EffortGripperActionController, DiffDriveController
 Unspawner, GroupScript, StaticTransform, Viewer, Window, JointStatePublisher
 
-# For authors of controllers and of other sources of controllers.
-MultiInterfaceController, register_loader, ONGOING
+# For authors of controllers, of other sources of controllers, and of hardware.
+MultiInterfaceController, register_loader, ONGOING, set_joint_effort
 
 # Transmissions, limits and PIDs of ros_control: compared with the original by vectors, used when transmissions are applied.
 SimpleTransmission, DifferentialTransmission, FourBarLinkageTransmission

@@ -13,6 +13,7 @@ from slidectl.control import hardware_types
 from slidectl.description import gazebo_tags
 from slidectl.errors import SlidectlError
 from slidectl.simulation import Simulation
+from slidectl.simulation.compiled.object_file import is_possible
 
 HARDWARE = '''
 from slidectl.control import RobotHW
@@ -90,8 +91,15 @@ def test_hardware_that_cannot_be_refuses_the_spawn_and_leaves_nothing(file: str,
     assert simulation.world.names() == []
 
 
-def test_an_exception_in_a_cycle_holds_the_world_and_says_where(file: str) -> None:
-    simulation = Simulation(ground=False, imports=[file])
+@pytest.mark.parametrize(
+    "engine",
+    ["plain", pytest.param("compiled", marks=pytest.mark.skipif(not is_possible(), reason="numba is not installed"))],
+)
+def test_an_exception_in_a_cycle_holds_the_world_and_says_where(file: str, engine: str) -> None:
+    simulation = Simulation(ground=False, imports=[file], engine=engine)
+    if engine == "compiled":
+        simulation.engine.complete()
+    simulation.spawn(cart(), "other")
     simulation.driven = True
     simulation.spawn(of("odd_hw/Fragile"), "cart")
     simulation.resume()
@@ -100,4 +108,8 @@ def test_an_exception_in_a_cycle_holds_the_world_and_says_where(file: str) -> No
     assert "Fragile.read: ValueError: the encoder is gone" in trouble
     assert "odd_hw.py:20" in trouble
     assert simulation.call("/slidectl/status")["paused"]
+    assert simulation.cycles == 5
     simulation.delete("cart")
+    simulation.resume()
+    simulation.step(20)
+    assert simulation.cycles == 25

@@ -299,5 +299,37 @@ def test_two_controllers_of_one_joint_conflict_over_its_interfaces() -> None:
 
 
 @pytest.mark.skipif(not object_file.is_possible(), reason="numba is not installed")
+def test_robots_with_rotors_and_with_limited_actuators_give_the_same_bits_on_both_engines() -> None:
+    """Those with rotors alone run compiled."""
+    models = {
+        "a": rails(simple(10.0, "<rotorInertia>0.01</rotorInertia>")),
+        "b": rails(coupled(DIFFERENTIAL, "<rotorInertia>0.01</rotorInertia>", "")),
+        "c": rails(coupled(DIFFERENTIAL, limit(0.4, 0.01), limit(0.2))),
+    }
+
+    def play_all(simulation: Simulation) -> None:
+        for name, xml in models.items():
+            add(simulation, name, xml, {"push": {"type": EFFORT, "joint": "j1"}})
+        simulation.step(2)
+        for name in models:
+            simulation.publish(f"/{name}/push/command", {"data": 9.0})
+        simulation.step(200)
+
+    assert play(play_all, "plain")[0] == play(play_all, "compiled")[0]
+
+
+@pytest.mark.parametrize("how", ["gazebo", "real"])
+def test_a_mimic_joint_follows_its_leader_in_both(how: str) -> None:
+    xml = rails(simple(10.0, ""), how).replace(
+        '<axis xyz="0 1 0"/>', '<axis xyz="0 1 0"/><mimic joint="j1" multiplier="-2"/>'
+    )
+    simulation = spawned(xml, j1=4.0)
+    simulation.step(1000)
+    leader, follower = (state(simulation, name)[0] for name in ("j1", "j2"))
+    assert leader > 0.1
+    assert follower == pytest.approx(-2.0 * leader, rel=0.01)
+
+
+@pytest.mark.skipif(not object_file.is_possible(), reason="numba is not installed")
 def test_changes_of_interfaces_give_the_same_bits_beside_compiled_robots() -> None:
     assert play(scene, "plain")[0] == play(scene, "compiled")[0]
