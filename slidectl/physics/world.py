@@ -483,6 +483,7 @@ class World:
         `loads.motors.velocities` has what they are to reach.
         """
         self.loads.motors.release(self.model)
+        self.loads.efforts[body.dofs] = 0.0
         self.loads.motors.put_of(body, most_efforts)
         self._bind_loads()
         self._announce()
