@@ -293,9 +293,7 @@ class Robots:
     def _bring_up_control(self, robot: SpawnedRobot, undoing: ExitStack) -> None:
         loop, parts, plugin = self._loop, robot.parts, robot.paper.plugin or ControlPlugin()
         _put_description(robot, loop, undoing)
-        with watched_for("robotSimType", plugin.robot_sim_type):
-            made = _hardware_class(plugin.robot_sim_type)
-            parts.hardware = made(self._world, robot.body, robot.paper, robot.node, robot.namespace)
+        parts.hardware = self._hardware(robot, plugin.robot_sim_type)
         robot.look()
         parts.manager = ControllerManager(parts.hardware, robot.node)
         period_ns = _control_period(plugin, loop.step_ns, robot)
@@ -312,6 +310,18 @@ class Robots:
                 robot.emergency_stop = message["data"]
 
             robot.node.subscribe(plugin.estop_topic, "std_msgs/Bool", take_emergency_stop)
+
+    def _hardware(self, robot: SpawnedRobot, sim_type: str) -> MujocoRobotHW:
+        """Raises BadFile: no class of simulated hardware. Refused: a user's class failed. Else as `MujocoRobotHW`."""
+        places = self._world, robot.body, robot.paper, robot.node, robot.namespace
+        cls = hardware_types.find(sim_type)
+        if cls is None:
+            return MujocoRobotHW(*places)
+        if not issubclass(cls, MujocoRobotHW):
+            hint = f"class {cls.__name__}(slidectl.physics.MujocoRobotHW): ..."
+            raise BadFile(f"{sim_type} is not derived from slidectl.physics.MujocoRobotHW", file_of(cls), None, hint)
+        with watched_for("robotSimType", sim_type):
+            return cls(*places)
 
     def delete(self, name: str) -> None:
         """Take all that belongs to the robot out of the world, and stop its controllers. Raises UnknownName.
@@ -373,15 +383,6 @@ class Robots:
         if owner is not None:
             text = f"the namespace {parsed.namespace} belongs to robot {owner.name!r} already"
             raise Refused(text, "give this one another namespace")
-
-
-def _hardware_class(sim_type: str) -> type[MujocoRobotHW]:
-    """Raises BadFile: the class is none of simulated hardware. Else as `hardware_types.find`."""
-    cls = hardware_types.find(sim_type) or MujocoRobotHW
-    if not issubclass(cls, MujocoRobotHW):
-        hint = f"class {cls.__name__}(slidectl.physics.MujocoRobotHW): ..."
-        raise BadFile(f"{sim_type} is not derived from slidectl.physics.MujocoRobotHW", file_of(cls), None, hint)
-    return cls
 
 
 def _put_description(robot: SpawnedRobot, loop: Loop, undoing: ExitStack) -> None:
