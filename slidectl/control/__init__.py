@@ -15,6 +15,8 @@ from slidectl.control.hardware_interface import (
     JointStateHandle,
     JointStateInterface,
     PositionJointInterface,
+    PosVelAccJointInterface,
+    PosVelJointInterface,
     RobotHW,
     VelocityJointInterface,
 )
@@ -43,6 +45,8 @@ __all__ = [
     "NodeHandle",
     "Parameter",
     "Pid",
+    "PosVelAccJointInterface",
+    "PosVelJointInterface",
     "PositionJointInterface",
     "Publisher",
     "Refused",

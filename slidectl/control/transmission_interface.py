@@ -221,6 +221,8 @@ _PREFIX = "transmission_interface/"
 _KINDS: dict[str, type[SimpleTransmission | _TwoDofTransmission]] = {
     _PREFIX + kind.__name__: kind for kind in (SimpleTransmission, DifferentialTransmission, FourBarLinkageTransmission)
 }
+MOST_FELT = 1e9
+"""kg·m², or kg. Far below the largest number that the physics takes."""
 P = TypeVar("P", TransmissionJoint, TransmissionActuator)
 
 
@@ -252,8 +254,8 @@ def load(info: TransmissionInfo, robot: Robot) -> LoadedTransmission:
 
     Raises:
         Refused: no such type; too few or too many joints or actuators; a role that is missing, unknown or there twice;
-        an actuator without reduction; a reduction of 0; joints with other interfaces than the first; rotors that couple
-        joints of which neither is above the other, which the physics cannot do.
+        an actuator without reduction; a reduction of 0; joints with other interfaces than the first; rotors that are
+        too heavy, or that couple joints of which neither is above the other, which the physics cannot do.
     """
     kind = _KINDS.get(info.type)
     if kind is None:
@@ -278,7 +280,10 @@ def load(info: TransmissionInfo, robot: Robot) -> LoadedTransmission:
     else:
         maths = kind(reductions, [joint.reduction for joint in joints], offsets)
     loaded = LoadedTransmission(maths, joints, actuators)
-    if kind.size > 1 and loaded.rotor_inertia[0][1] != 0.0 and not _are_in_a_chain(robot, *joints):
+    felt = loaded.rotor_inertia
+    if not all(abs(inertia) <= MOST_FELT for row in felt for inertia in row):
+        raise Refused(f"its joints would feel more than {MOST_FELT:g} kg m2 of its rotors")
+    if kind.size > 1 and felt[0][1] != 0.0 and not _are_in_a_chain(robot, *joints):
         text = "its rotors couple two joints of which neither is above the other, which MuJoCo cannot do"
         raise Refused(text, "give rotors that the joints feel alike, or none")
     return loaded

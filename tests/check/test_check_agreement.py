@@ -44,6 +44,7 @@ ODD = {
     "position": cart(transmission(interface="hardware_interface/PositionJointInterface"), PLUGIN, joint=LIMIT + SOFT),
     "hardware type": cart(transmission(), plugin("<robotSimType>gazebo_ros_control/Default</robotSimType>")),
     "short hardware type": cart(transmission(), plugin("<robotSimType>DefaultRobotHWSim</robotSimType>")),
+    "position and velocity": cart(transmission(interface="hardware_interface/PosVelJointInterface"), PLUGIN),
     "real": cart(transmission(), REAL),
     "real of no kind": cart(transmission().replace("SimpleT", "SimpelT"), REAL),
     "real without reduction": cart(transmission().replace("<mechanicalReduction>1</mechanicalReduction>", ""), REAL),
