@@ -153,11 +153,13 @@ def hardware_joints(body: Body) -> list[HardwareJoint]:
         UnsupportedInterface, MissingJoint.
     """
     return [
-        joint for transmission, driven in driving(body.robot.transmissions) for joint in _of(body, transmission, driven)
+        joint
+        for transmission, driven in driving(body.robot.transmissions)
+        for joint in _by_interface(body, transmission, driven)
     ]
 
 
-def _of(body: Body, transmission: TransmissionInfo, driven: TransmissionJoint) -> list[HardwareJoint]:
+def _by_interface(body: Body, transmission: TransmissionInfo, driven: TransmissionJoint) -> list[HardwareJoint]:
     found = [interface for interface in map(interfaces.find, driven.hardware_interfaces) if interface is not None]
     if not found:
         raise UnsupportedInterface(body.name, transmission, driven)
