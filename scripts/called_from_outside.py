@@ -36,10 +36,11 @@ ForwardGroupEffortController, ForwardGroupVelocityController, ForwardGroupPositi
 EffortJointPositionController, VelocityJointPositionController, EffortJointGroupPositionController
 PositionJointTrajectoryController, EffortJointTrajectoryController, VelocityJointTrajectoryController
 PosVelAccJointTrajectoryController, PositionGripperActionController, EffortGripperActionController, DiffDriveController
+AckermannSteeringController, FourWheelSteeringController
 Unspawner, GroupScript, StaticTransform, Viewer, Window, JointStatePublisher
 
 # For authors of controllers, of other sources of controllers, and of hardware.
-MultiInterfaceController, register_loader, ONGOING, set_joint_effort
+register_loader, ONGOING, set_joint_effort
 
 # Transmissions, limits and PIDs of ros_control: compared with the original by vectors, used when transmissions are applied.
 SimpleTransmission, DifferentialTransmission, FourBarLinkageTransmission

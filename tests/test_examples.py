@@ -13,6 +13,10 @@ import pytest
 from daemon_fixture import Runtime
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
+SCRIPTS = (
+    "slide.sh", "rrbot.sh", "two_robots.sh", "gravity.sh", "sine.sh", "trajectory.sh", "cart.sh", "car.sh",
+    "wrist.sh", "demo.py",
+)  # fmt: skip
 
 
 @pytest.fixture
@@ -20,12 +24,6 @@ def place() -> Iterator[Path]:
     """A folder with a short name: the path of a socket must fit into 107 bytes."""
     with tempfile.TemporaryDirectory(prefix="slidectl-ex-", dir="/tmp") as folder:
         yield Path(folder)
-
-
-SCRIPTS = (
-    *("slide.sh", "rrbot.sh", "two_robots.sh", "gravity.sh", "sine.sh", "trajectory.sh", "cart.sh"),
-    *("wrist.sh", "demo.py"),
-)
 
 
 @pytest.mark.parametrize("name", SCRIPTS)

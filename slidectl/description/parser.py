@@ -101,8 +101,9 @@ def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = 
         if base == WORLD and (inertial := link_at[base].find("inertial")) is not None:
             report.ignored(inertial, "the world does not move", f"link {base!r}/<inertial>")
         links = Weigher(links, joints, link_at, report, strict).weigh(base)
-    named = ([part.get("name") or "" for part in root.find_all(tag)] for tag in ("link", "joint"))
-    gazebo = GazeboReader(report, *map(dict.fromkeys, named))
+    known = dict.fromkeys(part.get("name") or "" for part in root.find_all("link"))
+    ends = {part.get("name") or "": (_end(part, "parent"), _end(part, "child")) for part in root.find_all("joint")}
+    gazebo = GazeboReader(report, known, ends)
     for element in root.find_all("gazebo"):
         gazebo.read(element)
     is_real = gazebo.plugin is not None and gazebo.plugin.transmissions == "real"
@@ -141,6 +142,12 @@ def _named(
     for element in root.find_all(tag):
         report.attempt(take, element)
     return parts, places
+
+
+def _end(joint: Element, tag: str) -> str:
+    """A link of a joint, empty where it does not say which."""
+    element = joint.find(tag)
+    return (element.get("link") or "") if element is not None else ""
 
 
 def place_of_limit(joint: str) -> str:
