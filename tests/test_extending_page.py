@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import socket
 import subprocess
@@ -86,3 +87,23 @@ def test_the_gateway_hands_commands_on_and_sends_positions_back(laws: Path) -> N
                 while abs(float(udp.recv(1000)) - 0.5) > 0.05:
                     pass
             gateway.terminate()
+
+
+def test_the_hardware_lets_efforts_follow_with_its_time_constant(tmp_path: Path) -> None:
+    file = example("A robot hardware of your own", tmp_path / "my_hardware.py")
+    simulation = Simulation(imports=[str(file)])
+    xml = description.load("slider").xml.replace("gazebo_ros_control/DefaultRobotHWSim", "my_hardware/SlowMotors")
+    effort = {"type": "effort_controllers/JointEffortController", "joint": "joint1"}
+    simulation.parameters.set("/slider", {"motor_time_constant": 0.1, "push": effort})
+    simulation.spawn(xml, "slider")
+    assert simulation.call("/slider/controller_manager/load_controller", {"name": "push"})["ok"]
+    switch = {"start_controllers": ["push"], "strictness": 2}
+    assert simulation.call("/slider/controller_manager/switch_controller", switch)["ok"]
+    simulation.publish("/slider/push/command", {"data": 10.0})
+    for seconds in (0.1, 0.2):
+        simulation.step(100)
+        effort = simulation.world.joint_state("slider", "joint1")[2]
+        assert abs(effort - 10.0 * (1.0 - math.exp(-seconds / 0.1))) < 0.1
+    simulation.reset_world()
+    simulation.step(1)
+    assert simulation.world.joint_state("slider", "joint1")[2] < 0.2

@@ -49,13 +49,16 @@ _COLOURS = {"used": "green", "converted": "cyan", "ignored": "yellow", "wrong": 
     help="Controllers of the model; may repeat.",
 )
 @click.option(
+    "--transmissions", type=click.Choice(["gazebo", "real"]), help="As for spawn: how transmissions of the model count."
+)
+@click.option(
     "--import",
     "--from",
     "imports",
     multiple=True,
     metavar="MODULE",
     shell_complete=completion.files,
-    help="Know the controllers of your own in this module or FILE.py; may repeat.",
+    help="Know the controllers and hardware of your own in this module or FILE.py; may repeat.",
 )
 @click.option("--strict", is_flag=True, help="Exit 1 when anything is ignored, too, and refuse what spawn mends.")
 @click.option("--only", multiple=True, type=click.Choice(_VERDICTS), help="Print findings of this kind; may repeat.")
@@ -68,6 +71,7 @@ def check(
     source: str,
     arguments: tuple[str, ...],
     controllers: tuple[str, ...],
+    transmissions: str | None,
     imports: tuple[str, ...],
     strict: bool,
     only: tuple[str, ...],
@@ -108,6 +112,7 @@ def check(
         ask_others=second_opinion,
         strict=strict,
         missing=missing,
+        transmissions=transmissions,
         imports=[module_or_file(module) for module in imports],
     )
     tell_own_packages(ctx, places)

@@ -17,7 +17,7 @@ from types import FunctionType, ModuleType
 from typing import Any
 
 from slidectl.control.controller_interface import Controller, ControllerBase, MultiInterfaceController
-from slidectl.errors import BadFile, Refused, UnknownName, UsageError, listing
+from slidectl.errors import BadFile, Refused, SlidectlError, UnknownName, UsageError, listing
 
 ControllerClass = type[ControllerBase]
 
@@ -44,8 +44,8 @@ limit: AbstractContextManager[None] = nullcontext()
 """Surrounds users' code and raises TookTooLong in it. The daemon sets it, since its clients wait meanwhile."""
 
 
-def is_of_a_user(cls: ControllerClass) -> bool:
-    """False for the controllers of slidectl itself."""
+def is_of_a_user(cls: type) -> bool:
+    """False for the classes of slidectl itself."""
     return not cls.__module__.startswith("slidectl.")
 
 
@@ -64,6 +64,26 @@ class HookGuard(AbstractContextManager[None]):
 def watched(cls: ControllerClass) -> HookGuard | None:
     """What surrounds the hooks of the class; None for a controller of slidectl itself."""
     return HookGuard() if is_of_a_user(cls) else None
+
+
+@contextmanager
+def watched_for(what: str, name: str) -> Iterator[None]:
+    """Inside, code of a user may run that `what` names. Raises Refused, with its file and line, when that fails."""
+    try:
+        with limit:
+            yield
+    except SlidectlError:
+        raise
+    except TookTooLong as failure:
+        raise _too_long(failure) from None
+    except Exception as failure:
+        raise failed(f"{what} {name}", failure) from failure
+
+
+def failed(what: str, failure: Exception) -> Refused:
+    """The error for what code of a user raised, with the place."""
+    place = place_of(failure)
+    return Refused(f"{what}: {type(failure).__name__}: {failure}{f' ({place[0]}:{place[1]})' if place else ''}")
 
 
 def _too_long(failure: TookTooLong) -> Refused:
@@ -229,7 +249,7 @@ def made(cls: ControllerClass) -> ControllerBase:
     return controller
 
 
-def file_of(cls: ControllerClass) -> str | None:
+def file_of(cls: type) -> str | None:
     """The file of the class's module; None when it has none."""
     return getattr(sys.modules.get(cls.__module__), "__file__", None)
 
