@@ -281,6 +281,58 @@ class JointStates(Sensor):
 
 
 @dataclass(frozen=True)
+class BaseDrive:
+    """A plugin that moves the robot by velocities (geometry_msgs/Twist) and tells where it is (nav_msgs/Odometry)."""
+
+    name: str
+    namespace: str | None
+    """Where its topics are; None: where the robot is."""
+    command_topic: str
+    odometry_topic: str
+    odometry_frame: str
+    base_frame: str
+    odometry_rate_hz: float
+    """0: in each step of the world."""
+    has_odometry: bool
+    has_odometry_tf: bool
+    tells_height: bool
+    """Whether the odometry's z is that of the robot, and not 0."""
+    pose_variances: Vector
+    """Of x and y in m², of the heading in rad²."""
+    twist_variances: Vector | None
+
+
+@dataclass(frozen=True)
+class WheelDrive(BaseDrive):
+    """libgazebo_ros_diff_drive.so and libgazebo_ros_skid_steer_drive.so: the wheels of a side turn at one velocity."""
+
+    left: tuple[str, ...] = ()
+    """Joints of the wheels that turn faster when the base turns right."""
+    right: tuple[str, ...] = ()
+    separation: float = 0.0
+    """m."""
+    diameter: float = 0.0
+    """m."""
+    torque: float = 0.0
+    """The most on each wheel, N·m."""
+    acceleration: float = 0.0
+    """Of the wheels along the ground, m/s²; 0: as much as the torque makes."""
+    update_rate_hz: float = 0.0
+    """How often commands take effect; 0: in each step of the world."""
+    measures_wheels: bool = False
+    """Odometry is made of the turns of the wheels, not of the robot's place in the world."""
+    has_joint_states: bool = False
+
+
+@dataclass(frozen=True)
+class PlanarMove(BaseDrive):
+    """libgazebo_ros_planar_move.so: the whole robot has the velocity, whatever acts on it."""
+
+    timeout_s: float = -1.0
+    """A command counts for so long; below 0: until the next."""
+
+
+@dataclass(frozen=True)
 class Robot:
     """The whole robot. `links` and `joints` keep the order of the file."""
 
@@ -293,6 +345,7 @@ class Robot:
     plugin: ControlPlugin | None = None
     report: Sequence[Notice] = field(default=())
     sensors: Sequence[Sensor] = ()
+    drives: Sequence[BaseDrive] = ()
 
     def children_of(self, link: str) -> Sequence[Joint]:
         """The joints whose parent is `link`, in the order of the file."""

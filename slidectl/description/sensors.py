@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 
-from slidectl.description.element_values import parse_number
+from slidectl.description.element_values import child_number, child_text, parse_number
 from slidectl.description.report import Report
 from slidectl.description.robot import Bumper, GroundTruth, Imu, JointStates, Laser, Pose, Sensor, Vector
 from slidectl.description.xml_tree import Element
@@ -56,20 +56,20 @@ class SensorReader:
         name = sensor.get("name") or kind
         text = plugin.find("pose") or sensor.find("pose")
         origin = _pose(text, place) if text is not None else Pose()
-        rate = _number(sensor, "update_rate", 0.0, place)
+        rate = child_number(sensor, "update_rate", 0.0, place)
         if kind in ("ray", "gpu_ray"):
             self.sensors.append(self._laser(name, link, sensor, plugin, origin, rate, place))
         elif kind == "imu":
             self.sensors.append(
                 Imu(
-                    name, link, _text(plugin, "topicName", "imu"), _text(plugin, "frameName", link),
-                    _number(plugin, "updateRateHZ", rate, place), _moved(plugin, origin, place),
-                    _number(plugin, "gaussianNoise", 0.0, place),
+                    name, link, child_text(plugin, "topicName", "imu"), child_text(plugin, "frameName", link),
+                    child_number(plugin, "updateRateHZ", rate, place), _moved(plugin, origin, place),
+                    child_number(plugin, "gaussianNoise", 0.0, place),
                 )
             )  # fmt: skip
         else:
-            topic = _text(plugin, "bumperTopicName", "bumper_states")
-            self.sensors.append(Bumper(name, link, topic, _text(plugin, "frameName", "world"), rate, origin, 0.0))
+            topic = child_text(plugin, "bumperTopicName", "bumper_states")
+            self.sensors.append(Bumper(name, link, topic, child_text(plugin, "frameName", "world"), rate, origin, 0.0))
         return None
 
     def _laser(
@@ -78,48 +78,50 @@ class SensorReader:
         ray = sensor.find("ray")
         scan = _below(ray, "scan", "horizontal")
         extent, noise = _below(ray, "range"), _below(ray, "noise")
-        if (vertical := _below(ray, "scan", "vertical")) is not None and _number(vertical, "samples", 1, place) > 1:
+        if (vertical := _below(ray, "scan", "vertical")) is not None and child_number(
+            vertical, "samples", 1, place
+        ) > 1:
             self.report.ignored(vertical, "has no effect: a scan has one layer here", f"{place}/<vertical>")
-        samples = int(_number(scan, "samples", 640, place))
-        least, most = _number(scan, "min_angle", 0.0, place), _number(scan, "max_angle", 0.0, place)
-        nearest, farthest = _number(extent, "min", 0.0, place), _number(extent, "max", math.inf, place)
+        samples = int(child_number(scan, "samples", 640, place))
+        least, most = child_number(scan, "min_angle", 0.0, place), child_number(scan, "max_angle", 0.0, place)
+        nearest, farthest = child_number(extent, "min", 0.0, place), child_number(extent, "max", math.inf, place)
         if samples < 1 or samples > 100_000 or most < least or nearest < 0 or farthest <= nearest:
             raise sensor.error(
                 f"{place}: a scan of {samples} samples from {least:g} to {most:g} rad, {nearest:g} to {farthest:g} m",
                 "1 to 100000 samples, min_angle up to max_angle, min below max",
             )
         return Laser(
-            name, link, _text(plugin, "topicName", "scan"), _text(plugin, "frameName", link), rate, origin,
-            _number(noise, "stddev", _number(plugin, "gaussianNoise", 0.0, place), place),
-            _number(noise, "mean", 0.0, place), samples, least, most, nearest, farthest,
+            name, link, child_text(plugin, "topicName", "scan"), child_text(plugin, "frameName", link), rate, origin,
+            child_number(noise, "stddev", child_number(plugin, "gaussianNoise", 0.0, place), place),
+            child_number(noise, "mean", 0.0, place), samples, least, most, nearest, farthest,
         )  # fmt: skip
 
     def of_model(self, plugin: Element, place: str) -> None:
         """Take in a plugin of `OF_MODEL`. Raises BadFile: a malformed number."""
         kind = library(plugin)
-        name, rate = plugin.get("name") or kind, _number(plugin, "updateRate", 0.0, place)
-        noise = _number(plugin, "gaussianNoise", 0.0, place)
+        name, rate = plugin.get("name") or kind, child_number(plugin, "updateRate", 0.0, place)
+        noise = child_number(plugin, "gaussianNoise", 0.0, place)
         if kind == "libgazebo_ros_joint_state_publisher":
-            names = tuple(word.strip() for word in _text(plugin, "jointName", "").split(",") if word.strip())
+            names = tuple(word.strip() for word in child_text(plugin, "jointName", "").split(",") if word.strip())
             for joint in [joint for joint in names if joint not in self.joints]:
                 self.report.wrong(plugin, f"there is no joint {joint!r}; it is left out", place)
             joints = tuple(joint for joint in names if joint in self.joints)
-            rate = _number(plugin, "updateRate", 100.0, place)
+            rate = child_number(plugin, "updateRate", 100.0, place)
             self.sensors.append(JointStates(name, "", "joint_states", "", rate, Pose(), 0.0, 0.0, joints))
             return None
-        link = _text(plugin, "bodyName", "")
+        link = child_text(plugin, "bodyName", "")
         if link not in self.links:
             return self.report.wrong(plugin, f"<bodyName> {link!r} is no link; the plugin has no effect", place)
         origin = _moved(plugin, Pose(), place)
         if kind == "libgazebo_ros_p3d":
-            topic, frame = _text(plugin, "topicName", "odom"), _text(plugin, "frameName", "world")
+            topic, frame = child_text(plugin, "topicName", "odom"), child_text(plugin, "frameName", "world")
             if frame not in ("world", "/world", "map", "/map"):
                 text = f"<frameName> {frame}: place and velocity are those in the world"
                 self.report.ignored(plugin, text, place)
             self.sensors.append(GroundTruth(name, link, topic, frame.lstrip("/"), rate, origin, noise))
         else:
-            topic = _text(plugin, "topicName", "imu")
-            frame, feels_gravity = _text(plugin, "frameName", link), kind != "libgazebo_ros_imu"
+            topic = child_text(plugin, "topicName", "imu")
+            frame, feels_gravity = child_text(plugin, "frameName", link), kind != "libgazebo_ros_imu"
             self.sensors.append(Imu(name, link, topic, frame, rate, origin, noise, 0.0, feels_gravity))
         return None
 
@@ -133,18 +135,6 @@ def _below(element: Element | None, *tags: str) -> Element | None:
     for tag in tags:
         element = element.find(tag) if element is not None else None
     return element
-
-
-def _text(element: Element, tag: str, default: str) -> str:
-    child = element.find(tag)
-    return child.first_text if child is not None and child.first_text else default
-
-
-def _number(element: Element | None, tag: str, default: float, place: str) -> float:
-    child = element.find(tag) if element is not None else None
-    if child is None or not child.first_text:
-        return default
-    return parse_number(child.first_text, child, f"{place}/<{tag}>", finite=False)
 
 
 def _vector(element: Element, place: str) -> Vector:

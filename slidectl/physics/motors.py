@@ -75,7 +75,7 @@ class Motors:
         """Hold these joints from now on. A motor without any effort is none. `bind` is to follow."""
         bounds = {joint: min(effort, UNBOUNDED) for joint, effort in most_efforts.items() if effort > 0.0}
         if bounds:
-            self._bounds[body] = bounds
+            self._bounds[body] = self._bounds.get(body, {}) | bounds
 
     def drop(self, body: Body) -> None:
         """The robot leaves; its places are those that it had. `bind` is to follow, with a model without it."""

@@ -397,15 +397,17 @@ class World:
         body.put_root((finite(pose[0]), normalized(finite4(pose[1]))))
         self._observer.invalidate()
         if twist is not None and not body.robot.is_fixed_to_world:
-            self._set_root_twist(body, (finite(twist[0]), finite(twist[1])))
+            self.set_root_twist(name, (finite(twist[0]), finite(twist[1])))
 
-    def _set_root_twist(self, body: Body, twist: Twist) -> None:
-        """A free joint's velocities: linear in the world's axes, angular in the body's."""
-        turn, local = np.zeros(4), np.zeros(3)
+    def set_root_twist(self, name: str, twist: Twist) -> None:
+        """Let a root link that is free have this velocity (finite, world's axes). Raises UnknownName."""
+        # A free joint's velocities are linear in the world's axes and angular in the body's.
+        body, turn, local = self.body(name), np.zeros(4), np.zeros(3)
         start = body.root_qpos + 3
         mujoco.mju_negQuat(turn, self.data.qpos[start : start + 4])
         mujoco.mju_rotVecQuat(local, np.array(twist[1]), turn)
         self.data.qvel[body.root_dof : body.root_dof + 6] = [*twist[0], *local]
+        self._observer.invalidate()
 
     def set_joint(self, name: str, joint: str, position: float, velocity: float | None = None) -> None:
         """Put a joint there; its velocity stays unless one is given. Raises UnknownName, Refused (not finite)."""

@@ -16,7 +16,7 @@ from slidectl.errors import Refused
 from slidectl.physics import World, hulls
 from slidectl.physics.hulls import MeshSource
 from slidectl.rotations import ORIGIN, Pose
-from slidectl.simulation import rosapi, waits
+from slidectl.simulation import base_drives, rosapi, waits
 from slidectl.simulation.compiled.engine import Engine
 from slidectl.simulation.gazebo_services import GazeboServices
 from slidectl.simulation.graph import Graph
@@ -79,7 +79,11 @@ class Simulation:
         OwnServices(self)
         waits.advertise(self.graph)
         GazeboServices(self)
-        self.robots.on_spawn += [StatePublishers(self).bring_up, partial(bring_up_sensors, self)]
+        self.robots.on_spawn += [
+            StatePublishers(self).bring_up,
+            partial(bring_up_sensors, self),
+            partial(base_drives.bring_up, self),
+        ]
 
     @property
     def time_ns(self) -> int:

@@ -70,8 +70,12 @@ class SpawnedRobot:
         self.node = node
         self.taken = ExitStack()
         self.parts = ControlParts()
+        self.on_reset: list[Callable[[], None]] = []
+        """Called when the robot is to be as it was spawned, after the world is."""
+        self.on_emergency_stop: list[Callable[[], None]] = []
+        """Called when an emergency stop begins."""
         self.warnings: list[str] = []
-        """What was wrong with the place at which it was spawned."""
+        """What was wrong with its spawn: its place, or what it has and cannot use there."""
 
     def watch_entries(self, callback: Callable[[], None]) -> None:
         """Call back before anybody outside of the cycle looks at the robot's control, or changes it."""
@@ -122,6 +126,8 @@ class SpawnedRobot:
         self.cycle.emergency_stop = self.hardware.estop = stopped
         text = f"emergency stop is on: {self.name}; slidectl estop release ends it"
         self.node.caution = text if stopped else ""
+        for stop in self.on_emergency_stop if stopped else ():
+            stop()
 
     def look(self) -> None:
         """Read the joints outside of a cycle: after the world was changed, and before the first cycle."""
@@ -132,6 +138,8 @@ class SpawnedRobot:
 
         The hardware comes first, since a controller's set point is what it measures when it starts.
         """
+        for reset in self.on_reset:
+            reset()
         if not self.is_controlled:
             return
         self.hardware.reset()
