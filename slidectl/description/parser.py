@@ -8,7 +8,7 @@ is evaluated, fetched or written. What has no effect is in the robot's report. `
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast, get_args
@@ -153,6 +153,12 @@ def _named(
 def place_of_limit(joint: str) -> str:
     """The subject of notices on a joint's range."""
     return f"joint {joint!r}/<limit>"
+
+
+def is_put_inside(subject: str, text: str, joints: Collection[str]) -> bool:
+    """Whether a notice says that a joint starts outside of its limits, and it is one of those that were put elsewhere,
+    which is inside: all else is refused."""
+    return text.startswith(STARTS_OUTSIDE) and subject in map(place_of_limit, joints)
 
 
 def _origin(report: Report, element: Element, owner: str) -> Pose:

@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import Literal
 
 from slidectl import names
+from slidectl.errors import Refused
 
 Vector = tuple[float, float, float]
 JointType = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]
@@ -362,6 +363,16 @@ class Robot:
     def is_fixed_to_world(self) -> bool:
         """A root link called `world` is the world itself."""
         return self.root == "world"
+
+
+def check_position(joint: Joint, position: float) -> None:
+    """Raises Refused unless the joint can be there (rad or m)."""
+    if not math.isfinite(position):
+        raise Refused(f"position of {joint.name} must be a finite number, not {position}")
+    limit = joint.limit if joint.type in ("revolute", "prismatic") else None
+    if limit is not None and not limit.lower <= position <= limit.upper:
+        unit = "m" if joint.type == "prismatic" else "rad"
+        raise Refused(f"{joint.name} goes from {limit.lower:g} to {limit.upper:g} {unit}, not to {position:g}")
 
 
 def namespace_of(robot: Robot, name: str) -> str:

@@ -416,14 +416,21 @@ class MujocoRobotHW(RobotHW):
         for joint in self._joints:
             joint.handle.command = commands.get((joint.interface.type_name, joint.name), joint.handle.command)
 
+    def stay(self, positions: Mapping[str, float]) -> None:
+        """Command the positions of these joints where they take such commands: they were put there."""
+        for joint in self._joints:
+            if joint.interface is PositionJointInterface and joint.name in positions:
+                joint.handle.command = positions[joint.name]
+
     def reset(self) -> None:
-        """After the world was reset: angles unwrapped anew, commands 0, limits and gains without a past."""
+        """After the world was reset: angles unwrapped anew, commands of the start, limits and gains without a past."""
         for joint in self._joints:
             joint.reset()
         for drive in self._drives:
             if drive.pid is not None:
                 drive.pid.reset()
         self._held = None
+        self.stay(self._body.start)
         self.read(0, 0.0)
 
     def _register(self, node: NodeHandle) -> None:

@@ -7,7 +7,7 @@ carried over every rebuild of the model, to the last bit. SI units; quaternions 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -416,6 +416,12 @@ class World:
         if velocity is not None:
             self.data.qvel[place.dof] = number(velocity)
         self._observer.invalidate()
+
+    def put_joints(self, name: str, positions: Mapping[str, float]) -> None:
+        """Put joints there, at rest, and those that follow them. Raises UnknownName, Refused (not finite)."""
+        for joint, position in positions.items():
+            self.set_joint(name, joint, position, 0.0)
+        self.body(name).put_joints(positions)
 
     def overlaps(self, name: str, least: float) -> list[Overlap]:
         """Where links of the robot are in others by more than `least` (m), the deepest first. Raises UnknownName."""

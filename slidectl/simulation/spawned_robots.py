@@ -8,7 +8,7 @@ on a stack, so a failure half-way and a deletion are the same path. Requests of 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from typing import NamedTuple
 
@@ -18,7 +18,7 @@ from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message
 from slidectl.description import source_note
 from slidectl.description.gazebo_tags import SIM_TYPES
-from slidectl.description.robot import ControlPlugin, Robot
+from slidectl.description.robot import ControlPlugin, Robot, check_position
 from slidectl.errors import BadFile, Refused, UnknownName
 from slidectl.physics import EngineError, Overlap, World
 from slidectl.physics.body import Body
@@ -319,6 +319,27 @@ class Robots:
         except Exception as error:
             text = f"{name} is deleted, but not all went well: {type(error).__name__}: {error}"
             self._loop.graph.log("error", robot.node.name, text)
+
+    def put_joints(self, name: str, joints: Sequence[str], positions: Sequence[float], is_start: bool = False) -> None:
+        """Put joints, each named alone or as `robot::joint`, there, at rest; all or none. With `is_start` resets do so.
+
+        One that is commanded by its position stays there until a controller commands another.
+
+        Raises:
+            UnknownName: no such robot or moving joint. Refused: a position that is none, or beyond the joint's limits.
+        """
+        if len(joints) != len(positions):
+            raise Refused(f"{len(joints)} joint names but {len(positions)} positions")
+        robot = self.get(name)
+        short = (joint.removeprefix(f"{robot.name}::") for joint in joints)
+        asked = dict(zip(short, positions, strict=True))
+        for joint, position in asked.items():
+            check_position(robot.body.place(joint).joint, position)
+        self._world.put_joints(name, asked)
+        if is_start:
+            robot.body.start |= asked
+        if robot.is_controlled:
+            robot.hardware.stay(asked)
 
     def reset(self) -> None:
         """All of them and the world are as they were spawned, even if one fails; its error is raised then."""

@@ -10,7 +10,7 @@ from typing import Any
 from slidectl import description, names, rotations
 from slidectl.description import sdf, source_note
 from slidectl.description.packages import Packages, is_file, shown
-from slidectl.description.parser import STARTS_OUTSIDE, place_of_limit
+from slidectl.description.parser import is_put_inside
 from slidectl.description.report import needs_telling
 from slidectl.errors import BadFile, BadName, NotThere, Refused
 from slidectl.launch.plan import LaunchPlan, Leaf, Node
@@ -262,14 +262,8 @@ class SpawnModel(Task):
                 run.call("/gazebo/unpause_physics")
 
     def _set_joints(self, run: Run) -> None:
-        request = {
-            "model_name": self.model,
-            "urdf_param_name": "robot_description",
-            "joint_names": list(self.joints),
-            "joint_positions": list(self.joints.values()),
-        }
         try:
-            _act(run, "/gazebo/set_model_configuration", request)
+            run.client.start_joints(self.model, self.joints)
         except Refused:
             for name in self.parts:
                 run.call("/gazebo/delete_model", {"model_name": name})
@@ -279,12 +273,11 @@ class SpawnModel(Task):
         """Where it is, and what became of its tags: what needs telling in full, the others counted unless `-v`."""
         run.new_warnings()  # the same is said here
         [robot] = run.call("/slidectl/list_robots", {"name": self.model})["robots"]
-        # What -J put elsewhere is between its limits: set_model_configuration refuses all else.
-        put = {place_of_limit(joint.rpartition("::")[2]) for joint in self.joints}
+        put = [joint.rpartition("::")[2] for joint in self.joints]
         ignored = 0
         for notice in robot["report"]:
             where = f"{notice['file']}:{notice['line']}" if notice["line"] else notice["file"]
-            if notice["text"].startswith(STARTS_OUTSIDE) and notice["subject"] in put:
+            if is_put_inside(notice["subject"], notice["text"], put):
                 continue
             if needs_telling(notice["verdict"], notice["subject"]) or run.console.verbose:
                 run.console.warn(f"{where}: {notice['verdict']}: {notice['subject']}: {notice['text']}")
