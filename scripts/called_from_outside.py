@@ -21,6 +21,7 @@ EffortJointPositionController, VelocityJointPositionController, EffortJointGroup
 PositionJointTrajectoryController, EffortJointTrajectoryController, VelocityJointTrajectoryController
 PosVelAccJointTrajectoryController, PositionGripperActionController, EffortGripperActionController, DiffDriveController
 Unspawner, GroupScript, StaticTransform, Viewer, Window, JointStatePublisher
+Throttle, Mux, TwistMux
 
 # For authors of controllers and of other sources of controllers.
 MultiInterfaceController, register_loader, ONGOING

@@ -91,6 +91,8 @@ class Client:
         self._unheard: dict[str, int] = {}
         """Topic -> those of them that nobody got."""
         self._first_call: str | None = None
+        self._handlers: dict[str, Callable[[Message], Message]] = {}
+        """Of the services that this client provides."""
 
     # --- services -----------------------------------------------------------------------------------------------
 
@@ -142,6 +144,30 @@ class Client:
         """Nobody will ask for the response to an earlier `call_async`."""
         self._awaited.discard(call_id)
         self._answers.pop(call_id, None)
+
+    def advertise_service(self, service: str, type: str, handler: Callable[[Message], Message]) -> None:
+        """Provide a service (its full name) until the client is closed: the handler makes the response of a request.
+
+        Requests are answered while the client waits for something. What the handler raises is the caller's failure.
+
+        Raises:
+            Refused: there is such a service already, or no such type.
+        """
+        advertise_id = self._next_id("advertise")
+        self._handlers[service] = handler
+        self._send(op="advertise_service", id=advertise_id, service=service, type=type)
+        self.call(_SYNCHRONIZE)
+        if advertise_id in self._refusals:
+            del self._handlers[service]
+            raise self._refusals.pop(advertise_id)
+
+    def _serve(self, request: Message) -> None:
+        answer: Message = {"op": "service_response", "id": request["id"], "service": request["service"]}
+        try:
+            answer |= {"values": self._handlers[request["service"]](request["args"]), "result": True}
+        except Exception as error:  # the caller's, not ours
+            answer |= {"values": str(error) or type(error).__name__, "result": False}
+        self._send(**answer)
 
     # --- topics -------------------------------------------------------------------------------------------------
 
@@ -535,7 +561,9 @@ class Client:
             for subscription in self._subscriptions.get(message["topic"], ()):
                 subscription.put(message["msg"])
             return
-        if op == "status":
+        if op == "call_service":
+            self._serve(message)
+        elif op == "status":
             self._take_status(message)
         elif message.get("id") == self._first_call and message.get("version") != __version__:
             self._first_call = ""
