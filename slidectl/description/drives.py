@@ -89,6 +89,7 @@ class DriveReader:
             if plugin.find("legacyMode") is None:
                 text = "left and right change places without <legacyMode>false</legacyMode>, as in Gazebo"
                 self.report.wrong(plugin, text, place)
+        self._flag(plugin, "publishWheelTF", False, place)  # all joints are on /tf in any case
         source = child_text(plugin, "odometrySource", "world").lower()
         if source not in ("encoder", "world"):
             self.report.wrong(plugin, f"<odometrySource> {source!r} is neither encoder nor world; it is world", place)

@@ -141,6 +141,22 @@ def test_arguments_that_make_no_sense_are_found_before_anything_starts(
     assert (done.returncode, words in done.stderr) == (2, True), done.stderr
 
 
+def test_a_robot_without_controllers_has_its_topics_where_its_spawn_node_is(world: CommandLine, tmp_path: Path) -> None:
+    file = tmp_path / "box.urdf"
+    file.write_text(
+        '<robot name="box"><link name="base"><inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1"'
+        ' iyz="0" izz="1"/></inertial></link><gazebo><plugin name="p" filename="libgazebo_ros_planar_move.so"/></gazebo>'
+        "</robot>"
+    )
+    spawn = f'<node pkg="gazebo_ros" type="spawn_model" name="s" args="-urdf -file {file} -model NAME"/>'
+    grouped = f'<group ns="two">{spawn.replace("NAME", "b")}</group>'
+    path = tmp_path / "boxes.launch"
+    path.write_text(f"<launch>{spawn.replace('NAME', 'a')}{grouped}</launch>")
+    world.ok("launch", str(path))
+    topics = world.ok("topic", "list").splitlines()
+    assert {"/cmd_vel", "/odom", "/two/cmd_vel", "/two/odom"} <= set(topics)
+
+
 def test_a_launch_file_of_the_joint_state_controller_package_starts_it(world: CommandLine, tmp_path: Path) -> None:
     path = tmp_path / "states.launch"
     path.write_text(

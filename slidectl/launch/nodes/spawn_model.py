@@ -82,12 +82,13 @@ class SpawnModel(Task):
         """The namespace in which the robot will be, in a launch of these tasks.
 
         A plugin that names none gets the node's own from spawn_model, and else the model's name. Which of them is
-        meant is seen from the nodes that speak to a controller manager.
+        meant is seen from the nodes that speak to a controller manager. Without controllers it is the node's own.
         """
         if self.asked_namespace is not None:
             return self.asked_namespace
         is_open = robot.plugin is not None and robot.plugin.robot_namespace is None
-        if is_open and self._is_spoken_to(tasks):
+        is_free = robot.plugin is None and not robot.transmissions and bool(robot.drives or robot.sensors)
+        if is_free or (is_open and self._is_spoken_to(tasks)):
             return self.node.namespace
         return description.namespace_of(robot, self.model)
 
@@ -193,9 +194,7 @@ class SpawnModel(Task):
         document = self._document(run)
         if run.options.strict:
             description.parse(document.xml, document.file, strict=True)
-        namespace = self.asked_namespace or ""  # empty where the plugin says it, or the robot's name does
-        if not namespace and self._is_spoken_to(run.tasks):
-            namespace = self.home(description.parse(document.xml), run.tasks)
+        namespace = self.home(description.parse(document.xml), run.tasks)
         return {**self._request(self.model, document.xml, self.pose), "robot_namespace": namespace}
 
     def _request(self, name: str, xml: str, pose: rotations.Pose) -> dict[str, Any]:
