@@ -145,8 +145,8 @@ def test_a_robot_without_controllers_has_its_topics_where_its_spawn_node_is(worl
     file = tmp_path / "box.urdf"
     file.write_text(
         '<robot name="box"><link name="base"><inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1"'
-        ' iyz="0" izz="1"/></inertial></link><gazebo><plugin name="p" filename="libgazebo_ros_planar_move.so"/></gazebo>'
-        "</robot>"
+        ' iyz="0" izz="1"/></inertial></link><gazebo><plugin name="p" filename="libgazebo_ros_planar_move.so"/>'
+        "</gazebo></robot>"
     )
     spawn = f'<node pkg="gazebo_ros" type="spawn_model" name="s" args="-urdf -file {file} -model NAME"/>'
     grouped = f'<group ns="two">{spawn.replace("NAME", "b")}</group>'
