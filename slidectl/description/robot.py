@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import ClassVar, Literal
 
 from slidectl import names
 from slidectl.errors import Refused
@@ -254,6 +254,28 @@ class Laser(Sensor):
     min_range: float = 0.0
     """m."""
     max_range: float = math.inf
+
+
+@dataclass(frozen=True)
+class Camera(Sensor):
+    """`<sensor type="camera">` with libgazebo_ros_camera.so: looks along its x axis. sensor_msgs/Image, CameraInfo.
+
+    The noise is that of a channel, of which the brightest value is 1.
+    """
+
+    MOST_PIXELS: ClassVar[int] = 4096
+    """In a row, or a column."""
+    info_topic: str = "camera_info"
+    width: int = 320
+    height: int = 240
+    field_of_view: float = 1.047
+    """Horizontal, rad."""
+    near: float = 0.1
+    """m."""
+    far: float = 100.0
+    encoding: str = "rgb8"
+    baseline: float = 0.0
+    """m, to the first camera of a pair."""
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from collections.abc import Collection
 
 from slidectl.description.element_values import child_number, child_text, parse_number
 from slidectl.description.report import Report
-from slidectl.description.robot import Bumper, GroundTruth, Imu, JointStates, Laser, Pose, Sensor, Vector
+from slidectl.description.robot import Bumper, Camera, GroundTruth, Imu, JointStates, Laser, Pose, Sensor, Vector
 from slidectl.description.xml_tree import Element
 
 _OF_LINK = {
@@ -18,13 +18,27 @@ _OF_LINK = {
     "gpu_ray": ("libgazebo_ros_gpu_laser", "libgazebo_ros_laser"),
     "imu": ("libgazebo_ros_imu_sensor",),
     "contact": ("libgazebo_ros_bumper",),
+    "camera": ("libgazebo_ros_camera",),
 }
 """Type of `<sensor>` -> the plugins that publish it."""
 OF_MODEL = (
     "libgazebo_ros_p3d", "libgazebo_ros_imu", "libhector_gazebo_ros_imu", "libgazebo_ros_joint_state_publisher",
 )  # fmt: skip
 """Plugins of a model that measure."""
-_DRAWN = {"visualize", "always_on", "update_rate", "pose", "plugin", "ray", "imu", "contact", "topic"}
+_DRAWN = {"visualize", "always_on", "update_rate", "pose", "plugin", "ray", "imu", "contact", "topic", "camera"}
+
+
+_ENCODINGS = {
+    "R8G8B8": "rgb8",
+    "RGB_INT8": "rgb8",
+    "B8G8R8": "bgr8",
+    "BGR_INT8": "bgr8",
+    "L8": "mono8",
+    "L_INT8": "mono8",
+}
+"""Formats of pixels, and what sensor_msgs/Image calls them."""
+_CAMERA_TOPICS = (("imageTopicName", "image_raw"), ("cameraInfoTopicName", "camera_info"))
+_DISTORTIONS = ("distortionK1", "distortionK2", "distortionK3", "distortionT1", "distortionT2")
 
 
 class SensorReader:
@@ -67,6 +81,8 @@ class SensorReader:
                     child_number(plugin, "gaussianNoise", 0.0, place),
                 )
             )  # fmt: skip
+        elif kind == "camera":
+            self.sensors.append(self._camera(sensor, plugin, Sensor(name, link, "", "", rate, origin, 0.0), place))
         else:
             topic = child_text(plugin, "bumperTopicName", "bumper_states")
             self.sensors.append(Bumper(name, link, topic, child_text(plugin, "frameName", "world"), rate, origin, 0.0))
@@ -94,6 +110,38 @@ class SensorReader:
             name, link, child_text(plugin, "topicName", "scan"), child_text(plugin, "frameName", link), rate, origin,
             child_number(noise, "stddev", child_number(plugin, "gaussianNoise", 0.0, place), place),
             child_number(noise, "mean", 0.0, place), samples, least, most, nearest, farthest,
+        )  # fmt: skip
+
+    def _camera(self, sensor: Element, plugin: Element, common: Sensor, place: str) -> Camera:
+        camera = sensor.find("camera")
+        image, clip, noise = (_below(camera, tag) for tag in ("image", "clip", "noise"))
+        width, height = (int(child_number(image, tag, size, place)) for tag, size in (("width", 320), ("height", 240)))
+        view = child_number(camera, "horizontal_fov", 1.047, place)
+        near, far = child_number(clip, "near", 0.1, place), child_number(clip, "far", 100.0, place)
+        most = Camera.MOST_PIXELS
+        if not (0 < width <= most and 0 < height <= most and 0.0 < view < math.pi and 0.0 < near < far < math.inf):
+            raise sensor.error(
+                f"{place}: a camera of {width} x {height} pixels, {view:g} rad wide, {near:g} to {far:g} m",
+                f"1 to {most} pixels either way, a horizontal_fov between 0 and pi, near above 0 and below far",
+            )
+        written = child_text(image, "format", "R8G8B8") if image is not None else "R8G8B8"
+        if written not in _ENCODINGS and image is not None:
+            known = ", ".join(_ENCODINGS)
+            self.report.wrong(
+                image, f"<format> {written} is unknown here, and R8G8B8 is taken; there is {known}", place
+            )
+        group = child_text(plugin, "cameraName", "")
+        topics = [child_text(plugin, tag, default).strip("/") for tag, default in _CAMERA_TOPICS]
+        topic, info = (f"{group.rstrip('/')}/{name}" if group else name for name in topics)
+        for tag in _DISTORTIONS:
+            if child_number(plugin, tag, 0.0, place):
+                self.report.ignored(plugin, f"<{tag}> has no effect: pictures here have no distortion", place)
+        return Camera(
+            common.name, common.link, topic, child_text(plugin, "frameName", "world").lstrip("/"),
+            child_number(plugin, "updateRate", 0.0, place) or common.rate_hz, common.origin,
+            child_number(noise, "stddev", 0.0, place), child_number(noise, "mean", 0.0, place), info,
+            width, height, view, near, far, _ENCODINGS.get(written, "rgb8"),
+            child_number(plugin, "hackBaseline", 0.0, place),
         )  # fmt: skip
 
     def of_model(self, plugin: Element, place: str) -> None:

@@ -15,9 +15,10 @@ import numpy as np
 
 from slidectl import names
 from slidectl.control.node_handle import Message
-from slidectl.description.robot import Bumper, GroundTruth, Imu, JointStates, Laser, Sensor
+from slidectl.description.robot import Bumper, Camera, GroundTruth, Imu, JointStates, Laser, Sensor
 from slidectl.physics import sensing
 from slidectl.rotations import Pose, Quaternion, Vector, add, conjugate, cross, from_rpy, message, rotate, subtract
+from slidectl.simulation.camera_topics import CameraTopics
 from slidectl.simulation.clock import SECOND, stamp
 from slidectl.simulation.spawned_robots import SpawnedRobot
 from slidectl.simulation.topics import PeriodicTopic
@@ -205,7 +206,12 @@ def _pose(position: Vector, attitude: Quaternion) -> Message:
 
 def bring_up(simulation: Simulation, robot: SpawnedRobot) -> Callable[[], None]:
     """Give a robot the topics of its sensors. Returns what takes them back."""
-    topics = [SensorTopic(simulation, robot, sensor) for sensor in robot.paper.sensors]
+    topics = [
+        CameraTopics(simulation, robot, sensor)
+        if isinstance(sensor, Camera)
+        else SensorTopic(simulation, robot, sensor)
+        for sensor in robot.paper.sensors
+    ]
 
     def take_back() -> None:
         for topic in topics:
