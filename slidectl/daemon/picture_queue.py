@@ -11,7 +11,7 @@ from slidectl.daemon.event_loop import READ, EventLoop
 from slidectl.description.robot import Camera
 from slidectl.errors import Refused
 from slidectl.physics import World
-from slidectl.physics.painting import PictureRequest, Painter
+from slidectl.physics.painting import Painter, PictureRequest
 from slidectl.rotations import Pose
 from slidectl.simulation.pending import Pending
 

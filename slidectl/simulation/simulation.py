@@ -73,8 +73,8 @@ class Simulation:
         """How `/gazebo/spawn_urdf_model` gets the hulls (physics.hulls.Hulls) of meshes. A driver puts its own, which
         may answer later."""
         self.paint: Callable[[Camera, Pose, int], Pending] = self._paint_here
-        """How a camera at a pose gets its picture (pixels in base64), with the seed of its noise. A driver puts its own,
-        which may answer later."""
+        """How a camera at a pose gets its picture (pixels in base64), with the seed of its noise. A driver puts its
+        own, which may answer later."""
         self._painter: Painter | None = None
         self.chosen: set[str] = set()
         """What a user has asked for, of `speed`, `timestep` and `gravity`: the file of a world does not change it."""
