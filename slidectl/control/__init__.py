@@ -11,6 +11,8 @@ from __future__ import annotations
 from slidectl.control.controller_interface import Controller, MultiInterfaceController
 from slidectl.control.hardware_interface import (
     EffortJointInterface,
+    ForceTorqueSensorInterface,
+    ImuSensorInterface,
     JointHandle,
     JointStateHandle,
     JointStateInterface,
@@ -33,7 +35,9 @@ __all__ = [
     "TEXTS",
     "Controller",
     "EffortJointInterface",
+    "ForceTorqueSensorInterface",
     "Gains",
+    "ImuSensorInterface",
     "JointHandle",
     "JointStateHandle",
     "JointStateInterface",

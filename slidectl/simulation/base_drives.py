@@ -11,11 +11,13 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from slidectl import names
+from slidectl.control.duration import header_of
+from slidectl.control.mobile_base import matrix_of, twist_of
 from slidectl.control.node_handle import Message
 from slidectl.description.robot import BaseDrive, PlanarMove, WheelDrive, namespace_of
 from slidectl.errors import MessageRefused
-from slidectl.rotations import Pose, from_rpy, to_rpy
-from slidectl.simulation.clock import SECOND, Timer, stamp
+from slidectl.rotations import Pose, Vector, from_rpy, to_rpy
+from slidectl.simulation.clock import SECOND, Timer
 from slidectl.simulation.gazebo_frames import pose_message, vector_message
 from slidectl.simulation.spawned_robots import SpawnedRobot
 from slidectl.simulation.state_publisher import tf_prefix
@@ -97,20 +99,22 @@ class RunningDrive:
         odometry, base = (
             f"{prefix}/{frame}" if prefix else frame for frame in (self._drive.odometry_frame, self._drive.base_frame)
         )
-        return {"seq": 0, "stamp": stamp(self._simulation.time_ns), "frame_id": odometry}, base
+        return header_of(self._simulation.time_ns, odometry), base
 
     def _odometry(self) -> Message:
         drive, (pose, forwards, left, turning) = self._drive, self._place()
         header, base = self._header()
         if not drive.tells_height:
             pose = (pose[0][0], pose[0][1], 0.0), pose[1]
-        twist = {"linear": vector_message((forwards, left, 0.0)), "angular": vector_message((0.0, 0.0, turning))}
         variances = drive.twist_variances
         return {
             "header": header,
             "child_frame_id": base,
-            "pose": {"pose": pose_message(pose), "covariance": _covariance(*drive.pose_variances)},
-            "twist": {"twist": twist, "covariance": _covariance(*variances) if variances else [0.0] * 36},
+            "pose": {"pose": pose_message(pose), "covariance": _covariance(drive.pose_variances)},
+            "twist": {
+                "twist": twist_of(forwards, left, turning),
+                "covariance": _covariance(variances) if variances else [0.0] * 36,
+            },
         }
 
     def _transform(self) -> Message:
@@ -190,7 +194,7 @@ class TurningWheels(RunningDrive):
 
     def _joint_states(self) -> Message:
         joints = [*self._wheels.right, *self._wheels.left]
-        header = {"seq": 0, "stamp": stamp(self._simulation.time_ns), "frame_id": ""}
+        header = header_of(self._simulation.time_ns)
         positions = [self._state(joint)[0] for joint in joints]
         return {"header": header, "name": joints, "position": positions, "velocity": [], "effort": []}
 
@@ -243,9 +247,9 @@ def _period_ns(rate_hz: float) -> int:
     return max(EACH_STEP_NS, round(SECOND / rate_hz)) if rate_hz > 0.0 else EACH_STEP_NS
 
 
-def _covariance(x: float, y: float, yaw: float) -> list[float]:
-    diagonal = (x, y, UNKNOWN, UNKNOWN, UNKNOWN, yaw)
-    return [diagonal[row] if row == column else 0.0 for row in range(6) for column in range(6)]
+def _covariance(variances: Vector) -> list[float]:
+    x, y, yaw = variances
+    return matrix_of([x, y, UNKNOWN, UNKNOWN, UNKNOWN, yaw])
 
 
 def bring_up(simulation: Simulation, robot: SpawnedRobot) -> Callable[[], None]:

@@ -11,11 +11,11 @@ import zlib
 from typing import TYPE_CHECKING
 
 from slidectl import names
+from slidectl.control.duration import header_of
 from slidectl.control.node_handle import Message
 from slidectl.description.robot import Camera
 from slidectl.physics import painting, sensing
-from slidectl.rotations import from_rpy
-from slidectl.simulation.clock import SECOND, stamp
+from slidectl.simulation.clock import SECOND
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.spawned_robots import SpawnedRobot
 from slidectl.simulation.topics import PeriodicTopic
@@ -53,15 +53,14 @@ class CameraTopics:
         self._info.close()
 
     def _header(self) -> Message:
-        return {"seq": 0, "stamp": stamp(self._simulation.time_ns), "frame_id": self._camera.frame}
+        return header_of(self._simulation.time_ns, self._camera.frame)
 
     def _take(self) -> None:
         """Begin a picture of now; it is published when it is there."""
         if self._is_busy or self._is_broken:
             return
         simulation, camera, robot = self._simulation, self._camera, self._robot.name
-        origin = (camera.origin.xyz, from_rpy(camera.origin.rpy))
-        pose = sensing.sensor_pose(simulation.world, robot, camera.link, origin)
+        pose = sensing.sensor_pose(simulation.world, robot, camera)
         header, seed = self._header(), zlib.crc32(f"{robot}/{camera.name}/{simulation.time_ns}".encode())
         self._is_busy = True
         simulation.paint(camera, pose, seed).then(lambda done: self._publish(header, done))
