@@ -41,9 +41,8 @@ class CameraTopics:
             self._is_broken = True
         node = names.join(robot.namespace, "gazebo")
         period_ns = max(1, round(SECOND / camera.rate_hz)) if camera.rate_hz > 0.0 else 1
-        topic = names.join(robot.namespace, camera.topic)
+        topic, info = (_inside(robot.namespace, topic) for topic in (camera.topic, camera.info_topic))
         self._pictures = PeriodicTopic(simulation.graph, topic, "sensor_msgs/Image", node, period_ns, self._take)
-        info = names.join(robot.namespace, camera.info_topic)
         self._info = PeriodicTopic(simulation.graph, info, "sensor_msgs/CameraInfo", node, period_ns, self._geometry)
 
     def close(self) -> None:
@@ -103,3 +102,8 @@ class CameraTopics:
             "binning_y": 0,
             "roi": {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False},
         }
+
+
+def _inside(namespace: str, topic: str) -> str:
+    """The topic in the namespace of the robot, which a model that is spawned in the root names itself."""
+    return names.join("/" if f"/{topic}".startswith(f"{namespace}/") else namespace, topic)
