@@ -361,6 +361,7 @@ class Client:
         controllers: str | None = None,
         start: Sequence[str] = (),
         joints: Mapping[str, float] | None = None,
+        transmissions: str | None = None,
         **xacro_arguments: str,
     ) -> Message:
         """Put a robot, or all models of a file, into the world, as `slidectl spawn` does.
@@ -373,6 +374,7 @@ class Client:
             controllers: the YAML file of its controllers' parameters.
             start: controllers to load and start.
             joints: where joints start, rad or m.
+            transmissions: `gazebo` or `real`, whatever the model says.
 
         Raises:
             BadFile, UnknownName, UsageError: before anything is changed. Refused: with the daemon's reason.
@@ -389,7 +391,8 @@ class Client:
             self.spawn_models([spawning.request(one, at) for one in models])
             return dict(self.call("/slidectl/list_robots", {"name": models[0].name})["robots"][0])
         document = spawning.document(model, xacro_arguments, name)
-        chosen, namespace = spawning.identity(document.xml, document, name, joints=joints or {})
+        xml = spawning.with_transmissions(document, transmissions)
+        chosen, namespace = spawning.identity(xml, document, name, joints=joints or {})
         spawning.check_free(self.robots(), chosen, namespace)
         if controllers is not None:
             self.params.set_all(spawning.controller_parameters(controllers, namespace))
@@ -398,7 +401,7 @@ class Client:
         for wanted in start:
             if wanted not in known:
                 raise UnknownName("controller", wanted, known, f"in the parameters of {namespace}")
-        self.spawn_urdf(chosen, document.xml, pose, joints)
+        self.spawn_urdf(chosen, xml, pose, joints)
         if start:
             manager.loaded(manager.ask_to_load(start))
             manager.start(start)

@@ -17,6 +17,8 @@ from slidectl.control.hardware_interface import (
     JointStateHandle,
     JointStateInterface,
     PositionJointInterface,
+    PosVelAccJointInterface,
+    PosVelJointInterface,
     RobotHW,
     VelocityJointInterface,
 )
@@ -47,6 +49,8 @@ __all__ = [
     "NodeHandle",
     "Parameter",
     "Pid",
+    "PosVelAccJointInterface",
+    "PosVelJointInterface",
     "PositionJointInterface",
     "Publisher",
     "Refused",

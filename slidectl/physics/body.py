@@ -81,6 +81,8 @@ class Body:
         """Revolute, continuous and prismatic joints by name, in the order of the file; another dict when they moved."""
         self.start: dict[str, float] = {}
         """Where joints begin that do not begin at 0, rad or m."""
+        self.lasting_motors: dict[str, float] = {}
+        """Joints that motors hold as long as it is in the world, with the most effort of each, N or N·m."""
         self.weights: Weights | None = None
         """Set once, when the robot is attached."""
         self._lumps = lumps(robot)

@@ -481,14 +481,25 @@ class World:
         self.loads.keep(lambda _: False)
         self._loads_changed()
 
-    def add_motors(self, body: Body, most_efforts: dict[str, float]) -> None:
-        """Hold joints by motors, each with at most this effort (N or N·m), as long as the robot is in the world.
+    def has_motors(self, body: Body) -> bool:
+        """Whether joints of the robot are held by motors."""
+        return self.loads.motors.has(body)
+
+    def set_motors(self, body: Body, most_efforts: dict[str, float]) -> None:
+        """Hold these joints by motors, each with at most this effort (N or N·m), and no others but `lasting_motors`.
 
         `loads.motors.velocities` has what they are to reach.
         """
-        self.loads.motors.add(body, most_efforts)
+        self.loads.motors.release(self.model)
+        self.loads.efforts[body.dofs] = 0.0
+        self.loads.motors.put_of(body, most_efforts | body.lasting_motors)
         self._bind_loads()
         self._announce()
+
+    def add_motors(self, body: Body, most_efforts: dict[str, float]) -> None:
+        """Hold these joints too, as long as the robot is in the world, whatever `set_motors` is told."""
+        body.lasting_motors |= most_efforts
+        self.set_motors(body, self.loads.motors.of(body))
 
 
 def number(value: float) -> float:
