@@ -49,7 +49,7 @@ goal preempts the one before.
 The shipped cart, driven by velocities of its base:
 
 ```text
-slidectl spawn cart --controllers config/cart_control.yaml --start joint_state_controller base_controller
+slidectl spawn cart drive:=controller --controllers config/cart_control.yaml --start base_controller
 slidectl pub /cart/base_controller/cmd_vel '{linear: {x: 0.5}, angular: {z: 0.3}}' -r 10
 slidectl echo /cart/base_controller/odom -n 1
 ```

@@ -293,7 +293,7 @@ class OdometryTopics:
         self._odom_frame = odom_frame
         self._base_frame: str = params.value_of(node, BASE_FRAME)
         self._pose_covariance, self._twist_covariance = (
-            _matrix(params.value_of(node, diagonal)) for diagonal in COVARIANCES
+            matrix_of(params.value_of(node, diagonal)) for diagonal in COVARIANCES
         )
         self._published_ns = 0
         self._odom = node.advertise("odom", "nav_msgs/Odometry")
@@ -342,7 +342,7 @@ class PlaceOfBase(Protocol):
     heading: float
 
 
-def _matrix(diagonal: list[float]) -> list[float]:
+def matrix_of(diagonal: list[float]) -> list[float]:
     """A square matrix of zeros but for its diagonal, row by row."""
     size = len(diagonal)
     return [diagonal[k // size] if k % (size + 1) == 0 else 0.0 for k in range(size * size)]

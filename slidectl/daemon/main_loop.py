@@ -23,6 +23,7 @@ from slidectl.daemon.logfile import LogFile
 from slidectl.daemon.mesh_reader import MeshReader
 from slidectl.daemon.options import Start
 from slidectl.daemon.pacing import Pacer
+from slidectl.daemon.picture_queue import PictureQueue
 from slidectl.daemon.place import Place, TakenOver
 from slidectl.daemon.server import Server
 from slidectl.daemon.time_limit import TimeLimit
@@ -75,6 +76,8 @@ class Daemon:
         self._server = Server(listener, self._loop, graph, self._unexpected)
         self._mesh_reader = MeshReader(self._loop, self._unexpected)
         self.simulation.read_meshes = self._mesh_reader.read
+        self._pictures = PictureQueue(self._loop, self.simulation.world)
+        self.simulation.paint = self._pictures.paint
         self._watch_signals()
 
     def run(self) -> None:
@@ -184,6 +187,7 @@ class Daemon:
     def _end(self) -> None:
         self._log.write("info", self._stopping)
         self._mesh_reader.close()
+        self._pictures.close()
         self._server.close(f"the daemon was {self._stopping}")
         self._loop.close()
 
