@@ -6,7 +6,6 @@ Pure text building and the one function that writes to stdout. It knows no comma
 from __future__ import annotations
 
 import json
-import math
 import os
 import sys
 from collections.abc import Iterable, Mapping, Sequence
@@ -65,11 +64,13 @@ def wants_colour(stream: TextIO) -> bool:
 
 
 def as_json(value: Any) -> str:
-    """One line of JSON; NaN and infinities become null, as on the wire."""
+    """One line of JSON; NaN becomes null and infinity 1e999, as on the wire."""
     try:
         return json.dumps(value, ensure_ascii=False, allow_nan=False)
     except ValueError:
-        return json.dumps(_finite(value), ensure_ascii=False)
+        from slidectl.client.lines import numbers_of_json
+
+        return numbers_of_json(json.dumps(value, ensure_ascii=False))
 
 
 def as_yaml(value: Any) -> str:
@@ -154,14 +155,6 @@ def _csv_cell(value: Any) -> Any:
     if isinstance(value, bool):
         return "true" if value else "false"
     return as_json(value) if isinstance(value, list | tuple | Mapping) else value
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    return [_finite(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def _plain(value: Any) -> Any:

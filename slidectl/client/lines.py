@@ -6,6 +6,7 @@ Encoding, decoding and cutting a stream of bytes into lines of bounded length. K
 from __future__ import annotations
 
 import json
+import re
 from collections import deque
 from typing import Any
 
@@ -16,6 +17,9 @@ LONGEST_LINE = 16 * 1024 * 1024
 _QUOTED = 60
 
 _encode = json.JSONEncoder(allow_nan=False, check_circular=False, separators=(",", ":")).encode
+_encode_all = json.JSONEncoder(check_circular=False, separators=(",", ":")).encode
+_TEXTS_AND_NUMBERS = re.compile(r'"(?:[^"\\]|\\.)*"|-?Infinity|NaN')
+_IN_JSON = {"NaN": "null", "Infinity": "1e999", "-Infinity": "-1e999"}
 
 
 class BadLine(UsageError):
@@ -23,22 +27,17 @@ class BadLine(UsageError):
 
 
 def encode(message: dict[str, Any]) -> bytes:
-    """The object as one line. NaN and infinities become null, as rosbridge sends them."""
+    """The object as one line. NaN becomes null, as rosbridge sends it; infinities stay, see `numbers_of_json`."""
     try:
         text = _encode(message)
-    except ValueError:  # there are some, which is rare: only then is the object copied
-        text = _encode(_without_nan(message))
+    except ValueError:  # there are some, which is rare
+        text = numbers_of_json(_encode_all(message))
     return (text + "\n").encode("ascii")
 
 
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, float):
-        return value if value - value == 0.0 else None
-    if isinstance(value, dict):
-        return {key: _without_nan(member) for key, member in value.items()}
-    if isinstance(value, list | tuple):
-        return [_without_nan(member) for member in value]
-    return value
+def numbers_of_json(text: str) -> str:
+    """What Python writes as NaN and Infinity, as JSON has it: null, and 1e999, which readers take for infinity."""
+    return _TEXTS_AND_NUMBERS.sub(lambda match: _IN_JSON.get(match[0], match[0]), text)
 
 
 def decode(line: bytes) -> dict[str, Any]:

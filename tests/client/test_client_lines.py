@@ -26,13 +26,16 @@ def test_what_is_encoded_is_decoded_to_the_same(message: dict[str, object]) -> N
     assert decode(line) == message
 
 
-@given(st.lists(st.floats()))
-def test_only_numbers_that_json_has_are_written(numbers: list[float]) -> None:
-    expected = [number if math.isfinite(number) else None for number in numbers]
-    assert json.loads(encode({"deep": {"list": [numbers]}, "pair": (math.nan, 1)})) == {
-        "deep": {"list": [expected]},
-        "pair": [None, 1],
-    }
+def _not_json(word: str) -> float:
+    raise AssertionError(f"{word} is no JSON")
+
+
+@given(st.lists(st.floats()), st.text())
+def test_only_numbers_that_json_has_are_written(numbers: list[float], text: str) -> None:
+    expected = [None if math.isnan(number) else number for number in numbers]
+    told = f'NaN "{text}" Infinity'
+    line = encode({"deep": {"list": [numbers], told: told}, "pair": (math.nan, 1)})
+    assert json.loads(line, parse_constant=_not_json) == {"deep": {"list": [expected], told: told}, "pair": [None, 1]}
 
 
 @given(st.lists(st.binary(min_size=1).filter(lambda line: b"\n" not in line and not line.isspace())), st.data())

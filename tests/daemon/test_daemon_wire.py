@@ -89,12 +89,12 @@ def test_another_type_for_a_known_topic_is_refused(wire: Wire) -> None:
     assert "rosgraph_msgs/Clock" in status["msg"]
 
 
-def test_nan_and_infinity_travel_as_null(connect: Connect) -> None:
+def test_nan_travels_as_null_and_infinity_as_a_number(connect: Connect) -> None:
     reader, writer = connect(), connect()
     reader.send(op="subscribe", topic="/floats", type="std_msgs/Float64MultiArray")
     reader.call("/rosapi/get_time")
-    writer.send(op="publish", topic="/floats", msg={"data": [math.nan, math.inf, None, 1.5]})
-    assert reader.receive()["msg"]["data"] == [None, None, None, 1.5]
+    writer.send(op="publish", topic="/floats", msg={"data": [math.nan, math.inf, None, -math.inf, 1.5]})
+    assert reader.receive()["msg"]["data"] == [None, math.inf, None, -math.inf, 1.5]
 
 
 def test_after_unsubscribe_nothing_comes_any_more(wire: Wire) -> None:
