@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from operator import attrgetter
 from struct import Struct
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, Self, TypeVar
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -24,6 +24,24 @@ def law(function: F) -> F:
     """
     LAWS.append(function)
     return function
+
+
+PUBLISH, LEAVE = 1, 2
+"""What the law of a controller's update may return besides 0: `publish` is due; or nothing was changed, and the
+interpreter is to make this update."""
+
+
+class LawTables(NamedTuple):
+    """What the law of a controller's update finds beside the controller's own row."""
+
+    joints: Any
+    """The rows of all joints: position, velocity, effort and command of each, as a handle has them."""
+    pids: Any
+    """The rows of all PIDs."""
+    members: Any
+    """The rows of the controller's members, in their order; each tells its `joint` and `pid`."""
+    numbers: Any
+    """The controller's block of numbers."""
 
 
 class Columns:
@@ -49,6 +67,12 @@ class Columns:
         self._changing = Struct("=" + self.kinds[: len(self.changing)])
         self._values = _getter(self.attributes)
         self._changing_values = _getter(self.changing)
+
+    def with_places(self, places: str) -> Self:
+        """The same columns, and places behind them that are whole numbers."""
+        whole = [name for name, kind in zip(self.names, self.kinds, strict=True) if kind == "q"]
+        fixed = self.attributes[len(self.changing) :]
+        return type(self)(" ".join(self.changing), " ".join(fixed), places, " ".join((*whole, places)))
 
     def fill(self, rows: bytearray, row: int, source: object, *places: float) -> None:
         """Write the whole row: the attributes of `source`, then the places."""

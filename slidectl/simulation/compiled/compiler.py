@@ -21,10 +21,13 @@ import numba
 import numpy as np
 from numba.extending import overload, register_jitable
 
-from slidectl.control.laws import LAWS, Columns
+from slidectl.control.controller_interface import Compiled
+from slidectl.control.laws import LAWS, Columns, LawTables
+from slidectl.control.pid import Pid
+from slidectl.control.registry import compiled_forms
 from slidectl.simulation.compiled import guard, kernel, object_file
 from slidectl.simulation.compiled.object_file import machine
-from slidectl.simulation.compiled.tables import ARRAYS, CYCLE_TABLES, FORMS, TABLES, Progress, form_table
+from slidectl.simulation.compiled.tables import ARRAYS, CONTROLLER, JOINT, RAISED, TABLES, Progress
 
 types: Any = numba.types
 carray: Any = numba.carray  # type: ignore[attr-defined]
@@ -55,6 +58,7 @@ def teach_laws() -> None:
 
 def compile_cycle() -> bytes:
     """The object file."""
+    forms = list(enumerate(compiled_forms().values()))  # imports all controllers, and so their laws
     teach_laws()
     step = types.ExternalFunction(guard.STEP, types.int64(*4 * [types.int64]))
 
@@ -62,9 +66,11 @@ def compile_cycle() -> bytes:
     def _physics_step(step_: Any, model: Any, data: Any, error_hook: Any) -> Any:  # noqa: ARG001
         return lambda step_, model, data, error_hook: step(step_, model, data, error_hook)
 
+    update = types.ExternalFunction(guard.UPDATE, types.int64(*4 * [types.int64], types.float64))
+
     @overload(kernel.update_controller, strict=False)
-    def _update_controller(kind: Any, row: Any, tables: Any, time_ns: Any, period_s: Any) -> Any:  # noqa: ARG001
-        return _dispatch()
+    def _update_controller(controller: Any, joints: Any, pids: Any, time_ns: Any, period_s: Any) -> Any:  # noqa: ARG001
+        return lambda controller, joints, pids, time_ns, period_s: update(controller, joints, pids, time_ns, period_s)
 
     get = types.ExternalFunction(guard.GET, types.float64(types.int64, types.int64))
     put = types.ExternalFunction(guard.PUT, types.void(types.int64, types.int64, types.float64))
@@ -78,22 +84,42 @@ def compile_cycle() -> bytes:
         return lambda variable, index, value: put(variable, index, value)
 
     # numba links what it compiled at once, though it is never called here.
-    for name in (guard.STEP, guard.GET, guard.PUT):
+    for name in (guard.STEP, guard.UPDATE, guard.GET, guard.PUT):
         llvm.add_symbol(name, ctypes.cast(ctypes.CDLL(None).abort, ctypes.c_void_p).value)
-    function = numba.cfunc(types.int64(*_arguments()))(_on_pointers())
-    return _object_file(function.inspect_llvm(), function.native_name.removeprefix("cfunc."))
-
-
-def _dispatch() -> Callable[..., bool]:
-    """`kernel.update_controller`: one branch for each registered form. numba wants the branches written out."""
-    forms = tuple(FORMS.values())
-    lines = [
-        f"    if kind == {kind}:\n"
-        f"        return law{kind}(tables.forms[{kind}][row], tables.joints, tables.pids, time_ns, period_s)\n"
-        for kind in range(len(forms))
+    code = [
+        _made_of(types.int64(*_arguments()), _on_pointers(), guard.CYCLE),
+        *(law_code(form, guard.law(number)) for number, form in forms),
     ]
-    source = f"def update_controller(kind, row, tables, time_ns, period_s):\n{''.join(lines)}    return False\n"
-    return _made(source, "update_controller", {f"law{kind}": form.update for kind, form in enumerate(forms)})
+    laws = [guard.law(number) for number, _ in forms]
+    entries = [guard.entry(len(_arguments())), *(guard.law_entry(law, CONTROLLER.names, RAISED) for law in laws)]
+    return _object_file([*code, guard.CODE, *entries], {guard.ENTRY, guard.ERROR_TEXT, *laws})
+
+
+def law_code(form: Compiled, name: str) -> str:
+    """What numba makes of the law of a form, for `guard.law_entry`."""
+    row, member, joint, pid = (
+        types.CPointer(numba.from_dtype(column_type(columns)))
+        for columns in (form.row, form.members, JOINT, Pid.columns)
+    )
+    law = form.update
+
+    def body(
+        row: Any, members: Any, count: Any, joints: Any, pids: Any, numbers: Any, size: Any, time_ns: Any, period_s: Any
+    ) -> Any:
+        tables = LawTables(carray(joints, _ROOM), carray(pids, _ROOM), carray(members, count), carray(numbers, size))
+        return law(carray(row, 1)[0], tables, time_ns, period_s)
+
+    double = types.CPointer(types.float64)
+    signature = types.int64(row, member, types.int64, joint, pid, double, types.int64, types.int64, types.float64)
+    return _made_of(signature, body, f"{name}_body")
+
+
+def _made_of(signature: Any, function: Callable[..., Any], name: str) -> str:
+    """The function as code, under that name, without numba's own entry to it."""
+    made = numba.cfunc(signature)(function)
+    module = llvm.parse_assembly(made.inspect_llvm())
+    module.get_function(made.native_name.removeprefix("cfunc.")).name = name
+    return str(module)
 
 
 def _arguments() -> list[Any]:
@@ -106,34 +132,27 @@ def _arguments() -> list[Any]:
 def _on_pointers() -> Callable[..., int]:
     """`kernel.run` on addresses of tables. One argument after the other: numba wants them written out."""
     names = ("progress", *TABLES, *ARRAYS)
-    table = {name: f"carray({name}, room)" for name in names[1:]}
-    cycle = ", ".join(table[name] for name in CYCLE_TABLES)
-    forms = "".join(table[form_table(kind)] + ", " for kind in range(len(FORMS)))
-    arrays = ", ".join(table[name] for name in ARRAYS)
-    source = (
-        f"def cycle({', '.join(names)}):\n"
-        f"    return run(carray(progress, 1)[0], CycleTables({cycle}, ({forms}), {arrays}))\n"
-    )
-    space = {"run": register_jitable(kernel.run), "CycleTables": kernel.CycleTables, "carray": carray, "room": _ROOM}
-    return _made(source, "cycle", space)
-
-
-def _made(source: str, name: str, space: dict[str, Any]) -> Callable[..., Any]:
-    """The function of that name that the source defines, which sees what is in `space`."""
+    tables = ", ".join(f"carray({name}, room)" for name in names[1:])
+    source = f"def cycle({', '.join(names)}):\n    return run(carray(progress, 1)[0], CycleTables({tables}))\n"
+    space: dict[str, Any] = {
+        "run": register_jitable(kernel.run),
+        "CycleTables": kernel.CycleTables,
+        "carray": carray,
+        "room": _ROOM,
+    }
     exec(source, space)
-    function: Callable[..., Any] = space[name]
-    return function
+    cycle: Callable[..., int] = space["cycle"]
+    return cycle
 
 
-def _object_file(code: str, entry: str) -> bytes:
-    """Code, guard and entry as one module in which only the entry can be called from outside."""
+def _object_file(code: list[str], entries: set[str]) -> bytes:
+    """All code as one module in which only the entries can be called from outside."""
     target = machine()
-    module = llvm.parse_assembly(code)
-    module.get_function(entry).name = guard.CYCLE
-    for other in (guard.CODE, guard.entry(len(_arguments()))):
+    module = llvm.parse_assembly(code[0])
+    for other in code[1:]:
         module.link_in(llvm.parse_assembly(other))
     for function in module.functions:
-        if not function.is_declaration and function.name not in (guard.ENTRY, guard.ERROR_TEXT):
+        if not function.is_declaration and function.name not in entries:
             function.linkage = "internal"
     for variable in module.global_variables:
         if not variable.is_declaration:

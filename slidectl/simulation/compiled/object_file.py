@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import slidectl
+from slidectl.control.registry import compiled_forms
 from slidectl.simulation.compiled import guard
 from slidectl.writing import replace
 
@@ -155,6 +156,8 @@ class Cycle(NamedTuple):
 
     run: Callable[[int], int]
     error_text: Callable[[], bytes]
+    laws: list[int]
+    """The addresses of the code of our forms, in their order."""
     engine: Any
     """Owns the memory that the code is in."""
 
@@ -167,10 +170,11 @@ def load() -> Cycle:
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine())
     engine.add_object_file(llvm.ObjectFileRef.from_data(_read()))
     engine.finalize_object()
-    addresses = [engine.get_function_address(name) for name in (guard.ENTRY, guard.ERROR_TEXT)]
+    names = [guard.ENTRY, guard.ERROR_TEXT, *map(guard.law, range(len(compiled_forms())))]
+    addresses = [engine.get_function_address(name) for name in names]
     if not all(addresses):
         raise RuntimeError(f"{place()} is not what it should be; delete it")
     # The interpreter's lock is kept: there is one thread, and MuJoCo's warnings come back through Python.
     run = ctypes.PYFUNCTYPE(ctypes.c_int64, ctypes.c_void_p)(addresses[0])
     text = ctypes.PYFUNCTYPE(ctypes.c_char_p)(addresses[1])
-    return Cycle(run, text, engine)
+    return Cycle(run, text, addresses[2:], engine)
