@@ -66,7 +66,7 @@ class Member(NamedTuple):
     """One of several like parts of a controller: an object with the attributes of a row, its joint and its PID."""
 
     source: object
-    joint: JointHandle | None = None
+    joint: JointStateHandle | None = None
     pid: Pid | None = None
 
 

@@ -41,7 +41,7 @@ class MonitoredGoal:
 
     def __init__(self, handle: GoalHandle) -> None:
         self.handle = handle
-        self.feedback: Callable[[], Message] | None = None
+        self.feedback: Callable[[], Message | None] = lambda: None
         """Makes the feedback of the last update; None before the first one, or where there is none at all."""
         self._decision: GoalStatus | None = None
         self._result: Message = {}
@@ -65,8 +65,9 @@ class MonitoredGoal:
                 self.handle.abort(dict(self._result))
             elif self._decision is GoalStatus.SUCCEEDED:
                 self.handle.succeed(dict(self._result))
-        if was_active and self.feedback is not None:
-            self.handle.publish_feedback(self.feedback())
+        feedback = self.feedback() if was_active else None
+        if feedback is not None:
+            self.handle.publish_feedback(feedback)
 
 
 class GoalMonitor:

@@ -186,7 +186,7 @@ class GraphNode:
         ActionServer(self.child(action), type_name, on_goal, on_cancel)
 
     def call_every(self, period_ns: int, callback: Callable[[], None]) -> RepeatedCall:
-        call = RepeatedCall(self._graph.timers, period_ns, callback, self._calls)
+        call = RepeatedCall(self._graph.timers, period_ns, self._entering(callback), self._calls)
         self._calls.add(call)
         return call
 

@@ -136,7 +136,7 @@ def vars_of(thing: Any) -> Any:
         *getattr(thing, "__dict__", {}),
         *(name for cls in type(thing).__mro__ for name in getattr(cls, "__slots__", ())),
     ]
-    found = {name: _seen(getattr(thing, name)) for name in names if name != "observer"}
+    found = {name: _seen(getattr(thing, name)) for name in names if name not in ("observer", "segment", "next_s")}
     return {name: value for name, value in found.items() if value is not None}
 
 

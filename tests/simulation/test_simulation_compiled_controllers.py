@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from random import Random
+from typing import Any
 
 import pytest
 from engine_scenes import GAINS, Scene, add, arm, play, switch
 from sim_robots import STATES
 
+from slidectl.errors import SlidectlError
 from slidectl.simulation import Simulation
 from slidectl.simulation.compiled import object_file
 
@@ -72,3 +74,72 @@ def test_a_pid_that_publishes_each_step_leaves_its_group_to_the_interpreter() ->
         simulation.step(200)
 
     assert_same(scene)
+
+
+FOLLOWERS = {
+    "effort": {"gains": {joint: {"p": 90.0, "d": 12.0, "i": 5.0, "i_clamp": 3.0} for joint in JOINTS}},
+    "velocity": {"gains": {joint: {"p": 8.0} for joint in JOINTS}, "velocity_ff": dict.fromkeys(JOINTS, 1.0)},
+    "position": {},
+}
+FOLLOWER_TOPICS = ("state", "follow_joint_trajectory/feedback", "follow_joint_trajectory/result")
+
+
+def follower(kind: str, **more: Any) -> dict[str, dict[str, Any]]:
+    own = {"type": f"{kind}_controllers/JointTrajectoryController", "joints": JOINTS, "state_publish_rate": 60}
+    constraints = {"goal_time": 0.3, "stopped_velocity_tolerance": 0.0}
+    return {"arm": {**own, **FOLLOWERS[kind], "constraints": constraints, "allow_partial_joints_goal": True, **more}}
+
+
+def random_trajectory(dice: Random) -> dict[str, Any]:
+    """Lines, cubics and quintics through one to five points, of all joints or some."""
+    joints = dice.sample(JOINTS, dice.choice((1, 3, 3)))
+    terms, time_s, points = dice.choice((1, 2, 3)), 0.0, []
+    for _ in range(dice.randint(1, 5)):
+        time_s += dice.uniform(0.01, 0.3)
+        lists = [[dice.uniform(-1, 1) for _ in joints] if k < terms else [] for k in range(3)]
+        stamp = {"secs": int(time_s), "nsecs": int(time_s % 1 * 1e9)}
+        named = dict(zip(("positions", "velocities", "accelerations"), lists, strict=True))
+        points.append({**named, "time_from_start": stamp})
+    return {"joint_names": joints, "points": points}
+
+
+def something_for_a_follower(simulation: Simulation, dice: Random) -> None:
+    tolerances = [{"name": joint, "position": dice.choice((0.02, 0.3, 9.0))} for joint in JOINTS]
+    goal = {"trajectory": random_trajectory(dice), "goal_tolerance": tolerances}
+    if dice.random() < 0.3:
+        goal["path_tolerance"] = tolerances
+    action = "/a/arm/follow_joint_trajectory"
+    things = [
+        lambda: simulation.publish(f"{action}/goal", {"goal": goal}),
+        lambda: simulation.publish(f"{action}/goal", {"goal": goal}),
+        lambda: simulation.publish("/a/arm/command", random_trajectory(dice)),
+        lambda: simulation.publish("/a/arm/command", {"joint_names": JOINTS}),
+        lambda: simulation.publish(f"{action}/cancel", {}),
+        lambda: simulation.call("/a/arm/query_state", {"time": {"secs": simulation.time_ns // 10**9 + 1, "nsecs": 0}}),
+        lambda: [switch(simulation, "a", stop=["arm"]), simulation.step(2), switch(simulation, "a", start=["arm"])],
+        lambda: simulation.world.add_joint_force("a", "joint1", dice.uniform(-20, 20), simulation.time_ns, 60_000_000),
+        lambda: simulation.reset_world() if dice.random() < 0.3 else None,
+    ]
+    dice.choice(things)()
+
+
+@pytest.mark.parametrize("kind", FOLLOWERS)
+def test_a_trajectory_controller_whatever_happens(kind: str) -> None:
+    def scene(simulation: Simulation) -> None:
+        dice = Random(kind)
+        stop = {"stop_trajectory_duration": 0.1} if kind == "velocity" else {}
+        add(simulation, "a", arm(interface=kind.title()), follower(kind, **stop))
+        simulation.step(1)
+        for topic in FOLLOWER_TOPICS:
+            simulation.heard.listen(f"/a/arm/{topic}")  # type: ignore[attr-defined]
+        for _ in range(60):
+            try:
+                something_for_a_follower(simulation, dice)
+            except SlidectlError as error:
+                simulation.heard.messages.append(("refused", str(error)))  # type: ignore[attr-defined]
+            simulation.step(dice.choice((1, 30, 170, 400)))
+
+    simulation = assert_same(scene)
+    heard = {topic for topic, _ in simulation.heard.messages}  # type: ignore[attr-defined]
+    assert {f"/a/arm/{topic}" for topic in FOLLOWER_TOPICS} <= heard
+    assert is_compiled(simulation, "a", "arm")
