@@ -69,6 +69,13 @@ def sample_at(rows: Rows, time_s: float) -> tuple[float, float, float]:
     return sample(rows[find(rows, time_s)].tolist(), time_s)
 
 
+def states(values: Sequence[Sequence[float]]) -> Rows:
+    """Position, velocity and acceleration of each joint, as `between` takes them: 3 x joints."""
+    import numpy as np
+
+    return np.array(values).T
+
+
 def between(start_s: ArrayLike, start: ArrayLike, end_s: ArrayLike, end: ArrayLike) -> Rows:
     """Segments from these times and states to those. States are rows of positions, velocities and accelerations; nan
     is what nobody says. No goals, no tolerances.
@@ -93,55 +100,51 @@ def splines(start: Rows, end: Rows, t: Rows) -> Rows:
     import numpy as np
 
     (p0, v0, a0), (p1, v1, a1) = start, end
-    nothing = np.zeros_like(t)
-    is_line = np.isnan(v0) | np.isnan(v1)
-    is_cubic = np.isnan(a0) | np.isnan(a1)
     t2 = t * t
     t3 = t2 * t
     t4 = t3 * t
     t5 = t4 * t
+    is_line = np.isnan(v0) | np.isnan(v1)
+    is_cubic = np.isnan(a0) | np.isnan(a1)
+    found = np.zeros((len(t), 6))
+    found[:, 0] = p0
     with np.errstate(all="ignore"):
-        line = (p0, np.where(t == 0.0, 0.0, (p1 - p0) / t), nothing, nothing, nothing, nothing)
-        step = (p0, v0, np.where(is_cubic, 0.0, 0.5 * a0), nothing, nothing, nothing)
-        cubic = (
-            p0,
-            v0,
-            (-3.0 * p0 + 3.0 * p1 - 2.0 * v0 * t - v1 * t) / t2,
-            (2.0 * p0 - 2.0 * p1 + v0 * t + v1 * t) / t3,
-            nothing,
-            nothing,
-        )
-        quintic = (
-            p0,
-            v0,
-            0.5 * a0,
-            (-20.0 * p0 + 20.0 * p1 - 3.0 * a0 * t2 + a1 * t2 - 12.0 * v0 * t - 8.0 * v1 * t) / (2.0 * t3),
-            (30.0 * p0 - 30.0 * p1 + 3.0 * a0 * t2 - 2.0 * a1 * t2 + 16.0 * v0 * t + 14.0 * v1 * t) / (2.0 * t4),
-            (-12.0 * p0 + 12.0 * p1 - a0 * t2 + a1 * t2 - 6.0 * v0 * t - 6.0 * v1 * t) / (2.0 * t5),
-        )
-    which = [is_line, t == 0.0, is_cubic]
-    kinds = zip(line, step, cubic, quintic, strict=True)
-    return np.stack([np.select(which, [a, b, c], d) for a, b, c, d in kinds], axis=1)
+        found[:, 1] = np.where(is_line, np.where(t == 0.0, 0.0, (p1 - p0) / t), v0)
+        curved = ~is_line & (t == 0.0) & ~is_cubic
+        found[curved, 2] = 0.5 * a0[curved]
+        curved = ~is_line & (t != 0.0)
+        if (curved & is_cubic).any():
+            cubic = (
+                (-3.0 * p0 + 3.0 * p1 - 2.0 * v0 * t - v1 * t) / t2,
+                (2.0 * p0 - 2.0 * p1 + v0 * t + v1 * t) / t3,
+            )
+            found[curved & is_cubic, 2:4] = np.stack(cubic, axis=1)[curved & is_cubic]
+        if (curved & ~is_cubic).any():
+            quintic = (
+                0.5 * a0,
+                (-20.0 * p0 + 20.0 * p1 - 3.0 * a0 * t2 + a1 * t2 - 12.0 * v0 * t - 8.0 * v1 * t) / (2.0 * t3),
+                (30.0 * p0 - 30.0 * p1 + 3.0 * a0 * t2 - 2.0 * a1 * t2 + 16.0 * v0 * t + 14.0 * v1 * t) / (2.0 * t4),
+                (-12.0 * p0 + 12.0 * p1 - a0 * t2 + a1 * t2 - 6.0 * v0 * t - 6.0 * v1 * t) / (2.0 * t5),
+            )
+            found[curved & ~is_cubic, 2:6] = np.stack(quintic, axis=1)[curved & ~is_cubic]
+    return found
 
 
-def through(
-    begin_s: float, begin: Sequence[float], first_s: float, times_s: Rows, ends: Rows, from_start_s: Rows
-) -> Rows:
-    """The segments from a state through the points of a trajectory; the first of them is reached at `first_s`.
+def through(begin_s: float, begins: Rows, first_s: float, times_s: Rows, ends: Rows, from_start_s: Rows) -> list[Rows]:
+    """The segments of each joint from a state through the points of a trajectory; the first is reached at `first_s`.
 
-    `ends` are the states at the points, `times_s` and `from_start_s` their times by the uptime and by the message.
-    Raises Refused as `between`.
+    `begins` has the states of 3 x joints, `ends` those at the points; `times_s` and `from_start_s` are their times by
+    the uptime and by the message. Raises Refused as `between`.
     """
     import numpy as np
 
-    rows = np.concatenate(
-        [
-            between([begin_s], [[value] for value in begin], [first_s], ends[:, :1]),
-            between(times_s[:-1], ends[:, :-1], times_s[1:], ends[:, 1:]),
-        ]
-    )
-    rows[1:, FROM_START] = from_start_s[:-1]
-    return rows
+    points, joints = ends.shape[1:]
+    states = np.concatenate([begins[:, np.newaxis], ends], axis=1).swapaxes(1, 2)
+    starts, stops = (side.reshape(3, -1) for side in (states[:, :, :-1], states[:, :, 1:]))
+    start_s, stop_s = [begin_s, *times_s[:-1]], [first_s, *times_s[1:]]
+    rows = between(np.tile(start_s, joints), starts, np.tile(stop_s, joints), stops).reshape(joints, points, SIZE)
+    rows[:, 1:, FROM_START] = from_start_s[:-1]
+    return list(rows)
 
 
 def following(kept: Rows, new: Rows) -> Rows:

@@ -605,22 +605,18 @@ class JointTrajectoryController(Controller[Any]):
     def _hold(self, goal_number: int = 0) -> None:
         """From now on come to rest: at the measured positions, or from the desired motion in the time for that."""
         now_s, duration_s = to_seconds(self.uptime_ns), self._stop_duration_s
-        held = []
-        for motion, joint in zip(self._motions, self._joints, strict=True):
-            if duration_s == 0.0:
-                state = [[joint.position], [0.0], [0.0]]
-                rows = segments.between([now_s], state, [now_s], state)
-            else:
-                # Half-way of a motion to the same place with the opposite velocity, the velocity is 0.
-                end_s = now_s + duration_s
-                state = [[motion.position], [motion.velocity], [0.0]]
-                back = [[motion.position], [-motion.velocity], [0.0]]
-                half = segments.between([now_s], state, [now_s + 2.0 * duration_s], back)
-                end = [[value] for value in segments.sample_at(half, end_s)]
-                rows = segments.between([now_s], state, [end_s], end)
-            rows[:, GOAL] = goal_number
-            held.append(rows)
-        self._take_trajectory(held)
+        begin_s = [now_s] * len(self._motions)
+        if duration_s == 0.0:
+            begins = ends = segments.states([(joint.position, 0.0, 0.0) for joint in self._joints])
+        else:
+            # Half-way of a motion to the same place with the opposite velocity, the velocity is 0.
+            begins = segments.states([(motion.position, motion.velocity, 0.0) for motion in self._motions])
+            back = segments.states([(motion.position, -motion.velocity, 0.0) for motion in self._motions])
+            double = segments.between(begin_s, begins, [now_s + 2.0 * duration_s] * len(begin_s), back)
+            ends = segments.states([sample(row.tolist(), now_s + duration_s) for row in double])
+        rows = segments.between(begin_s, begins, [now_s + duration_s] * len(begin_s), ends)
+        rows[:, GOAL] = goal_number
+        self._take_trajectory([rows[k : k + 1] for k in range(len(rows))])
 
     def _take_trajectory(self, trajectory: list[segments.Rows]) -> None:
         """Follow these segments of each joint."""
@@ -670,12 +666,14 @@ class JointTrajectoryController(Controller[Any]):
         begin_s = max(start_s, next_s)
         tolerances = None if goal is None else self._goal_tolerances(goal.goal)
         trajectory = [_for_goal(rows, next_s, goal_number) for rows in self._trajectory]
+        begins = segments.states([segments.sample_at(self._trajectory[k], begin_s) for k in order])
         for column, k in enumerate(order):
+            first_position = float(states[0, 0, column])
+            offset = wraparound_offset(float(begins[0, column]), first_position) if self._turns[k] else 0.0
+            states[0, :, column] += offset
+        made = segments.through(begin_s, begins, start_s + from_start_s[0], times_s, states, from_start_s)
+        for k, new in zip(order, made, strict=True):
             old = self._trajectory[k]
-            begin = segments.sample_at(old, begin_s)
-            ends = states[:, :, column]
-            ends[0] += wraparound_offset(begin[0], float(ends[0, 0])) if self._turns[k] else 0.0
-            new = segments.through(begin_s, begin, start_s + from_start_s[0], times_s, ends, from_start_s)
             new[:, GOAL] = goal_number
             if tolerances is not None:
                 new[:, TOLERANCES] = tolerances[k].numbers()
