@@ -189,9 +189,8 @@ def _checker_and_default(field: Field) -> tuple[Checker, Callable[[], Any]]:
     kept_as_is = {float} if field.type == "float64" else set()
 
     def check_list(value: Any) -> list[Any]:
-        if type(value) is not list and hasattr(
-            value, "tolist"
-        ):  # an array of numpy, from a script beside the simulation
+        # An array of numpy comes from a script beside the simulation.
+        if type(value) is not list and hasattr(value, "tolist"):
             value = value.tolist()
         values = checked_length(field, value)
         if kept_as_is and kept_as_is.issuperset(map(type, values)):
