@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from array import array
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from struct import Struct
 from typing import TYPE_CHECKING, Any
@@ -18,6 +18,7 @@ from slidectl.control.hardware_interface import JointStateHandle
 from slidectl.control.pid import Pid
 from slidectl.physics import MujocoRobotHW
 from slidectl.physics.robot_hw import Drive
+from slidectl.simulation.compiled.own_laws import LawCode
 from slidectl.simulation.compiled.tables import (
     CONSTANT,
     CONTROLLER,
@@ -46,11 +47,8 @@ _PLAIN_OFFSET = 8 * ROBOT.names.index("is_plain")
 class RobotRows:
     """The rows of one robot. `is_loaded`: they are the truth."""
 
-    def __init__(self, robot: SpawnedRobot, number: int, tables: Tables, laws: Mapping[Compiled, int]) -> None:
-        """Reserve rows for everything that the robot consists of, or one alone that says that it is plain.
-
-        `laws` are the addresses of the code of forms.
-        """
+    def __init__(self, robot: SpawnedRobot, number: int, tables: Tables, laws: LawCode) -> None:
+        """Reserve rows for everything that the robot consists of, or one alone that says that it is plain."""
         self.robot = robot
         self.parts = robot.parts
         self.number = number
@@ -70,7 +68,9 @@ class RobotRows:
         """Fill the rows of what never changes."""
         self._handles: list[tuple[Any, int]] = []
         """Each handle with the offset of its row."""
-        self._is_possible = self._reserve(tables, laws)
+        self._laws = laws
+        self._law_changes = laws.changes
+        self._is_possible = self._reserve(tables)
 
     def fits(self) -> bool:
         """Is the robot still as it was when the rows were made, and does it do nothing that rows cannot?"""
@@ -79,8 +79,10 @@ class RobotRows:
         return self._is_possible and not special and not self.is_outdated()
 
     def is_outdated(self) -> bool:
-        """Do other controllers run now than those that have rows, or has the robot moved in MuJoCo's arrays?"""
-        return self.parts.manager.updates is not self.updates or self.has_moved()
+        """Do other controllers run now than those that have rows, have laws got their code, or has the robot moved in
+        MuJoCo's arrays?"""
+        have_laws_changed = self._law_changes != self._laws.changes
+        return have_laws_changed or self.parts.manager.updates is not self.updates or self.has_moved()
 
     def has_moved(self) -> bool:
         """Has the robot other places in MuJoCo's arrays than its rows say?"""
@@ -125,11 +127,11 @@ class RobotRows:
 
     # -- making the rows -------------------------------------------------------------------------------------------
 
-    def _reserve(self, tables: Tables, laws: Mapping[Compiled, int]) -> bool:
+    def _reserve(self, tables: Tables) -> bool:
         """True when the robot can run compiled."""
         starts = [tables.count(name) for name in RANGES]
         limits, drives = self.parts.hardware.limits(), self.parts.hardware.drives
-        controllers = [_compiled(update, laws) for update in self.updates]
+        controllers = [_compiled(update, self._laws) for update in self.updates]
         is_possible = (
             type(self.parts.hardware) is MujocoRobotHW
             and all(_is_compiled(drive) for drive in drives)
@@ -280,7 +282,7 @@ class CompiledController:
             _show(joints, offset, handle)
 
 
-def _compiled(update: Update, laws: Mapping[Compiled, int]) -> CompiledController | None:
+def _compiled(update: Update, laws: LawCode) -> CompiledController | None:
     """The controller behind an `update`, when it runs compiled: not while a PID of it publishes each step.
 
     A class or an instance that has an `update`, a `publish` or a column of its own, say as a property, means it: what
@@ -290,7 +292,7 @@ def _compiled(update: Update, laws: Mapping[Compiled, int]) -> CompiledControlle
     if not isinstance(controller, ControllerBase):
         return None
     form = controller.compiled
-    if form is None or form not in laws:
+    if form is None:
         return None
     classes = type(controller).__mro__
     owner = next(cls for cls in classes if "compiled" in vars(cls))
@@ -301,4 +303,5 @@ def _compiled(update: Update, laws: Mapping[Compiled, int]) -> CompiledControlle
     parts = controller.parts()
     if parts is None or any(pid.observer is not None for pid in parts.pids()):
         return None
-    return CompiledController(controller, form, laws[form], parts)
+    law = laws.address(form)
+    return CompiledController(controller, form, law, parts) if law else None

@@ -9,17 +9,18 @@ from __future__ import annotations
 
 import ctypes
 from array import array
+from functools import partial
 from typing import TYPE_CHECKING
 
-from slidectl.control.controller_interface import Compiled
-from slidectl.control.registry import compiled_forms
 from slidectl.physics import EngineError
 from slidectl.physics.mujoco_library import address_of, error_hook_address
 from slidectl.simulation.compiled import tables as turns
 from slidectl.simulation.compiled.object_file import Cycle
+from slidectl.simulation.compiled.own_laws import LawCode
 from slidectl.simulation.compiled.robot_rows import InterpretedUpdate, RobotRows
 from slidectl.simulation.compiled.tables import NEW_CYCLE, Progress, Tables
 from slidectl.simulation.cycle import CHECK_EVERY, Runner
+from slidectl.simulation.graph import WORLD_NODE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -46,8 +47,7 @@ class CompiledRunner(Runner):
         self._progress = Progress(robot=NEW_CYCLE, error_hook=error_hook_address())
         self._step_address = address_of("mj_step")
         self._tables = Tables()
-        self._laws: dict[Compiled, int] = dict(zip(compiled_forms().values(), code.laws, strict=True))
-        """The addresses of the code of forms."""
+        self._laws = LawCode(code.laws, partial(loop.graph.log, "warn", WORLD_NODE))
         self._robots: Sequence[SpawnedRobot] = ()
         self._rows: list[RobotRows] = []
         """In the order of the robots."""
@@ -107,6 +107,15 @@ class CompiledRunner(Runner):
             self._given_back.append(rows)
             rows.unload()
 
+    def look_for_laws(self, wait: bool = False) -> None:
+        """Take the code of users' laws that has been compiled meanwhile, or `wait` for all of it."""
+        if wait:
+            self._prepare()  # names the laws
+        changes = self._laws.changes
+        self._laws.look(wait)
+        if self._laws.changes != changes:
+            self.give_back_all()
+
     def _prepare(self) -> None:
         if self._is_new or any(rows.is_outdated() for rows in self._given_back):
             self._make_rows()
@@ -165,6 +174,8 @@ class CompiledRunner(Runner):
         before = clock.cycles
         progress.time_ns, progress.step_ns, progress.cycles = clock.time_ns, loop.step_ns, before
         # At real time this is called for every cycle, with cold caches: what has not changed is not looked at again.
+        if self._laws.compiling:
+            self.look_for_laws()
         if self._is_new or self._given_back or self._topic_changes != self._graph.topics.changes:
             self._prepare()
         if self._step is not world.step or self._progress.has_outside != world.loads.has_efforts:
