@@ -294,7 +294,7 @@ COLUMNS: dict[str, Callable[[Any], float]] = {
     "command.position": attrgetter("position"),
     "command.max_effort": attrgetter("max_effort"),
     "computed_command": attrgetter("command"),
-    **{f"limited.{name}": attrgetter(f"limited.{name}") for name in ("linear", "angular")},
+    **{f"limited.{name}": attrgetter(f"velocity.last.{name}") for name in ("linear", "angular")},
 }
 """The other members that rows show."""
 

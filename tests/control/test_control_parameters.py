@@ -9,8 +9,9 @@ from fake_node import FakeGraph
 from fake_robot import COMMAND_INTERFACES, FakeRobot
 
 from slidectl.control import params, registry
-from slidectl.control.controllers.diff_drive import DIAGONAL, WHEELS
+from slidectl.control.controllers.diff_drive import WHEELS
 from slidectl.control.limits import LIMITS, limits_from_parameters, soft_limits_from_parameters
+from slidectl.control.mobile_base import DIAGONAL
 from slidectl.control.params import Parameter
 
 URDF = """<robot name="bot">
