@@ -37,6 +37,23 @@ def assert_same(scene: Scene) -> Simulation:
     return simulation
 
 
+def restart(simulation: Simulation, name: str) -> None:
+    """Stop the controller and start it again."""
+    switch(simulation, "a", stop=[name])
+    simulation.step(2)
+    switch(simulation, "a", start=[name])
+
+
+def played(simulation: Simulation, dice: Random, things: list[Any], times: int) -> None:
+    """So many of these things happen; what is refused is refused by both engines."""
+    for _ in range(times):
+        try:
+            dice.choice(things)()
+        except SlidectlError as error:
+            simulation.heard.messages.append(("refused", str(error)))  # type: ignore[attr-defined]
+        simulation.step(dice.choice((1, 30, 170, 400)))
+
+
 GROUPS = {
     "effort_controllers/JointGroupPositionController": {joint: {"pid": GAINS} for joint in JOINTS},
     "effort_controllers/JointGroupEffortController": {},
@@ -116,7 +133,7 @@ def something_for_a_follower(simulation: Simulation, dice: Random) -> None:
         lambda: simulation.publish("/a/arm/command", {"joint_names": JOINTS}),
         lambda: simulation.publish(f"{action}/cancel", {}),
         lambda: simulation.call("/a/arm/query_state", {"time": {"secs": simulation.time_ns // 10**9 + 1, "nsecs": 0}}),
-        lambda: [switch(simulation, "a", stop=["arm"]), simulation.step(2), switch(simulation, "a", start=["arm"])],
+        lambda: restart(simulation, "arm"),
         lambda: simulation.world.add_joint_force("a", "joint1", dice.uniform(-20, 20), simulation.time_ns, 60_000_000),
         lambda: simulation.reset_world() if dice.random() < 0.3 else None,
     ]
@@ -132,14 +149,78 @@ def test_a_trajectory_controller_whatever_happens(kind: str) -> None:
         simulation.step(1)
         for topic in FOLLOWER_TOPICS:
             simulation.heard.listen(f"/a/arm/{topic}")  # type: ignore[attr-defined]
-        for _ in range(60):
-            try:
-                something_for_a_follower(simulation, dice)
-            except SlidectlError as error:
-                simulation.heard.messages.append(("refused", str(error)))  # type: ignore[attr-defined]
-            simulation.step(dice.choice((1, 30, 170, 400)))
+        played(simulation, dice, [lambda: something_for_a_follower(simulation, dice)], 60)
 
     simulation = assert_same(scene)
     heard = {topic for topic, _ in simulation.heard.messages}  # type: ignore[attr-defined]
     assert {f"/a/arm/{topic}" for topic in FOLLOWER_TOPICS} <= heard
     assert is_compiled(simulation, "a", "arm")
+
+
+@pytest.mark.parametrize("limits", [{}, {"jerk": 30.0, "acceleration": 3.0, "velocity": 0.8}])
+def test_a_differential_drive_whatever_happens(limits: dict[str, float]) -> None:
+    bounds = {f"has_{name}_limits": True for name in limits} | {f"max_{name}": most for name, most in limits.items()}
+    own = {
+        "type": "diff_drive_controller/DiffDriveController",
+        "left_wheel": ["joint3", "joint2"],
+        "right_wheel": ["joint1", "joint4"],
+        "wheel_separation": 0.4,
+        "wheel_radius": 0.1,
+        "pose_covariance_diagonal": [0.001] * 6,
+        "twist_covariance_diagonal": [0.001] * 6,
+        "linear": {"x": bounds},
+        "angular": {"z": bounds},
+    }
+
+    def scene(simulation: Simulation) -> None:
+        dice = Random(len(limits))
+        add(simulation, "a", arm(("continuous",) * 4, interface="Velocity"), {"base": own})
+        for topic in ("/a/base/odom", "/tf"):
+            simulation.heard.listen(topic)  # type: ignore[attr-defined]
+        things = [
+            lambda: simulation.publish(
+                "/a/base/cmd_vel", {"linear": {"x": dice.uniform(-1, 1)}, "angular": {"z": dice.choice((0.0, 0.9))}}
+            ),
+            lambda: simulation.parameters.set("/a/base/left_wheel_radius_multiplier", dice.uniform(0.8, 1.2)),
+            lambda: simulation.parameters.set("/a/base/publish_rate", dice.uniform(10.0, 90.0)),
+            lambda: restart(simulation, "base"),
+            lambda: simulation.reset_world() if dice.random() < 0.3 else None,
+        ]
+        played(simulation, dice, 3 * things[:1] + things, 40)
+
+    simulation = assert_same(scene)
+    assert {topic for topic, _ in simulation.heard.messages} >= {"/a/base/odom", "/tf"}  # type: ignore[attr-defined]
+    assert is_compiled(simulation, "a", "base")
+
+
+@pytest.mark.parametrize("interface", ["Effort", "Position"])
+def test_a_gripper_whatever_happens(interface: str) -> None:
+    gains = {"joint1": {"p": 90.0, "d": 25.0, "i": 1.0, "i_clamp": 2.0}}
+    kind = f"{interface.lower()}_controllers/GripperActionController"
+    own = {"type": kind, "joint": "joint1", "gains": gains, "goal_tolerance": 0.05}
+    own |= {"stall_timeout": 0.1, "stall_velocity_threshold": 0.1}
+
+    def scene(simulation: Simulation) -> None:
+        dice = Random(interface)
+        add(simulation, "a", arm(("prismatic",), interface=interface), {"gripper": own})
+        simulation.step(1)
+        simulation.heard.listen("/a/gripper/gripper_cmd/result")  # type: ignore[attr-defined]
+
+        def send() -> None:
+            command = {"position": dice.choice((0.4, -0.4, 4.0)), "max_effort": dice.choice((0.0, 3.0, 25.0))}
+            simulation.publish("/a/gripper/gripper_cmd/goal", {"goal": {"command": command}})
+
+        things = [
+            send,
+            send,
+            lambda: simulation.publish("/a/gripper/gripper_cmd/cancel", {}),
+            lambda: simulation.world.add_joint_force("a", "joint1", 9.0, simulation.time_ns, 60_000_000),
+            lambda: simulation.reset_world() if dice.random() < 0.3 else None,
+        ]
+        played(simulation, dice, [*things, lambda: simulation.step(600)], 60)
+
+    simulation = assert_same(scene)
+    results = [text for _, text in simulation.heard.messages]  # type: ignore[attr-defined]
+    assert any("'reached_goal': True" in text for text in results)
+    assert any("'stalled': True" in text for text in results)
+    assert is_compiled(simulation, "a", "gripper")
