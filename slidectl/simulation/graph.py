@@ -185,8 +185,9 @@ class GraphNode:
     def advertise_action(self, action: str, type_name: str, on_goal: GoalCallback, on_cancel: GoalCallback) -> None:
         ActionServer(self.child(action), type_name, on_goal, on_cancel)
 
-    def call_every(self, period_ns: int, callback: Callable[[], None]) -> RepeatedCall:
-        call = RepeatedCall(self._graph.timers, period_ns, self._entering(callback), self._calls)
+    def call_every(self, period_ns: int, callback: Callable[[], None], enters: bool = True) -> RepeatedCall:
+        callback = self._entering(callback) if enters else callback
+        call = RepeatedCall(self._graph.timers, period_ns, callback, self._calls)
         self._calls.add(call)
         return call
 
@@ -226,13 +227,16 @@ class GraphNode:
         """The callback, before which all handles above are told that somebody is about to call into what they hold."""
 
         def entered(*arguments: P.args, **keywords: P.kwargs) -> T:
-            node: GraphNode | None = self
-            while node is not None:
-                node.before_entry()
-                node = node._parent
+            self.enter()
             return callback(*arguments, **keywords)
 
         return entered
+
+    def enter(self) -> None:
+        node: GraphNode | None = self
+        while node is not None:
+            node.before_entry()
+            node = node._parent
 
     def _absolute(self, name: str) -> str:
         return names.join(self.namespace, name)
