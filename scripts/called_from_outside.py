@@ -9,7 +9,23 @@ Lines are never run. A name that nothing calls belongs out of the package, not i
 get_help_option_names
 format_options
 command_class
-list_actions, list_controllers, unspawn, logs, clean, ros, ros_commands, type_, list_frames, find_topics
+(
+    list_actions,
+    list_controllers,
+    doctor,
+    reindex,
+    filter_command,
+    export,
+    play,
+    unspawn,
+    logs,
+    clean,
+    ros,
+    ros_commands,
+    type_,
+    list_frames,
+    find_topics,
+)
 
 # cli.ros.command looks the ROS commands up by name.
 roslaunch, roscore, rosmsg, rossrv, rosnode, rosrun, rosservice, rostopic
@@ -20,10 +36,11 @@ ForwardGroupEffortController, ForwardGroupVelocityController, ForwardGroupPositi
 EffortJointPositionController, VelocityJointPositionController, EffortJointGroupPositionController
 PositionJointTrajectoryController, EffortJointTrajectoryController, VelocityJointTrajectoryController
 PosVelAccJointTrajectoryController, PositionGripperActionController, EffortGripperActionController, DiffDriveController
+AckermannSteeringController, FourWheelSteeringController
 Unspawner, GroupScript, StaticTransform, Viewer, Window, JointStatePublisher
 
 # For authors of controllers and of other sources of controllers.
-MultiInterfaceController, register_loader, ONGOING
+register_loader, ONGOING
 
 # Transmissions, limits and PIDs of ros_control: compared with the original by vectors, used when transmissions are applied.
 SimpleTransmission, DifferentialTransmission, FourBarLinkageTransmission

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from slidectl.control import registry
+from slidectl.control import registry, ros2_names
 from slidectl.control.controller_interface import ControllerBase
 from slidectl.control.params import Parameter
 
@@ -53,7 +53,22 @@ slidectl spawn cart --controllers config/cart_control.yaml --start joint_state_c
 slidectl pub /cart/base_controller/cmd_vel '{linear: {x: 0.5}, angular: {z: 0.3}}' -r 10
 slidectl echo /cart/base_controller/odom -n 1
 ```
+
+The shipped car, whose four wheels are steered, takes velocities as well, or a speed and the angles of its axles:
+
+```text
+slidectl spawn car --controllers config/car_control.yaml --start joint_state_controller base_controller
+slidectl pub /car/base_controller/cmd_vel '{linear: {x: 0.5}, angular: {z: 0.4}}' -r 10 -n 20
+slidectl pub /car/base_controller/cmd_four_wheel_steering \\
+  '{speed: 0.5, front_steering_angle: 0.8, rear_steering_angle: 0.8}' -r 10
+slidectl echo /car/base_controller/odom_steer -n 1
+```
 """
+
+ROS_2 = """Files of ROS 2 are read too: what is below `ros__parameters` of a node is taken as directly below the node,
+what a `controller_manager` has there as beside it, and dots in names as slashes. Types that mean the same are
+understood, and the answer to the load says what they are here; others, such as
+`position_controllers/JointGroupPositionController`, have the same name in both."""
 
 
 def page() -> str:
@@ -62,7 +77,25 @@ def page() -> str:
     for name in registry.types():
         cls = registry.find(name)
         families.setdefault(cls.__module__, {})[name] = cls
-    return HEAD + "".join(line + "\n" for module, classes in families.items() for line in family(module, classes))
+    lines = [line for module, classes in families.items() for line in family(module, classes)]
+    return HEAD + "".join(line + "\n" for line in (*lines, *names_of_ros_2()))
+
+
+def names_of_ros_2() -> Iterator[str]:
+    """The types that users of ROS 2 write, with what they are here."""
+    yield from ("", "## Names of ROS 2", "", ROS_2, "", "| in ROS 2 | here |", "| --- | --- |")
+    for name, known in ros2_names.NAMES.items():
+        if isinstance(known.here, str):
+            types = f"`{known.here}`"
+        else:
+            types = f"by `{known.interfaces}`: " + ", ".join(f"`{each}`" for each in known.here.values())
+        new = ", ".join(f"`{old}` is `{new}`" for old, new in known.renamed.items())
+        given = ", ".join(f"`{parameter}` {value}" for parameter, value in known.defaults.items())
+        more = "; ".join(filter(None, (new, given and f"by default {given}", known.note)))
+        yield f"| `{name}` | {types}{f'; {more}' if more else ''} |"
+    for name, (advice, telling) in ros2_names.OTHERS.items():
+        with_one = f", with {' or '.join(f'`{each}`' for each in telling)}" if telling else ""
+        yield f"| `{name}`{with_one} | is refused; {advice} |"
 
 
 def family(module: str, classes: dict[str, type[ControllerBase]]) -> Iterator[str]:

@@ -7,6 +7,7 @@ A record is followed up to a command of nan or infinity that is refused here (do
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from math import isfinite
 from operator import attrgetter
 from typing import Any
@@ -16,6 +17,10 @@ from slidectl.control.controller_manager import ControllerManager
 from slidectl.control.duration import from_seconds, to_stamp
 from slidectl.control.hardware_interface import (
     EffortJointInterface,
+    ForceTorqueData,
+    ForceTorqueSensorInterface,
+    ImuData,
+    ImuSensorInterface,
     JointHandle,
     JointStateInterface,
     PositionJointInterface,
@@ -24,6 +29,7 @@ from slidectl.control.hardware_interface import (
     PosVelJointHandle,
     PosVelJointInterface,
     RobotHW,
+    SensorHandle,
     VelocityJointInterface,
 )
 from slidectl.errors import SlidectlError
@@ -39,14 +45,21 @@ ROOT = "/robot"
 CONTROLLER = f"{ROOT}/ctrl"
 HOST = "/host"
 ACTIONS = {"GripperActionController": "gripper_cmd", "JointTrajectoryController": "follow_joint_trajectory"}
-IGNORES_NON_FINITE = {"geometry_msgs/Twist", "four_wheel_steering_msgs/FourWheelSteering"}
-"""Messages of which upstream ignores such ones too."""
+IGNORES_NON_FINITE = {"DiffDriveController", "FourWheelSteeringController"}
+"""Controllers of which upstream ignores such commands too."""
+NOT_KEPT = {"limited.lin_y"}
+"""Columns of members that upstream stores and never uses."""
 INTERFACES: dict[str, tuple[type[Any], type[Any]]] = {
     "position": (PositionJointInterface, JointHandle),
     "velocity": (VelocityJointInterface, JointHandle),
     "effort": (EffortJointInterface, JointHandle),
     "pos_vel": (PosVelJointInterface, PosVelJointHandle),
     "pos_vel_acc": (PosVelAccJointInterface, PosVelAccJointHandle),
+}
+
+SENSORS: dict[str, tuple[type[Any], type[Any]]] = {
+    "imu": (ImuSensorInterface, ImuData),
+    "force_torque": (ForceTorqueSensorInterface, ForceTorqueData),
 }
 
 
@@ -72,7 +85,7 @@ def last_cycle(case: Case) -> int:
         event["cycle"] - 1
         for event in case["events"]
         if event["kind"] in ("command", "goal")
-        and event.get("msg_type") not in IGNORES_NON_FINITE
+        and case["type"].rpartition("/")[2] not in IGNORES_NON_FINITE
         and not is_finite(numbers_in(event["msg"]))
     ]
     return int(min([case["cycles"], *refused]))
@@ -128,6 +141,7 @@ class Replay:
         self.graph.parameters.set(CONTROLLER, {**case["params"], "type": case["type"]})
         if "urdf" in case:
             self.graph.parameters.set(f"{ROOT}/robot_description", case["urdf"])
+        self.measured: dict[str, Any] = {}
         self.manager = ControllerManager(self._hardware(), self.graph.node(ROOT))
         self.loaded = self.manager.load("ctrl")
         self.controller: ControllerBase | None = self.manager.get("ctrl")
@@ -147,7 +161,21 @@ class Replay:
         hw.register_interface(JointStateInterface(plant.handle for plant in plants))
         for name in dict.fromkeys(plant.interface for plant in plants):
             hw.register_interface(INTERFACES[name][0](plant.handle for plant in plants if plant.interface == name))
+        for key, (interface, kind) in SENSORS.items():
+            for sensor in self.case.get(f"{key}s", ()):
+                self._measure(kind, sensor)
+            handles = (
+                SensorHandle(sensor["name"], sensor["frame_id"], partial(self.measured.__getitem__, sensor["name"]))
+                for sensor in self.case.get(f"{key}s", ())
+            )
+            hw.register_interface(interface(handles))
         return hw
+
+    def _measure(self, kind: type[Any], values: Case) -> None:
+        """From now on the sensor measures this; what is not given stays."""
+        given = {name: tuple(value) for name, value in values.items() if name in kind._fields}
+        before = self.measured.get(values["name"])
+        self.measured[values["name"]] = kind(**given) if before is None else before._replace(**given)
 
     def _record(self, key: str, topic: str) -> None:
         messages = self.published.setdefault(key, [])
@@ -200,6 +228,12 @@ class Replay:
         else:
             plant.blocked = event["kind"] == "block"
 
+    def _on_imu(self, event: Case) -> None:
+        self._measure(ImuData, event)
+
+    def _on_force_torque(self, event: Case) -> None:
+        self._measure(ForceTorqueData, event)
+
     def _on_command(self, event: Case) -> None:
         self._publish(f"{CONTROLLER}/{event['topic']}", event["msg_type"], numbers_in(event["msg"]))
 
@@ -228,6 +262,8 @@ class Replay:
 
     def _compare_row(self, row: list[Any]) -> Iterator[Comparison]:
         for column, recorded in zip(self.case["columns"][1:], row[1:], strict=True):
+            if column in NOT_KEPT:
+                continue
             yield f"cycle {self.cycle}, {column}", recorded, self._value(column)
 
     def _value(self, column: str) -> Any:
@@ -290,11 +326,20 @@ JOINT_COLUMNS: dict[str, Callable[[Any], list[float]]] = {
 }
 """The members of a controller that rows show for each joint."""
 COLUMNS: dict[str, Callable[[Any], float]] = {
-    **{f"odom.{name}": attrgetter(f"odometry.{name}") for name in ("x", "y", "heading", "linear", "angular")},
+    **{
+        f"odom.{name}": attrgetter(f"odometry.{name}")
+        for name in ("x", "y", "heading", "linear", "linear_x", "linear_y", "angular")
+    },
+    **{
+        f"odom.{name}": partial(lambda place, controller: controller.odometry.changes[place], place)
+        for place, name in enumerate(("linear_acceleration", "linear_jerk", "front_steer_vel", "rear_steer_vel"))
+    },
     "command.position": attrgetter("position"),
     "command.max_effort": attrgetter("max_effort"),
     "computed_command": attrgetter("command"),
     **{f"limited.{name}": attrgetter(f"velocity.last.{name}") for name in ("linear", "angular")},
+    "limited.lin_x": attrgetter("velocity.last.linear"),
+    "limited.ang": attrgetter("velocity.last.angular"),
 }
 """The other members that rows show."""
 

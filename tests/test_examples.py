@@ -13,6 +13,9 @@ import pytest
 from daemon_fixture import Runtime
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
+SCRIPTS = (
+    "slide.sh", "rrbot.sh", "two_robots.sh", "gravity.sh", "sine.sh", "trajectory.sh", "cart.sh", "car.sh", "demo.py",
+)  # fmt: skip
 
 
 @pytest.fixture
@@ -22,9 +25,7 @@ def place() -> Iterator[Path]:
         yield Path(folder)
 
 
-@pytest.mark.parametrize(
-    "name", ["slide.sh", "rrbot.sh", "two_robots.sh", "gravity.sh", "sine.sh", "trajectory.sh", "cart.sh", "demo.py"]
-)
+@pytest.mark.parametrize("name", SCRIPTS)
 def test_an_example_runs_and_leaves_nothing_behind(place: Path, name: str) -> None:
     folders = {"XDG_RUNTIME_DIR": place / "run", "TMPDIR": place / "tmp"}
     for folder in folders.values():

@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).parent.parent / "slidectl"
 
 FLOORS = {
     "errors": 0, "names": 0, "expressions": 0, "field_path": 0, "paths": 0, "rotations": 0, "writing": 0, "msgs": 0,
-    "description": 1, "control": 1, "client": 1,
+    "description": 1, "control": 1, "client": 1, "recording": 1,
     "physics": 2, "launch": 2,
     "simulation": 3, "check": 3,
     "daemon": 4,
@@ -41,6 +41,7 @@ FORBIDDEN = {
     "description": {"click", "mujoco", "socket"},
     "control": {"click", "mujoco", "socket"},
     "client": {"asyncio", "click", "mujoco", "numpy", "yaml", "rosbags", "lxml", "threading"},
+    "recording": {"click", "mujoco", "socket", "yaml"},
     "physics": {"click", "socket", "select", "threading"},
     "simulation": {"click", "mujoco", "socket", "select", "time", "threading", "asyncio"},
     "launch": {"asyncio", "click", "mujoco", "socket", "threading"},
@@ -60,6 +61,7 @@ CLI_MAY_TAKE = {
     "writing",
     "msgs",
     "description",
+    "recording",
     "client",
     "daemon",
     "check",
@@ -133,7 +135,7 @@ def test_every_room_has_a_floor() -> None:
 
 
 def test_the_command_line_has_no_private_door() -> None:
-    doors = {f"slidectl.daemon.{door}" for door in ("cleaning", "lifecycle", "options")}
+    doors = {f"slidectl.daemon.{door}" for door in ("cleaning", "health", "lifecycle", "options")}
     for path in sorted((PACKAGE / "cli").rglob("*.py")):
         assert rooms_used(path) <= CLI_MAY_TAKE, path
         inside = {".".join(name.split(".")[:3]) for name in imported(path) if name.startswith("slidectl.daemon.")}

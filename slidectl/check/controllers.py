@@ -20,9 +20,11 @@ from slidectl.control import registry
 from slidectl.control.controller_interface import ControllerBase
 from slidectl.control.hardware_interface import EffortJointInterface, JointStateInterface, ResourceManager
 from slidectl.control.limits import LIMITS
-from slidectl.control.params import LIST, Parameter, as_boolean, as_number, described
+from slidectl.control.params import LIST, Parameter, as_boolean, as_number, described, leaves
 from slidectl.control.reconfigurable_pid import GAINS
-from slidectl.description.controllers_file import retarget
+from slidectl.control.ros2_names import Counterpart, NoCounterpart, counterpart
+from slidectl.description import controllers_file
+from slidectl.description.controllers_file import ROS_2, retarget
 from slidectl.description.models import read_file
 from slidectl.description.robot import Notice, Robot, Verdict
 from slidectl.errors import BadFile, NotThere, closest, listing
@@ -82,13 +84,16 @@ def check(path: str | Path, model: Model | None, findings: Findings, text: bytes
     text = read_file(Path(path)) if text is None else text
     notices: list[Any] = []
     try:
-        tree = yaml_tree.read(text, str(path), notices)
-        places = {name: (str(path), line) for name, line in yaml_tree.places(text, str(path)).items()}
+        written = yaml_tree.read(text, str(path), notices)
+        places = controllers_file.places(text, str(path))
     except BadFile as error:
         findings.fail("parameters", error)
         return False
     findings.extend(notices)
     source = ParameterFile(str(path), places, findings)
+    tree = controllers_file.plain(written)
+    if tree is not written:
+        source.add("converted", "/", f"{ROS_2} is ROS 2's; what is in it is read as directly below the controllers")
     checker = ControllerCheck(source, [model] if model is not None else [])
     if model is not None:
         # A single other namespace is moved to the robot's when it is spawned.
@@ -326,7 +331,7 @@ class ControllerCheck:
             text = f"has no 'type' and cannot be loaded as a controller; its parameters are those of {likely}"
             self.source.add("wrong", path, text)
             return
-        if path.endswith("/ros__parameters"):
+        if path.endswith(f"/{ROS_2}"):
             self.source.add("wrong", path, "is ROS 2's: controllers are to be directly below the robot's namespace")
         else:
             self.source.add("used", path, f"namespace of {', '.join(map(str, tree))}")
@@ -396,8 +401,12 @@ class ControllerCheck:
         type_name = str(tree["type"])
         self.found[self.source.full(path)] = type_name
         try:
+            found = counterpart(type_name, tree)
+            if found is not None:
+                tree = self._translated(path, tree, found)
+                type_name = found.type
             cls = registry.find(type_name)
-        except registry.UnknownType as error:
+        except (registry.UnknownType, NoCounterpart) as error:
             self.source.absent(f"{path}/type", error.message, error.hint or "", f"controller type {type_name}")
             for name, value in tree.items():
                 if name != "type":
@@ -427,6 +436,19 @@ class ControllerCheck:
         claiming = any(interface.claims for interface in _interfaces(cls))
         joints = (_joints_in(declared.find(name), value) for name, value in values.items() if claiming)
         self.claims[self.source.full(path)] = {joint for some in joints for joint in some}
+
+    def _translated(self, path: str, tree: Mapping[str, Any], found: Counterpart) -> Mapping[str, Any]:
+        """The parameters as the controller here has them, of one that is written as in ROS 2."""
+        self.source.add("converted", f"{path}/type", found.remark)
+        for name, became in found.understood.items():
+            self.source.add("converted", f"{path}/{name}", became)
+        from slidectl.description.yaml_tree import merge, nest
+
+        placed: Tree = {}
+        rest = {name: value for name, value in leaves(tree) if name not in found.understood}
+        for name, value in (rest | dict(found.values)).items():
+            merge(placed, nest(name, value))
+        return placed
 
     def _value(
         self, path: str, name: str, value: Any, declared: Declared, cls: type[ControllerBase], model: Model | None

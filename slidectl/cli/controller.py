@@ -451,13 +451,13 @@ def read_parameters(ctx: Context, file: str, namespaces: Sequence[str]) -> Tree:
     from slidectl.check.controllers import ParameterFile, unknown
     from slidectl.check.findings import Findings
     from slidectl.client.spawning import find, leaves, placements
-    from slidectl.description import controllers_file, yaml_tree
+    from slidectl.description import controllers_file
     from slidectl.description.models import read_file
 
     path = find(file)
     notices: list[Notice] = []
     tree = controllers_file.read(path, notices)
-    places = {name: (str(path), line) for name, line in yaml_tree.places(read_file(path), str(path)).items()}
+    places = controllers_file.places(read_file(path), str(path))
     for notice in [*notices, *unknown(tree, ParameterFile(str(path), places, Findings()))]:
         ctx.warn(str(notice))
     placed, remark, moved = placements(tree, namespaces)

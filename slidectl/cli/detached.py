@@ -1,6 +1,6 @@
-"""Launches that go on in the background: into it, and whoever stops the daemon waits until they have ended.
+"""Launches and recordings that go on in the background: whoever stops the daemon waits until they have ended.
 
-Each keeps its log locked. It ends by itself when its daemon does, but its nodes may take their time.
+Each keeps its log locked. It ends by itself when its daemon does, but may take its time for that.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from typing import NoReturn
 from slidectl.errors import EXIT_DONE, Refused, TimedOut
 from slidectl.paths import InstancePaths, make_private
 
+KINDS = ("launch", "recording")
 LIMIT_S = 30.0
 """Longer than a launch gives its nodes before it kills them."""
 _QUIET_S = 0.5
@@ -26,15 +27,18 @@ _LOOK_EVERY_S = 0.02
 
 
 class Background:
-    """The launch goes on in a child process; this one waits until everything runs, and leaves.
+    """A command goes on in a child process; this one waits until everything runs, and leaves.
+
+    `what` is `launch` or `recording`.
 
     Raises:
         Refused: the folder for its log is not private.
     """
 
-    def __init__(self, paths: InstancePaths) -> None:
+    def __init__(self, paths: InstancePaths, what: str) -> None:
         make_private(paths.folder)
-        self.log = str(paths.folder / f"{paths.prefix}launch-{os.getpid()}.log")
+        self.what = what
+        self.log = str(paths.folder / f"{paths.prefix}{what}-{os.getpid()}.log")
         self._paths = paths
         self._read, self._write = os.pipe()
 
@@ -81,13 +85,13 @@ class Background:
         code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
         if code < 0:
             raise Refused(
-                f"the launch was ended by {signal.Signals(-code).name} before everything ran",
-                "a daemon that it started may still run; stop it with: " + command(self._paths, "daemon stop"),
+                f"the {self.what} was ended by {signal.Signals(-code).name} before everything ran",
+                "a daemon that was started may still run; stop it with: " + command(self._paths, "daemon stop"),
             )
         leave(code)
 
     def everything_runs(self) -> None:
-        """Let the parent end; from now on the launch writes into its log."""
+        """Let the parent end; from now on the child writes into its log."""
         log = os.open(self.log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
         fcntl.flock(log, fcntl.LOCK_EX)  # until this process ends: no program that it starts inherits the open file
         null = os.open(os.devnull, os.O_RDONLY)
@@ -100,17 +104,17 @@ class Background:
 
 
 def wait(paths: InstancePaths, limit_s: float, say: Callable[[str], None]) -> None:
-    """Until the detached launches of a daemon that has ended have ended their nodes. Raises TimedOut."""
+    """Until the detached launches and recordings of a daemon that has ended have ended too. Raises TimedOut."""
     began = time.monotonic()
     told = False
-    for log in sorted(paths.folder.glob(f"{paths.prefix}launch-*.log")):
+    for log in sorted(log for what in KINDS for log in paths.folder.glob(f"{paths.prefix}{what}-*.log")):
         while _is_held(log):
             waited_s = time.monotonic() - began
             if waited_s > limit_s:
-                raise TimedOut(f"a detached launch has not ended its nodes within {limit_s:g} s", f"see: {log}")
+                raise TimedOut(f"what runs in the background has not ended within {limit_s:g} s", f"see: {log}")
             if waited_s > _QUIET_S and not told:
                 told = True
-                say(f"waiting until a detached launch has ended its nodes: {log}")
+                say(f"waiting until what runs in the background has ended: {log}")
             select.select([], [], [], _LOOK_EVERY_S)
 
 

@@ -206,7 +206,7 @@ def _run(
 
     background = None
     if given["detach"] and any(task.needs_presence for task in tasks):
-        background = Background(ctx.paths)
+        background = Background(ctx.paths, "launch")
         background.fork()
     paths = ctx.paths
     # For the programs of nodes, so that commands of this kind in them reach the same daemon, by the same slidectl.

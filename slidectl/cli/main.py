@@ -64,6 +64,9 @@ COMMANDS = {
     "pub": Entry("Topics, services, parameters", "pub", "Publish a message."),
     "echo": Entry("Topics, services, parameters", "echo", "Print the messages of a topic."),
     "wait": Entry("Topics, services, parameters", "wait", "Wait until a field of a topic has a value."),
+    "record": Entry("Topics, services, parameters", "record", "Record topics into a file."),
+    "play": Entry("Topics, services, parameters", "play", "Publish the messages of recordings again."),
+    "bag": Entry("Topics, services, parameters", "bag", "Recordings: info, filter, export, reindex."),
     "topic": Entry("Topics, services, parameters", "topic", "List, inspect and measure topics."),
     "hz": Entry("Topics, services, parameters", "topic_measure", "Measure how often messages come."),
     "service": Entry("Topics, services, parameters", "service", "List, inspect and call services."),
@@ -75,6 +78,7 @@ COMMANDS = {
     "ros": Entry("The ROS commands", "ros.command", "Run a ROS command word for word."),
     "ros-commands": Entry("The ROS commands", "ros.command", "Print shell functions named as the ROS commands."),
     "shell": Entry("slidectl", "shell", "Run many commands in one process."),
+    "doctor": Entry("slidectl", "doctor", "Look whether slidectl can run here."),
     "completion": Entry("slidectl", "completion", "Print the completion script of a shell."),
     "version": Entry("slidectl", "version", "Print the version."),
 }

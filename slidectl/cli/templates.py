@@ -75,18 +75,21 @@ class Expression:
 
 
 class Filter:
-    """An expression over a message `m` of the schema's root type; the fields that it names are checked at once."""
+    """An expression over a message `m` of the schema's root type; the fields that it names are checked at once.
 
-    def __init__(self, text: str, schema: Schema) -> None:
-        self._expression = Expression(text, ("m",))
+    `more` are other names that it may use; the call gives their values.
+    """
+
+    def __init__(self, text: str, schema: Schema, more: Sequence[str] = ()) -> None:
+        self._expression = Expression(text, ("m", *more))
         self._schema = schema
         for node in ast.walk(self._expression.tree):
             if isinstance(node, ast.Attribute):
                 self._field_of(node)
 
-    def __call__(self, message: Mapping[str, Any]) -> bool:
+    def __call__(self, message: Mapping[str, Any], **more: Any) -> bool:
         """True when the condition holds. Raises Refused."""
-        return bool(self._expression(m=self._shown(message, Field("m", self._schema.root))))
+        return bool(self._expression(m=self._shown(message, Field("m", self._schema.root)), **more))
 
     def _field_of(self, node: ast.AST) -> Field | None:
         """What `m.a.b[0]` leads to; None when it is no field. Raises UsageError for one that there is not."""

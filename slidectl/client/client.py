@@ -172,6 +172,30 @@ class Client:
         self._send(op="publish", id=publish_id, topic=full, msg=message, **more)
         return publish_id
 
+    def publish_at(
+        self, topic: str, message: Message, time_ns: int, type: str | None = None, latch: bool = False
+    ) -> str:
+        """Send a message that the daemon publishes at the end of the first cycle with that simulated time or a later.
+
+        Returns an id at once, for `is_answered` and `published`. At most 10000 messages of a client may wait for their
+        time. They are not published when the client has gone.
+        """
+        at = {"secs": time_ns // 10**9, "nsecs": time_ns % 10**9}
+        publish_id = self._publish(topic, message, type, latch, at=at, ack=True)
+        self._awaited.add(publish_id)
+        return publish_id
+
+    def published(self, publish_id: str, *, timeout: float | None = None) -> bool:
+        """Wait until what `publish_at` sent is published; False when its time had passed before it was there.
+
+        Raises:
+            MessageRefused, TimedOut, NoDaemon.
+        """
+        answer = self._answer(publish_id, timeout)
+        if publish_id in self._refusals:
+            raise self._refusals.pop(publish_id)
+        return not answer.get("late", False)
+
     def deliver(self, topic: str, message: Message, type: str | None = None, latch: bool = False) -> None:
         """`publish` and `flush` in one, in the time of one call. Raises as `flush`."""
         publish_id = self._publish(topic, message, type, latch, ack=True)
@@ -195,7 +219,12 @@ class Client:
             raise refusals[0]
 
     def subscribe(
-        self, topic: str, type: str | None = None, queue_length: int = 0, throttle_rate: int = 0
+        self,
+        topic: str,
+        type: str | None = None,
+        queue_length: int = 0,
+        throttle_rate: int = 0,
+        take: Callable[[Message], None] | None = None,
     ) -> Subscription:
         """Receive the topic's messages from now on.
 
@@ -203,13 +232,17 @@ class Client:
             type: needed only for a topic that nobody has advertised yet.
             queue_length: messages kept for a slow reader, the newest; 0 means 1000.
             throttle_rate: least wall milliseconds between two messages.
+            take: called with each publish object (`topic`, `msg`, the simulated `time` at which it was published, and
+                `latch` where it was published before) while some call waits; nothing is kept then.
 
         Raises:
             Refused: no such topic, or it has another type.
         """
         topic = self._full("topic", topic, "publishers", type)
-        subscription = Subscription(self, topic, self._next_id("subscribe"), queue_length)
+        subscription = Subscription(self, topic, self._next_id("subscribe"), queue_length, take)
         options: Message = {"queue_length": queue_length, "throttle_rate": throttle_rate, **_typed(type)}
+        if take is not None:
+            options["stamped"] = True
         self._subscriptions.setdefault(topic, []).append(subscription)
         try:
             self._send(op="subscribe", id=subscription.id, topic=topic, **options)
@@ -497,7 +530,7 @@ class Client:
         self._link.last_status = ""
         if op == "publish":
             for subscription in self._subscriptions.get(message["topic"], ()):
-                subscription.put(message["msg"])
+                subscription.put(message)
             return
         if op == "status":
             self._take_status(message)
@@ -589,18 +622,29 @@ class Subscription:
     daemon or here.
     """
 
-    def __init__(self, client: Client, topic: str, subscription_id: str, queue_length: int) -> None:
+    def __init__(
+        self,
+        client: Client,
+        topic: str,
+        subscription_id: str,
+        queue_length: int,
+        take: Callable[[Message], None] | None = None,
+    ) -> None:
         self.topic = topic
         self.id = subscription_id
         self.dropped = 0
         self._client = client
+        self._take = take
         self._queue: deque[Message] = deque(maxlen=queue_length or DEFAULT_QUEUE)
 
-    def put(self, message: Message) -> None:
-        """Called by the client for each message that arrives."""
+    def put(self, published: Message) -> None:
+        """Called by the client for each publish object that arrives."""
+        if self._take is not None:
+            self._take(published)
+            return
         if len(self._queue) == self._queue.maxlen:
             self.dropped += 1
-        self._queue.append(message)
+        self._queue.append(published["msg"])
 
     def get(self, timeout: float | None = None) -> Message:
         """The next message; waits at most `timeout` wall seconds (the client's by default, `inf` for ever).

@@ -11,6 +11,8 @@ from __future__ import annotations
 from slidectl.control.controller_interface import Compiled, Controller, Member, MultiInterfaceController, Parts
 from slidectl.control.hardware_interface import (
     EffortJointInterface,
+    ForceTorqueSensorInterface,
+    ImuSensorInterface,
     JointHandle,
     JointStateHandle,
     JointStateInterface,
@@ -38,7 +40,9 @@ __all__ = [
     "Compiled",
     "Controller",
     "EffortJointInterface",
+    "ForceTorqueSensorInterface",
     "Gains",
+    "ImuSensorInterface",
     "JointHandle",
     "JointStateHandle",
     "JointStateInterface",

@@ -18,6 +18,7 @@ from slidectl.control.hardware_interface import ControllerInfo, RobotHW, SwitchS
 from slidectl.control.node_handle import NodeHandle, Reasons
 from slidectl.control.params import Guard
 from slidectl.control.registry import ControllerLoader, RegistryLoader, UnknownType
+from slidectl.control.ros2_names import counterpart
 from slidectl.control.user_classes import place_of, watched
 from slidectl.errors import BadName, Refused, SlidectlError, UnknownName, quoted
 
@@ -396,7 +397,7 @@ class ControllerManager:
     def _load(self, name: str) -> LoadedController:
         node = self._node.child(name)
         try:
-            type_name = _type_of(node)
+            type_name = _understood(node, _type_of(node))
             controller = self._create(type_name)
             with watched(type(controller)):
                 controller.init_request(self._hw, self._node, node)
@@ -537,6 +538,17 @@ class ControllerManager:
     def _refuse(self, reason: str) -> bool:
         self._node.log("error", reason)
         return False
+
+
+def _understood(node: NodeHandle, type_name: str) -> str:
+    """The name here of a type that is written as in ROS 2, with the parameters that it needs here. Raises Refused."""
+    found = counterpart(type_name, node.get_param(node.namespace, {}))
+    if found is None:
+        return type_name
+    for name, value in found.values.items():
+        node.set_param(name, value)
+    node.log("warn", f"{node.namespace}: {found.remark}")
+    return found.type
 
 
 def _type_of(node: NodeHandle) -> str:

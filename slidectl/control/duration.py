@@ -6,6 +6,7 @@ The arithmetic is kept to the bit, since control laws multiply and divide by the
 from __future__ import annotations
 
 from math import ceil, floor, isfinite
+from typing import Any
 
 from slidectl.control.laws import law
 from slidectl.errors import UsageError
@@ -52,6 +53,11 @@ def to_stamp(ns: int) -> dict[str, int]:
     """The time as it stands on messages."""
     seconds, nanoseconds = divmod(ns, NANOSECONDS)
     return {"secs": seconds, "nsecs": nanoseconds}
+
+
+def header_of(ns: int, frame: str = "") -> dict[str, Any]:
+    """std_msgs/Header of a message of that time. Its publisher numbers it."""
+    return {"seq": 0, "stamp": to_stamp(ns), "frame_id": frame}
 
 
 def from_stamp(stamp: dict[str, int]) -> int:

@@ -1,4 +1,4 @@
-"""The robot as controllers see it: joint handles, the interfaces that hold them, claims on these, and the hardware.
+"""The robot as controllers see it: handles of joints and sensors, interfaces that hold them, claims, and the hardware.
 
 After ros_control's hardware_interface. The hardware is the base of every robot, simulated or fake. It knows no
 controllers, only what they claim, and nothing here moves a joint.
@@ -6,14 +6,15 @@ controllers, only what they claim, and nothing here moves a joint.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from math import inf
-from typing import Any, ClassVar, Generic, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar
 
 from slidectl.description.transmissions import interface_name, is_simulated
 from slidectl.errors import UnknownName
+from slidectl.rotations import Quaternion, Vector
 
 
 class JointStateHandle:
@@ -65,6 +66,38 @@ class PosVelAccJointHandle(PosVelJointHandle):
     def __init__(self, name: str, position: float = 0.0, velocity: float = 0.0, effort: float = 0.0) -> None:
         super().__init__(name, position, velocity, effort)
         self.command_acceleration = 0.0
+
+
+class ImuData(NamedTuple):
+    """What an IMU measures, in its own frame; None for what it does not. Covariances are 3 x 3, row by row."""
+
+    orientation: Quaternion | None = None
+    orientation_covariance: Sequence[float] | None = None
+    angular_velocity: Vector | None = None
+    """rad/s."""
+    angular_velocity_covariance: Sequence[float] | None = None
+    linear_acceleration: Vector | None = None
+    """m/s²."""
+    linear_acceleration_covariance: Sequence[float] | None = None
+
+
+class ForceTorqueData(NamedTuple):
+    """What a force and torque sensor measures, in its own frame: N and N·m."""
+
+    force: Vector
+    torque: Vector
+
+
+D = TypeVar("D")
+
+
+class SensorHandle(Generic[D]):
+    """A sensor of the robot. `measure` gives what it measures in this cycle; who does not call it costs nothing."""
+
+    def __init__(self, name: str, frame_id: str, measure: Callable[[], D]) -> None:
+        self.name = name
+        self.frame_id = frame_id
+        self.measure = measure
 
 
 class Handle(Protocol):
@@ -177,6 +210,20 @@ class PosVelAccJointInterface(ResourceManager[PosVelAccJointHandle]):
 
     type_name = "hardware_interface::PosVelAccJointInterface"
     claims = True
+
+
+class ImuSensorInterface(ResourceManager[SensorHandle[ImuData]]):
+    """IMUs, to read only."""
+
+    type_name = "hardware_interface::ImuSensorInterface"
+    kind = "sensor"
+
+
+class ForceTorqueSensorInterface(ResourceManager[SensorHandle[ForceTorqueData]]):
+    """Sensors of the forces and torques in joints, to read only."""
+
+    type_name = "hardware_interface::ForceTorqueSensorInterface"
+    kind = "sensor"
 
 
 COMMAND_INTERFACES: tuple[type[JointCommandInterface], ...] = (

@@ -15,7 +15,7 @@ from typing import Any, Protocol
 from slidectl import names
 from slidectl.control import params
 from slidectl.control.controller_interface import ControllerBase, State
-from slidectl.control.duration import to_seconds, to_stamp
+from slidectl.control.duration import header_of, to_seconds
 from slidectl.control.goals import period_of
 from slidectl.control.laws import law
 from slidectl.control.node_handle import Message, NodeHandle, Publisher
@@ -233,6 +233,20 @@ def rolling_mean(mean: float, value: float, past: Any, first: int, window: int, 
     return mean + ((value - oldest) / window if count >= window else (value - mean) / (count + 1))
 
 
+class RollingMean:
+    """The mean of the last values, so many at most."""
+
+    def __init__(self, size: int) -> None:
+        self._past = size * [0.0]
+        self._count = 0
+        self.mean = 0.0
+
+    def add(self, value: float) -> None:
+        """One more value."""
+        self.mean = rolling_mean(self.mean, value, self._past, 0, len(self._past), self._count)
+        self._count += 1
+
+
 @law
 def moved(x: float, y: float, heading: float, linear: float, angular: float) -> tuple[float, float, float]:
     """The place after a way along a circle, or along a line where that is as good."""
@@ -269,7 +283,7 @@ class Odometry:
         self.linear_mean = self.angular_mean = 0.0
 
     def forget(self) -> None:
-        """The base is at the origin."""
+        """The base is at the origin, and its wheels have made no way."""
         self.x = self.y = self.heading = 0.0
 
     def advance(self, linear: float, angular: float, time_ns: int) -> None:
@@ -335,7 +349,7 @@ class OdometryTopics:
         """Of the odometry and of the frame."""
         return self._odom, self._tf
 
-    def publish(self, time_ns: int, place: Place, velocity: tuple[float, float, float]) -> None:
+    def publish(self, time_ns: int, place: PlaceOfBase, velocity: tuple[float, float, float]) -> None:
         """`velocity` is that forwards and to the left, m/s, and of the turning to the left, rad/s."""
         half = place.heading * 0.5
         orientation = {"x": 0.0, "y": 0.0, "z": sin(half), "w": cos(half)}
@@ -360,7 +374,7 @@ class OdometryTopics:
             self._tf.publish({"transforms": [frame]})
 
 
-class Place(Protocol):
+class PlaceOfBase(Protocol):
     """Where a base is in the plane: m and rad."""
 
     x: float
@@ -372,11 +386,6 @@ def _matrix(diagonal: list[float]) -> list[float]:
     """A square matrix of zeros but for its diagonal, row by row."""
     size = len(diagonal)
     return [diagonal[k // size] if k % (size + 1) == 0 else 0.0 for k in range(size * size)]
-
-
-def header_of(time_ns: int, frame: str = "") -> Message:
-    """std_msgs/Header."""
-    return {"seq": 0, "stamp": to_stamp(time_ns), "frame_id": frame}
 
 
 def twist_of(forwards: float, sideways: float, angular: float) -> Message:

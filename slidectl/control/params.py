@@ -249,16 +249,17 @@ def _fits(path: list[str], place: list[str]) -> bool:
 
 def _changed(change: ParameterChange) -> Iterator[tuple[str, Any]]:
     """Name below the namespace, and value, of every parameter that the change sets to something else."""
-    before = dict(_leaves(change.before))
-    for name, value in _leaves(change.after):
+    before = dict(leaves(change.before))
+    for name, value in leaves(change.after):
         if name not in before or type(before[name]) is not type(value) or before[name] != value:
             yield name, value
 
 
-def _leaves(tree: Any, above: str = "") -> Iterator[tuple[str, Any]]:
+def leaves(tree: Any, above: str = "") -> Iterator[tuple[str, Any]]:
+    """Name and value of every parameter in a tree; an empty mapping is a value."""
     for key, value in tree.items() if isinstance(tree, dict) else ():
         if isinstance(value, dict) and value:
-            yield from _leaves(value, f"{above}{key}/")
+            yield from leaves(value, f"{above}{key}/")
         else:
             yield f"{above}{key}", value
 
@@ -286,7 +287,7 @@ class Guard:
             self._node.log("warn", f"{where} counts when the controller is loaded again; until then the old value does")
 
     def _check_names(self, change: ParameterChange) -> None:
-        known = dict(_leaves(change.before))
+        known = dict(leaves(change.before))
         readable = [parameter.name for parameter in self._declared]
         for name, _ in _changed(change):
             if name in known or any(self._reads(name, place) for place in readable):

@@ -25,10 +25,6 @@ if TYPE_CHECKING:
 C = TypeVar("C", bound=type[ControllerBase])
 
 BASE_CLASS = "controller_interface::ControllerBase"
-_ELSEWHERE = {
-    "AckermannSteeringController", "ForceTorqueSensorController", "FourWheelSteeringController",
-    "ImuSensorController",
-}  # fmt: skip
 ENTRY_POINTS = "slidectl.controllers"
 """The group in which an installed package names its controllers: a type, and `module:Class`."""
 _known: dict[str, ControllerClass] = {}
@@ -39,8 +35,6 @@ class UnknownType(UnknownName):
 
     def __init__(self, type_name: str, known: Sequence[str]) -> None:
         super().__init__("controller type", type_name, known)
-        if type_name.rpartition("/")[2] in _ELSEWHERE:  # no slip of the pen: a similar name is no help
-            self.message = f"the controller type {type_name!r} of ros_controllers is not among those of slidectl"
 
 
 class ControllerLoader(Protocol):

@@ -27,6 +27,8 @@ MOST_BYTES_IN_ALL = 64 * 1024 * 1024
 _TIDY_EVERY = 128
 
 Message = dict[str, Any]
+Stamp = Callable[[], Message]
+"""Gives the simulated time, as a message has it."""
 Entry = tuple[int, bytes, "Share | None"]
 """A line that waits, with its number; without a share it is for one client alone."""
 
@@ -61,16 +63,17 @@ class Publications:
         """The piece that was last made of lines of topics alone: what it begins with, its bytes, the places after it.
         Readers who keep up with the same topics come one after the other, and all get the same."""
         self._channels: dict[Channel, None] = {}
-        self._shared: dict[str, Channel] = {}
+        self._shared: dict[tuple[str, bool], Channel] = {}
 
-    def channel(self, topic: str, period_s: float = 0.0) -> Channel:
+    def channel(self, topic: str, stamp: Stamp | None = None, period_s: float = 0.0) -> Channel:
         """The lines of the topic: the shared ones, or with a period new ones for one reader."""
-        channel = None if period_s else self._shared.get(topic)
+        key = topic, stamp is not None
+        channel = None if period_s else self._shared.get(key)
         if channel is None:
-            channel = Channel(topic, self, period_s)
+            channel = Channel(topic, self, stamp, period_s)
             self._channels[channel] = None
             if not period_s:
-                self._shared[topic] = channel
+                self._shared[key] = channel
         return channel
 
     def note(self, channel: Channel) -> None:
@@ -89,8 +92,9 @@ class Publications:
         if not channel.readers:
             self._channels.pop(channel, None)
             self.fresh.pop(channel, None)
-            if self._shared.get(channel.topic) is channel:
-                del self._shared[channel.topic]
+            key = channel.topic, channel.stamp is not None
+            if self._shared.get(key) is channel:
+                del self._shared[key]
 
     def tidy(self) -> None:
         """Give up what all have read."""
@@ -101,11 +105,15 @@ class Publications:
 class Channel:
     """The lines of one topic that its readers may still want, the newest. `first` and `end` count lines since ever.
 
-    With `period_s` two of them are at least so many wall seconds apart.
+    With `period_s` two of them are at least so many wall seconds apart. `stamp` gives the simulated time that stands
+    in each of them, None for lines without it.
     """
 
-    def __init__(self, topic: str, publications: Publications, period_s: float = 0.0) -> None:
+    def __init__(
+        self, topic: str, publications: Publications, stamp: Stamp | None = None, period_s: float = 0.0
+    ) -> None:
         self.topic = topic
+        self.stamp = stamp
         self.period_s = period_s
         self.readers: dict[Reader, Share] = {}
         self.first = 0
@@ -131,7 +139,7 @@ class Channel:
             if now < self._next_s:
                 return
             self._next_s = now + self.period_s
-        self.put(_line(self.topic, message))
+        self.put(_line(self.topic, message, self.stamp))
         self._publications.note(self)
 
     def put(self, line: bytes) -> None:
@@ -283,11 +291,13 @@ class Outbox:
 class Feed:
     """What one connection gets of one topic. Asked for more than once, the most generous of the wishes counts."""
 
-    def __init__(self, topic: str, reader: Reader, publications: Publications) -> None:
+    def __init__(self, topic: str, reader: Reader, publications: Publications, now: Stamp) -> None:
+        """`now` is the simulated time, for those who want it with each message."""
         self.topic = topic
         self._reader = reader
         self._publications = publications
-        self._wishes: dict[str | None, tuple[float, int]] = {}
+        self._now = now
+        self._wishes: dict[str | None, tuple[float, int, bool]] = {}
         self._share: Share | None = None
         self._subscription: TopicSubscription | None = None
 
@@ -300,10 +310,13 @@ class Feed:
             self.close()
             raise
 
-    def want(self, wish_id: str | None, throttle_ms: float, queue_length: int) -> None:
-        """Add a wish, or change that of the same id: wall ms between two messages at least, messages that may wait."""
+    def want(self, wish_id: str | None, throttle_ms: float, queue_length: int, stamped: bool = False) -> None:
+        """Add a wish, or change that of the same id.
+
+        Wall ms between two messages at least, messages that may wait, and whether each comes with its simulated time.
+        """
         limit = min(queue_length, MOST_QUEUE) if queue_length > 0 else DEFAULT_QUEUE
-        self._wishes[wish_id] = (max(0.0, throttle_ms) / 1000, limit)
+        self._wishes[wish_id] = (max(0.0, throttle_ms) / 1000, limit, stamped)
         self._update()
 
     def unwant(self, wish_id: str | None) -> bool:
@@ -315,18 +328,18 @@ class Feed:
             self._update()
         return not self._wishes
 
-    def _wish(self) -> tuple[float, int]:
-        """Wall seconds between two messages, and messages that may wait."""
-        wishes = self._wishes.values()
-        return min(period_s for period_s, _ in wishes), max(limit for _, limit in wishes)
+    def _wish(self) -> tuple[float, int, Stamp | None]:
+        """Wall seconds between two messages, messages that may wait, and what gives their time."""
+        periods, limits, stamped = zip(*self._wishes.values(), strict=True)
+        return min(periods), max(limits), self._now if any(stamped) else None
 
     def _update(self) -> None:
         """The wishes have changed."""
         if self._share is None or self._subscription is None:
             return
-        period_s, limit = self._wish()
+        period_s, limit, stamp = self._wish()
         channel = self._share.channel
-        if bool(channel.period_s) == bool(period_s):
+        if bool(channel.period_s) == bool(period_s) and channel.stamp == stamp:
             self._share.limit = limit
             channel.period_s = period_s
             return
@@ -335,15 +348,15 @@ class Feed:
         self._subscription.redirect(self._begin_to_read().take)
 
     def _begin_to_read(self) -> Channel:
-        period_s, limit = self._wish()
-        channel = self._publications.channel(self.topic, period_s)
+        period_s, limit, stamp = self._wish()
+        channel = self._publications.channel(self.topic, stamp, period_s)
         self._share = channel.readers[self._reader] = Share(channel, limit)
         self._reader.outbox.join(self._share)
         return channel
 
     def _take_latched(self, message: Message) -> None:
         """What was published before: it is for this reader alone."""
-        self._reader.send(_line(self.topic, message))
+        self._reader.send(_line(self.topic, message, self._wish()[2], latched=True))
 
     def close(self) -> None:
         """End the subscription; what waits is not sent."""
@@ -354,8 +367,10 @@ class Feed:
             self._publications.leave(self._share.channel, self._reader)
 
 
-def _line(topic: str, message: Message) -> bytes:
-    line = encode({"op": "publish", "topic": topic, "msg": message})
+def _line(topic: str, message: Message, stamp: Stamp | None, latched: bool = False) -> bytes:
+    """A publish object. Those with a time say also that they were latched, for whoever publishes them again."""
+    about = {} if stamp is None else {"time": stamp(), **({"latch": True} if latched else {})}
+    line = encode({"op": "publish", "topic": topic, **about, "msg": message})
     if len(line) > LONGEST_LINE:
         raise MessageRefused(f"a message of {len(line)} bytes on {topic} does not fit a line of {LONGEST_LINE}")
     return line

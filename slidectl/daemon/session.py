@@ -14,9 +14,11 @@ from typing import Any
 import slidectl
 from slidectl import msgs, names
 from slidectl.client.lines import LONGEST_LINE, BadLine, decode, encode
+from slidectl.control.duration import from_stamp
 from slidectl.control.node_handle import Reasons
 from slidectl.daemon.outbox import Feed, Publications, Reader
 from slidectl.errors import AmbiguousName, NoDescriptors, Refused, SlidectlError, UsageError, listing
+from slidectl.simulation.clock import Timer
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.services import Service
@@ -31,6 +33,7 @@ _OPERATIONS = (
 )  # fmt: skip
 """Each is a method of the session, with an underscore before its name."""
 _MOST_OPEN_CALLS = 1000
+_MOST_LATER = 10_000
 _LONGEST_LATE, _MOST_LATE = 4096, 8 * 1024 * 1024
 """Bytes of an answer, and of what waits before it, from which on it is given up when it comes later than its call.
 
@@ -73,6 +76,8 @@ class Session:
         self._publishers: dict[str, TopicPublisher] = {}
         self._feeds: dict[str, Feed] = {}
         self._calls: set[Pending] = set()
+        self._later: set[Timer] = set()
+        """Messages that wait for their time."""
         self._services: dict[str, Service] = {}
         self._asked: dict[str, Pending] = {}
         self._serial = 0
@@ -82,14 +87,11 @@ class Session:
     @property
     def waiting(self) -> bool:
         """True while answers or messages may still come for a client that has said its last word."""
-        return bool(self._calls or self._feeds)
+        return bool(self._calls or self._feeds or self._later)
 
     def take(self, line: bytes) -> None:
         """Carry out one line; whatever is wrong with it is told to the client."""
         message: Message = {}
-        log = self._graph.log
-        log.reasons = []
-        self._graph.caller = self._process_session
         try:
             try:
                 _check_size(line)
@@ -102,14 +104,25 @@ class Session:
             if op not in _OPERATIONS:
                 what = "a message without an op" if op is None else f"unknown op {_shortened(op)}"
                 raise UsageError(what, f"ops: {listing(_OPERATIONS)}")
-            getattr(self, f"_{op}")(message)
+        except SlidectlError as error:
+            self.complain(error, message)
+        else:
+            self._carry_out(getattr(self, f"_{op}"), message)
+
+    def _carry_out(self, action: Callable[[Message], None], message: Message) -> None:
+        """Do what a message says; what goes wrong is told to the client."""
+        log = self._graph.log
+        log.reasons = []
+        self._graph.caller = self._process_session
+        try:
+            action(message)
         except SlidectlError as error:
             self.complain(error, message)
         except Exception as error:
             if isinstance(error, OSError) and error.errno in NoDescriptors.ERRNOS:
                 self.complain(NoDescriptors("the daemon"), message)
                 return
-            self.unexpected(f"{self.node} sent {line[:200]!r}")
+            self.unexpected(f"{self.node} sent {repr(message)[:200]}")
             self.complain(Refused(f"internal error: {error!r}; the daemon's log has more"), message)
         finally:
             log.reasons = None
@@ -132,6 +145,9 @@ class Session:
         for pending in list(self._calls):
             pending.cancel()
         self._calls.clear()
+        for timer in self._later:
+            timer.cancel()
+        self._later.clear()
         for asked in list(self._asked.values()):
             asked.reject(Refused(f"{self.node} went away before it answered"))
         for feed in self._feeds.values():
@@ -173,6 +189,29 @@ class Session:
         self._publishers.pop(topic).close()
 
     def _publish(self, message: Message) -> None:
+        """At once, or with `at` at the end of the first cycle with that time or a later one."""
+        at = message.get("at")
+        if at is None:
+            self._publish_now(message)
+            return
+        topic = _name(message, "topic")
+        due_ns, now_ns = _nanoseconds(at), self._graph.clock.time_ns
+        if due_ns <= now_ns:
+            self._publish_now(message, is_late=due_ns < now_ns)
+            return
+        if len(self._later) >= _MOST_LATER:
+            raise Refused(f"{_MOST_LATER} messages of this connection wait for their time", "send later ones later")
+        kind = _text(message, "type", "") or self._graph.topics.type_of(topic)
+        message["msg"] = msgs.check(kind, message.get("msg", {}))  # what is wrong is said now, not when it is due
+
+        def publish() -> None:
+            self._later.discard(timer)
+            self._carry_out(self._publish_now, message)
+
+        timer = self._graph.timers.at(due_ns, publish)
+        self._later.add(timer)
+
+    def _publish_now(self, message: Message, is_late: bool = False) -> None:
         topic = _name(message, "topic")
         content = message.get("msg", {})
         publisher = self._publishers.get(topic)
@@ -185,24 +224,25 @@ class Session:
             self._connection.send(encode({**status, "msg": f"nobody subscribes to {topic}"}))
         if message.get("ack"):
             status = {"op": "status", "level": "info", **_given_id(message), "msg": "delivered"}
-            self._connection.send(encode(status | self._reasons()))
+            late = {"late": True} if is_late else {}
+            self._connection.send(encode(status | late | self._reasons()))
 
     def _subscribe(self, message: Message) -> None:
         topic = _name(message, "topic")
         throttle, queue = _number(message, "throttle_rate"), _number(message, "queue_length")
         if _text(message, "compression", "none") != "none":
             raise UsageError(f"compression {_shortened(message['compression'])} is not offered", "compression: none")
-        kind = _text(message, "type", "") or None
+        kind, stamped = _text(message, "type", "") or None, bool(message.get("stamped", False))
         feed = self._feeds.get(topic)
         if feed is None:
-            feed = Feed(topic, self._connection, self._publications)
-            feed.want(_wish_id(message), throttle, int(queue))
+            feed = Feed(topic, self._connection, self._publications, self._graph.clock.stamp)
+            feed.want(_wish_id(message), throttle, int(queue), stamped)
             feed.begin(self._graph.topics, kind, self.node)
             self._feeds[topic] = feed
             return
         if kind is not None:  # complains when the type is another one
             self._graph.topics.subscribe(topic, kind, self.node, lambda _: None).close()
-        feed.want(_wish_id(message), throttle, int(queue))
+        feed.want(_wish_id(message), throttle, int(queue), stamped)
 
     def _unsubscribe(self, message: Message) -> None:
         topic = _name(message, "topic")
@@ -384,6 +424,14 @@ def _number(message: Message, key: str) -> float:
     if not isinstance(value, int | float) or not 0 <= value <= _LARGEST_NUMBER:
         raise UsageError(f"{key!r} is a number from 0 to {_LARGEST_NUMBER:g}, not {_shortened(value)}")
     return value
+
+
+def _nanoseconds(time: Any) -> int:
+    """A time as messages have it. Raises UsageError."""
+    parts = [time.get(part) for part in ("secs", "nsecs")] if isinstance(time, dict) else [None]
+    if not all(isinstance(part, int) and 0 <= part < 2**32 for part in parts):
+        raise UsageError(f"'at' is a time, {{secs, nsecs}}, not {_shortened(time)}")
+    return from_stamp(time)
 
 
 def _shortened(value: Any) -> str:

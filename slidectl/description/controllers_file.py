@@ -5,7 +5,7 @@ Reading is yaml_tree's; here is what a tree of controllers looks like, and how o
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,9 @@ from slidectl.description.models import read_file
 from slidectl.description.robot import Notice
 
 Tree = dict[str, Any]
+
+ROS_2 = "ros__parameters"
+"""What the parameters of a node are under in files of ROS 2."""
 
 
 def read(path: str | Path, notices: list[Notice] | None = None) -> Tree:
@@ -23,7 +26,47 @@ def read(path: str | Path, notices: list[Notice] | None = None) -> Tree:
     """
     from slidectl.description import yaml_tree
 
-    return yaml_tree.read(read_file(Path(path), pipes=True), str(path), notices)
+    return plain(yaml_tree.read(read_file(Path(path), pipes=True), str(path), notices))
+
+
+def places(text: bytes, file: str) -> dict[str, tuple[str, int | None]]:
+    """File and line of every parameter of a file's text, by its path in the tree that `read` gives. Raises BadFile."""
+    from slidectl.description import yaml_tree
+
+    return {plain_path(name): (file, line) for name, line in yaml_tree.places(text, file).items()}
+
+
+def plain(tree: Tree) -> Tree:
+    """The tree without ROS 2's `ros__parameters`, as `plain_path` places what is in it; else the same tree."""
+    from slidectl.description.yaml_tree import merge, nest
+
+    found: Tree = {}
+    moved = False
+    for path, value in _leaves(tree):
+        place = plain_path(path)
+        moved = moved or place != path
+        merge(found, nest(place, value))
+    return found if moved else tree
+
+
+def plain_path(path: str) -> str:
+    """Where a parameter of a path in a file of ROS 2 is in one of ROS 1.
+
+    What is below `ros__parameters` of a node is directly below the node, and what a controller manager has there is
+    beside it; dots part names.
+    """
+    node, mark, name = path.partition(f"/{ROS_2}")
+    if not mark or name[:1] not in ("", "/"):
+        return path
+    return node.removesuffix("/controller_manager").removesuffix("/**") + name.replace(".", "/")
+
+
+def _leaves(tree: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in tree.items():
+        if isinstance(value, Mapping) and value:
+            yield from _leaves(value, f"{above}/{key}")
+        else:
+            yield f"{above}/{key}", value
 
 
 def retarget(tree: Tree, namespace: str) -> tuple[Tree, str | None]:

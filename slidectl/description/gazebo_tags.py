@@ -6,7 +6,7 @@ Texts are read as sdformat reads them: an attribute `value` goes before the text
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from itertools import islice
 from typing import Any
@@ -35,7 +35,8 @@ _NO = ("false", "no", "0")
 class GazeboReader:
     """Reads the `<gazebo>` elements of one robot."""
 
-    def __init__(self, report: Report, links: Collection[str], joints: Collection[str]) -> None:
+    def __init__(self, report: Report, links: Collection[str], joints: Mapping[str, tuple[str, str]]) -> None:
+        """`joints` has the parent and the child link of each."""
         self.report = report
         self.links = links
         self.joints = joints
@@ -60,8 +61,7 @@ class GazeboReader:
             if reference and reference in self.links:
                 self.report.attempt(self._of_link, child, reference, element)
             elif reference:
-                place = f"{element.title}/{child.title}"
-                self.report.ignored(child, "tags of joints have no effect here", place)
+                self.report.attempt(self._of_joint, child, reference, element)
             elif child.tag == "plugin":
                 self.report.attempt(self._plugin, child)
             else:
@@ -125,6 +125,16 @@ class GazeboReader:
             near = closest(child.tag, _OF_LINK)
             hint = f"; did you mean <{near}>?" if near else ""
             self.report.ignored(child, f"has no effect here{hint}", place)
+        return True
+
+    def _of_joint(self, child: Element, joint: str, element: Element) -> bool:
+        place = f"{element.title}/{child.title}"
+        if child.tag == "sensor":
+            self.sensors.of_joint(joint, child, place)
+        elif child.tag == "provideFeedback":
+            self._truth(child, place)  # sensors measure in any case
+        else:
+            self.report.ignored(child, "tags of joints have no effect here, but <sensor>", place)
         return True
 
     def _set(self, link: str, **fields: Any) -> None:

@@ -111,8 +111,9 @@ def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = 
         if limit is not None and limit.lower != limit.upper and not limit.lower <= 0 <= limit.upper:
             text = f"{STARTS_OUTSIDE} {limit.lower:g} to {limit.upper:g}"
             report.wrong(joint_at[joint.name].find("limit") or joint_at[joint.name], text, place_of_limit(joint.name))
-    named = ([part.get("name") or "" for part in root.find_all(tag)] for tag in ("link", "joint"))
-    gazebo = GazeboReader(report, *map(dict.fromkeys, named))
+    known = dict.fromkeys(part.get("name") or "" for part in root.find_all("link"))
+    ends = {part.get("name") or "": (_end(part, "parent"), _end(part, "child")) for part in root.find_all("joint")}
+    gazebo = GazeboReader(report, known, ends)
     for element in root.find_all("gazebo"):
         gazebo.read(element)
     if report.faults or base is None:
@@ -140,6 +141,12 @@ def _named(
     for element in root.find_all(tag):
         report.attempt(take, element)
     return parts, places
+
+
+def _end(joint: Element, tag: str) -> str:
+    """A link of a joint, empty where it does not say which."""
+    element = joint.find(tag)
+    return (element.get("link") or "") if element is not None else ""
 
 
 def place_of_limit(joint: str) -> str:

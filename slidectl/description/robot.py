@@ -230,7 +230,7 @@ class Sensor:
     link: str
     """The link that it is on."""
     topic: str
-    """Relative to the robot's namespace, unless it begins with a slash."""
+    """Relative to the robot's namespace, unless it begins with a slash; empty: only controllers ask for it."""
     frame: str
     rate_hz: float
     """0: in each step of the world."""
@@ -271,6 +271,20 @@ class GroundTruth(Sensor):
 @dataclass(frozen=True)
 class Bumper(Sensor):
     """`<sensor type="contact">` with libgazebo_ros_bumper.so. gazebo_msgs/ContactsState."""
+
+
+@dataclass(frozen=True)
+class ForceTorque(Sensor):
+    """`<sensor type="force_torque">` of a joint, or libgazebo_ros_ft_sensor.so. geometry_msgs/WrenchStamped.
+
+    It measures what goes through the joint, in the axes of its child link; `link` is that.
+    """
+
+    joint: str = ""
+    in_parent: bool = False
+    """In the axes of the parent link instead."""
+    on_child: bool = False
+    """What the parent puts on the child, instead of what the child puts on the parent."""
 
 
 @dataclass(frozen=True)

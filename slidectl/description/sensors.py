@@ -1,4 +1,4 @@
-"""Reads the sensors that a model declares: Gazebo's `<sensor>` tags of links, and plugins of gazebo_ros that measure.
+"""Reads the sensors that a model declares: `<sensor>` tags of links and joints, and plugins of gazebo_ros that measure.
 
 Defaults are those of the plugins. What sensors measure is published by simulation/sensors.py.
 """
@@ -6,13 +6,16 @@ Defaults are those of the plugins. What sensors measure is published by simulati
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 
 from slidectl.description.element_values import parse_number
 from slidectl.description.report import Report
-from slidectl.description.robot import Bumper, GroundTruth, Imu, JointStates, Laser, Pose, Sensor, Vector
+from slidectl.description.robot import Bumper, ForceTorque, GroundTruth, Imu, JointStates, Laser, Pose, Sensor, Vector
 from slidectl.description.xml_tree import Element
 
+_FORCE_PLUGIN = "libgazebo_ros_ft_sensor"
+_FORCE_TORQUE = {"frame": ("child", "parent"), "measure_direction": ("child_to_parent", "parent_to_child")}
+"""Tags of `<force_torque>` with their values, the default first."""
 _OF_LINK = {
     "ray": ("libgazebo_ros_laser", "libgazebo_ros_gpu_laser"),
     "gpu_ray": ("libgazebo_ros_gpu_laser", "libgazebo_ros_laser"),
@@ -22,15 +25,17 @@ _OF_LINK = {
 """Type of `<sensor>` -> the plugins that publish it."""
 OF_MODEL = (
     "libgazebo_ros_p3d", "libgazebo_ros_imu", "libhector_gazebo_ros_imu", "libgazebo_ros_joint_state_publisher",
+    _FORCE_PLUGIN,
 )  # fmt: skip
 """Plugins of a model that measure."""
-_DRAWN = {"visualize", "always_on", "update_rate", "pose", "plugin", "ray", "imu", "contact", "topic"}
+_DRAWN = {"visualize", "always_on", "update_rate", "pose", "plugin", "ray", "imu", "contact", "topic", "force_torque"}
 
 
 class SensorReader:
     """Reads the sensors of one robot."""
 
-    def __init__(self, report: Report, links: Collection[str], joints: Collection[str]) -> None:
+    def __init__(self, report: Report, links: Collection[str], joints: Mapping[str, tuple[str, str]]) -> None:
+        """`joints` has the parent and the child link of each."""
         self.report = report
         self.links = links
         self.joints = joints
@@ -94,6 +99,49 @@ class SensorReader:
             _number(noise, "mean", 0.0, place), samples, least, most, nearest, farthest,
         )  # fmt: skip
 
+    def of_joint(self, joint: str, sensor: Element, place: str) -> None:
+        """Take in a `<sensor>` of `<gazebo reference="joint">`; report one that nothing here measures.
+
+        Raises:
+            BadFile: a malformed number.
+        """
+        kind = sensor.get("type") or ""
+        if kind != "force_torque":
+            return self.report.ignored(
+                sensor, f"has no effect: sensors of joints are force_torque, not {kind!r}", place
+            )
+        plugin = next((one for one in sensor.find_all("plugin") if library(one) == _FORCE_PLUGIN), None)
+        tags = sensor.find("force_torque")
+        words = {tag: known[0] for tag, known in _FORCE_TORQUE.items()}
+        for tag, known in _FORCE_TORQUE.items():
+            child = tags.find(tag) if tags is not None else None
+            if child is not None and child.first_text in known:
+                words[tag] = child.first_text
+            elif child is not None:
+                text = f"{child.first_text!r} has no effect: it is {words[tag]}, or {known[1]}"
+                self.report.ignored(child, text, f"{place}/<{tag}>")
+        for child in sensor.children:
+            if child.tag not in _DRAWN:
+                self.report.ignored(child, "has no effect in a sensor here", f"{place}/{child.title}")
+        topic = _text(plugin, "topicName", "") if plugin is not None else ""
+        noise = _below(tags, "force", "x", "noise")
+        self._force_torque(
+            sensor.get("name") or kind, joint, topic, _number(sensor, "update_rate", 0.0, place),
+            _number(plugin, "gaussianNoise", _number(noise, "stddev", 0.0, place), place),
+            words["frame"] == "parent", words["measure_direction"] == "parent_to_child",
+        )  # fmt: skip
+        return None
+
+    def _force_torque(
+        self, name: str, joint: str, topic: str, rate: float, noise: float,
+        in_parent: bool = False, on_child: bool = False,
+    ) -> None:  # fmt: skip
+        parent, child = self.joints[joint]
+        frame = parent if in_parent else child
+        self.sensors.append(
+            ForceTorque(name, child, topic, frame, rate, Pose(), noise, 0.0, joint, in_parent, on_child)
+        )
+
     def of_model(self, plugin: Element, place: str) -> None:
         """Take in a plugin of `OF_MODEL`. Raises BadFile: a malformed number."""
         kind = library(plugin)
@@ -107,6 +155,12 @@ class SensorReader:
             rate = _number(plugin, "updateRate", 100.0, place)
             self.sensors.append(JointStates(name, "", "joint_states", "", rate, Pose(), 0.0, 0.0, joints))
             return None
+        if kind == _FORCE_PLUGIN:
+            joint, topic = _text(plugin, "jointName", ""), _text(plugin, "topicName", "")
+            if joint not in self.joints or not topic:
+                text = f"there is no joint {joint!r}" if joint not in self.joints else "<topicName> is missing"
+                return self.report.wrong(plugin, f"{text}; the plugin has no effect", place)
+            return self._force_torque(name, joint, topic, rate, noise)
         link = _text(plugin, "bodyName", "")
         if link not in self.links:
             return self.report.wrong(plugin, f"<bodyName> {link!r} is no link; the plugin has no effect", place)

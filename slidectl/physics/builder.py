@@ -23,6 +23,7 @@ from slidectl.description.rigid_bodies import lumped, rigid_bodies
 from slidectl.description.robot import (
     Box,
     Cylinder,
+    ForceTorque,
     Inertial,
     Joint,
     Link,
@@ -140,8 +141,10 @@ class Lump:
 def lumps(robot: Robot) -> list[Lump]:
     """The bodies of a robot, the root's first and each behind its parent.
 
-    Links that a fixed joint holds are one body, unless both weigh something and only one of them feels gravity.
+    Links that a fixed joint holds are one body, unless both weigh something and only one of them feels gravity, or what
+    goes through the joint is measured.
     """
+    measured = {sensor.joint for sensor in robot.sensors if isinstance(sensor, ForceTorque)}
     moves = {link: body.moves for body in rigid_bodies(robot.root, robot.joints) for link in body.links}
     made = [Lump(robot.root, None, moves[robot.root], {})]
     made[0].add(robot.links[robot.root], ORIGIN)
@@ -150,7 +153,7 @@ def lumps(robot: Robot) -> list[Lump]:
     for parent in waiting:
         for joint in robot.children_of(parent):
             link, lump, pose = robot.links[joint.child], lump_of[parent], ORIGIN
-            if joint.type == "fixed" and lump.takes(link):
+            if joint.type == "fixed" and joint.name not in measured and lump.takes(link):
                 pose = compose(lump.frames[parent], (joint.origin.xyz, from_rpy(joint.origin.rpy)))
             else:
                 lump = Lump(joint.child, joint, moves[joint.child], {})

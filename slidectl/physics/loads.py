@@ -108,6 +108,8 @@ class Loads:
         """N or N·m by dof. Another array when the model was rebuilt."""
         self.has_efforts = False
         """False while all of them are 0."""
+        self._acted: tuple[float, Array | None] = (-1.0, None)
+        """MuJoCo's time after the last step with forces from outside, and what they came to on bodies."""
 
     @property
     def has_forces(self) -> bool:
@@ -132,6 +134,7 @@ class Loads:
 
     def bind(self, model: Any, data: Any) -> None:
         """Go on with this model, which all robots are bound to."""
+        self._acted = -1.0, None
         self.has_efforts |= not self.motors.is_empty
         if len(self.efforts) < model.nv:
             self.efforts = np.append(self.efforts, np.zeros(model.nv - len(self.efforts)))
@@ -152,6 +155,11 @@ class Loads:
         self.efforts[:] = 0.0
         self.has_efforts = not self.motors.is_empty
 
+    def wrenches_of_step(self, data: Any) -> Array | None:
+        """The forces and torques on bodies from outside in the last step, as xfrc_applied; None: there were none."""
+        time, forces = self._acted
+        return forces if time == data.time else None
+
     def step(self, model: Any, data: Any, now_ns: int) -> None:
         """One step with everything that acts at `now_ns`; what the hardware applies is put back exactly afterwards."""
         self.has_efforts = True
@@ -167,6 +175,7 @@ class Loads:
             else:
                 self.motors.step(model, data, self.efforts)
             self.efforts += outside
+            self._acted = data.time, data.xfrc_applied - link_forces
         finally:
             data.qfrc_applied[:], data.xfrc_applied[:] = hardware, link_forces
 

@@ -7,19 +7,23 @@ robot. `read` and `write` are the hot path: plain tuples and memoryviews, nothin
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from slidectl.control.angular_distance import distance_with_limits, shortest_angular_distance, unwrapped
 from slidectl.control.hardware_interface import (
     COMMAND_INTERFACES,
+    D,
     EffortJointInterface,
+    ForceTorqueSensorInterface,
+    ImuSensorInterface,
     JointCommandInterface,
     JointHandle,
     JointStateInterface,
     PositionJointInterface,
     RobotHW,
+    SensorHandle,
     command_interface,
 )
 from slidectl.control.laws import Columns, law
@@ -38,13 +42,16 @@ from slidectl.control.node_handle import NodeHandle
 from slidectl.control.params import BadParameter
 from slidectl.control.pid import Pid, next_command
 from slidectl.control.reconfigurable_pid import ReconfigurablePid
-from slidectl.description.robot import Joint, Robot, TransmissionInfo, TransmissionJoint
+from slidectl.description.robot import ForceTorque, Imu, Joint, Robot, Sensor, TransmissionInfo, TransmissionJoint
 from slidectl.description.transmissions import SIMULATED_INTERFACES, driving
 from slidectl.errors import Refused, SlidectlError, listing
+from slidectl.physics import sensing
 from slidectl.physics.body import Body, JointPlace
 from slidectl.physics.builder import BadPart
 from slidectl.physics.loads import EffortTruncation, truncated
 from slidectl.physics.world import World
+
+S = TypeVar("S", bound=Sensor)
 
 INITIAL_POSITION = 1.0
 INITIAL_EFFORT = 1.0
@@ -297,7 +304,7 @@ class DrivenJoint(NamedTuple):
 class MujocoRobotHW(RobotHW):
     """Joint states, and effort, position and velocity commands of the joints that have a transmission.
 
-    All four interfaces exist always, even empty. `node` is the robot's: limits are looked for at
+    All interfaces exist always, even empty. `node` is the robot's: limits are looked for at
     `joint_limits/<joint>` and gains at `gazebo_ros_control/pid_gains/<joint>` in it.
 
     Raises:
@@ -434,8 +441,19 @@ class MujocoRobotHW(RobotHW):
             commands[joint.interface].register_handle(joint.handle)
             joint.register_limits(node)
         self.register_interface(states)
+        self.register_interface(ImuSensorInterface(self._sensors(Imu, sensing.imu)))
+        self.register_interface(ForceTorqueSensorInterface(self._sensors(ForceTorque, sensing.force_torque)))
         for interface in commands.values():
             self.register_interface(interface)
+
+    def _sensors(self, kind: type[S], measure: Callable[[World, str, S, int], D]) -> Iterator[SensorHandle[D]]:
+        """Handles of the model's sensors of a kind. What nobody asks for is not measured."""
+
+        def handle(sensor: S) -> SensorHandle[D]:
+            world, robot = self._world, self._body.name
+            return SensorHandle(sensor.name, sensor.frame, lambda: measure(world, robot, sensor, world.clock()))
+
+        return (handle(sensor) for sensor in self.robot.sensors if isinstance(sensor, kind))
 
     def _is_pushed(self, joint: HardwareJoint) -> bool:
         """Effort joints, except those that several transmissions drive: their efforts add up."""

@@ -1,19 +1,36 @@
-"""What sensors on links measure in the present world: distances along rays, accelerations, contacts.
+"""What sensors measure in the present world: distances along rays, motion, contacts, forces in joints.
 
-It looks and changes nothing that the next step depends on. Vectors are in the world's axes; SI units.
+It looks and changes nothing that the next step depends on. Vectors are in the world's axes unless they are a sensor's
+own; SI units. Noise follows from the names of robot and sensor and the time: every run gives the same bits.
 """
 
 from __future__ import annotations
 
 import math
+import random
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from slidectl.control.hardware_interface import ForceTorqueData, ImuData
+from slidectl.description.robot import ForceTorque, Imu, Sensor
 from slidectl.physics.touching import link_of
-from slidectl.rotations import Pose, Quaternion, Vector, add, compose, cross, multiply, rotate
+from slidectl.rotations import (
+    Pose,
+    Quaternion,
+    Vector,
+    add,
+    compose,
+    conjugate,
+    cross,
+    from_rpy,
+    multiply,
+    rotate,
+    subtract,
+)
 
 if TYPE_CHECKING:
     from slidectl.physics.world import World
@@ -89,9 +106,91 @@ def acceleration(world: World, robot: str, link: str, origin: Pose) -> tuple[Vec
     return felt, attitude
 
 
-def sensor_pose(world: World, robot: str, link: str, origin: Pose) -> Pose:
-    """Where a sensor is in the world that is at `origin` in a link's frame. Raises UnknownName."""
-    return compose(world.link_pose(robot, link), origin)
+def sensor_pose(world: World, robot: str, sensor: Sensor) -> Pose:
+    """Where a sensor of a link is in the world. Raises UnknownName."""
+    return compose(world.link_pose(robot, sensor.link), _origin(sensor))
+
+
+def sensor_twist(world: World, robot: str, sensor: Sensor) -> tuple[Vector, Vector]:
+    """Velocity of the sensor's point and of its turning. Raises UnknownName."""
+    linear, angular = world.link_twist(robot, sensor.link)
+    arm = subtract(sensor_pose(world, robot, sensor)[0], world.link_pose(robot, sensor.link)[0])
+    return add(linear, cross(angular, arm)), angular
+
+
+def _origin(sensor: Sensor) -> Pose:
+    return sensor.origin.xyz, from_rpy(sensor.origin.rpy)
+
+
+def draws(robot: str, sensor: Sensor, time_ns: int) -> Callable[[], float]:
+    """Draws of the sensor's noise at that time, in the unit of what it measures."""
+    if sensor.noise <= 0.0 and sensor.mean == 0.0:
+        return lambda: 0.0
+    source = random.Random(f"{robot}/{sensor.name}/{time_ns}")
+    return lambda: source.gauss(sensor.mean, max(0.0, sensor.noise))
+
+
+def noisy(vector: Vector, draw: Callable[[], float]) -> Vector:
+    """The vector with noise on each component."""
+    return (vector[0] + draw(), vector[1] + draw(), vector[2] + draw())
+
+
+def imu(world: World, robot: str, sensor: Imu, time_ns: int) -> ImuData:
+    """What an IMU measures. Raises UnknownName."""
+    attitude = sensor_pose(world, robot, sensor)[1]
+    draw = draws(robot, sensor, time_ns)
+    felt, then = acceleration(world, robot, sensor.link, _origin(sensor))
+    if not sensor.feels_gravity:
+        felt = add(felt, world.gravity)
+    turning = sensor_twist(world, robot, sensor)[1]
+    variance = sensor.noise**2
+    covariance = (variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, variance)
+    return ImuData(
+        attitude,
+        covariance,
+        noisy(rotate(conjugate(attitude), turning), draw),
+        covariance,
+        noisy(rotate(conjugate(then), felt), draw),
+        covariance,
+    )
+
+
+def force_torque(world: World, robot: str, sensor: ForceTorque, time_ns: int) -> ForceTorqueData:
+    """What went through a joint in the last step: force, and torque about the joint. Raises UnknownName.
+
+    As Gazebo has it: what the child link puts on the joint, or the other way round when the sensor says so.
+    """
+    model, data, body = world.model, world.data, world.body(robot).link(sensor.link).body
+    mujoco.mj_rnePostConstraint(model, data)  # writes accelerations and forces between bodies only
+    anchor = data.xpos[body]
+    # By the parent on the child, about the centre of mass of the whole robot.
+    torque, force = data.cfrc_int[body, :3].copy(), data.cfrc_int[body, 3:].copy()
+    torque += np.cross(data.subtree_com[model.body_rootid[body]] - anchor, force)
+    # What acts on these bodies from outside the bodies themselves, and MuJoCo leaves out of that.
+    outside = world.loads.wrenches_of_step(data)
+    for below in _subtree(model, body):
+        push, turn = -model.body_gravcomp[below] * model.body_mass[below] * model.opt.gravity, np.zeros(3)
+        if outside is not None:
+            push, turn = push + outside[below, :3], outside[below, 3:]
+        force -= push
+        torque -= turn + np.cross(data.xipos[below] - anchor, push)
+    link = world.body(robot).robot.joints[sensor.joint].parent if sensor.in_parent else sensor.link
+    place = world.body(robot).link(link)
+    w, x, y, z = data.xquat[place.body].tolist()
+    back = conjugate(multiply((x, y, z, w), place.frame[1]))
+    sign, draw = 1.0 if sensor.on_child else -1.0, draws(robot, sensor, time_ns)
+    return ForceTorqueData(
+        noisy(rotate(back, _vector(sign * force)), draw), noisy(rotate(back, _vector(sign * torque)), draw)
+    )
+
+
+def _subtree(model: mujoco.MjModel, body: int) -> Iterator[int]:
+    """A body and all below it, which MuJoCo numbers one after the other."""
+    yield body
+    for below in range(body + 1, model.nbody):
+        if model.body_parentid[below] < body:
+            return
+        yield below
 
 
 def touches(world: World, robot: str, link: str) -> list[Touch]:

@@ -33,6 +33,10 @@ class Clock:
         """Time in nanoseconds."""
         return self.time_ns
 
+    def stamp(self) -> dict[str, int]:
+        """Time as it stands on messages."""
+        return to_stamp(self.time_ns)
+
     @property
     def seconds(self) -> float:
         """Time in seconds, correctly rounded."""

@@ -1,24 +1,29 @@
 """Sensors of robots: what a model declares is measured and published at its rate. Without a listener it costs nothing.
 
-Noise is drawn anew for each message from the sensor's name and the simulated time: every run gives the same bits,
-whoever listens.
+Every run gives the same bits, whoever listens.
 """
 
 from __future__ import annotations
 
 import math
-import random
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from slidectl import names
+from slidectl.control.controllers.sensor_controllers import (
+    ForceTorqueSensorController,
+    ImuSensorController,
+    imu_message,
+    wrench_message,
+)
+from slidectl.control.duration import header_of
 from slidectl.control.node_handle import Message
-from slidectl.description.robot import Bumper, GroundTruth, Imu, JointStates, Laser, Sensor
+from slidectl.description.robot import Bumper, ForceTorque, GroundTruth, Imu, JointStates, Laser, Sensor
 from slidectl.physics import sensing
-from slidectl.rotations import Pose, Quaternion, Vector, add, conjugate, cross, from_rpy, message, rotate, subtract
-from slidectl.simulation.clock import SECOND, stamp
+from slidectl.rotations import Quaternion, Vector, add, cross, message, subtract
+from slidectl.simulation.clock import SECOND
 from slidectl.simulation.spawned_robots import SpawnedRobot
 from slidectl.simulation.topics import PeriodicTopic
 
@@ -27,7 +32,8 @@ if TYPE_CHECKING:
 
 _TYPES = {
     Laser: "sensor_msgs/LaserScan",
-    Imu: "sensor_msgs/Imu",
+    Imu: ImuSensorController.message_type,
+    ForceTorque: ForceTorqueSensorController.message_type,
     GroundTruth: "nav_msgs/Odometry",
     Bumper: "gazebo_msgs/ContactsState",
     JointStates: "sensor_msgs/JointState",
@@ -42,10 +48,10 @@ class SensorTopic:
         self._world = simulation.world
         self._robot = robot.name
         self._sensor = sensor
-        self._origin: Pose = (sensor.origin.xyz, from_rpy(sensor.origin.rpy))
         build: dict[type[Sensor], Callable[[], Message]] = {
             Laser: self._scan,
             Imu: self._imu,
+            ForceTorque: self._wrench,
             GroundTruth: self._odometry,
             Bumper: self._contacts,
             JointStates: self._joints,
@@ -69,33 +75,18 @@ class SensorTopic:
         self._topic.close()
 
     def _header(self) -> Message:
-        return {"seq": 0, "stamp": stamp(self._simulation.time_ns), "frame_id": self._sensor.frame}
+        return header_of(self._simulation.time_ns, self._sensor.frame)
 
-    def _noise(self) -> Callable[[], float]:
-        """Draws of the sensor's noise for this message."""
-        sensor = self._sensor
-        if sensor.noise <= 0.0 and sensor.mean == 0.0:
-            return lambda: 0.0
-        source = random.Random(f"{self._robot}/{sensor.name}/{self._simulation.time_ns}")
-        return lambda: source.gauss(sensor.mean, max(0.0, sensor.noise))
-
-    def _noisy(self, vector: Vector, draw: Callable[[], float]) -> Vector:
-        return (vector[0] + draw(), vector[1] + draw(), vector[2] + draw())
-
-    def _pose(self) -> Pose:
-        return sensing.sensor_pose(self._world, self._robot, self._sensor.link, self._origin)
-
-    def _twist(self, pose: Pose) -> tuple[Vector, Vector]:
-        """Velocity of the sensor's point and of its turning, in the world's axes."""
-        linear, angular = self._world.link_twist(self._robot, self._sensor.link)
-        arm = subtract(pose[0], self._world.link_pose(self._robot, self._sensor.link)[0])
-        return add(linear, cross(angular, arm)), angular
+    def _draws(self) -> Callable[[], float]:
+        """Noise for this message."""
+        return sensing.draws(self._robot, self._sensor, self._simulation.time_ns)
 
     def _scan(self) -> Message:
         sensor = self._sensor
         assert isinstance(sensor, Laser)
-        found = sensing.distances(self._world, self._pose(), self._directions, sensor.min_range, sensor.max_range)
-        draw = self._noise()
+        pose = sensing.sensor_pose(self._world, self._robot, sensor)
+        found = sensing.distances(self._world, pose, self._directions, sensor.min_range, sensor.max_range)
+        draw = self._draws()
         noisy = [
             min(max(distance + draw(), sensor.min_range), sensor.max_range) if distance < math.inf else math.inf
             for distance in found.tolist()
@@ -117,37 +108,29 @@ class SensorTopic:
     def _imu(self) -> Message:
         sensor = self._sensor
         assert isinstance(sensor, Imu)
-        pose = self._pose()
-        back = conjugate(pose[1])
-        draw = self._noise()
-        felt, attitude = sensing.acceleration(self._world, self._robot, sensor.link, self._origin)
-        if not sensor.feels_gravity:
-            felt = add(felt, self._world.gravity)
-        variance = sensor.noise**2
-        diagonal = [variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, variance]
-        return {
-            "header": self._header(),
-            "orientation": message(pose[1]),
-            "orientation_covariance": diagonal,
-            "angular_velocity": _vector(self._noisy(rotate(back, self._twist(pose)[1]), draw)),
-            "angular_velocity_covariance": diagonal,
-            "linear_acceleration": _vector(self._noisy(rotate(conjugate(attitude), felt), draw)),
-            "linear_acceleration_covariance": diagonal,
-        }
+        return imu_message(self._header(), sensing.imu(self._world, self._robot, sensor, self._simulation.time_ns))
+
+    def _wrench(self) -> Message:
+        sensor = self._sensor
+        assert isinstance(sensor, ForceTorque)
+        return wrench_message(
+            self._header(), sensing.force_torque(self._world, self._robot, sensor, self._simulation.time_ns)
+        )
 
     def _odometry(self) -> Message:
-        pose, draw, variance = self._pose(), self._noise(), self._sensor.noise**2
-        linear, angular = self._twist(pose)
+        draw, variance = self._draws(), self._sensor.noise**2
+        pose = sensing.sensor_pose(self._world, self._robot, self._sensor)
+        linear, angular = sensing.sensor_twist(self._world, self._robot, self._sensor)
         covariance = [variance if row == column else 0.0 for row in range(6) for column in range(6)]
-        position = self._noisy(pose[0], draw)
+        position = sensing.noisy(pose[0], draw)
         return {
             "header": self._header(),
             "child_frame_id": self._sensor.link,
             "pose": {"pose": _pose(position, pose[1]), "covariance": covariance},
             "twist": {
                 "twist": {
-                    "linear": _vector(self._noisy(linear, draw)),
-                    "angular": _vector(self._noisy(angular, draw)),
+                    "linear": _vector(sensing.noisy(linear, draw)),
+                    "angular": _vector(sensing.noisy(angular, draw)),
                 },
                 "covariance": covariance,
             },
@@ -205,7 +188,7 @@ def _pose(position: Vector, attitude: Quaternion) -> Message:
 
 def bring_up(simulation: Simulation, robot: SpawnedRobot) -> Callable[[], None]:
     """Give a robot the topics of its sensors. Returns what takes them back."""
-    topics = [SensorTopic(simulation, robot, sensor) for sensor in robot.paper.sensors]
+    topics = [SensorTopic(simulation, robot, sensor) for sensor in robot.paper.sensors if sensor.topic]
 
     def take_back() -> None:
         for topic in topics:

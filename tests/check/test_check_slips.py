@@ -127,7 +127,7 @@ PARAMETERS = [
     (CONTROLLERS.replace("joint:", "joints:"), "ignored 4", "did you mean 'joint'?"),
     (CONTROLLERS.replace("/JointP", "::JointP"), "wrong 3", "Did you mean 'effort_controllers/JointPositionController"),
     (CONTROLLERS + "  pid_gains: {slide: {p: 1}}\n", "ignored 6", "looks for gazebo_ros_control/pid_gains"),
-    ("m:\n  ros__parameters:\n    c: {type: x}\n", "wrong 2", "is ROS 2's"),
+    ("m:\n  ros__parameters:\n    c: {type: x}\n", "converted 1", "is ROS 2's"),
 ]
 
 

@@ -49,7 +49,7 @@ class _Types:
         given = parser.parse(argv, most=1, extra=f"you may only specify one {self._kind.noun}")
         wanted = self._wanted(parser, given.words)
         if given.bag:
-            from slidectl.cli.ros import bag
+            from slidectl.cli.ros import bag_echo as bag
 
             return output.write(bag.definition(given.bag, wanted, bool(given.raw)).rstrip("\n") + "\n\n")
         text = self._kind.source if given.raw else self._kind.show

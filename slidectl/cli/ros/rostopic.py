@@ -53,7 +53,7 @@ def list_topics(ctx: Context, argv: Sequence[str]) -> None:
     if given.published and given.subscribed:
         parser.error("you may only specify one of -p, -s")
     if given.bag:
-        from slidectl.cli.ros import bag
+        from slidectl.cli.ros import bag_echo as bag
 
         return bag.list_topics(given.bag, namespace and (resolve(ctx, namespace, "rostopic").rstrip("/") or "/"))
     types = ctx.client.topics()
@@ -166,7 +166,7 @@ def echo(ctx: Context, argv: Sequence[str]) -> None:
         form, not given.noarr, not given.nostr, width, bool(given.clear), bool(given.offset), from_bag=bool(given.bag)
     )
     if given.bag:
-        from slidectl.cli.ros import bag
+        from slidectl.cli.ros import bag_echo as bag
 
         name = None if given.all else resolve(ctx, given.words[0], "rostopic")
         return bag.echo(ctx, given.bag, name, look, given.condition, count)

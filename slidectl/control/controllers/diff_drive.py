@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 
 from slidectl.control import params
 from slidectl.control.controller_interface import Compiled, Controller, Member, Parts
-from slidectl.control.duration import from_seconds, to_seconds, to_stamp
+from slidectl.control.duration import from_seconds, header_of, to_seconds, to_stamp
 from slidectl.control.hardware_interface import JointHandle, VelocityJointInterface
 from slidectl.control.laws import Columns, LawTables, law
 from slidectl.control.mobile_base import (
@@ -36,7 +36,6 @@ from slidectl.control.mobile_base import (
     Odometry,
     OdometryTopics,
     check_lengths,
-    header_of,
     limited,
     moved,
     publish,
@@ -72,6 +71,10 @@ class SidesOdometry(Odometry):
 
     def __init__(self, window: int) -> None:
         super().__init__(window)
+        self.left = self.right = 0.0
+
+    def forget(self) -> None:
+        super().forget()
         self.left = self.right = 0.0
 
     def update(self, left: float, right: float, separation: float, time_ns: int) -> None:

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, NamedTuple
 from slidectl import names
 from slidectl.control import params
 from slidectl.control.controller_interface import Compiled, Controller, Parts
-from slidectl.control.duration import from_seconds, to_stamp
+from slidectl.control.duration import from_seconds, header_of
 from slidectl.control.hardware_interface import JointStateInterface
 from slidectl.control.laws import Columns, LawTables, law
 from slidectl.control.node_handle import Message, NodeHandle
@@ -129,7 +129,7 @@ class JointStateController(Controller[JointStateInterface]):
     def _message(self, time_ns: int) -> Message:
         joints = self._joints
         return {
-            "header": {"seq": 0, "stamp": to_stamp(time_ns), "frame_id": ""},
+            "header": header_of(time_ns),
             "name": self._names,
             "position": [joint.position for joint in joints] + self._extra_positions,
             "velocity": [joint.velocity for joint in joints] + self._extra_velocities,

@@ -82,15 +82,21 @@ class Spawner(_ControllerTask):
         """Controllers of types that are not there."""
 
     def look_ahead(self, plan: LaunchPlan, packages: Packages, parameters: Mapping[str, Leaf]) -> None:  # noqa: ARG002
-        from slidectl.control import registry  # the controllers are many modules, and most launches have no spawner
+        from slidectl.control import (  # the controllers are many modules, and most launches have no spawner
+            registry,
+            ros2_names,
+        )
 
         for name in self.words.rest:
             kind, place = parameters.get(names.join(self.namespace, f"{name}/type"), (None, None))
             if not isinstance(kind, str) or place is None:
                 continue
+            own = names.join(self.namespace, name) + "/"
+            values = {full.removeprefix(own): value for full, (value, _) in parameters.items() if full.startswith(own)}
             try:
-                registry.find(kind)
-            except registry.UnknownType as error:
+                found = ros2_names.counterpart(kind, values)
+                registry.find(kind if found is None else found.type)
+            except (registry.UnknownType, ros2_names.NoCounterpart) as error:
                 self._absent.add(name)
                 message = f"controller {names.join(self.namespace, name)}: {error.message}"
                 plan.missing.note(place.absence(message, error.hint, f"controller type {kind}"), "it is left out")

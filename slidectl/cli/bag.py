@@ -1,0 +1,347 @@
+"""`slidectl bag`: what is in recordings, parts of them, tables of them, and files that were not closed."""
+
+from __future__ import annotations
+
+import csv
+import math
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from slidectl.cli import completion, output
+from slidectl.cli.commands import group
+from slidectl.cli.context import Context
+from slidectl.cli.topic_streams import Schema
+from slidectl.errors import Refused, UnknownName, UsageError
+
+if TYPE_CHECKING:
+    from slidectl.recording.recording_files import Record, Recording
+
+_SECOND = 10**9
+
+
+@group(examples=["slidectl bag info run.mcap", "slidectl bag export run.bag --csv run.csv"])
+def bag() -> None:
+    """Recordings: info, filter, export, reindex."""
+
+
+def open_recording(ctx: Context, file: str) -> Recording:
+    """The recording; says when it was not closed. Raises BadFile, NoMcap."""
+    from slidectl.recording.recording_files import opened
+
+    recording = opened(Path(file))
+    if recording.damage:
+        ctx.warn(f"{file}: {recording.damage}; it is read as far as it goes (slidectl bag reindex {file} completes it)")
+    return recording
+
+
+@bag.command("info", examples=["slidectl bag info run.mcap", "slidectl bag info run.bag --json"])
+@click.argument("file", shell_complete=completion.files)
+@click.pass_obj
+def info(ctx: Context, file: str) -> None:
+    """Show what a recording holds.
+
+    Times are simulated, in s. JSON keys: path, duration, start, end, size, messages, compression, chunks, damage, types
+    (type and md5sum), topics (topic, type, messages, latching).
+    """
+    with open_recording(ctx, file) as recording:
+        summary, channels = recording.summary(), recording.channels
+        damage = recording.damage
+    begin = None if summary.begin_ns is None else summary.begin_ns / _SECOND
+    end = None if summary.end_ns is None else summary.end_ns / _SECOND
+    latched = {channel.topic for channel in channels if channel.latching}
+    types = {channel.topic: channel.type for channel in channels}
+    record = {
+        "path": file,
+        "duration": None if begin is None or end is None else end - begin,
+        "start": begin,
+        "end": end,
+        "size": Path(file).stat().st_size,
+        "messages": summary.counts.total(),
+        "compression": summary.compression,
+        "chunks": summary.chunks,
+        "damage": damage or None,
+        "types": [{"type": kind, "md5sum": md5} for kind, md5 in sorted({(c.type, c.md5) for c in channels})],
+        "topics": [
+            {"topic": topic, "type": types[topic], "messages": summary.counts[topic], "latching": topic in latched}
+            for topic in sorted(types)
+        ],
+    }
+    ctx.emit(record, _info_text(record))
+
+
+def _info_text(record: dict[str, Any]) -> str:
+    """In the order of `rosbag info`."""
+    times = {key: "-" if record[key] is None else f"{record[key]:.3f} s" for key in ("duration", "start", "end")}
+    lines = {
+        "path": record["path"],
+        **times,
+        "size": f"{record['size'] / 1e6:.1f} MB",
+        "messages": str(record["messages"]),
+        "compression": f"{record['compression']} [{record['chunks']} chunks]",
+    }
+    width = max((len(one["type"]) for one in record["types"]), default=0)
+    types = [f"{one['type']:<{width}} [{one['md5sum']}]" for one in record["types"]]
+    width = max((len(one["topic"]) for one in record["topics"]), default=0)
+    wide = max((len(str(one["messages"])) for one in record["topics"]), default=0)
+    topics = [
+        f"{one['topic']:<{width}}  {one['messages']:>{wide}} msgs : {one['type']}"
+        + (" (latched)" if one["latching"] else "")
+        for one in record["topics"]
+    ]
+    text = [f"{key + ':':<13}{value}" for key, value in lines.items()]
+    for key, rows in (("types", types), ("topics", topics)):
+        text += [f"{key + ':' if number == 0 else '':<13}{row}" for number, row in enumerate(rows)]
+    return "\n".join(text)
+
+
+# --- copies -----------------------------------------------------------------------------------------------------------
+
+
+def _copy(records: Iterator[Record], recording: Recording, target: Path, compression: str) -> int:
+    """Write the records into a new recording, which appears when it is complete; how many there were.
+
+    Raises:
+        Refused: it cannot be written.
+    """
+    from slidectl.recording.recording_files import create
+
+    part = target.with_name(f".{target.stem}.part{target.suffix}")
+    part.unlink(missing_ok=True)
+    count = 0
+    try:
+        with ExitStack() as stack:
+            stack.callback(part.unlink, missing_ok=True)
+            writer = create(part, compression)
+            topics: dict[int, Any] = {}
+            for channel, time_ns, raw in records:
+                if channel.number not in topics:
+                    topics[channel.number] = writer.add(channel.topic, recording.codec(channel), channel.latching)
+                writer.write(topics[channel.number], time_ns, raw)
+                count += 1
+            writer.close()
+            part.replace(target)
+            return count
+    except OSError as error:
+        raise Refused(f"cannot write {target}: {error.strerror or error}") from None
+
+
+def _check_target(target: str, force: bool) -> Path:
+    path = Path(target)
+    if path.exists() and not force:
+        raise Refused(f"{path} is there already", "give another name, or --force to write over it")
+    return path
+
+
+@bag.command("reindex", examples=["slidectl bag reindex run.bag"])
+@click.argument("file", shell_complete=completion.files)
+@click.pass_obj
+def reindex(ctx: Context, file: str) -> None:
+    """Complete a recording whose recorder was killed.
+
+    Everything that can be read is written into a new file in its place, with an index. What was there before is kept
+    as NAME.orig.bag (or .mcap). JSON keys: file, messages, kept.
+    """
+    from slidectl.recording.recording_files import opened
+
+    path = Path(file)
+    with opened(path) as recording:
+        if not recording.damage:
+            ctx.done({"file": file, "messages": recording.summary().counts.total(), "kept": None}, f"{file}: complete")
+            return
+        kept = path.with_name(f"{path.stem}.orig{path.suffix}")
+        if kept.exists():
+            raise Refused(f"{kept} is there already", f"it is from an earlier reindex; remove it, or rename {file}")
+        whole = path.with_name(f"{path.stem}.whole{path.suffix}")
+        count = _copy(recording.records(), recording, whole, recording.summary().compression)
+    path.rename(kept)
+    whole.rename(path)
+    ctx.done({"file": file, "messages": count, "kept": str(kept)}, f"{file}: {count} messages, what it was is {kept}")
+
+
+@bag.command(
+    "filter",
+    examples=[
+        "slidectl bag filter run.bag short.bag 'topic == \"/slider/joint_states\" and t < 5'",
+        "slidectl bag filter run.bag run.mcap --compression zstd",
+    ],
+)
+@click.argument("source", shell_complete=completion.files)
+@click.argument("target", shell_complete=completion.files)
+@click.argument("condition", required=False, metavar="[EXPR]")
+@click.option("--compression", metavar="KIND", default="none", help=".bag: bz2, lz4; .mcap: lz4, zstd (none).")
+@click.option("--force", is_flag=True, help="Write over a file that is there.")
+@click.pass_obj
+def filter_command(
+    ctx: Context, source: str, target: str, condition: str | None, compression: str, force: bool
+) -> None:
+    """Copy the messages for which EXPR is true.
+
+    EXPR sees topic, t (simulated s) and the fields of the message m, with the operators of Python and the functions of
+    its math module; topics whose messages lack a field that EXPR names are left out. Without EXPR everything is copied:
+    from .bag to .mcap or back, or with another compression. JSON keys: file, messages, of.
+    """
+    path = _check_target(target, force)
+    if path.resolve() == Path(source).resolve():
+        raise UsageError("the target is the source", "give another name")
+    with open_recording(ctx, source) as recording:
+        keep = _condition(condition, recording)
+        total = recording.summary().counts.total()
+        count = _copy((one for one in recording.records() if keep(one)), recording, path, compression)
+    ctx.done({"file": target, "messages": count, "of": total}, f"{target}: {count} of {total} messages")
+
+
+def _condition(text: str | None, recording: Recording) -> Callable[[Record], bool]:
+    """Raises UsageError: it is no expression, or no topic has the fields that it names."""
+    if text is None:
+        return lambda _record: True
+    from slidectl.cli.templates import Filter
+
+    filters: dict[int, Filter] = {}
+    refusal: UsageError | None = None
+    for channel in recording.channels:
+        codec = recording.codec(channel)
+        try:
+            filters[channel.number] = Filter(text, Schema(codec.type, codec.types), ("topic", "t"))
+        except UsageError as error:
+            refusal = error
+    if not filters and refusal is not None:
+        raise refusal
+
+    def keep(one: Record) -> bool:
+        known = filters.get(one.channel.number)
+        if known is None:
+            return False
+        return known(recording.message(one), topic=one.channel.topic, t=one.time_ns / _SECOND)
+
+    return keep
+
+
+# --- tables -----------------------------------------------------------------------------------------------------------
+
+
+@bag.command(
+    "export",
+    examples=[
+        "slidectl bag export run.bag --csv run.csv",
+        "slidectl bag export run.bag --parquet run.parquet --topic /slider/joint_states",
+    ],
+)
+@click.argument("file", shell_complete=completion.files)
+@click.option("--csv", "csv_file", metavar="FILE", help="A CSV file; - is stdout.")
+@click.option("--parquet", "parquet_file", metavar="FILE", help="A Parquet file (needs pyarrow).")
+@click.option("--topic", "topics", multiple=True, metavar="TOPIC", help="Only this topic; may repeat.")
+@click.option("--force", is_flag=True, help="Write over a file that is there.")
+@click.pass_obj
+def export(
+    ctx: Context, file: str, csv_file: str | None, parquet_file: str | None, topics: tuple[str, ...], force: bool
+) -> None:
+    """Write a table: a row a message, a column a field.
+
+    The first columns are time (simulated, s) and topic, the others are named after the fields: of one topic as
+    position[0] or pose.position.x, of several with the topic before them (/slider/joint_states/position[0]). A cell
+    is empty where the message of the row has no such field. JSON keys: file, rows, columns.
+    """
+    target = csv_file or parquet_file
+    if target is None or (csv_file and parquet_file):
+        raise UsageError("give one of --csv and --parquet")
+    path = None if target == "-" else _check_target(target, force)
+    with open_recording(ctx, file) as recording:
+        wanted = _wanted(recording, topics)
+        rows = _Rows(recording, wanted)
+        columns = rows.columns()
+        if parquet_file:
+            count = _write_parquet(path or Path(target), rows, columns)
+        else:
+            count = _write_csv(path, rows, columns)
+    if path is not None:
+        ctx.done({"file": target, "rows": count, "columns": len(columns)}, f"{target}: {count} rows")
+
+
+def _wanted(recording: Recording, topics: tuple[str, ...]) -> set[str]:
+    """Raises UnknownName."""
+    known = recording.topics
+    for topic in topics:
+        if topic not in known:
+            raise UnknownName("topic", topic, known, f"in {recording.path}")
+    return set(topics or known)
+
+
+class _Rows:
+    """The messages as flat rows."""
+
+    def __init__(self, recording: Recording, topics: set[str]) -> None:
+        self._recording = recording
+        self._topics = topics
+
+    def columns(self) -> list[str]:
+        """All columns, in the order in which the messages have them: arrays may grow."""
+        found: dict[str, None] = {"time": None, "topic": None}
+        for row in self:
+            found.update(dict.fromkeys(row))
+        return list(found)
+
+    def __iter__(self) -> Iterator[dict[str, Any]]:
+        for record in self._recording.records(self._topics):
+            prefix = "" if len(self._topics) == 1 else f"{record.channel.topic}/"
+            row: dict[str, Any] = {"time": record.time_ns / _SECOND, "topic": record.channel.topic}
+            row.update(_flat(prefix, self._recording.message(record)))
+            yield row
+
+
+def _flat(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    if isinstance(value, dict) and value.keys() == {"secs", "nsecs"}:
+        yield name, value["secs"] + value["nsecs"] / _SECOND
+    elif isinstance(value, dict):
+        for key, below in value.items():
+            yield from _flat(f"{name}{'' if not name or name.endswith('/') else '.'}{key}", below)
+    elif isinstance(value, list):
+        for index, below in enumerate(value):
+            yield from _flat(f"{name}[{index}]", below)
+    else:
+        yield name, None if isinstance(value, float) and math.isnan(value) else value
+
+
+def _write_csv(path: Path | None, rows: _Rows, columns: list[str]) -> int:
+    count = 0
+    try:
+        with ExitStack() as stack:
+            file = sys.stdout
+            if path is not None:
+                file = stack.enter_context(path.open("w", encoding="utf-8", newline=""))
+            table = csv.DictWriter(file, columns, lineterminator="\n")
+            table.writeheader()
+            for row in rows:
+                table.writerow(row)
+                count += 1
+            file.flush()
+    except BrokenPipeError:
+        raise output.ClosedPipe from None
+    except OSError as error:
+        raise Refused(f"cannot write {path or 'the output'}: {error.strerror or error}") from None
+    return count
+
+
+def _write_parquet(path: Path, rows: _Rows, columns: list[str]) -> int:
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ImportError:
+        raise Refused(
+            "Parquet files need the library pyarrow", "install it: pip install pyarrow, or use --csv"
+        ) from None
+    content: dict[str, list[Any]] = {column: [] for column in columns}
+    for row in rows:
+        for column, cells in content.items():
+            cells.append(row.get(column))
+    try:
+        parquet.write_table(pyarrow.table(content), path)
+    except (OSError, pyarrow.ArrowException) as error:
+        with suppress(OSError):
+            path.unlink()
+        raise Refused(f"cannot write {path}: {error}") from None
+    return len(content["time"])

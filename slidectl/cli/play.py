@@ -1,0 +1,220 @@
+"""`slidectl play`: the messages of recordings once more, each at its simulated time."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import click
+
+from slidectl import msgs, names
+from slidectl.cli import completion
+from slidectl.cli.bag import open_recording
+from slidectl.cli.commands import command, positive_seconds
+from slidectl.cli.context import Context
+from slidectl.cli.topic_streams import CLOCK, nanoseconds, paused
+from slidectl.errors import MessageRefused, UnknownName, UsageError
+
+if TYPE_CHECKING:
+    from slidectl.recording.recording_files import Recording
+
+_SECOND = 10**9
+_AHEAD = 1000
+"""Messages that the daemon has before their time."""
+_FIRST_DELAY_NS = _SECOND // 10
+"""Simulated time from now to the first message: as rosbag's --delay, so that its time is still to come."""
+_MOST_TOLD = 5
+
+
+class _Due(NamedTuple):
+    """A message to publish, `at_ns` after the first."""
+
+    at_ns: int
+    topic: str
+    type: str
+    latch: bool
+    message: Any
+
+
+@command(
+    examples=[
+        "slidectl play run.bag",
+        "slidectl play run.mcap --topic /slider/joint1_position_controller/command -r 2",
+        "slidectl play run.bag --start 2 --until 5 /old/command:=/new/command",
+    ]
+)
+@click.argument("words", nargs=-1, required=True, metavar="FILE... [OLD:=NEW]...", shell_complete=completion.files)
+@click.option("--topic", "topics", multiple=True, metavar="TOPIC", help="Only this topic; may repeat.")
+@click.option(
+    "-r", "--rate", type=float, default=1.0, callback=positive_seconds, metavar="FACTOR", help="So much faster."
+)
+@click.option("-s", "--start", type=click.FloatRange(min=0), default=0.0, metavar="S", help="Begin S s into it.")
+@click.option("-u", "--until", type=click.FloatRange(min=0), metavar="S", help="End S s into it.")
+@click.option("-l", "--loop", is_flag=True, help="Again and again, until Ctrl-C.")
+@click.option("--at-recorded-times", is_flag=True, help="At the very simulated times of the recording.")
+@click.option("--clock", is_flag=True, help="Also the recorded /clock, which the world itself publishes.")
+@click.pass_obj
+def play(
+    ctx: Context,
+    words: tuple[str, ...],
+    topics: tuple[str, ...],
+    rate: float,
+    start: float,
+    until: float | None,
+    loop: bool,
+    at_recorded_times: bool,
+    clock: bool,
+) -> None:
+    """Publish the messages of recordings again.
+
+    Each is published in the cycle that is as far from the first as it was, in simulated time: a world that is paused
+    holds the playing, and on every run the same cycles see the same messages. The first comes 0.1 s after now; with
+    --at-recorded-times each comes at the time that it was recorded at, so a recording of the commands, played into a
+    world as it was at its beginning, gives the same bits. It returns when the last was published.
+
+    OLD:=NEW publishes on another topic. /rosout is left out, and /clock is without --clock. JSON keys: published, late
+    (messages whose time had passed when the daemon got them), topics, seconds.
+    """
+    if at_recorded_times and (loop or rate != 1.0):
+        raise UsageError("--at-recorded-times goes neither with --loop nor with --rate")
+    if until is not None and until <= start:
+        raise UsageError(f"--until {until:g} is not after --start {start:g}")
+    files, renames = _sorted(words)
+    with ExitStack() as stack:
+        recordings = [stack.enter_context(open_recording(ctx, file)) for file in files]
+        known = sorted({topic for recording in recordings for topic in recording.topics})
+        for topic in topics:
+            if topic not in known:
+                raise UnknownName("topic", topic, known, f"in {', '.join(files)}")
+        left_out = {"/rosout", "/rosout_agg", *(() if clock else (CLOCK,))} - set(topics)
+        wanted = set(topics or known) - left_out
+        begin_ns = _begin(recordings)
+        player = _Player(ctx, renames)
+        for channel in (channel for recording in recordings for channel in recording.channels):
+            if channel.topic in wanted:
+                player.check(channel.topic, channel.type, channel.md5)
+        rounds: Iterable[None] = iter(lambda: None, 0) if loop else (None,)
+        end_ns = None if until is None else round(until * _SECOND)
+        start_ns = round(start * _SECOND)
+        base_ns = begin_ns + start_ns if at_recorded_times else player.now_ns() + _FIRST_DELAY_NS
+        for _ in rounds:
+            due = _messages(recordings, wanted, begin_ns, start_ns, end_ns, rate)
+            base_ns = player.publish(due, base_ns) + _FIRST_DELAY_NS
+            if not player.published:
+                break
+        player.tell()
+
+
+def _sorted(words: tuple[str, ...]) -> tuple[list[str], dict[str, str]]:
+    """The files, and new names by old ones. Raises UsageError, BadName."""
+    files, renames = [], {}
+    for word in words:
+        old, given, new = word.partition(":=")
+        if given:
+            renames[names.check(names.join("/", old))] = names.check(names.join("/", new))
+        else:
+            files.append(word)
+    if not files:
+        raise UsageError("which recording?", "slidectl play FILE [OLD:=NEW]...")
+    return files, renames
+
+
+def _begin(recordings: list[Recording]) -> int:
+    return min((ns for one in recordings if (ns := one.summary().begin_ns) is not None), default=0)
+
+
+def _messages(
+    recordings: list[Recording], wanted: set[str], begin_ns: int, start_ns: int, end_ns: int | None, rate: float
+) -> Iterator[_Due]:
+    """The messages of all recordings by time. Latched ones from before the start come first, the last of each topic."""
+    import heapq
+
+    streams = [((record, recording) for record in recording.records(wanted)) for recording in recordings]
+    latched: dict[str, _Due] = {}
+    for record, recording in heapq.merge(*streams, key=lambda pair: pair[0].time_ns):
+        offset_ns = record.time_ns - begin_ns - start_ns
+        if end_ns is not None and offset_ns + start_ns >= end_ns:
+            break
+        channel = record.channel
+        if offset_ns < 0 and not channel.latching:
+            continue
+        at_ns = round(max(offset_ns, 0) / rate)
+        due = _Due(at_ns, channel.topic, channel.type, channel.latching, recording.message(record))
+        if offset_ns < 0:
+            latched[channel.topic] = due
+            continue
+        yield from latched.values()
+        latched.clear()
+        yield due
+    yield from latched.values()
+
+
+class _Player:
+    """Publishes at simulated times, some messages ahead."""
+
+    def __init__(self, ctx: Context, renames: dict[str, str]) -> None:
+        self._ctx = ctx
+        self._renames = renames
+        self._told: set[str] = set()
+        self.published = 0
+        self.late = 0
+        self._topics: set[str] = set()
+        self._first_ns: int | None = None
+        self._last_ns = 0
+
+    def now_ns(self) -> int:
+        return nanoseconds(self._ctx.call("/rosapi/get_time")["time"])
+
+    def check(self, topic: str, type_name: str, md5: str) -> None:
+        """Raises UsageError: the type is unknown here, or another one of that name."""
+        if not msgs.exists(type_name):
+            raise UsageError(f"{topic} has the type {type_name}, which is not known here", "leave it out: --topic")
+        if md5 and msgs.md5(type_name) != md5:
+            raise UsageError(
+                f"{topic}: {type_name} is another type here ({msgs.md5(type_name)}) than in the recording ({md5})"
+            )
+
+    def publish(self, messages: Iterator[_Due], base_ns: int) -> int:
+        """Until the last is published; the simulated time of that. Raises NoDaemon, Refused."""
+        client = self._ctx.client
+        waiting: deque[str] = deque()
+        status = self._ctx.call("/slidectl/status")
+        if status["paused"]:
+            self._ctx.say(f"{paused(status)}; nothing is played until it goes on: slidectl sim resume")
+        at_ns = base_ns
+        for due in messages:
+            at_ns = base_ns + due.at_ns
+            topic = self._renames.get(due.topic, due.topic)
+            self._topics.add(topic)
+            self._first_ns = at_ns if self._first_ns is None else self._first_ns
+            self._last_ns = at_ns
+            while len(waiting) >= _AHEAD:
+                self._take(waiting.popleft())
+            waiting.append(client.publish_at(topic, due.message, at_ns, due.type, due.latch))
+        while waiting:
+            self._take(waiting.popleft())
+        return at_ns
+
+    def _take(self, publish_id: str) -> None:
+        client = self._ctx.client
+        try:
+            self.late += not client.published(publish_id, timeout=self._ctx.wait_limit(math.inf))
+        except MessageRefused as error:
+            self._warn(error.message)
+        self.published += 1
+
+    def _warn(self, text: str) -> None:
+        if text not in self._told and len(self._told) < _MOST_TOLD:
+            self._told.add(text)
+            self._ctx.warn(text)
+
+    def tell(self) -> None:
+        seconds = 0.0 if self._first_ns is None else (self._last_ns - self._first_ns) / _SECOND
+        record = {"published": self.published, "late": self.late, "topics": sorted(self._topics), "seconds": seconds}
+        if self.late:
+            slower = "slow the world down (slidectl sim speed 1), or pause it until the playing has begun"
+            self._ctx.warn(f"{self.late} messages came after their time: {slower}")
+        self._ctx.done(record, f"played {self.published} messages on {len(self._topics)} topics, {seconds:.3f} s")

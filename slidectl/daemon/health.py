@@ -1,0 +1,244 @@
+"""Whether this machine and this account can run slidectl, and what to do where they cannot.
+
+Each check is a function that yields what it found. One that fails is a finding too: the others go on.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import platform
+import resource
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import NamedTuple
+
+from slidectl import __version__, paths
+from slidectl.daemon import lifecycle
+from slidectl.errors import SlidectlError
+from slidectl.paths import InstancePaths
+
+OK, LOOK, BROKEN = "ok", "look here", "broken"
+_PYTHON = (3, 11)
+_NEEDED = {
+    "click": "click", "mujoco": "mujoco", "numpy": "numpy", "pyyaml": "yaml", "rich": "rich", "rosbags": "rosbags",
+    "xacro": "xacro", "yourdfpy": "yourdfpy",
+}  # fmt: skip
+"""Distribution -> module."""
+_EXTRAS = {
+    "numba": ("numba", "machine code for the cycle", "pip install 'slidectl[fast]'"),
+    "mcap": ("mcap", "recordings as .mcap", "pip install 'slidectl[mcap]'"),
+    "pycollada": ("collada", "meshes in .dae files", "pip install pycollada"),
+}
+_LITTLE_DISK, _NO_DISK = 200 << 20, 1 << 20
+_FEW_FILES = 256
+_WAKE_UPS = 200
+_WAIT_S = 0.001
+_LATE_S = 0.001
+"""A wait of a millisecond that ends so late is a lost cycle at 1 kHz."""
+_PR_SET_TIMERSLACK = 29
+
+
+class Finding(NamedTuple):
+    """One line of the report. `remedy` says what to do, empty where there is nothing to do."""
+
+    check: str
+    state: str
+    finding: str
+    remedy: str = ""
+
+
+def findings(instance: InstancePaths) -> Iterator[Finding]:
+    """What all checks find, in their order. Raises nothing."""
+    for name, check in _CHECKS.items():
+        try:
+            for one in check(instance):
+                yield Finding(name, *one)
+        except SlidectlError as error:
+            yield Finding(name, BROKEN, error.message, error.hint or "")
+        except Exception as error:  # a machine may be broken in any way, and the report must come out
+            yield Finding(name, BROKEN, f"{type(error).__name__}: {error}")
+
+
+_Found = Iterator[tuple[str, ...]]
+"""State, finding, remedy."""
+
+
+def _python(_instance: InstancePaths) -> _Found:
+    here = f"{platform.python_version()} at {sys.executable}"
+    if sys.version_info < _PYTHON:
+        yield BROKEN, here, f"slidectl needs Python {'.'.join(map(str, _PYTHON))} or newer"
+    elif sys.platform != "linux":
+        yield BROKEN, f"{here}, on {sys.platform}", "slidectl runs on Linux"
+    else:
+        yield OK, f"{here}; slidectl {__version__}"
+
+
+def _libraries(_instance: InstancePaths) -> _Found:
+    there = []
+    for name, module in _NEEDED.items():
+        try:
+            import_module(module)
+            there.append(f"{name} {version(name)}")
+        except (ImportError, PackageNotFoundError, OSError) as error:
+            yield BROKEN, f"{name}: {error}", "install slidectl once more: pip install --force-reinstall slidectl"
+    yield OK, ", ".join(there)
+    for name, (module, use, remedy) in _EXTRAS.items():
+        try:
+            import_module(module)
+            yield OK, f"{name} {version(name)}: {use}"
+        except (ImportError, PackageNotFoundError, OSError):
+            yield OK, f"without {name}: {use}", f"where you want that: {remedy}"
+
+
+def _mujoco(_instance: InstancePaths) -> _Found:
+    from slidectl.simulation.simulation import Simulation
+
+    Simulation().step(10)
+    yield OK, "a world was made and stepped"
+
+
+def _compiled(_instance: InstancePaths) -> _Found:
+    from slidectl.simulation.compiled import object_file
+
+    if not object_file.is_possible():
+        yield OK, "none: cycles run in the interpreter, with the same results"
+    elif object_file.is_there():
+        yield OK, f"in {object_file.folder()}"
+    else:
+        yield OK, "none yet: the first daemon compiles it, in a process of its own"
+
+
+def _sockets(instance: InstancePaths) -> _Found:
+    if not instance.folder.exists():
+        paths.make_private(instance.folder)  # says what is wrong
+        with suppress(OSError):
+            instance.folder.rmdir()
+    else:
+        paths.make_private(instance.folder)
+    yield OK, f"{instance.socket_text}"
+
+
+def _daemons(instance: InstancePaths) -> _Found:
+    from slidectl.client import Client
+
+    pid = lifecycle.running(instance)
+    if pid is None:
+        yield OK, f"{instance.name}: does not run"
+        if instance.socket.exists():
+            yield LOOK, f"{instance.socket_text} was left by a daemon that was killed", "the next start replaces it"
+    else:
+        theirs: list[str] = []
+        with Client(socket=instance.socket_text, timeout=5.0) as client:
+            client.on_other_version = theirs.append
+            status = client.call("/slidectl/status")
+        where = f"{instance.name}: process {pid}, {status['time']:.3f} s, {status['engine']}"
+        if theirs:
+            remedy = "slidectl daemon restart"
+            yield LOOK, f"{where}; it is of version {theirs[0]}, this command of {__version__}", remedy
+        else:
+            yield OK, where
+        if status.get("trouble"):
+            yield LOOK, f"{instance.name}: {status['trouble']}", "slidectl daemon logs"
+    folder = Path(paths.runtime_folder())
+    for other in sorted(folder.iterdir()) if folder.is_dir() else []:
+        one = paths.InstancePaths(other, other / "socket")
+        if other.name != instance.name and one.socket.exists():
+            runs = lifecycle.running(one)
+            if runs is None:
+                yield LOOK, f"{other.name}: was killed, its files are left", "slidectl daemon clean"
+            else:
+                yield OK, f"{other.name}: process {runs}"
+
+
+def _disk(instance: InstancePaths) -> _Found:
+    from slidectl.simulation.compiled import object_file
+
+    places = {"runtime folder": instance.folder, "compiled code": object_file.folder(), "this folder": Path.cwd()}
+    for what, folder in places.items():
+        there = next(each for each in (folder, *folder.parents) if each.exists())
+        free = shutil.disk_usage(there).free
+        text = f"{what} ({there}): {free / 1e9:.1f} GB free"
+        if not os.access(there, os.W_OK):
+            yield (
+                (LOOK if what == "this folder" else BROKEN),
+                f"{text}, and it cannot be written",
+                f"see: ls -ld {there}",
+            )
+        elif free < _LITTLE_DISK:
+            yield (BROKEN if free < _NO_DISK else LOOK), text, "make room"
+        else:
+            yield OK, text
+
+
+def _descriptors(_instance: InstancePaths) -> _Found:
+    most, largest = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if most < _FEW_FILES:
+        yield (
+            LOOK,
+            f"{most} open files a process: one connection each",
+            f"ulimit -n {largest if largest < 4096 else 4096}",
+        )
+    else:
+        yield OK, f"{most} open files a process"
+
+
+def _punctuality(_instance: InstancePaths) -> _Found:
+    """How late a wait of a millisecond ends, with the timer slack that the daemon asks for."""
+    libc = ctypes.CDLL(None)
+    slack = Path("/proc/self/timerslack_ns")
+    before = int(slack.read_text()) if slack.exists() else 0
+    libc.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
+    late = []
+    for _ in range(_WAKE_UPS):
+        began = time.perf_counter()
+        time.sleep(_WAIT_S)
+        late.append(time.perf_counter() - began - _WAIT_S)
+    libc.prctl(_PR_SET_TIMERSLACK, before, 0, 0, 0)
+    late.sort()
+    median, most = late[len(late) // 2], late[int(0.99 * len(late))]
+    text = f"wakes up {1e6 * median:.0f} us late, 99 % within {1e6 * most:.0f} us; timer slack {before / 1000:g} us"
+    if most > _LATE_S:
+        remedy = "this machine is busy or virtual: cycles at real time will be late; free-running ones do not mind"
+        yield LOOK, f"{text}; load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores", remedy
+    else:
+        yield OK, text
+
+
+def _packages(_instance: InstancePaths) -> _Found:
+    for variable in ("SLIDECTL_PACKAGE_PATH", "ROS_PACKAGE_PATH", "GAZEBO_MODEL_PATH"):
+        folders = [folder for folder in os.environ.get(variable, "").split(os.pathsep) if folder]
+        gone = [folder for folder in folders if not os.path.isdir(folder)]
+        if gone:
+            yield (
+                LOOK,
+                f"{variable}: there is no {', '.join(gone)}",
+                "set it anew; folders that are not there are passed over",
+            )
+        elif folders:
+            yield OK, f"{variable}: {os.pathsep.join(folders)}"
+        else:
+            yield OK, f"{variable} is not set"
+
+
+def _ros(_instance: InstancePaths) -> _Found:
+    here = {name: os.environ[name] for name in ("ROS_DISTRO", "ROS_MASTER_URI", "ROS_NAMESPACE") if name in os.environ}
+    text = ", ".join(f"{name}={value}" for name, value in here.items()) or "no variables of ROS"
+    tool = shutil.which("rostopic")
+    if tool:
+        yield LOOK, f"{text}; {tool} is ROS's own", "it does not reach this daemon: slidectl ros rostopic ... does"
+    else:
+        yield OK, text
+
+
+_CHECKS: dict[str, Callable[[InstancePaths], _Found]] = {
+    "python": _python, "libraries": _libraries, "mujoco": _mujoco, "compiled": _compiled, "sockets": _sockets,
+    "daemons": _daemons, "disk": _disk, "files": _descriptors, "timers": _punctuality,
+    "packages": _packages, "ros": _ros,
+}  # fmt: skip

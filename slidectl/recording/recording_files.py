@@ -1,0 +1,472 @@
+"""Recordings as files: `.bag` and `.mcap`, written chunk by chunk and read again, also when they were cut off.
+
+A writer puts whole chunks into its file, so that one that was killed loses no more than the chunk it was about. What is
+left has no index then; it is read from the beginning to where it ends, and says so.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import struct
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+from slidectl.errors import BadFile, Refused, SlidectlError, UsageError
+from slidectl.recording.codec import Codec
+
+SUFFIXES = (".bag", ".mcap")
+COMPRESSIONS = {".bag": ("none", "bz2", "lz4"), ".mcap": ("none", "lz4", "zstd")}
+CHUNK = 768 * 1024
+"""Bytes of messages in a chunk, as rosbag has it."""
+_BAG_MAGIC = b"#ROSBAG V2.0\n"
+_MCAP_MAGIC = b"\x89MCAP0\r\n"
+_NO_TIME_NS = 1
+"""What stands in a bag for the time 0, which rosbag does not take."""
+
+
+class NoMcap(Refused):
+    """The library for .mcap files is not installed."""
+
+    def __init__(self) -> None:
+        super().__init__(".mcap files need the library mcap", "install it: pip install 'slidectl[mcap]', or use .bag")
+
+
+class BadRecording(BadFile):
+    """A recording that is damaged, or a file that cannot be read."""
+
+
+class NoRecording(BadRecording):
+    """A file of another kind."""
+
+
+@dataclass(frozen=True)
+class RecordedTopic:
+    """One topic of a recording. Two are the same when they were written by the same publisher."""
+
+    number: int
+    topic: str
+    type: str
+    definition: str = field(repr=False)
+    md5: str
+    latching: bool = False
+
+
+class Record(NamedTuple):
+    """One message of a recording: its bytes, and the time in ns at which it was recorded."""
+
+    channel: RecordedTopic
+    time_ns: int
+    raw: bytes
+
+
+@dataclass
+class Summary:
+    """What a recording holds. `counts` are messages by topic; times are None in one without messages."""
+
+    begin_ns: int | None
+    end_ns: int | None
+    counts: Counter[str]
+    compression: str
+    chunks: int
+
+
+# --- writing ----------------------------------------------------------------------------------------------------------
+
+
+class RecordingWriter(ABC):
+    """A file that messages are written into. What the disk refuses is an OSError; `close` completes the file."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @abstractmethod
+    def add(self, topic: str, codec: Codec, latching: bool) -> Any:
+        """A new topic; what `write` wants for it."""
+
+    @abstractmethod
+    def write(self, topic: Any, time_ns: int, raw: bytes) -> None:
+        """A message."""
+
+    @abstractmethod
+    def flush(self) -> None:
+        """See to it that everything so far is in the file and can be read when nothing more comes."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Complete the file with its index."""
+
+    @property
+    def size(self) -> int:
+        """Bytes of the file so far."""
+        return self.path.stat().st_size
+
+
+def create(path: Path, compression: str = "none") -> RecordingWriter:
+    """A new recording of the kind that the suffix says.
+
+    Raises:
+        UsageError: no such suffix or compression. Refused: the file is there, or cannot be made. NoMcap.
+    """
+    known = COMPRESSIONS.get(path.suffix)
+    if known is None:
+        raise UsageError(f"{path} is neither a .bag nor a .mcap file", "the suffix says which kind it is to be")
+    if compression not in known:
+        raise UsageError(f"{path.suffix} files have no compression {compression!r}", f"there is: {', '.join(known)}")
+    if path.exists():
+        raise Refused(f"{path} is there already", "give another name, or --force to write over it")
+    try:
+        return _BagWriter(path, compression) if path.suffix == ".bag" else _McapWriter(path, compression)
+    except OSError as error:
+        raise Refused(f"cannot write {path}: {error.strerror or error}") from None
+
+
+class _BagWriter(RecordingWriter):
+    def __init__(self, path: Path, compression: str) -> None:
+        super().__init__(path)
+        from rosbags.rosbag1 import Writer
+
+        self._writer = Writer(path)
+        self._writer.chunk_threshold = CHUNK
+        if compression != "none":
+            self._writer.set_compression(Writer.CompressionFormat[compression.upper()])
+        if compression == "lz4":  # the frames that the real rosbag understands are not those of the library
+            from lz4 import frame
+
+            self._writer.compressor = lambda chunk: frame.compress(
+                chunk, 0, block_linked=False, content_checksum=True, store_size=False
+            )
+        self._writer.open()
+
+    def add(self, topic: str, codec: Codec, latching: bool) -> Any:
+        kind = codec.type.replace("/", "/msg/")
+        more: dict[str, Any] = {"latching": 1} if latching else {}
+        return self._writer.add_connection(topic, kind, msgdef=codec.definition, md5sum=codec.md5, **more)
+
+    def write(self, topic: Any, time_ns: int, raw: bytes) -> None:
+        before = len(self._writer.chunks)
+        self._writer.write(topic, time_ns or _NO_TIME_NS, raw)
+        if len(self._writer.chunks) > before:
+            self._forget_index()
+
+    def flush(self) -> None:
+        self._writer.write_chunk(self._writer.chunks[-1])
+        self._forget_index()
+        assert self._writer.bio is not None
+        self._writer.bio.flush()
+
+    def _forget_index(self) -> None:
+        """Of a chunk that is in the file the library wants no more than how many messages each topic has in it."""
+        for chunk in self._writer.chunks[-2:-1]:
+            for number, entries in chunk.connections.items():
+                chunk.connections[number] = range(len(entries))  # type: ignore[assignment]
+
+    def close(self) -> None:
+        try:
+            self._writer.close()
+        except OSError:
+            with suppress(OSError):
+                self._writer.abort()
+            raise
+
+
+class _McapWriter(RecordingWriter):
+    def __init__(self, path: Path, compression: str) -> None:
+        super().__init__(path)
+        try:
+            from mcap.writer import CompressionType, Writer
+        except ImportError:
+            raise NoMcap from None
+        self._file = path.open("xb")
+        kind = CompressionType[compression.upper()]
+        self._writer = Writer(self._file, chunk_size=CHUNK, compression=kind)
+        self._writer.start("ros1", "slidectl")
+        self._schemas: dict[str, int] = {}
+        self._counts: Counter[int] = Counter()
+
+    def add(self, topic: str, codec: Codec, latching: bool) -> Any:
+        if codec.type not in self._schemas:
+            self._schemas[codec.type] = self._writer.register_schema(codec.type, "ros1msg", codec.definition.encode())
+        about = {"md5sum": codec.md5, **({"latching": "1"} if latching else {})}
+        return self._writer.register_channel(topic, "ros1", self._schemas[codec.type], about)
+
+    def write(self, topic: Any, time_ns: int, raw: bytes) -> None:
+        self._writer.add_message(topic, time_ns, raw, time_ns, self._counts[topic])
+        self._counts[topic] += 1
+
+    def flush(self) -> None:
+        self._writer.flush()  # type: ignore[no-untyped-call]
+
+    def close(self) -> None:
+        try:
+            self._writer.finish()  # type: ignore[no-untyped-call]
+        finally:
+            self._file.close()
+
+
+# --- reading ----------------------------------------------------------------------------------------------------------
+
+
+class Recording(ABC):
+    """An open recording. A context manager. `damage` says what is wrong with it, empty where nothing is."""
+
+    def __init__(self, path: Path, file: BinaryIO) -> None:
+        self.path = path
+        self.damage = ""
+        self.channels: list[RecordedTopic] = []
+        self._file = file
+        self._codecs: dict[int, Codec] = {}
+
+    @abstractmethod
+    def records(self, topics: set[str] | None = None) -> Iterator[Record]:
+        """The messages of these topics, or of all, in the order of their times."""
+
+    @abstractmethod
+    def summary(self) -> Summary:
+        """What there is in it."""
+
+    @property
+    def topics(self) -> list[str]:
+        """In the order in which the recording met them."""
+        return list(dict.fromkeys(channel.topic for channel in self.channels))
+
+    def codec(self, channel: RecordedTopic) -> Codec:
+        """What reads its messages. Raises BadRecording."""
+        if channel.number not in self._codecs:
+            with _understood(self.path):
+                self._codecs[channel.number] = Codec(channel.type, channel.definition, channel.md5)
+        return self._codecs[channel.number]
+
+    def message(self, record: Record) -> Any:
+        """The message in the shape of the wire. Raises BadRecording."""
+        codec = self.codec(record.channel)
+        with _understood(self.path):
+            return codec.decode(record.raw)
+
+    def close(self) -> None:
+        self._file.close()
+
+    def __enter__(self) -> Recording:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+@contextmanager
+def _understood(path: Path) -> Iterator[None]:
+    """Raises BadRecording for whatever a library raises about bytes that are no recording, or a damaged one."""
+    try:
+        yield
+    except SlidectlError:
+        raise
+    except Exception as error:  # their classes for that are not alone: codecs, asserts and parsers join in
+        text = str(error).partition("\n")[0] or type(error).__name__
+        raise BadRecording(f"it is damaged: {text}", str(path)) from None
+
+
+def opened(path: Path) -> Recording:
+    """The recording in a file; what it holds says which kind it is.
+
+    Raises:
+        BadRecording: no such file, or no recording. NoMcap.
+    """
+    try:
+        file = path.open("rb")
+    except OSError as error:
+        raise BadRecording(error.strerror or str(error), str(path)) from None
+    try:
+        with _understood(path):
+            magic = file.read(len(_BAG_MAGIC))
+            if magic == _BAG_MAGIC:
+                return _open_bag(path, file)
+            if magic.startswith(_MCAP_MAGIC):
+                return _McapRecording(path, file)
+        what = "is empty" if not magic else "is neither a bag (of format 2.0) nor an mcap file"
+        raise NoRecording(what, str(path))
+    except BaseException:
+        file.close()
+        raise
+
+
+def _open_bag(path: Path, file: BinaryIO) -> Recording:
+    from rosbags.rosbag1 import reader
+
+    header = reader.Header.read(file, reader.RecordType.BAGHEADER)
+    index = header.get_uint64("index_pos")
+    size = os.fstat(file.fileno()).st_size
+    if 0 < index < size or (index == size and not header.get_uint32("chunk_count")):
+        return _BagRecording(path, file)
+    return _CutBag(path, file, "it was not closed" if not index else "it is cut off")
+
+
+def _bag_time(time_ns: int) -> int:
+    return 0 if time_ns == _NO_TIME_NS else time_ns
+
+
+class _BagRecording(Recording):
+    """One with an index."""
+
+    def __init__(self, path: Path, file: BinaryIO) -> None:
+        super().__init__(path, file)
+        from rosbags.rosbag1 import Reader
+
+        self._reader = Reader(path)
+        self._reader.open()
+        self._connections = {connection.id: connection for connection in self._reader.connections}
+        for one in self._reader.connections:
+            latching = bool(getattr(one.ext, "latching", 0))
+            kind = one.msgtype.replace("/msg/", "/")
+            self.channels.append(RecordedTopic(one.id, one.topic, kind, str(one.msgdef.data), one.digest, latching))
+
+    def records(self, topics: set[str] | None = None) -> Iterator[Record]:
+        by_id = {channel.number: channel for channel in self.channels if topics is None or channel.topic in topics}
+        if not by_id:
+            return
+        with _understood(self.path):
+            for connection, time_ns, raw in self._reader.messages([self._connections[number] for number in by_id]):
+                yield Record(by_id[connection.id], _bag_time(time_ns), raw)
+
+    def summary(self) -> Summary:
+        reader = self._reader
+        counts = Counter(dict.fromkeys(self.topics, 0))
+        for connection in reader.connections:
+            counts[connection.topic] += connection.msgcount
+        chunks = [chunk for chunk in reader.chunk_infos if chunk.connection_counts]
+        begin = min((_bag_time(chunk.start_time) for chunk in chunks), default=None)
+        end = max((chunk.end_time - 1 for chunk in chunks), default=None)
+        return Summary(begin, end, counts, self._compression(), len(reader.chunk_infos))
+
+    def _compression(self) -> str:
+        from rosbags.rosbag1 import reader
+
+        names = {function: name for name, function in reader.decompressors.items()}
+        return next((names[chunk.decompressor] for chunk in self._reader.chunks.values()), "none")
+
+    def close(self) -> None:
+        super().close()
+        if self._reader.bio is not None:
+            self._reader.close()
+
+
+class _Scanned(Recording):
+    """One without an index: it is read from the beginning, once, to where it ends."""
+
+    def __init__(self, path: Path, file: BinaryIO, damage: str) -> None:
+        super().__init__(path, file)
+        self.damage = damage
+        self._known: dict[int, RecordedTopic] = {}
+        self.compression = "none"
+        self.chunks = 0
+        self._is_in_order = True
+        self._summary = self._look()
+
+    @abstractmethod
+    def _scan(self) -> Iterator[Record]:
+        """All messages; ends where the file does, or where it is damaged."""
+
+    def records(self, topics: set[str] | None = None) -> Iterator[Record]:
+        found = (record for record in self._scan() if topics is None or record.channel.topic in topics)
+        yield from found if self._is_in_order else sorted(found, key=lambda record: record.time_ns)
+
+    def _look(self) -> Summary:
+        begin: int | None = None
+        end: int | None = None
+        counts: Counter[str] = Counter()
+        for record in self._scan():
+            self._is_in_order = self._is_in_order and (end is None or record.time_ns >= end)
+            begin = record.time_ns if begin is None else min(begin, record.time_ns)
+            end = record.time_ns if end is None else max(end, record.time_ns)
+            counts[record.channel.topic] += 1
+        self.channels = list(self._known.values())
+        counts.update({topic: 0 for topic in self.topics if topic not in counts})
+        if self.damage and not self.channels:
+            raise BadRecording(f"{self.damage}, and no message in it can be read", str(self.path))
+        return Summary(begin, end, counts, self.compression, self.chunks)
+
+    def summary(self) -> Summary:
+        return self._summary
+
+
+class _CutBag(_Scanned):
+    def _scan(self) -> Iterator[Record]:
+        from rosbags.rosbag1 import reader
+
+        kinds = reader.RecordType
+        self.chunks = 0
+        self._file.seek(len(_BAG_MAGIC))
+        with suppress(Exception):  # where the file is cut off, or what follows is no record
+            while True:
+                header = reader.Header.read(self._file)
+                data = reader.read_bytes(self._file, reader.read_uint32(self._file))
+                if header.get_uint8("op") == kinds.CHUNK:
+                    self.compression = header.get_string("compression")
+                    inside = io.BytesIO(reader.decompressors[self.compression](data))
+                    self.chunks += 1
+                    yield from self._inside(inside, len(inside.getbuffer()))
+
+    def _inside(self, chunk: io.BytesIO, size: int) -> Iterator[Record]:
+        from rosbags.rosbag1 import reader
+
+        while chunk.tell() < size:
+            header = reader.Header.read(chunk)
+            number = header.get_uint32("conn")
+            data = reader.read_bytes(chunk, reader.read_uint32(chunk))
+            if header.get_uint8("op") == reader.RecordType.MSGDATA:
+                yield Record(self._known[number], _bag_time(header.get_time("time")), data)
+            elif number not in self._known:
+                about = reader.Header.read(io.BytesIO(struct.pack("<L", len(data)) + data))
+                latching = about.get("latching", b"0") == b"1"
+                texts = [about.get_string(name) for name in ("type", "message_definition", "md5sum")]
+                self._known[number] = RecordedTopic(
+                    number, header.get_string("topic"), texts[0], texts[1], texts[2], latching
+                )
+
+
+class _McapRecording(_Scanned):
+    """Read from the beginning also where there is an index: the library's sequential reader is the quicker one."""
+
+    def __init__(self, path: Path, file: BinaryIO) -> None:
+        try:
+            import mcap  # noqa: F401
+        except ImportError:
+            raise NoMcap from None
+        super().__init__(path, file, "")
+
+    def _scan(self) -> Iterator[Record]:
+        from mcap import records
+        from mcap.exceptions import McapError
+        from mcap.stream_reader import StreamReader, breakup_chunk
+
+        self._file.seek(0)
+        self.damage, self.chunks, schemas = "it was not closed", 0, {}
+        every = StreamReader(self._file, emit_chunks=True).records
+        with suppress(McapError, struct.error, OSError, ValueError, EOFError, RuntimeError):
+            for outer in every:
+                if isinstance(outer, records.Chunk):
+                    self.chunks += 1
+                    self.compression = outer.compression or "none"
+                for one in breakup_chunk(outer) if isinstance(outer, records.Chunk) else (outer,):
+                    if isinstance(one, records.Schema):
+                        schemas[one.id] = one
+                    elif isinstance(one, records.Channel) and one.id not in self._known:
+                        schema = schemas.get(one.schema_id)
+                        if one.message_encoding != "ros1" or schema is None or schema.encoding != "ros1msg":
+                            raise BadRecording(
+                                f"{one.topic} has messages of the encoding {one.message_encoding!r}, not ros1",
+                                str(self.path),
+                            )
+                        text, about = schema.data.decode("utf-8", "replace"), one.metadata
+                        latching = about.get("latching") == "1"
+                        self._known[one.id] = RecordedTopic(
+                            one.id, one.topic, schema.name, text, about.get("md5sum", ""), latching
+                        )
+                    elif isinstance(one, records.Message):
+                        yield Record(self._known[one.channel_id], one.log_time, one.data)
+                    elif isinstance(one, records.Footer):
+                        self.damage = ""

@@ -1,0 +1,100 @@
+"""`slidectl doctor` on machines that have something to say."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+from pathlib import Path
+
+from command_line import CommandLine, Done
+from daemon_fixture import Runtime
+
+
+def findings(done: Done) -> dict[str, list[tuple[str, str, str]]]:
+    """Check -> state, finding and remedy of each of its lines."""
+    found: dict[str, list[tuple[str, str, str]]] = {}
+    for record in map(json.loads, done.stdout.splitlines()):
+        found.setdefault(record["check"], []).append((record["state"], record["finding"], record["remedy"]))
+    return found
+
+
+def test_a_machine_that_is_well_has_nothing_broken(slidectl: CommandLine) -> None:
+    done = slidectl("doctor", "--json")
+    assert done.returncode == 0, done.stdout
+    found = findings(done)
+    assert {state for lines in found.values() for state, _, _ in lines} <= {"ok", "look here"}
+    assert list(found) == [
+        *(
+            "python",
+            "libraries",
+            "mujoco",
+            "compiled",
+            "sockets",
+            "daemons",
+            "disk",
+            "files",
+            "timers",
+            "packages",
+            "ros",
+        )
+    ]
+    assert found["daemons"] == [("ok", "default: does not run", "")]
+    assert slidectl.ok("doctor").splitlines()[0].startswith("ok         python:     3.")
+    assert not list(slidectl.runtime.glob("slidectl/*"))
+
+
+def test_daemons_that_run_and_those_that_were_killed_are_told_apart() -> None:
+    runtime = Runtime()
+    slidectl = CommandLine(runtime.folder)
+    try:
+        slidectl.ok("daemon", "start", "--paused")
+        pid = json.loads(slidectl.ok("-i", "other", "daemon", "start", "--paused", "--json"))["pid"]
+        lines = findings(slidectl("doctor", "--json"))["daemons"]
+        assert [(state, text.split(",")[0].split(" ")[0]) for state, text, _ in lines] == [
+            ("ok", "default:"),
+            ("ok", "other:"),
+        ]
+        os.kill(pid, signal.SIGKILL)
+        while slidectl("-i", "other", "daemon", "status").returncode != 3:
+            pass
+        lines = findings(slidectl("doctor", "--json"))["daemons"]
+        assert ("look here", "other: was killed, its files are left", "slidectl daemon clean") in lines
+    finally:
+        slidectl("daemon", "stop")
+        runtime.remove()
+
+
+def test_what_is_broken_is_said_with_its_remedy_and_the_other_checks_go_on(slidectl: CommandLine) -> None:
+    folder = slidectl.runtime / "slidectl" / "default"
+    folder.mkdir(parents=True, mode=0o700)
+    folder.chmod(0o755)
+    argv = ["bash", "-c", 'ulimit -n 64; exec "$@"', "bash", *slidectl.argv("doctor", "--json")]
+    environment = {**slidectl.environment, "ROS_PACKAGE_PATH": "/nowhere/src", "ROS_DISTRO": "noetic"}
+    done = subprocess.run(argv, capture_output=True, text=True, env=environment, check=False)
+    assert done.returncode == 1
+    assert json.loads(done.stderr)["error"] == "1 is broken, see above"
+    found = findings(done)
+    [(state, text, remedy)] = found["sockets"]
+    assert (state, f"{folder} is open to other users" in text, f"chmod 700 {folder}" in remedy) == (
+        "broken",
+        True,
+        True,
+    )
+    assert ("look here", "64 open files a process: one connection each", "ulimit -n 64") in found["files"]
+    assert any(state == "look here" and "/nowhere/src" in text for state, text, _ in found["packages"])
+    assert "ROS_DISTRO=noetic" in found["ros"][0][1]
+
+
+def test_a_library_that_is_missing_is_named(slidectl: CommandLine, tmp_path: Path) -> None:
+    (tmp_path / "mcap.py").write_text("raise ImportError('not here')\n")
+    (tmp_path / "yourdfpy.py").write_text("raise ImportError('not here')\n")
+    path = os.pathsep.join([str(tmp_path), slidectl.environment["PYTHONPATH"]])
+    found = findings(slidectl("doctor", "--json", PYTHONPATH=path))
+    assert (
+        "broken",
+        "yourdfpy: not here",
+        "install slidectl once more: pip install --force-reinstall slidectl",
+    ) in found["libraries"]
+    assert any("without mcap" in text and "slidectl[mcap]" in remedy for _, text, remedy in found["libraries"])

@@ -1,0 +1,316 @@
+"""Recording, playing and reading recordings, with real daemons, processes and files."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import json
+import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command_line import CommandLine
+from daemon_fixture import running_daemon
+
+from slidectl.recording.recording_files import opened
+
+COMMAND = "/slider/joint1_position_controller/command"
+STATES = "/slider/joint_states"
+ROSBAG = shutil.which("rosbag")
+
+
+@pytest.fixture(scope="module")
+def slider() -> Iterator[CommandLine]:
+    """A paused world with the slider under its position controller."""
+    with running_daemon(paused=True) as runtime:
+        slidectl = CommandLine(runtime.folder)
+        spawn_slider(slidectl)
+        yield slidectl
+
+
+def spawn_slider(slidectl: CommandLine) -> None:
+    started = ("--start", "joint_state_controller", "joint1_position_controller")
+    slidectl.ok("spawn", "slider", "--controllers", "config/slider_control.yaml", *started)
+
+
+class Recorder:
+    """`slidectl record` in the background, from when it says that it records."""
+
+    def __init__(self, slidectl: CommandLine, *words: str, limit: str = "") -> None:
+        argv = slidectl.argv("record", *words)
+        if limit:
+            argv = ["bash", "-c", f'ulimit -f {limit}; exec "$@"', "bash", *argv]
+        self.process = subprocess.Popen(
+            argv, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=slidectl.environment
+        )
+        assert self.process.stderr is not None
+        self.said = ""
+        while "recording" not in self.said:
+            line = self.process.stderr.readline()
+            assert line, self.said
+            self.said += line
+
+    def end(self, number: int = signal.SIGTERM) -> subprocess.CompletedProcess[str]:
+        self.process.send_signal(number)
+        return self.ended()
+
+    def ended(self) -> subprocess.CompletedProcess[str]:
+        stdout, stderr = self.process.communicate(timeout=60)
+        return subprocess.CompletedProcess([], self.process.returncode, stdout, self.said + stderr)
+
+
+def recorded(slidectl: CommandLine, path: Path, *topics: str) -> None:
+    """One command and a second of simulated time, from 0 on."""
+    recorder = Recorder(slidectl, *topics, "-O", str(path))
+    slidectl.ok("pub", COMMAND, "1.0")
+    slidectl.ok("sim", "step", "1s")
+    done = recorder.end()
+    assert done.returncode == 0, done.stderr
+
+
+def messages(path: Path) -> list[tuple[str, int, Any]]:
+    with opened(path) as recording:
+        return [(one.channel.topic, one.time_ns, recording.message(one)) for one in recording.records()]
+
+
+@pytest.mark.parametrize("suffix", [".bag", ".mcap"])
+def test_a_recording_holds_every_message_with_its_simulated_time(
+    slider: CommandLine, tmp_path: Path, suffix: str
+) -> None:
+    slider.ok("sim", "reset")
+    path = tmp_path / f"run{suffix}"
+    recorded(slider, path, STATES, COMMAND, "/tf_static")
+    found = messages(path)
+    states = [(time_ns, message) for topic, time_ns, message in found if topic == STATES]
+    assert len(states) in (49, 50)  # at 50 Hz, as the phase is
+    for time_ns, message in states:
+        stamp = message["header"]["stamp"]
+        assert stamp["secs"] * 10**9 + stamp["nsecs"] == time_ns
+    assert [b - a for (a, _), (b, _) in itertools.pairwise(states)] == (len(states) - 1) * [20_000_000]
+    assert [message for topic, _, message in found if topic == COMMAND] == [{"data": 1.0}]
+    record = json.loads(slider.ok("bag", "info", str(path), "--json"))
+    assert (record["messages"], record["damage"]) == (len(states) + 2, None)
+    assert [(one["topic"], one["messages"], one["latching"]) for one in record["topics"]] == [
+        (COMMAND, 1, False),
+        (STATES, len(states), False),
+        ("/tf_static", 1, True),
+    ]
+
+
+def test_all_topics_are_recorded_also_those_that_come_later(tmp_path: Path) -> None:
+    with running_daemon(paused=True) as runtime:
+        slidectl = CommandLine(runtime.folder)
+        recorder = Recorder(slidectl, "-a", "-x", "/gazebo/.*", "-O", str(tmp_path / "all"))
+        spawn_slider(slidectl)
+        for _ in range(100):  # it looks for new topics now and then
+            if "/slidectl_record" in (text := slidectl.ok("topic", "info", STATES)) or "record" in text:
+                break
+            time.sleep(0.1)
+        slidectl.ok("sim", "step", "100ms")
+        done = recorder.end(signal.SIGINT)
+        assert done.returncode == 0
+        topics = {topic for topic, _, _ in messages(tmp_path / "all.bag")}
+        assert {"/clock", STATES, "/tf_static"} <= topics
+        assert not any(topic.startswith("/gazebo/") for topic in topics)
+
+
+def test_a_recording_of_the_commands_gives_the_same_bits_again(tmp_path: Path) -> None:
+    """The commands come at any moment; played at their times into a new world they make the same motion."""
+    path, again = tmp_path / "run.mcap", tmp_path / "again.mcap"
+    with running_daemon(paused=True) as runtime:
+        slidectl = CommandLine(runtime.folder)
+        spawn_slider(slidectl)
+        recorder = Recorder(slidectl, STATES, COMMAND, "-O", str(path))
+        for number, step in enumerate((37, 112, 250, 1)):
+            slidectl.ok("pub", COMMAND, str(0.3 * number))
+            slidectl.ok("sim", "step", str(step))
+        assert recorder.end().returncode == 0
+    with running_daemon(paused=True) as runtime:
+        slidectl = CommandLine(runtime.folder)
+        spawn_slider(slidectl)
+        recorder = Recorder(slidectl, STATES, COMMAND, "-O", str(again))
+        player = slidectl.start("play", str(path), "--topic", COMMAND, "--at-recorded-times")
+        assert player.stderr is not None
+        assert "nothing is played until it goes on" in player.stderr.readline()
+        slidectl.ok("sim", "step", "400")
+        stdout, stderr = player.communicate(timeout=60)
+        assert (player.returncode, stderr) == (0, "")
+        assert stdout == "played 4 messages on 1 topics, 0.399 s\n"
+        assert recorder.end().returncode == 0
+    assert messages(again) == messages(path)
+
+
+def test_playing_keeps_the_distances_on_other_topics_and_at_other_rates(slider: CommandLine, tmp_path: Path) -> None:
+    slider.ok("sim", "reset")
+    recorded(slider, tmp_path / "run.bag", STATES)
+    recorder = Recorder(slider, "/copy", "-O", str(tmp_path / "copy.bag"))
+    assert "nobody publishes /copy yet" in recorder.said
+    player = slider.start(
+        "play", str(tmp_path / "run.bag"), f"{STATES}:=/copy", "-r", "2", "--start", "0.5", "--until", "0.7", "--json"
+    )
+    with slider.client() as client:
+        for _ in range(100):
+            if "/copy" in client.topics() and len(
+                client.call("/rosapi/subscribers", {"topic": "/copy"})["subscribers"]
+            ):
+                break
+            time.sleep(0.1)
+    slider.ok("sim", "step", "300")
+    stdout, _ = player.communicate(timeout=60)
+    assert json.loads(stdout) == {"published": 10, "late": 0, "topics": ["/copy"], "seconds": 0.09}
+    recorder.end()
+    times = [time_ns for _, time_ns, _ in messages(tmp_path / "copy.bag")]
+    assert [b - a for a, b in itertools.pairwise(times)] == 9 * [10_000_000]
+
+
+def test_a_recorder_that_is_killed_leaves_what_came_before(slider: CommandLine, tmp_path: Path) -> None:
+    for suffix in (".bag", ".mcap"):
+        path = tmp_path / f"killed{suffix}"
+        slider.ok("sim", "reset")
+        recorder = Recorder(slider, STATES, "-O", str(path))
+        slider.ok("sim", "step", "1s")
+        time.sleep(1.6)  # wall time: it puts what it has into the file each second
+        slider.ok("sim", "step", "20ms")
+        recorder.end(signal.SIGKILL)
+        done = slider("bag", "info", str(path), "--json")
+        record = json.loads(done.stdout)
+        assert record["messages"] in (49, 50, 51)
+        assert record["damage"] == "it was not closed"
+        assert "slidectl bag reindex" in done.stderr
+        assert "killed.orig" in slider.ok("bag", "reindex", str(path))
+        assert json.loads(slider.ok("bag", "info", str(path), "--json"))["damage"] is None
+        assert len(messages(path)) == record["messages"]
+        assert slider.ok("bag", "reindex", str(path)) == f"{path}: complete\n"
+
+
+@pytest.mark.parametrize("suffix", [".bag", ".mcap"])
+def test_a_file_that_is_cut_off_anywhere_is_read_as_far_as_it_goes(
+    slider: CommandLine, tmp_path: Path, suffix: str
+) -> None:
+    path = tmp_path / f"run{suffix}"
+    slider.ok("sim", "reset")
+    recorded(slider, path, STATES)
+    whole, content = messages(path), path.read_bytes()
+    for part in range(1, 20):
+        path.write_bytes(content[: len(content) * part // 20])
+        done = slider("bag", "export", str(path), "--csv", "-")
+        assert done.returncode in (0, 2), done.stderr
+        assert "Traceback" not in done.stderr
+        if done.returncode == 0:
+            assert messages(path) == whole[: len(messages(path))]
+
+
+def test_a_full_disk_ends_the_recording_and_says_so(slider: CommandLine, tmp_path: Path) -> None:
+    path = tmp_path / "run.bag"
+    recorder = Recorder(slider, "-a", "-O", str(path), limit="200")  # KiB
+    slider.ok("sim", "step", "2s")
+    done = recorder.ended()
+    assert done.returncode == 1
+    assert f"cannot write {path}: File too large" in done.stderr
+    assert f"slidectl bag reindex {path}" in done.stderr
+
+
+def test_a_daemon_that_ends_completes_the_recording(tmp_path: Path) -> None:
+    with running_daemon(paused=True) as runtime:
+        slidectl = CommandLine(runtime.folder)
+        spawn_slider(slidectl)
+        pid = int(slidectl.ok("record", STATES, "-O", str(tmp_path / "run.bag"), "--detach"))
+        slidectl.ok("sim", "step", "100ms")
+        slidectl.ok("daemon", "stop")  # returns when the recording has ended too
+        assert pid > 1
+        assert len(messages(tmp_path / "run.bag")) in (4, 5)
+        [log] = runtime.folder.glob("slidectl/default/recording-*.log")
+        assert "run.bag: " in log.read_text()
+
+
+def test_ends_by_duration_size_and_limit_and_splits(slider: CommandLine, tmp_path: Path) -> None:
+    slider.ok("sim", "reset")
+    recorder = Recorder(slider, STATES, "-O", str(tmp_path / "d.bag"), "--duration", "0.1s")
+    slider.ok("sim", "step", "200ms")
+    assert recorder.ended().returncode == 0
+    assert len(messages(tmp_path / "d.bag")) in (4, 5)
+    recorder = Recorder(slider, STATES, "-O", str(tmp_path / "l.bag"), "--limit", "3")
+    slider.ok("sim", "step", "200ms")
+    assert recorder.ended().returncode == 0
+    assert len(messages(tmp_path / "l.bag")) == 3
+    words = ("--split", "--duration", "0.1", "--max-splits", "2", "--repeat-latched", "--json")
+    recorder = Recorder(slider, STATES, "/tf_static", "-O", str(tmp_path / "s.mcap"), *words)
+    slider.ok("sim", "step", "340ms")
+    record = json.loads(recorder.end().stdout)
+    assert [Path(file).name for file in record["files"]] == ["s_2.mcap", "s_3.mcap"]
+    assert not (tmp_path / "s_0.mcap").exists()
+    assert [topic for topic, _, _ in messages(tmp_path / "s_3.mcap")][:2] == ["/tf_static", STATES]
+
+
+def test_copies_and_tables(slider: CommandLine, tmp_path: Path) -> None:
+    slider.ok("sim", "reset")
+    recorded(slider, tmp_path / "run.bag", STATES, COMMAND)
+    count = len(messages(tmp_path / "run.bag"))
+    for target, compression in (("c.mcap", "zstd"), ("d.bag", "bz2"), ("e.mcap", "lz4"), ("f.bag", "lz4")):
+        words = (str(tmp_path / "run.bag"), str(tmp_path / target), "--compression", compression)
+        assert slider.ok("bag", "filter", *words) == f"{tmp_path / target}: {count} of {count} messages\n"
+        assert sorted(map(repr, messages(tmp_path / target))) == sorted(map(repr, messages(tmp_path / "run.bag")))
+        assert json.loads(slider.ok("bag", "info", words[1], "--json"))["compression"] == compression
+    words = (str(tmp_path / "run.bag"), str(tmp_path / "part.bag"))
+    begin = messages(tmp_path / "run.bag")[0][1] / 1e9
+    expression = f"topic == '{STATES}' and t - {begin} < 0.2 and m.position[0] >= 0"
+    assert f"10 of {count} messages" in slider.ok("bag", "filter", *words, expression)
+    assert "is there already" in slider("bag", "filter", *words, expression).stderr
+    refused = slider("bag", "filter", *words, "m.nothing > 0", "--force")
+    assert (refused.returncode, "no field 'nothing'" in refused.stderr) == (2, True)
+    slider.ok("bag", "export", str(tmp_path / "run.bag"), "--csv", str(tmp_path / "run.csv"), "--topic", STATES)
+    with (tmp_path / "run.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == count - 1
+    assert [float(row["position[0]"]) for row in rows] == [
+        message["position"][0] for topic, _, message in messages(tmp_path / "run.bag") if topic == STATES
+    ]
+    assert {"time", "topic", "header.stamp", "name[0]", "effort[0]"} <= rows[0].keys()
+
+
+BAD = [
+    (("record",), 2, "give the topics, or -a for all"),
+    (("record", "nothing"), 1, "no topic 'nothing'"),
+    (("record", "-a", "-O", "x.txt"), 2, "neither a .bag nor a .mcap file"),
+    (("record", "-a", "-O", "x.bag", "--compression", "zstd"), 2, "there is: none, bz2, lz4"),
+    (("record", "-a", "-O", "/nowhere/x.bag"), 1, "cannot write /nowhere/x.bag: No such file or directory"),
+    (("record", "-e", "(", "-O", "x.bag"), 2, "is not a regular expression"),
+    (("record", "-a", "--split", "-O", "x.bag"), 2, "--split needs --duration or --size"),
+    (("record", "-a", "--duration", "soon"), 2, "is not a time above 0"),
+    (("play", "gone.bag"), 2, "gone.bag: No such file or directory"),
+    (("play", "README.md"), 2, "neither a bag (of format 2.0) nor an mcap file"),
+    (("bag", "info", "/dev/null"), 2, "is empty"),
+    (("bag", "export", "README.md"), 2, "give one of --csv and --parquet"),
+]
+
+
+@pytest.mark.parametrize(("words", "code", "text"), BAD, ids=[" ".join(words) for words, _, _ in BAD])
+def test_what_cannot_be_done_is_said(slider: CommandLine, words: tuple[str, ...], code: int, text: str) -> None:
+    done = slider(*words)
+    assert (done.returncode, done.stdout) == (code, ""), done.stderr
+    assert text in done.stderr
+
+
+@pytest.mark.skipif(ROSBAG is None, reason="the real rosbag is not installed")
+def test_the_real_rosbag_reads_what_is_recorded_and_its_files_are_read(slider: CommandLine, tmp_path: Path) -> None:
+    slider.ok("sim", "reset")
+    for compression in ("none", "bz2", "lz4"):
+        path = tmp_path / f"{compression}.bag"
+        recorder = Recorder(slider, "-a", "-O", str(path), "--compression", compression)
+        slider.ok("sim", "step", "300ms")
+        assert recorder.end().returncode == 0
+        text = subprocess.run([str(ROSBAG), "info", "--yaml", path], capture_output=True, text=True, check=True).stdout
+        ours = json.loads(slider.ok("bag", "info", str(path), "--json"))
+        assert f"messages: {ours['messages']}" in text
+        for one in ours["types"]:
+            assert f"- type: {one['type']}\n      md5: {one['md5sum']}" in text
+        theirs = tmp_path / "theirs.bag"
+        keep = f"topic == '{STATES}'"
+        subprocess.run([str(ROSBAG), "filter", path, theirs, keep], capture_output=True, check=True)
+        assert messages(theirs) == [one for one in messages(path) if one[0] == STATES]
+        theirs.unlink()
