@@ -39,13 +39,13 @@ PosVelAccJointTrajectoryController, PositionGripperActionController, EffortGripp
 AckermannSteeringController, FourWheelSteeringController
 Unspawner, GroupScript, StaticTransform, Viewer, Window, JointStatePublisher
 
-# For authors of controllers and of other sources of controllers.
-register_loader, ONGOING
+# For authors of controllers, of other sources of controllers, and of hardware.
+register_loader, ONGOING, set_joint_effort
 
 # Transmissions, limits and PIDs of ros_control: compared with the original by vectors, used when transmissions are applied.
 SimpleTransmission, DifferentialTransmission, FourBarLinkageTransmission
 joint_absolute_position, joint_torque_sensor, actuator_effort, actuator_position
-has_jerk_limits, max_jerk, soft_limits_from_parameters
+has_jerk_limits, max_jerk
 reset_to
 
 # daemon.session calls an operation of the wire by its name; logging calls its handler.

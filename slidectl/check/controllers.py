@@ -18,12 +18,12 @@ from slidectl.check.findings import Findings
 from slidectl.check.model import Model
 from slidectl.control import registry
 from slidectl.control.controller_interface import ControllerBase
-from slidectl.control.hardware_interface import EffortJointInterface, JointStateInterface, ResourceManager
+from slidectl.control.hardware_interface import JointStateInterface, ResourceManager
 from slidectl.control.limits import LIMITS
-from slidectl.control.params import LIST, Parameter, as_boolean, as_number, described, leaves
+from slidectl.control.params import LIST, TEXT, Parameter, as_boolean, as_number, described, leaves
 from slidectl.control.reconfigurable_pid import GAINS
 from slidectl.control.ros2_names import Counterpart, NoCounterpart, counterpart
-from slidectl.description import controllers_file
+from slidectl.description import controllers_file, interfaces
 from slidectl.description.controllers_file import ROS_2, retarget
 from slidectl.description.models import read_file
 from slidectl.description.robot import Notice, Robot, Verdict
@@ -48,6 +48,7 @@ _OTHERS = {
 }
 _HARDWARE = ("joint_limits", "gazebo_ros_control")
 _GAINS = "pid_gains"
+_TRANSMISSIONS = Parameter("transmissions", TEXT, "gazebo or real: how transmissions count, read at the spawn")
 # How findings on names that nobody knows begin.
 _UNKNOWN = "is unknown to the controller and has no effect"
 _UNKNOWN_TO_HARDWARE = "simulated hardware does not read it"
@@ -62,7 +63,6 @@ _FLAGS = {
 }
 _UNREAD = {
     "has_jerk_limits": "simulated hardware bounds no jerk",
-    "has_soft_limits": "simulated hardware takes soft limits from <safety_controller> only",
 }
 
 
@@ -359,6 +359,8 @@ class ControllerCheck:
             for key, value in tree.items():
                 if key == _GAINS and isinstance(value, Mapping):
                     self._joints(f"{path}/{key}", value, Declared(GAINS), model, are_gains=True)
+                elif key == _TRANSMISSIONS.name:
+                    self.source.value(f"{path}/{key}", value, Declared([_TRANSMISSIONS]), key, _UNKNOWN_TO_HARDWARE)
                 else:
                     self.source.unread(f"{path}/{key}", _UNKNOWN_TO_HARDWARE, value)
 
@@ -375,7 +377,7 @@ class ControllerCheck:
             elif model is not None and not driven:
                 text = f"no transmission drives joint {joint!r}, so simulated hardware does not read it"
                 self.source.add("ignored", below, text)
-            elif are_gains and driven == EffortJointInterface.__name__:
+            elif are_gains and driven == [interfaces.EFFORT.name]:
                 text = f"joint {joint!r} takes efforts, for which simulated hardware needs no PID"
                 self.source.add("ignored", below, text)
             elif isinstance(values, Mapping):
@@ -492,8 +494,9 @@ def _trouble(model: Model, joint: str, cls: type[ControllerBase]) -> str | None:
     if offered is None:
         return f"no transmission drives joint {joint!r}, so controllers do not know it"
     wanted = {interface.type_name.rpartition("::")[2] for interface in _interfaces(cls)}
-    if wanted and not wanted & {offered, JointStateInterface.__name__}:
-        return f"the transmission of joint {joint!r} offers {offered}, the controller needs {' or '.join(wanted)}"
+    if wanted and not wanted & {*offered, JointStateInterface.__name__}:
+        needed = f"the controller needs {' or '.join(wanted)}"
+        return f"the transmission of joint {joint!r} offers {' and '.join(offered)}, {needed}"
     return None
 
 

@@ -17,18 +17,18 @@ from slidectl import description
 from slidectl.check import bodies
 from slidectl.check.findings import Findings
 from slidectl.check.tags import Tags, Trace, TracedElement, TracedReport, plain, walk
-from slidectl.control.hardware_interface import EffortJointInterface, PositionJointInterface, VelocityJointInterface
-from slidectl.description import xml_tree
+from slidectl.control import hardware_types
+from slidectl.control.transmission_interface import load
+from slidectl.description import interfaces, xml_tree
 from slidectl.description.document import Written
-from slidectl.description.gazebo_tags import SIM_TYPES
 from slidectl.description.mesh_files import MeshFiles
 from slidectl.description.packages import Packages, is_file
 from slidectl.description.parser import parse_tree
 from slidectl.description.report import Report
 from slidectl.description.robot import ControlPlugin, Joint, Link, Notice, Robot, TransmissionInfo, Verdict
-from slidectl.description.transmissions import driving, interface_name, is_simulated
+from slidectl.description.transmissions import driving
 from slidectl.description.xml_tree import Comment, Element
-from slidectl.errors import BadFile, BadName
+from slidectl.errors import BadFile, BadName, SlidectlError, UnknownName
 
 _PLUGIN = "libgazebo_ros_control.so"
 _TIMESTEP_S = 0.001  # the daemon's own
@@ -36,9 +36,6 @@ _EXPRESSION = re.compile(r"\$\{(.*?)\}", re.DOTALL)
 _WORD = re.compile(r"[A-Za-z_]\w*")
 
 _MOVING = ("revolute", "continuous", "prismatic")
-_EFFORT, _POSITION, _VELOCITY = (
-    kind.__name__ for kind in (EffortJointInterface, PositionJointInterface, VelocityJointInterface)
-)
 
 # attribute -> (unit of a joint that slides, unit of one that turns, what it does)
 _MEANINGS = {
@@ -65,8 +62,8 @@ class Model:
     namespace: str
 
     @cached_property
-    def driven(self) -> dict[str, str]:
-        """The joints that simulated hardware drives, with the name of the interface that each takes commands by."""
+    def driven(self) -> dict[str, list[str]]:
+        """The joints that simulated hardware drives, with the names of the interfaces that each takes commands by."""
         return driven_joints(self.robot)
 
 
@@ -78,11 +75,13 @@ def check(
     ask_others: bool = False,
     title: str | None = None,
     strict: bool = False,
+    transmissions: str | None = None,
 ) -> Model | None:
     """Add what there is to say of a model (as description.load takes it); the robot, None when it cannot be read.
 
     `ask_others` asks yourdfpy too, which takes half a second. `title` is what to call a text. `strict` refuses
-    impossible masses, inertias and shapes instead of mending them, as `slidectl spawn --strict` does.
+    impossible masses, inertias and shapes instead of mending them, as `slidectl spawn --strict` does. `transmissions`
+    says how they count, whatever the model says.
 
     Raises:
         BadFile: there is no such file. UnknownName: no such shipped model.
@@ -104,7 +103,10 @@ def check(
         if written.is_whole:
             _tell_unused(written, findings)
     findings.extend(document.report)
-    return check_text(document.xml, document.file, findings, ask_others, packages, strict)
+    xml = document.xml
+    if transmissions is not None:
+        xml = description.with_transmissions(xml, transmissions, document.file)
+    return check_text(xml, document.file, findings, ask_others, packages, strict)
 
 
 def check_text(
@@ -189,9 +191,9 @@ def _tell_unused(written: Written, findings: Findings) -> None:
 # --- joints -----------------------------------------------------------------------------------------------------------
 
 
-def driven_joints(robot: Robot) -> dict[str, str]:
-    joints = (transmission.joints[0] for transmission in driving(robot.transmissions))
-    return {joint.name: interface_name(joint.hardware_interfaces[0]) for joint in joints}
+def driven_joints(robot: Robot) -> dict[str, list[str]]:
+    joints = (joint for _, joint in driving(robot.transmissions))
+    return {joint.name: list(map(interfaces.bare, joint.hardware_interfaces)) for joint in joints}
 
 
 class _Joints:
@@ -221,17 +223,18 @@ class _Joints:
 
     def _effect(self, joint: Joint, name: str) -> tuple[Verdict, str]:
         """What a limit does, which is for the interface to say that the joint takes commands by."""
-        interface = self.driven.get(joint.name)
+        interface = next(iter(self.driven.get(joint.name, ())), None)
+        found = interfaces.find(interface or "")
         if not interface and name in ("velocity", "effort"):
             return "used", "bounds forces from outside only, as no transmission drives the joint"
         if not interface and name in _SOFT:
             return "ignored", "has no effect, as no transmission drives the joint"
         if joint.type == "continuous" and name in _SOFT and name != "k_velocity":
             return "ignored", "has no effect without position limits, which a continuous joint has not"
-        if interface == _POSITION and name == "effort":
+        if found is not None and found.quantity == "position" and name == "effort":
             return "used", "counts only with gains in gazebo_ros_control/pid_gains"
-        if interface in (_POSITION, _VELOCITY) and name == "k_velocity":
-            return "ignored", f"only an {_EFFORT} has a use for it, the joint's is a {interface}"
+        if found not in (None, interfaces.EFFORT) and name == "k_velocity":
+            return "ignored", f"only an {interfaces.EFFORT.name} has a use for it, the joint's is a {interface}"
         return "used", _MEANINGS[name][2]
 
     def tell(self, findings: Findings) -> None:
@@ -284,7 +287,7 @@ def _say_actuators(transmission: TransmissionInfo, root: Element, report: Report
     for actuator in (actuator for tag in whole for actuator in _inside(tag, "actuator")):
         for place in _inside(actuator, "hardwareInterface"):
             written = plain(place).first_text
-            if written and interface_name(written) != interface_name(counts):
+            if written and interfaces.bare(written) != interfaces.bare(counts):
                 text = f"{written} has no effect: the joint's interface counts, {counts}"
                 report.ignored(place, text, f"transmission {transmission.name!r}/{actuator.title}")
 
@@ -331,14 +334,22 @@ def _tell_whole(robot: Robot, root: Element, namespace: str, findings: Findings)
         findings.add("used", subject, f"note: controllers live in the namespace {namespace}", file, plugin.line)
         if not is_driven:
             findings.add("used", subject, "note: without a transmission it drives no joint", file, plugin.line)
-        if plugin.robot_sim_type not in SIM_TYPES:
-            text = f"robotSimType {plugin.robot_sim_type} is unknown"
-            findings.refuse(BadFile(text, plugin.file, plugin.line, f"there is {SIM_TYPES[0]}"))
+        try:
+            hardware_types.check_known(plugin.robot_sim_type)
+        except UnknownName as error:
+            findings.refuse(BadFile(error.message, plugin.file, plugin.line, error.hint))
     elif is_driven:
         text = f"has transmissions but no {_PLUGIN}; here it is driven all the same, in the namespace {namespace}"
         findings.add("converted", f"robot {robot.name!r}", text, root.file, root.line)
     for transmission in robot.transmissions:
-        interface = transmission.joints[0].hardware_interfaces[0]
-        if len(transmission.joints) == 1 and not is_simulated(interface):
-            text = f"transmission {transmission.name!r}: {interface} is no interface of simulated joints"
+        if transmission.is_real:
+            try:
+                load(transmission, robot)
+            except SlidectlError as error:
+                text = f"transmission {transmission.name!r}: {error.message}"
+                findings.refuse(BadFile(text, transmission.file, transmission.line, error.hint))
+    for transmission, joint in driving(robot.transmissions):
+        if not any(map(interfaces.find, joint.hardware_interfaces)):
+            written = ", ".join(joint.hardware_interfaces)
+            text = f"transmission {transmission.name!r}: {written} is no interface of simulated joints"
             findings.refuse(BadFile(text, transmission.file, transmission.line))

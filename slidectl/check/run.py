@@ -22,6 +22,7 @@ def check(
     ask_others: bool = False,
     strict: bool = False,
     missing: Missing | None = None,
+    transmissions: str | None = None,
 ) -> Findings:
     """Everything that there is to say of a file.
 
@@ -34,6 +35,7 @@ def check(
         ask_others: whether yourdfpy is asked about models too.
         strict: whether masses, inertias and shapes of models that spawn would mend are refused.
         missing: takes in what the files name and is not there.
+        transmissions: how those of a model count, whatever it says.
 
     Raises:
         BadFile: no such file. UnknownName: no such model, or no such file in the package. UnknownPackage. UsageError:
@@ -80,7 +82,7 @@ def check(
     read = text.decode("utf-8", "replace") if text is not None else source
     if text is None and (path := models.shipped().get(source)) is not None:
         read = shown(path)  # the shortest path that leads there
-    robot = model.check(read, arguments, packages, findings, ask_others, title, strict)
+    robot = model.check(read, arguments, packages, findings, ask_others, title, strict, transmissions)
     usable = [controllers.check(file, robot, findings) for file in parameter_files]
     findings.is_drivable = robot is not None and (any(usable) or not usable)
     findings.tell_missing()

@@ -47,6 +47,9 @@ _COLOURS = {"used": "green", "converted": "cyan", "ignored": "yellow", "wrong": 
     shell_complete=completion.files,
     help="Controllers of the model; may repeat.",
 )
+@click.option(
+    "--transmissions", type=click.Choice(["gazebo", "real"]), help="As for spawn: how transmissions of the model count."
+)
 @click.option("--strict", is_flag=True, help="Exit 1 when anything is ignored, too, and refuse what spawn mends.")
 @click.option("--only", multiple=True, type=click.Choice(_VERDICTS), help="Print findings of this kind; may repeat.")
 @click.option("--keep-going", is_flag=True, help="Leave out what is not there, as launch and spawn do with it.")
@@ -58,6 +61,7 @@ def check(
     source: str,
     arguments: tuple[str, ...],
     controllers: tuple[str, ...],
+    transmissions: str | None,
     strict: bool,
     only: tuple[str, ...],
     keep_going: bool,
@@ -87,7 +91,7 @@ def check(
     words += [word for word in arguments if ":=" not in word]
     given = pairs([word for word in arguments if ":=" in word], ":=", "check")
     missing = Missing("all" if keep_going else "nothing")
-    findings = run(words, given, places, files, text, ask_others=second_opinion, strict=strict, missing=missing)
+    findings = run(words, given, places, files, text, second_opinion, strict, missing, transmissions)
     tell_own_packages(ctx, places)
     _print(ctx, findings, only)
     if lines := missing.lines():

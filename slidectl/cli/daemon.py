@@ -52,7 +52,7 @@ def _world(function: Callable[..., Any]) -> Callable[..., Any]:
             multiple=True,
             metavar="MODULE",
             shell_complete=completion.files,
-            help="Import controllers of your own from this module or FILE.py; may repeat.",
+            help="Import controllers and hardware of your own from this module or FILE.py; may repeat.",
         ),
     ]
     for option in reversed(options):

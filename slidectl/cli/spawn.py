@@ -51,6 +51,11 @@ if TYPE_CHECKING:
     "--controllers", metavar="FILE", shell_complete=completion.files, help="Parameters of its controllers (YAML)."
 )
 @click.option("--start", cls=Variadic, metavar="CONTROLLER...", help="Load and start these controllers.")
+@click.option(
+    "--transmissions",
+    type=click.Choice(["gazebo", "real"]),
+    help="Drive joints as gazebo_ros_control does, or through transmissions with their actuators.",
+)
 @click.option("--strict", is_flag=True, help="Refuse impossible masses, inertias and shapes instead of mending them.")
 @click.option("--package", "packages", multiple=True, metavar="NAME=PATH", help="Where a ROS package is; may repeat.")
 @click.option("--keep-going", is_flag=True, help="Leave out what is not there, and list it at the end.")
@@ -64,6 +69,7 @@ def spawn(
     fixed: bool | None,
     controllers: str | None,
     start: tuple[str, ...],
+    transmissions: str | None,
     strict: bool,
     packages: tuple[str, ...],
     keep_going: bool,
@@ -86,7 +92,7 @@ def spawn(
     places = package_lookup(packages)
     source, given = in_package(model, arguments, places)
     if spawning.is_scene(source):
-        spawning.check_scene_options(given, controllers, start)
+        spawning.check_scene_options(given, controllers or transmissions, start)
         _spawn_scene(ctx, spawning.scene(source, places, missing), name, at, fixed, strict)
         _tell_left_out(ctx, missing)
         return
@@ -98,7 +104,7 @@ def spawn(
     document = spawning.document(text, given, name, places, missing, title)
     tell_own_packages(ctx, places)
     missing.refuse()
-    xml = _rooted(document.xml, document.file, fixed)
+    xml = spawning.with_transmissions(document, transmissions, _rooted(document.xml, document.file, fixed))
     pose = spawning.pose(at, "--at")
     wanted, namespace = spawning.identity(xml, document, name, strict)
     spawning.check_free(robots.all_robots(ctx), wanted, namespace)

@@ -334,6 +334,7 @@ class Client:
         at: Sequence[float] = (),
         controllers: str | None = None,
         start: Sequence[str] = (),
+        transmissions: str | None = None,
         **xacro_arguments: str,
     ) -> Message:
         """Put a robot, or all models of a file, into the world, as `slidectl spawn` does.
@@ -345,6 +346,7 @@ class Client:
             at: x, y, z in m, or these and roll, pitch, yaw in rad.
             controllers: the YAML file of its controllers' parameters.
             start: controllers to load and start.
+            transmissions: `gazebo` or `real`, whatever the model says.
 
         Raises:
             BadFile, UnknownName, UsageError: before anything is changed. Refused: with the daemon's reason.
@@ -361,7 +363,8 @@ class Client:
             self.spawn_models([spawning.request(one, at) for one in models])
             return dict(self.call("/slidectl/list_robots", {"name": models[0].name})["robots"][0])
         document = spawning.document(model, xacro_arguments, name)
-        chosen, namespace = spawning.identity(document.xml, document, name)
+        xml = spawning.with_transmissions(document, transmissions)
+        chosen, namespace = spawning.identity(xml, document, name)
         spawning.check_free(self.robots(), chosen, namespace)
         if controllers is not None:
             self.params.set_all(spawning.controller_parameters(controllers, namespace))
@@ -370,7 +373,7 @@ class Client:
         for wanted in start:
             if wanted not in known:
                 raise UnknownName("controller", wanted, known, f"in the parameters of {namespace}")
-        self.spawn_urdf(chosen, document.xml, pose)
+        self.spawn_urdf(chosen, xml, pose)
         if start:
             manager.loaded(manager.ask_to_load(start))
             manager.start(start)

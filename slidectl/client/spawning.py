@@ -42,6 +42,14 @@ def document(
     return description.load(source, dict(arguments), places, title=title, missing=missing)
 
 
+def with_transmissions(model: Document, how: str | None, xml: str | None = None) -> str:
+    """The URDF of the model, or `xml` made of it, whose transmissions count so; None: as it says."""
+    from slidectl import description
+
+    xml = model.xml if xml is None else xml
+    return xml if how is None else description.with_transmissions(xml, how, model.file)
+
+
 def identity(xml: str, model: Document, name: str | None, strict: bool = False) -> tuple[str, str]:
     """The robot's name and namespace. Raises BadFile when the model is broken, BadName."""
     from slidectl import description

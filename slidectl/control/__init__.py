@@ -17,6 +17,8 @@ from slidectl.control.hardware_interface import (
     JointStateHandle,
     JointStateInterface,
     PositionJointInterface,
+    PosVelAccJointInterface,
+    PosVelJointInterface,
     RobotHW,
     VelocityJointInterface,
 )
@@ -55,6 +57,8 @@ __all__ = [
     "Parameter",
     "Parts",
     "Pid",
+    "PosVelAccJointInterface",
+    "PosVelJointInterface",
     "PositionJointInterface",
     "Publisher",
     "Refused",

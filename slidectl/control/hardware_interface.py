@@ -12,7 +12,8 @@ from enum import Enum
 from math import inf
 from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar
 
-from slidectl.description.transmissions import interface_name, is_simulated
+from slidectl.description import interfaces
+from slidectl.description.interfaces import JointInterface
 from slidectl.errors import UnknownName
 from slidectl.rotations import Quaternion, Vector
 
@@ -47,15 +48,23 @@ class JointHandle(JointStateHandle):
         self.highest = inf
 
 
-class PosVelJointHandle(JointStateHandle):
-    """State of one joint, and commands of its position and its velocity at once."""
+class PosVelJointHandle(JointHandle):
+    """State of one joint, and commands of its position and its velocity at once. `command` is the position."""
 
-    __slots__ = ("command_position", "command_velocity")
+    __slots__ = ("command_velocity",)
 
     def __init__(self, name: str, position: float = 0.0, velocity: float = 0.0, effort: float = 0.0) -> None:
         super().__init__(name, position, velocity, effort)
-        self.command_position = 0.0
         self.command_velocity = 0.0
+
+    @property
+    def command_position(self) -> float:
+        """The other name of `command`."""
+        return self.command
+
+    @command_position.setter
+    def command_position(self, position: float) -> None:
+        self.command = position
 
 
 class PosVelAccJointHandle(PosVelJointHandle):
@@ -171,45 +180,56 @@ class JointStateInterface(ResourceManager[JointStateHandle]):
     type_name = "hardware_interface::JointStateInterface"
 
 
-class JointCommandInterface(ResourceManager[JointHandle]):
-    """Joints that take one command. Not registered itself: its children say what the command is.
+J = TypeVar("J", bound=JointHandle)
 
-    What limits make of the command is in `limits.LIMIT_HANDLES`, what drives a joint by it in `physics/robot_hw.py`.
-    """
+
+class JointCommands(ResourceManager[J]):
+    """Joints that take commands. Not registered itself: its children are the interfaces of `description.interfaces`."""
 
     claims = True
+    declared: ClassVar[JointInterface]
+    handle_type: ClassVar[type[JointHandle]] = JointHandle
+
+
+class JointCommandInterface(JointCommands[JointHandle]):
+    """Those that take one command."""
 
 
 class EffortJointInterface(JointCommandInterface):
     """Commands in N or N·m."""
 
-    type_name = "hardware_interface::EffortJointInterface"
+    declared = interfaces.EFFORT
+    type_name = declared.type_name
 
 
 class VelocityJointInterface(JointCommandInterface):
     """Commands in m/s or rad/s."""
 
-    type_name = "hardware_interface::VelocityJointInterface"
+    declared = interfaces.VELOCITY
+    type_name = declared.type_name
 
 
 class PositionJointInterface(JointCommandInterface):
     """Commands in m or rad."""
 
-    type_name = "hardware_interface::PositionJointInterface"
+    declared = interfaces.POSITION
+    type_name = declared.type_name
 
 
-class PosVelJointInterface(ResourceManager[PosVelJointHandle]):
-    """Commands of position and velocity. Simulated hardware has it not."""
+class PosVelJointInterface(JointCommands[PosVelJointHandle]):
+    """Commands of position and velocity."""
 
-    type_name = "hardware_interface::PosVelJointInterface"
-    claims = True
+    declared = interfaces.POS_VEL
+    type_name = declared.type_name
+    handle_type = PosVelJointHandle
 
 
-class PosVelAccJointInterface(ResourceManager[PosVelAccJointHandle]):
-    """Commands of position, velocity and acceleration. Simulated hardware has it not."""
+class PosVelAccJointInterface(JointCommands[PosVelAccJointHandle]):
+    """Commands of position, velocity and acceleration."""
 
-    type_name = "hardware_interface::PosVelAccJointInterface"
-    claims = True
+    declared = interfaces.POS_VEL_ACC
+    type_name = declared.type_name
+    handle_type = PosVelAccJointHandle
 
 
 class ImuSensorInterface(ResourceManager[SensorHandle[ImuData]]):
@@ -226,18 +246,17 @@ class ForceTorqueSensorInterface(ResourceManager[SensorHandle[ForceTorqueData]])
     kind = "sensor"
 
 
-COMMAND_INTERFACES: tuple[type[JointCommandInterface], ...] = (
-    EffortJointInterface,
-    PositionJointInterface,
-    VelocityJointInterface,
-)
-"""All interfaces by which a joint of simulated hardware takes commands."""
-
-
-def command_interface(written: str) -> type[JointCommandInterface] | None:
-    """The interface that a transmission asks for, with or without its prefix; None: simulated hardware has it not."""
-    name = interface_name(written) if is_simulated(written) else None
-    return next((interface for interface in COMMAND_INTERFACES if interface.__name__ == name), None)
+COMMAND_INTERFACES: dict[JointInterface, type[JointCommands[Any]]] = {
+    kind.declared: kind
+    for kind in (
+        EffortJointInterface,
+        PositionJointInterface,
+        VelocityJointInterface,
+        PosVelJointInterface,
+        PosVelAccJointInterface,
+    )
+}
+"""The class of each interface by which a joint of simulated hardware takes commands."""
 
 
 I = TypeVar("I", bound=ResourceManager[Any])  # noqa: E741 - the field's letter for an interface

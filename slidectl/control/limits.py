@@ -13,16 +13,11 @@ from math import inf, nan
 from typing import Any, ClassVar
 
 from slidectl.control import params
-from slidectl.control.hardware_interface import (
-    EffortJointInterface,
-    JointCommandInterface,
-    JointHandle,
-    PositionJointInterface,
-    VelocityJointInterface,
-)
+from slidectl.control.hardware_interface import JointCommands, JointHandle
 from slidectl.control.laws import Columns, law
 from slidectl.control.node_handle import NodeHandle
 from slidectl.control.params import BOOLEAN, NUMBER, Parameter
+from slidectl.description.interfaces import Quantity
 from slidectl.description.robot import Joint
 from slidectl.errors import Refused
 
@@ -447,16 +442,16 @@ class VelocityJointSoftLimits(LimitHandle):
     kind = VELOCITY_SOFT
 
 
-LIMIT_HANDLES: dict[type[JointCommandInterface], tuple[type[LimitHandle], type[LimitHandle]]] = {
-    EffortJointInterface: (EffortJointSaturation, EffortJointSoftLimits),
-    PositionJointInterface: (PositionJointSaturation, PositionJointSoftLimits),
-    VelocityJointInterface: (VelocityJointSaturation, VelocityJointSoftLimits),
+LIMIT_HANDLES: dict[Quantity, tuple[type[LimitHandle], type[LimitHandle]]] = {
+    "effort": (EffortJointSaturation, EffortJointSoftLimits),
+    "position": (PositionJointSaturation, PositionJointSoftLimits),
+    "velocity": (VelocityJointSaturation, VelocityJointSoftLimits),
 }
-"""The handles of saturation and of soft limits for the joints of each interface."""
+"""The handles of saturation and of soft limits for commands of each quantity."""
 
 
 def limit_handle(
-    interface: type[JointCommandInterface],
+    interface: type[JointCommands[Any]],
     handle: JointHandle,
     limits: JointLimits,
     soft: SoftJointLimits | None = None,
@@ -466,7 +461,7 @@ def limit_handle(
     Raises:
         BadLimits: the limits lack one that the handle needs.
     """
-    saturation, soft_limits = LIMIT_HANDLES[interface]
+    saturation, soft_limits = LIMIT_HANDLES[interface.declared.quantity]
     return saturation(handle, limits) if soft is None else soft_limits(handle, limits, soft)
 
 

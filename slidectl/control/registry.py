@@ -14,7 +14,7 @@ from pkgutil import iter_modules
 from types import ModuleType
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
-from slidectl.control import user_classes
+from slidectl.control import hardware_types, user_classes
 from slidectl.control.controller_interface import Compiled, ControllerBase
 from slidectl.control.user_classes import ControllerClass
 from slidectl.errors import BadFile, Refused, UnknownName
@@ -151,9 +151,9 @@ def add_file(file: str, class_name: str) -> str:
 
 
 def add_module(name: str) -> list[str]:
-    """Import a module, or a file that ends with `.py`, and register its controllers. Returns their types.
+    """Import a module, or a file that ends with `.py`, and register its controllers and hardware. Returns their types.
 
-    All or nothing. Raises as `user_classes.import_named`, and BadFile: it has no controller, or a broken one.
+    All or nothing. Raises as `user_classes.import_named`, and BadFile: it has none of either, or a broken controller.
     """
     before = dict(_known)
     try:
@@ -166,8 +166,9 @@ def add_module(name: str) -> list[str]:
         _restore(before)
         raise
     added = [type_name for type_name, cls in _known.items() if before.get(type_name) is not cls]
+    added += hardware_types.add_all(module, _type_in(module, ""))
     if not added:
-        raise BadFile("there is no controller in it", module.__file__ or name)
+        raise BadFile("there is no controller in it, and no hardware", module.__file__ or name)
     return added
 
 

@@ -1,16 +1,16 @@
-"""What a transmission makes of positions, velocities and efforts, in both directions.
+"""What a transmission makes of positions, velocities and efforts, in both directions, and its making from URDF.
 
-The maths of transmission_interface, to the bit. Values are sequences, one per actuator or joint. A simulation
-works in joint space and needs none of it.
+The maths of transmission_interface, to the bit. Values are sequences, one per actuator or joint.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import ClassVar, NamedTuple, TypeVar
 
-from slidectl.errors import Refused
+from slidectl.description.robot import Robot, TransmissionActuator, TransmissionInfo, TransmissionJoint
+from slidectl.errors import Refused, UnknownName, listing
 
 Values = Sequence[float]
 
@@ -213,3 +213,96 @@ class FourBarLinkageTransmission(_TwoDofTransmission):
 def _check_reductions(what: str, reductions: Values) -> None:
     if 0.0 in reductions:
         raise BadReductions(f"{what} must not be 0, but is {list(reductions)}")
+
+
+# -- the loaders -------------------------------------------------------------------------------------------------------
+
+_PREFIX = "transmission_interface/"
+_KINDS: dict[str, type[SimpleTransmission | _TwoDofTransmission]] = {
+    _PREFIX + kind.__name__: kind for kind in (SimpleTransmission, DifferentialTransmission, FourBarLinkageTransmission)
+}
+MOST_FELT = 1e9
+"""kg·m², or kg. Far below the largest number that the physics takes."""
+P = TypeVar("P", TransmissionJoint, TransmissionActuator)
+
+
+class LoadedTransmission(NamedTuple):
+    """The maths of a transmission, with its joints and actuators in the order in which that takes values."""
+
+    maths: Transmission
+    joints: tuple[TransmissionJoint, ...]
+    actuators: tuple[TransmissionActuator, ...]
+
+    @property
+    def ratios(self) -> list[list[float]]:
+        """The velocities of the actuators by the joint that has one of 1 alone."""
+        size = range(len(self.joints))
+        return [self.maths.actuator_velocity([float(row == column) for row in size]) for column in size]
+
+    @property
+    def rotor_inertia(self) -> list[list[float]]:
+        """What the actuators' rotors add to the mass matrix of the joints."""
+        inertias = [actuator.rotor_inertia for actuator in self.actuators]
+        return [
+            [sum(i * a * b for i, a, b in zip(inertias, first, second, strict=True)) for second in self.ratios]
+            for first in self.ratios
+        ]
+
+
+def load(info: TransmissionInfo, robot: Robot) -> LoadedTransmission:
+    """What the loaders of ros_control make of a transmission.
+
+    Raises:
+        Refused: no such type; too few or too many joints or actuators; a role that is missing, unknown or there twice;
+        an actuator without reduction; a reduction of 0; joints with other interfaces than the first; rotors that are
+        too heavy, or that couple joints of which neither is above the other, which the physics cannot do.
+    """
+    kind = _KINDS.get(info.type)
+    if kind is None:
+        raise UnknownName("transmission type", info.type, list(_KINDS))
+    for what, parts in (("joint", info.joints), ("actuator", info.actuators)):
+        if len(parts) != kind.size:
+            raise Refused(f"{info.type} has {kind.size} {what}{'s' * (kind.size > 1)}, not {len(parts)}")
+    for actuator in info.actuators:
+        if actuator.reduction is None:
+            raise Refused(f"actuator {actuator.name!r} has no <mechanicalReduction>")
+    for joint in info.joints:
+        if set(joint.hardware_interfaces) != set(info.joints[0].hardware_interfaces):
+            raise Refused(f"joint {joint.name!r} has other interfaces than joint {info.joints[0].name!r}")
+    joints, actuators = info.joints, info.actuators
+    if kind.size > 1:
+        joints, actuators = _in_roles("joint", joints), _in_roles("actuator", actuators)
+    reductions = [actuator.reduction or 0.0 for actuator in actuators]
+    offsets = [joint.offset for joint in joints]
+    maths: Transmission
+    if issubclass(kind, SimpleTransmission):
+        maths = SimpleTransmission(reductions[0], offsets[0])
+    else:
+        maths = kind(reductions, [joint.reduction for joint in joints], offsets)
+    loaded = LoadedTransmission(maths, joints, actuators)
+    felt = loaded.rotor_inertia
+    if not all(abs(inertia) <= MOST_FELT for row in felt for inertia in row):
+        raise Refused(f"its joints would feel more than {MOST_FELT:g} kg m2 of its rotors")
+    if kind.size > 1 and felt[0][1] != 0.0 and not _are_in_a_chain(robot, *joints):
+        text = "its rotors couple two joints of which neither is above the other, which MuJoCo cannot do"
+        raise Refused(text, "give rotors that the joints feel alike, or none")
+    return loaded
+
+
+def _are_in_a_chain(robot: Robot, first: TransmissionJoint, second: TransmissionJoint) -> bool:
+    above = {joint.child: joint for joint in robot.joints.values()}
+    for start, end in ((first, second), (second, first)):
+        joint = robot.joints.get(start.name)
+        while joint is not None and joint.name != end.name:
+            joint = above.get(joint.parent)
+        if joint is not None:
+            return True
+    return False
+
+
+def _in_roles(what: str, parts: Sequence[P]) -> tuple[P, ...]:
+    roles = [f"{what}{number}" for number in range(1, len(parts) + 1)]
+    if sorted(part.role for part in parts) != roles:
+        given = listing([part.role or "none" for part in parts])
+        raise Refused(f"the {what}s need the roles {' and '.join(roles)}, each once; given: {given}")
+    return tuple(sorted(parts, key=lambda part: part.role))

@@ -16,7 +16,7 @@ from pathlib import Path
 from types import FunctionType, ModuleType
 
 from slidectl.control.controller_interface import Controller, ControllerBase, MultiInterfaceController
-from slidectl.errors import BadFile, Refused, UnknownName, UsageError, listing
+from slidectl.errors import BadFile, Refused, SlidectlError, UnknownName, UsageError, listing
 
 ControllerClass = type[ControllerBase]
 
@@ -43,8 +43,8 @@ limit: Callable[[], AbstractContextManager[None]] = nullcontext
 """Surrounds users' code and raises TookTooLong in it. The daemon sets it, since its clients wait meanwhile."""
 
 
-def is_of_a_user(cls: ControllerClass) -> bool:
-    """False for the controllers of slidectl itself."""
+def is_of_a_user(cls: type) -> bool:
+    """False for the classes of slidectl itself."""
     return not cls.__module__.startswith("slidectl.")
 
 
@@ -59,6 +59,26 @@ def watched(cls: ControllerClass) -> Iterator[None]:
             yield
     except TookTooLong as failure:
         raise _too_long(failure) from None
+
+
+@contextmanager
+def watched_for(what: str, name: str) -> Iterator[None]:
+    """Inside, code of a user may run that `what` names. Raises Refused, with its file and line, when that fails."""
+    try:
+        with limit():
+            yield
+    except SlidectlError:
+        raise
+    except TookTooLong as failure:
+        raise _too_long(failure) from None
+    except Exception as failure:
+        raise failed(f"{what} {name}", failure) from failure
+
+
+def failed(what: str, failure: Exception) -> Refused:
+    """The error for what code of a user raised, with the place."""
+    place = place_of(failure)
+    return Refused(f"{what}: {type(failure).__name__}: {failure}{f' ({place[0]}:{place[1]})' if place else ''}")
 
 
 def _too_long(failure: TookTooLong) -> Refused:
@@ -224,7 +244,7 @@ def made(cls: ControllerClass) -> ControllerBase:
     return controller
 
 
-def file_of(cls: ControllerClass) -> str | None:
+def file_of(cls: type) -> str | None:
     """The file of the class's module; None when it has none."""
     return getattr(sys.modules.get(cls.__module__), "__file__", None)
 

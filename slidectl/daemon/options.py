@@ -35,7 +35,7 @@ class DaemonOptions:
     engine: str = "auto"
     chosen: tuple[str, ...] = ()
     imports: tuple[str, ...] = ()
-    """Modules with controllers of users: dotted names, or absolute paths that end with `.py`."""
+    """Modules with controllers and hardware of users: dotted names, or absolute paths that end with `.py`."""
 
     def __post_init__(self) -> None:
         if not self.rtf > 0:

@@ -12,6 +12,7 @@ from slidectl.description.document import (
     load,
     with_root_fixed,
     with_root_free,
+    with_transmissions,
     written,
 )
 from slidectl.description.packages import Packages, UnknownPackage
@@ -30,5 +31,6 @@ __all__ = [
     "parse",
     "with_root_fixed",
     "with_root_free",
+    "with_transmissions",
     "written",
 ]

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from slidectl.description import models, source_note, xml_tree
-from slidectl.description.gazebo_tags import leave_out_hardware
+from slidectl.description.gazebo_tags import leave_out_hardware, set_transmissions, transmissions_named
 from slidectl.description.mesh_files import MeshFiles
 from slidectl.description.missing import Missing
 from slidectl.description.packages import Packages, shown
@@ -227,6 +227,13 @@ def with_root_free(xml: str, file: str = "robot_description") -> str:
         )
     gone = [below[0], *(link for link in robot.find_all("link") if link.get("name") == WORLD)]
     robot.content[:] = [node for node in robot.content if node not in gone]
+    return xml_tree.write(robot)
+
+
+def with_transmissions(xml: str, how: str, file: str = "robot_description") -> str:
+    """The robot whose control plugin says how its transmissions count. Raises BadFile: broken XML. UnknownName."""
+    robot = xml_tree.read(xml, file)
+    set_transmissions(robot, transmissions_named(how))
     return xml_tree.write(robot)
 
 

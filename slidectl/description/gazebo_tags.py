@@ -8,25 +8,38 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import replace
+from functools import cache
 from itertools import islice
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast, get_args
 
 from slidectl import names
 from slidectl.description import element_values
 from slidectl.description.missing import Missing
 from slidectl.description.report import Report
-from slidectl.description.robot import ControlPlugin, Surface
+from slidectl.description.robot import ControlPlugin, Surface, Transmissions
 from slidectl.description.sensors import OF_MODEL, SensorReader, library
 from slidectl.description.xml_tree import Element
-from slidectl.errors import NotThere, closest
+from slidectl.errors import NotThere, UnknownName, closest, listing
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 _CONTROL_PLUGIN = "libgazebo_ros_control"
-_SIM_TYPE = "gazebo_ros_control/DefaultRobotHWSim"
-SIM_TYPES = (_SIM_TYPE, "DefaultRobotHWSim")
-"""The hardware that there is, by its names."""
+SIM_TYPES = (ControlPlugin.robot_sim_type, "DefaultRobotHWSim")
+"""The default hardware, by its names."""
+HARDWARE_ENTRY_POINTS = "slidectl.robot_hw"
+"""The group in which an installed package names its simulated hardware: a type, and `module:Class`."""
 _MOST_COMPARED = 1000
 _LONGEST_PERIOD = 2**31 - 1
-_PARAMETERS = {"robotNamespace", "robotParam", "robotSimType", "controlPeriod", "eStopTopic", "legacyModeNS"}
+_PARAMETERS = {
+    "robotNamespace",
+    "robotParam",
+    "robotSimType",
+    "controlPeriod",
+    "eStopTopic",
+    "legacyModeNS",
+    "transmissions",
+}
 _OF_LINK = ("mu1", "mu2", "material", "selfCollide", "turnGravityOff")
 _YES = ("true", "yes", "1")
 _NO = ("false", "no", "0")
@@ -92,20 +105,17 @@ class GazeboReader:
         self.report.unknown(element, {"name", "filename"}, _PARAMETERS, place)
         found = {tag: child for tag in _PARAMETERS if (child := self.report.only(element, tag)) is not None}
         texts = {tag: _text(child) for tag, child in found.items()}
-        sim_type = texts.get("robotSimType", _SIM_TYPE)
-        if sim_type not in SIM_TYPES:
-            text = f"robotSimType {sim_type} is unknown; there is {_SIM_TYPE} only, and no robot without"
-            self.report.wrong(found["robotSimType"], text, place)
         if "legacyModeNS" in texts:
             self.report.ignored(found["legacyModeNS"], "legacyModeNS has no effect, as since ROS Melodic", place)
         return ControlPlugin(
             _namespace(element, texts.get("robotNamespace")),
             texts.get("robotParam") or "robot_description",
-            sim_type,
+            texts.get("robotSimType") or ControlPlugin.robot_sim_type,
             _period(element, texts.get("controlPeriod")),
             texts.get("eStopTopic") or None,
             element.line,
             element.file,
+            _transmissions(element, texts.get("transmissions")),
         )
 
     def _of_link(self, child: Element, link: str, element: Element) -> bool:
@@ -156,16 +166,45 @@ class GazeboReader:
 
 
 def leave_out_hardware(root: Element, missing: Missing) -> None:
-    """Take the tag away that asks for simulated hardware which is not there, so that the default one is meant."""
-    for gazebo in root.find_all("gazebo"):
-        for plugin in (child for child in gazebo.find_all("plugin") if _is_control(child)):
-            for kind in plugin.find_all("robotSimType"):
-                if _text(kind) in SIM_TYPES:
-                    continue
-                text = f"<robotSimType> {_text(kind)!r} is no simulated hardware; there is {_SIM_TYPE}"
-                error = NotThere(text, kind.file, kind.line, thing=f"robotSimType {_text(kind)}")
-                missing.note(error, "the default is taken")
-                plugin.content[:] = [node for node in plugin.content if node is not kind]
+    """Take the tag away that asks for simulated hardware which is not there, so that the default one is meant.
+
+    Where nothing is left out and nothing else is missing the daemon judges: it may have imported more.
+    """
+    if not missing and not missing.keeps_going:
+        return
+    known = (*SIM_TYPES, *installed_hardware())
+    for plugin in _control_plugins(root):
+        for kind in plugin.find_all("robotSimType"):
+            if _text(kind) in known:
+                continue
+            text = f"<robotSimType> {_text(kind)!r} is no simulated hardware; there is {listing(known)}"
+            error = NotThere(text, kind.file, kind.line, thing=f"robotSimType {_text(kind)}")
+            missing.note(error, "the default is taken")
+            plugin.content[:] = [node for node in plugin.content if node is not kind]
+
+
+@cache
+def installed_hardware() -> dict[str, EntryPoint]:
+    """The types of hardware that installed packages name."""
+    from importlib.metadata import entry_points
+
+    return {point.name: point for point in entry_points(group=HARDWARE_ENTRY_POINTS)}
+
+
+def set_transmissions(root: Element, how: Transmissions) -> None:
+    """Have the control plugin say so. A robot without one gets it."""
+    plugin = next(iter(_control_plugins(root)), None)
+    if plugin is None:
+        attributes = {"name": "gazebo_ros_control", "filename": f"{_CONTROL_PLUGIN}.so"}
+        plugin = Element("plugin", attributes, root.file, root.line, [])
+        root.content.append(Element("gazebo", {}, root.file, root.line, [plugin]))
+    others = [node for node in plugin.content if not (isinstance(node, Element) and node.tag == "transmissions")]
+    plugin.content[:] = [*others, Element("transmissions", {}, plugin.file, plugin.line, [how])]
+
+
+def _control_plugins(root: Element) -> list[Element]:
+    plugins = (plugin for gazebo in root.find_all("gazebo") for plugin in gazebo.find_all("plugin"))
+    return [plugin for plugin in plugins if _is_control(plugin)]
 
 
 def _is_control(plugin: Element) -> bool:
@@ -188,6 +227,21 @@ def _namespace(plugin: Element, text: str | None) -> str | None:
         place = plugin.find("robotNamespace") or plugin
         raise place.error(f"robotNamespace {text!r} is not a legal name (letters, digits, '_' and '/')")
     return text
+
+
+def _transmissions(plugin: Element, text: str | None) -> Transmissions | None:
+    try:
+        return None if text is None else transmissions_named(text)
+    except UnknownName as error:
+        raise (plugin.find("transmissions") or plugin).error(error.message, error.hint) from None
+
+
+def transmissions_named(text: str) -> Transmissions:
+    """How transmissions count. Raises UnknownName."""
+    for how in get_args(Transmissions):
+        if text == how:
+            return cast(Transmissions, how)
+    raise UnknownName("way of transmissions", text, get_args(Transmissions))
 
 
 def _period(plugin: Element, text: str | None) -> float | None:

@@ -101,21 +101,22 @@ def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = 
         if base == WORLD and (inertial := link_at[base].find("inertial")) is not None:
             report.ignored(inertial, "the world does not move", f"link {base!r}/<inertial>")
         links = Weigher(links, joints, link_at, report, strict).weigh(base)
-    reader = TransmissionReader(report, joints, is_whole)
-    read = (report.attempt(reader.read, element) for element in root.find_all("transmission"))
-    transmissions = tuple(info for info in read if info is not None)
-    # A position joint goes to its command, which is bounded by the limits, in the first steps.
-    moved = {info.joints[0].name for info in driving(transmissions) if takes_positions(info.joints[0])}
-    for joint in joints.values():
-        limit = joint.limit if joint.type in _WITH_RANGE and joint.name not in moved else None
-        if limit is not None and limit.lower != limit.upper and not limit.lower <= 0 <= limit.upper:
-            text = f"{STARTS_OUTSIDE} {limit.lower:g} to {limit.upper:g}"
-            report.wrong(joint_at[joint.name].find("limit") or joint_at[joint.name], text, place_of_limit(joint.name))
     known = dict.fromkeys(part.get("name") or "" for part in root.find_all("link"))
     ends = {part.get("name") or "": (_end(part, "parent"), _end(part, "child")) for part in root.find_all("joint")}
     gazebo = GazeboReader(report, known, ends)
     for element in root.find_all("gazebo"):
         gazebo.read(element)
+    is_real = gazebo.plugin is not None and gazebo.plugin.transmissions == "real"
+    reader = TransmissionReader(report, joints, is_whole, is_real)
+    read = (report.attempt(reader.read, element) for element in root.find_all("transmission"))
+    transmissions = tuple(info for info in read if info is not None)
+    # A position joint goes to its command, which is bounded by the limits, in the first steps.
+    moved = {joint.name for _, joint in driving(transmissions) if takes_positions(joint)}
+    for joint in joints.values():
+        limit = joint.limit if joint.type in _WITH_RANGE and joint.name not in moved else None
+        if limit is not None and limit.lower != limit.upper and not limit.lower <= 0 <= limit.upper:
+            text = f"{STARTS_OUTSIDE} {limit.lower:g} to {limit.upper:g}"
+            report.wrong(joint_at[joint.name].find("limit") or joint_at[joint.name], text, place_of_limit(joint.name))
     if report.faults or base is None:
         raise report.faults[0]
     links = {key: replace(link, surface=gazebo.surfaces.get(key, Surface())) for key, link in links.items()}

@@ -16,6 +16,8 @@ from slidectl import names
 Vector = tuple[float, float, float]
 JointType = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]
 Verdict = Literal["used", "converted", "ignored", "wrong"]
+Transmissions = Literal["gazebo", "real"]
+"""Whether joints are driven as gazebo_ros_control does it, or through their transmissions."""
 
 
 @dataclass(frozen=True)
@@ -194,6 +196,10 @@ class TransmissionActuator:
     hardware_interfaces: tuple[str, ...] = ()
     reduction: float | None = None
     role: str = ""
+    max_effort: float = math.inf
+    """N or N·m."""
+    rotor_inertia: float = 0.0
+    """kg·m² (kg of an actuator that slides)."""
 
 
 @dataclass(frozen=True)
@@ -206,6 +212,8 @@ class TransmissionInfo:
     actuators: tuple[TransmissionActuator, ...]
     line: int | None = None
     file: str | None = None
+    is_real: bool = False
+    """True: it lies between its actuators and joints. Else the interface of its joint alone counts."""
 
 
 @dataclass(frozen=True)
@@ -220,6 +228,7 @@ class ControlPlugin:
     estop_topic: str | None = None
     line: int | None = None
     file: str | None = None
+    transmissions: Transmissions | None = None
 
 
 @dataclass(frozen=True)

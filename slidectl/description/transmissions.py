@@ -1,68 +1,58 @@
 """`<transmission>`, by the rules of ros_control's TransmissionParser.
 
-What that parser drops with an error is dropped here with a notice. Reductions and offsets are read for the maths of
-control/, and reported: simulated hardware works on the joint's side of the transmission.
+What that parser drops with an error is dropped here with a notice. Unless transmissions are to be real, the interface
+of their joint alone counts, and the rest is reported. The maths is in control/transmission_interface.py.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import Any
 
-from slidectl.description import element_values
+from slidectl.description import element_values, interfaces
 from slidectl.description.report import Report
 from slidectl.description.robot import Joint, TransmissionActuator, TransmissionInfo, TransmissionJoint
 from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile
 
-_PREFIX = "hardware_interface/"
-SIMULATED_INTERFACES = tuple(
-    _PREFIX + name for name in ("EffortJointInterface", "PositionJointInterface", "VelocityJointInterface")
-)
-"""What a transmission may ask for, as it is best written. `control.hardware_interface` says what each is."""
-_TO_ADD = f"add <hardwareInterface>{SIMULATED_INTERFACES[0]}</hardwareInterface>"
+_TO_ADD = f"add <hardwareInterface>{interfaces.EFFORT.written}</hardwareInterface>"
 _JOINT_CHILDREN = {"role", "hardwareInterface", "offset", "mechanicalReduction"}
-_ACTUATOR_CHILDREN = {"role", "hardwareInterface", "mechanicalReduction"}
-
-
-def is_simulated(interface: str) -> bool:
-    """Whether simulated hardware has an interface, with or without its prefix."""
-    return _prefixed(interface) in SIMULATED_INTERFACES
-
-
-def interface_name(interface: str) -> str:
-    """The name of an interface without any prefix."""
-    return interface.rpartition("/")[2]
-
-
-def _prefixed(interface: str) -> str:
-    return _PREFIX + interface.removeprefix(_PREFIX)
-
-
-def is_same_interface(first: str, second: str) -> bool:
-    """Whether two interfaces are the same, with or without their prefix."""
-    return first.removeprefix(_PREFIX) == second.removeprefix(_PREFIX)
+_ACTUATOR_CHILDREN = {
+    "role",
+    "hardwareInterface",
+    "mechanicalReduction",
+    "limit",
+    "rotorInertia",
+    "drake:rotor_inertia",
+}
+_IF_REAL = "counts only with real transmissions: slidectl spawn --transmissions real"
 
 
 def takes_positions(joint: TransmissionJoint) -> bool:
     """Whether a joint of a transmission takes commands by its position."""
-    return is_same_interface(joint.hardware_interfaces[0], "PositionJointInterface")
+    interface = interfaces.find(joint.hardware_interfaces[0])
+    return interface is not None and interface.quantity == "position"
 
 
-def driving(transmissions: Iterable[TransmissionInfo]) -> list[TransmissionInfo]:
-    """The transmissions that simulated hardware makes use of: those of one joint, by the joint's first interface.
+def driving(transmissions: Iterable[TransmissionInfo]) -> list[tuple[TransmissionInfo, TransmissionJoint]]:
+    """The transmissions that simulated hardware makes use of, each with a joint and the interfaces that count.
 
-    Of several interfaces of one joint the first counts, in one transmission as in several. Several transmissions by the
-    same interface all drive the joint.
+    All joints of real transmissions, with all interfaces; of the others those with one joint. Of several interfaces of
+    a joint the first counts then, in one transmission as in several. Several transmissions by the same interface all
+    drive the joint.
     """
     counts: dict[str, str] = {}
-    found = []
+    found: list[tuple[TransmissionInfo, TransmissionJoint]] = []
     for transmission in transmissions:
-        if len(transmission.joints) == 1:
+        if transmission.is_real:
+            found += [(transmission, joint) for joint in transmission.joints]
+        elif len(transmission.joints) == 1:
             joint = transmission.joints[0]
             first = counts.setdefault(joint.name, joint.hardware_interfaces[0])
-            if is_same_interface(first, joint.hardware_interfaces[0]):
-                found.append(transmission)
+            if interfaces.bare(first) == interfaces.bare(joint.hardware_interfaces[0]):
+                found.append((transmission, replace(joint, hardware_interfaces=joint.hardware_interfaces[:1])))
     return found
 
 
@@ -73,28 +63,35 @@ class _DroppedError(Exception):
 class TransmissionReader:
     """Reads the `<transmission>` elements of one robot, in the order of the file.
 
-    `knows_all`: whether a joint that is not among `joints` is not there at all.
+    `knows_all`: whether a joint that is not among `joints` is not there at all. `is_real`: whether they are applied.
     """
 
-    def __init__(self, report: Report, joints: dict[str, Joint], knows_all: bool = True) -> None:
+    def __init__(self, report: Report, joints: dict[str, Joint], knows_all: bool, is_real: bool) -> None:
         self.report = report
         self.joints = joints
         self.knows_all = knows_all
+        self.is_real = is_real
         self.driven: dict[str, tuple[Element, str]] = {}
 
     def read(self, element: Element) -> TransmissionInfo | None:
         """One transmission, or None when the parser of ros_control would drop it.
 
         Raises:
-            BadFile: it drives a joint that is not there, or that cannot move. Those of several joints drive none.
+            BadFile: it drives a joint that is not there, or that cannot move. Those of several joints drive none,
+            unless they are real; then a number that is none, and a joint of two transmissions are errors too.
         """
         try:
             info = self._info(element)
         except _DroppedError as error:
             self.report.wrong(element, f"the transmission is dropped: {error}")
             return None
-        if len(info.joints) > 1:
-            self.report.ignored(element, "simulated hardware takes transmissions with one joint only; this has more")
+        if self.is_real:
+            for joint in info.joints:
+                self._check_real(element, joint)
+        elif len(info.joints) > 1:
+            self.report.ignored(
+                element, f"simulated hardware takes transmissions with one joint only; one with more {_IF_REAL}"
+            )
         else:
             self._check_simulated(element, info)
         return info
@@ -114,7 +111,7 @@ class TransmissionReader:
             raise _DroppedError(f"<type> is empty{' (a comment before its text hides it)' if kind.content else ''}")
         joints = tuple(self._children(element, "joint", "a", self._joint))
         actuators = tuple(self._children(element, "actuator", "an", self._actuator))
-        return TransmissionInfo(name, kind.first_text, joints, actuators, element.line, element.file)
+        return TransmissionInfo(name, kind.first_text, joints, actuators, element.line, element.file, self.is_real)
 
     def _children(
         self, element: Element, tag: str, article: str, read: Callable[[Element, str, str], Any]
@@ -148,19 +145,47 @@ class TransmissionReader:
     def _actuator(self, child: Element, name: str, place: str) -> TransmissionActuator:
         self.report.unknown(child, {"name"}, _ACTUATOR_CHILDREN, place)
         reduction = self._number(child, "mechanicalReduction", place)
-        return TransmissionActuator(name, _interfaces(child), reduction, _role(child))
+        effort, inertia = self._max_effort(child, place), self._rotor_inertia(child, place)
+        return TransmissionActuator(name, _interfaces(child), reduction, _role(child), effort, inertia)
+
+    def _max_effort(self, actuator: Element, place: str) -> float:
+        limit = self._if_real(actuator, "limit", place)
+        if limit is None:
+            return math.inf
+        self.report.unknown(limit, {"effort"}, (), f"{place}/<limit>")
+        return element_values.not_negative(limit, "effort", place)
+
+    def _rotor_inertia(self, actuator: Element, place: str) -> float:
+        """As the text of `<rotorInertia>`, or as Drake reads it of URDF."""
+        text = self._if_real(actuator, "rotorInertia", place)
+        drake = self._if_real(actuator, "drake:rotor_inertia", place)
+        if text is None:
+            return 0.0 if drake is None else element_values.not_negative(drake, "value", place)
+        value = element_values.parse_number(text.first_text, text, f"{place}/<rotorInertia>")
+        if value < 0:
+            raise text.error(f"{place}/<rotorInertia> is {value:g}; it must not be negative")
+        return value
+
+    def _if_real(self, child: Element, tag: str, place: str) -> Element | None:
+        found = self.report.only(child, tag)
+        if found is None or self.is_real:
+            return found
+        self.report.ignored(found, _IF_REAL, f"{place}/<{tag}>")
+        return None
 
     def _number(self, child: Element, tag: str, place: str) -> float | None:
-        """An optional number that changes nothing in simulation: reported when it says anything but "none"."""
+        """An optional number. Unless transmissions are real it changes nothing: reported when it says anything."""
         found = self.report.only(child, tag)
         if found is None:
             return None
         try:
             value = element_values.parse_number(found.first_text, found, f"<{tag}>")
         except BadFile as error:
+            if self.is_real:
+                raise
             self.report.wrong(found, error.reason, f"{place}/<{tag}>")
             return None
-        if value != (0.0 if tag == "offset" else 1.0):
+        if not self.is_real and value != (0.0 if tag == "offset" else 1.0):
             text = f"{value:g} has no effect: simulated hardware commands and measures the joint itself"
             self.report.ignored(found, text, f"{place}/<{tag}>")
         return value
@@ -168,20 +193,14 @@ class TransmissionReader:
     def _check_simulated(self, element: Element, info: TransmissionInfo) -> None:
         """What gazebo_ros_control makes of a transmission of one joint that its parser has accepted."""
         (joint,) = info.joints
-        place = f"transmission {element.attributes['name']!r}"
-        child = next(child for child in element.find_all("joint") if child.attributes["name"].strip() == joint.name)
-        on_paper = self.joints.get(joint.name)
+        on_paper = self._on_paper(element, joint)
         if on_paper is None:
-            if self.knows_all:
-                raise element_values.unknown(child, place, "joint", joint.name, self.joints)
             return
-        if on_paper.type in ("fixed", "floating", "planar"):
-            raise child.error(f"{place}: joint {joint.name!r} is {on_paper.type} and cannot be driven")
         first = joint.hardware_interfaces[0]
         before, counts = self.driven.setdefault(joint.name, (element, first))
         if before is not element:
             text = f"joint {joint.name!r} is driven by {before.title} already (line {before.line})"
-            if not is_same_interface(counts, first):
+            if interfaces.bare(counts) != interfaces.bare(first):
                 text = f"{text}, by {counts}: this one is dropped, and no controller finds its interface"
             self.report.wrong(element, text)
         if info.type.rpartition("/")[2] != "SimpleTransmission":
@@ -197,6 +216,28 @@ class TransmissionReader:
                 text = f"the {what} limit of joint {joint.name!r} is 0, which is a limit: it cannot be driven"
                 self.report.wrong(element, text)
 
+    def _on_paper(self, element: Element, joint: TransmissionJoint) -> Joint | None:
+        """The joint of the robot; None: it could not be read. Raises BadFile: it is not there, or cannot move."""
+        place = f"transmission {element.attributes['name']!r}"
+        child = next(child for child in element.find_all("joint") if child.attributes["name"].strip() == joint.name)
+        on_paper = self.joints.get(joint.name)
+        if on_paper is None and self.knows_all:
+            raise element_values.unknown(child, place, "joint", joint.name, self.joints)
+        if on_paper is not None and on_paper.type in ("fixed", "floating", "planar"):
+            raise child.error(f"{place}: joint {joint.name!r} is {on_paper.type} and cannot be driven")
+        return on_paper
+
+    def _check_real(self, element: Element, joint: TransmissionJoint) -> None:
+        """What can be said of a joint of a real transmission without its maths."""
+        self._on_paper(element, joint)
+        first, _ = self.driven.setdefault(joint.name, (element, ""))
+        if first is not element:
+            raise element.error(f"joint {joint.name!r} is driven by {first.title} already (line {first.line})")
+        for written in joint.hardware_interfaces:
+            if interfaces.find(written) is None:
+                text = f"{written} is no interface of simulated joints and is skipped; known: {interfaces.KNOWN}"
+                self.report.wrong(element, text)
+
     def _check_interface(self, element: Element, joint: TransmissionJoint) -> None:
         place = f'{element.title}/<joint name="{joint.name}">'
         # The tags of the one joint that was not skipped.
@@ -206,11 +247,12 @@ class TransmissionReader:
         first = joint.hardware_interfaces[0]
         for other in others:
             self.report.ignored(other, f"of several hardware interfaces only the first counts, {first}", place)
-        if not is_simulated(first):
-            text = f"{first} is no interface of simulated joints; known: {', '.join(SIMULATED_INTERFACES)}"
+        interface = interfaces.find(first)
+        if interface is None:
+            text = f"{first} is no interface of simulated joints; known: {interfaces.KNOWN}"
             self.report.wrong(written, text, place)
-        elif first != _prefixed(first):
-            self.report.converted(written, f"{first} is read as {_prefixed(first)}", place)
+        elif first != interface.written:
+            self.report.converted(written, f"{first} is read as {interface.written}", place)
 
 
 def _interfaces(element: Element) -> tuple[str, ...]:

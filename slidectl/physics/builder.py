@@ -16,7 +16,8 @@ from typing import Any, ClassVar, Protocol
 import mujoco
 import numpy as np
 
-from slidectl.control.hardware_interface import EffortJointInterface, command_interface
+from slidectl.control.transmission_interface import LoadedTransmission, load
+from slidectl.description import interfaces
 from slidectl.description.inertia import LEAST, can_move, is_mass, why_impossible
 from slidectl.description.parser import TOO_DEEP, too_deep
 from slidectl.description.rigid_bodies import lumped, rigid_bodies
@@ -32,9 +33,10 @@ from slidectl.description.robot import (
     Shape,
     Sphere,
     Surface,
+    TransmissionInfo,
 )
 from slidectl.description.transmissions import driving
-from slidectl.errors import SlidectlError
+from slidectl.errors import Refused, SlidectlError
 from slidectl.physics.hulls import Hull, Hulls, source_of
 from slidectl.physics.rotation import perpendicular, unit, wxyz
 from slidectl.physics.touching import ORDINARY, self_colliding
@@ -110,6 +112,12 @@ class BadJoint(BadPart):
     """A joint that cannot be simulated."""
 
     kind = "joint"
+
+
+class BadTransmission(BadPart, Refused):
+    """A transmission that simulated hardware cannot do."""
+
+    kind = "transmission"
 
 
 @dataclass(slots=True)
@@ -383,11 +391,14 @@ class RobotBuilder:
         self._self_colliding = self_colliding(robot)
         self.hulls = hulls
         self._motors = {
-            transmission.joints[0].name
-            for transmission in driving(robot.transmissions)
-            if command_interface(transmission.joints[0].hardware_interfaces[0]) is not EffortJointInterface
+            joint.name
+            for _, joint in driving(robot.transmissions)
+            for written in joint.hardware_interfaces
+            if interfaces.find(written) is not interfaces.EFFORT
         }
         """Joints that may get one."""
+        self._made: dict[str, Any] = {}
+        """What the joints with one position have become."""
 
     def build(self, pose: Pose) -> None:
         """Add everything, the root at `pose`: welded there when the root link is called `world`, free otherwise.
@@ -404,6 +415,9 @@ class RobotBuilder:
         check_moving_masses(self.robot, self.name)
         for joint in self.robot.joints.values():
             self._mimic(joint)
+        for transmission in self.robot.transmissions:
+            if transmission.is_real:
+                self._rotors(transmission)
 
     def _named(self, part: str) -> str:
         return f"{self.name}/{part}"
@@ -439,6 +453,7 @@ class RobotBuilder:
 
     def _scalar(self, body: Any, joint: Joint) -> None:
         made = body.add_joint(name=self._named(joint.name), type=SCALAR_TYPES[joint.type], axis=self._axis(joint))
+        self._made[joint.name] = made
         self._resist(made, joint)
         limits = range_of(joint)
         made.limited = limits is not None
@@ -486,6 +501,35 @@ class RobotBuilder:
         tie.objtype = mujoco.mjtObj.mjOBJ_JOINT
         tie.name1, tie.name2 = self._named(joint.name), self._named(leader.name)
         tie.data[:5] = [joint.mimic.offset, joint.mimic.multiplier, 0.0, 0.0, 0.0]
+
+    def _rotors(self, info: TransmissionInfo) -> None:
+        """The inertia of the actuators' rotors, as the joints feel it: reduction squared times that of the rotor.
+
+        Where two joints share rotors it couples them, which a tendon does for each rotor that has the rotor's velocity.
+        """
+        transmission = loaded(self.robot, self.name, info)
+        if any(joint.name not in self._made for joint in transmission.joints):
+            return  # the hardware says which joint is not there
+        made = [self._made[joint.name] for joint in transmission.joints]
+        felt = transmission.rotor_inertia
+        if len(made) == 1 or felt[0][1] == 0.0:
+            for at, joint in enumerate(made):
+                joint.armature += felt[at][at]
+            return
+        for at, actuator in enumerate(transmission.actuators):
+            if actuator.rotor_inertia:
+                rotor = self.spec.add_tendon(name=f"{self.name}//{len(self.spec.tendons)}")
+                rotor.armature = actuator.rotor_inertia
+                for joint, ratios in zip(made, transmission.ratios, strict=True):
+                    rotor.wrap_joint(joint.name, ratios[at])
+
+
+def loaded(robot: Robot, name: str, info: TransmissionInfo) -> LoadedTransmission:
+    """What the loaders of ros_control make of a transmission. Raises BadTransmission, with the reason of theirs."""
+    try:
+        return load(info, robot)
+    except SlidectlError as error:
+        raise BadTransmission(name, info, error.message, error.hint) from None
 
 
 def set_damping(made: Any, damping: float) -> None:

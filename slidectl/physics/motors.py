@@ -71,11 +71,21 @@ class Motors:
         """True when no joint has a motor."""
         return not self._bounds
 
-    def add(self, body: Body, most_efforts: dict[str, float]) -> None:
-        """Hold these joints from now on. A motor without any effort is none. `bind` is to follow."""
+    def has(self, body: Body) -> bool:
+        """Whether the robot has any."""
+        return body in self._bounds
+
+    def put_of(self, body: Body, most_efforts: dict[str, float]) -> None:
+        """Hold these joints of the robot from now on. A motor without any effort is none. `bind` is to follow."""
+        self._bounds.pop(body, None)
         bounds = {joint: min(effort, UNBOUNDED) for joint, effort in most_efforts.items() if effort > 0.0}
         if bounds:
             self._bounds[body] = bounds
+
+    def release(self, model: Any) -> None:
+        """Let the solver hold no joint of this model. `bind` is to follow."""
+        model.dof_frictionloss[self._dofs] = 0.0
+        model.dof_invweight0[self._dofs] = self._weights
 
     def drop(self, body: Body) -> None:
         """The robot leaves; its places are those that it had. `bind` is to follow, with a model without it."""

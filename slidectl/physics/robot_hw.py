@@ -7,24 +7,23 @@ robot. `read` and `write` are the hot path: plain tuples and memoryviews, nothin
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from slidectl.control.angular_distance import distance_with_limits, shortest_angular_distance, unwrapped
 from slidectl.control.hardware_interface import (
     COMMAND_INTERFACES,
+    ControllerInfo,
     D,
-    EffortJointInterface,
     ForceTorqueSensorInterface,
     ImuSensorInterface,
-    JointCommandInterface,
+    JointCommands,
     JointHandle,
     JointStateInterface,
-    PositionJointInterface,
+    PosVelJointHandle,
     RobotHW,
     SensorHandle,
-    command_interface,
 )
 from slidectl.control.laws import Columns, law
 from slidectl.control.limits import (
@@ -37,18 +36,21 @@ from slidectl.control.limits import (
     limits_from_joint,
     limits_from_parameters,
     soft_limits_from_joint,
+    soft_limits_from_parameters,
 )
 from slidectl.control.node_handle import NodeHandle
 from slidectl.control.params import BadParameter
-from slidectl.control.pid import Pid, next_command
+from slidectl.control.pid import Pid, next_command, next_command_from
 from slidectl.control.reconfigurable_pid import ReconfigurablePid
+from slidectl.description import interfaces
 from slidectl.description.robot import ForceTorque, Imu, Joint, Robot, Sensor, TransmissionInfo, TransmissionJoint
-from slidectl.description.transmissions import SIMULATED_INTERFACES, driving
+from slidectl.description.transmissions import driving
 from slidectl.errors import Refused, SlidectlError, listing
 from slidectl.physics import sensing
 from slidectl.physics.body import Body, JointPlace
-from slidectl.physics.builder import BadPart
+from slidectl.physics.builder import BadTransmission
 from slidectl.physics.loads import EffortTruncation, truncated
+from slidectl.physics.real_transmissions import ActuatorState, RealTransmission
 from slidectl.physics.world import World
 
 S = TypeVar("S", bound=Sensor)
@@ -58,19 +60,13 @@ INITIAL_EFFORT = 1.0
 """What a handle holds before the first read, as in DefaultRobotHWSim; angles are unwrapped from there."""
 
 
-class BadTransmission(BadPart, Refused):
-    """A transmission that simulated hardware cannot do."""
-
-    kind = "transmission"
-
-
 class UnsupportedInterface(BadTransmission):
     """A transmission asks for an interface that simulated hardware has not."""
 
     def __init__(self, robot: str, transmission: TransmissionInfo, joint: TransmissionJoint) -> None:
         asked = joint.hardware_interfaces[0]
         trouble = f"joint {joint.name!r} asks for {asked!r}, which simulated hardware has not"
-        super().__init__(robot, transmission, trouble, f"it has: {', '.join(SIMULATED_INTERFACES)}")
+        super().__init__(robot, transmission, trouble, f"it has: {interfaces.KNOWN}")
 
 
 class MissingJoint(BadTransmission):
@@ -94,13 +90,14 @@ class Bounds:
 class HardwareJoint:
     """A driven joint: where it is in the world, its handle, the interface it takes commands by, and its bounds."""
 
-    __slots__ = ("bounds", "handle", "interface", "joint", "limit", "name")
+    __slots__ = ("bounds", "handle", "interface", "joint", "limit", "name", "quantity")
 
-    def __init__(self, joint: Joint, interface: type[JointCommandInterface]) -> None:
+    def __init__(self, joint: Joint, interface: type[JointCommands[Any]]) -> None:
         self.name = joint.name
         self.joint = joint
         self.interface = interface
-        self.handle = JointHandle(joint.name)
+        self.quantity = interface.declared.quantity
+        self.handle = interface.handle_type(joint.name)
         self.bounds = Bounds()
         self.limit: LimitHandle | None = None
         self.reset()
@@ -108,9 +105,26 @@ class HardwareJoint:
     def reset(self) -> None:
         """As on the first day."""
         handle = self.handle
-        handle.position, handle.velocity, handle.effort, handle.command = INITIAL_POSITION, 0.0, INITIAL_EFFORT, 0.0
+        handle.position, handle.velocity, handle.effort = INITIAL_POSITION, 0.0, INITIAL_EFFORT
+        self.command(0.0)
         if self.limit is not None:
             self.limit.reset()
+
+    def command(self, command: float) -> None:
+        """This command, and none of velocity or acceleration beside it."""
+        self.handle.command = command
+        for beside in self.interface.declared.beside:
+            setattr(self.handle, beside, 0.0)
+
+    def rest(self) -> None:
+        """Begin with the command that moves the joint least."""
+        self.command(self.resting_command())
+        if self.limit is not None:
+            self.limit.reset()
+
+    def resting_command(self) -> float:
+        """The command that moves the joint least: its position, or no velocity, or no effort."""
+        return self.handle.position if self.quantity == "position" else 0.0
 
     def register_limits(self, node: NodeHandle) -> None:
         """Take limits from `<limit>`, then from the parameters `joint_limits/<joint>`, which win field by field.
@@ -128,34 +142,39 @@ class HardwareJoint:
             self.bounds.lower, self.bounds.upper = limits.min_position, limits.max_position
         if limits.has_effort_limits:
             self.bounds.effort = limits.max_effort
-        soft = soft_limits_from_joint(self.joint)
+        soft = soft_limits_from_parameters(node, self.name) or soft_limits_from_joint(self.joint)
         self.limit = limit_handle(self.interface, self.handle, limits, soft)
         self.handle.lowest, self.handle.highest = self.limit.command_bounds()
-        if self.interface is EffortJointInterface:  # Gazebo cuts by the URDF, whatever the parameters say
+        if self.quantity == "effort":  # Gazebo cuts by the URDF, whatever the parameters say
             most = EffortTruncation.of(self.joint).effort
             self.handle.lowest, self.handle.highest = max(self.handle.lowest, -most), min(self.handle.highest, most)
 
 
 def hardware_joints(body: Body) -> list[HardwareJoint]:
-    """The joints that the transmissions drive, in the order of the file; those with several joints are passed over.
+    """What the transmissions drive, in the order of the file, see `driving`: one for each joint and interface.
 
-    Of several interfaces of a joint the first counts, with or without its prefix.
+    Of several interfaces of a joint the first counts, with or without its prefix; of a real transmission all of those
+    that simulated hardware has, one at a time.
 
     Raises:
         UnsupportedInterface, MissingJoint.
     """
-    found = driving(body.robot.transmissions)
-    return [_hardware_joint(body, transmission, transmission.joints[0]) for transmission in found]
+    return [
+        joint
+        for transmission, driven in driving(body.robot.transmissions)
+        for joint in _by_interface(body, transmission, driven)
+    ]
 
 
-def _hardware_joint(body: Body, transmission: TransmissionInfo, driven: TransmissionJoint) -> HardwareJoint:
-    interface = command_interface(driven.hardware_interfaces[0])
-    if interface is None:
+def _by_interface(body: Body, transmission: TransmissionInfo, driven: TransmissionJoint) -> list[HardwareJoint]:
+    found = [interface for interface in map(interfaces.find, driven.hardware_interfaces) if interface is not None]
+    if not found:
         raise UnsupportedInterface(body.name, transmission, driven)
     try:
-        return HardwareJoint(body.place(driven.name).joint, interface)
+        joint = body.place(driven.name).joint
     except SlidectlError as error:
         raise MissingJoint(body, transmission, driven.name) from error
+    return [HardwareJoint(joint, COMMAND_INTERFACES[interface]) for interface in dict.fromkeys(found)]
 
 
 GAINS = "gazebo_ros_control/pid_gains"
@@ -238,7 +257,14 @@ class Drive:
             self._push(0.0 if stopped else self.handle.command)
         else:
             error = -self.handle.velocity if stopped and self.kind == VELOCITY else drive_error(self, self.handle)
-            self._push(bounded(self.pid.compute_command(error, period_s), -self.limit, self.limit))
+            self._push(bounded(self._pid_effort(self.pid, error, period_s), -self.limit, self.limit))
+
+    def _pid_effort(self, pid: Pid, error: float, period_s: float) -> float:
+        return pid.compute_command(error, period_s)
+
+    def _velocity(self, position: float, step_s: float) -> float:
+        """What a motor is to reach in the step; nan to set the joint instead."""
+        return motor_velocity(self, self.handle, position, step_s)
 
     def _push(self, effort: float) -> None:
         """Gazebo's SetForce: cut by the joint's limits; several in one step add up."""
@@ -247,7 +273,7 @@ class Drive:
 
     def _ask_motor(self, stopped: bool) -> None:
         views = self._world.views
-        velocity = motor_velocity(self, self.handle, views.qpos[self._qpos], self._world.timestep)
+        velocity = self._velocity(views.qpos[self._qpos], self._world.timestep)
         if stopped and self.kind == VELOCITY_MOTOR:
             velocity = 0.0
         if math.isnan(velocity):
@@ -255,17 +281,42 @@ class Drive:
         views.velocities[self._dof] = velocity
 
 
+class FeedForwardDrive(Drive):
+    """Of commands of a position with its velocity and acceleration: what the joint is to have at the start of the step.
+
+    A motor brings the joint where these lead by the end of the step, within its limits. How fast it may move is said by
+    its velocity limit, without one by the command. With gains the error of the velocity takes the place of the
+    derivative of the error; the acceleration has no effect then, as nobody knows the inertia.
+    """
+
+    handle: PosVelJointHandle
+
+    def _pid_effort(self, pid: Pid, error: float, period_s: float) -> float:
+        effort = next_command_from(pid, error, self.handle.command_velocity - self.handle.velocity, period_s)
+        pid.tell(error, period_s)
+        return effort
+
+    def _velocity(self, position: float, step_s: float) -> float:
+        acceleration = getattr(self.handle, "command_acceleration", 0.0)
+        fastest = self.joint.limit.max_velocity if self.joint.limit is not None else LARGEST
+        ahead = bounded(self.handle.command_velocity + acceleration * step_s / 2.0, -fastest, fastest)
+        velocity = (bounded(self.handle.command + ahead * step_s, self.lower, self.upper) - position) / step_s
+        most = self.fastest if self.fastest >= 0.0 else 2.0 * abs(ahead)
+        return velocity if abs(velocity) <= most else math.nan
+
+
 _POSITION_KINDS = {"revolute": REVOLVING, "continuous": TURNING}
 
 
 def drive_for(joint: HardwareJoint, node: NodeHandle) -> Drive:
     """The drive of a joint's interface: with a PID where `gazebo_ros_control/pid_gains/<joint>/p` is a number."""
-    if joint.interface is EffortJointInterface:
+    if joint.quantity == "effort":
         return Drive(joint, EFFORT)
     pid = _pid_of(joint, node)
-    if joint.interface is PositionJointInterface:
-        return Drive(joint, POSITION_MOTOR if pid is None else _POSITION_KINDS.get(joint.joint.type, LENGTH), pid)
-    return Drive(joint, VELOCITY_MOTOR if pid is None else VELOCITY, pid)
+    if joint.quantity == "velocity":
+        return Drive(joint, VELOCITY_MOTOR if pid is None else VELOCITY, pid)
+    drive = FeedForwardDrive if joint.interface.declared.beside else Drive
+    return drive(joint, POSITION_MOTOR if pid is None else _POSITION_KINDS.get(joint.joint.type, LENGTH), pid)
 
 
 def _pid_of(joint: HardwareJoint, node: NodeHandle) -> Pid | None:
@@ -302,7 +353,7 @@ class DrivenJoint(NamedTuple):
 
 
 class MujocoRobotHW(RobotHW):
-    """Joint states, and effort, position and velocity commands of the joints that have a transmission.
+    """Joint states, and commands of the joints that have a transmission, by the interfaces that these ask for.
 
     All interfaces exist always, even empty. `node` is the robot's: limits are looked for at
     `joint_limits/<joint>` and gains at `gazebo_ros_control/pid_gains/<joint>` in it.
@@ -318,18 +369,53 @@ class MujocoRobotHW(RobotHW):
         self._loads = world.loads
         self._body = body
         self._places: dict[str, JointPlace] = {}
-        self._joints = hardware_joints(body)
+        self._offered = hardware_joints(body)
+        first = {joint.name: joint for joint in reversed(self._offered)}
+        are_real = any(transmission.is_real for transmission in robot.transmissions)
+        self._joints = [joint for joint in self._offered if not are_real or first[joint.name] is joint]
+        """Those that are driven now: by one interface at a time."""
         node = node if node.namespace == namespace else node.child(namespace)
         self._register(node)
-        self._enforce = tuple(limit.enforce for limit in self.limits())
+        self._transmissions = tuple(RealTransmission(body, info) for info in robot.transmissions if info.is_real)
+        self._limited = tuple(transmission for transmission in self._transmissions if transmission.is_limited)
+        self._most = {joint: gears.most_effort(joint) for gears in self._limited for joint in gears.joints}
+        self._drive_of = {joint: drive_for(joint, node) for joint in self._offered if not self._is_pushed(joint)}
         self._held: list[float] | None = None
-        self._drives = tuple(drive_for(joint, node) for joint in self._joints if not self._is_pushed(joint))
-        motors = {drive.joint.name: effort for drive in self._drives if (effort := drive.most_effort) is not None}
-        if motors:
-            world.add_motors(body, motors)
-        self.estop = False
-        self._bind()
+        self._estop = False
+        self._engage()
         body.on_rebound(self._bind)
+        self.init(node)
+
+    def init(self, node: NodeHandle) -> None:
+        """For classes of users: once, when the robot is spawned, with its namespace. Parameters, topics, interfaces."""
+
+    def joint_state(self, joint: str) -> tuple[float, float, float]:
+        """Position, velocity and effort of the last step of any joint that moves. Raises UnknownName."""
+        return self._world.joint_state(self._body.name, joint)
+
+    def joint_effort(self, joint: str) -> float:
+        """The effort of the hardware on a joint in the coming step. Raises UnknownName."""
+        return self._world.views.forces[self._body.place(joint).dof]
+
+    def set_joint_effort(self, joint: str, effort: float) -> None:
+        """Another effort, after `write`; on a joint without transmission it stays. Raises UnknownName."""
+        self._world.views.forces[self._body.place(joint).dof] = effort
+
+    def _engage(self) -> None:
+        """Drive the joints by the interfaces that count now."""
+        self._enforce = tuple(limit.enforce for limit in self.limits())
+        self._drives = tuple(self._drive_of[joint] for joint in self._joints if not self._is_pushed(joint))
+        motors = {drive.joint.name: most for drive in self._drives if (most := self._most_of(drive)) is not None}
+        if motors or self._world.has_motors(self._body):
+            self._world.set_motors(self._body, motors)
+        self.estop = self._estop
+        self._places = {}
+        self._bind()
+
+    def _most_of(self, drive: Drive) -> float | None:
+        """The largest effort of a drive's motor; None when it has none. Positions are held by whatever it takes."""
+        most = drive.most_effort
+        return min(most or 0.0, self._most.get(drive.joint.name, math.inf)) if drive.kind == VELOCITY_MOTOR else most
 
     # -- the cycle -------------------------------------------------------------------------------------------------
 
@@ -371,9 +457,44 @@ class MujocoRobotHW(RobotHW):
     @estop.setter
     def estop(self, stopped: bool) -> None:
         self._estop = stopped
-        self._is_special = stopped or bool(self._drives)
+        self._is_special = stopped or bool(self._drives) or bool(self._limited)
         if not stopped:
             self._held = None
+
+    @property
+    def has_compiled_form(self) -> bool:
+        """False for what the interpreter alone does: joints of several interfaces, and actuators with limits."""
+        return len(self._offered) == len(self._joints) and not self._limited
+
+    def do_switch(self, start: Sequence[ControllerInfo], stop: Sequence[ControllerInfo]) -> None:  # noqa: ARG002
+        """Drive joints of several interfaces by those that the controllers claim, from where they are."""
+        claims = {
+            (of.hardware_interface, name) for one in start for of in one.claimed_resources for name in of.resources
+        }
+        claimed = [joint for joint in self._offered if (joint.interface.type_name, joint.name) in claims]
+        new = [joint for joint in claimed if joint not in self._joints]
+        if not new:
+            return
+        names = {joint.name for joint in new}
+        self._joints = [
+            joint for joint in self._offered if joint in new or (joint in self._joints and joint.name not in names)
+        ]
+        for joint in new:
+            joint.rest()
+            drive = self._drive_of.get(joint)
+            if drive is not None and drive.pid is not None:
+                drive.pid.reset()
+        self._held = None
+        self._engage()
+
+    def interfaces(self) -> dict[str, str]:
+        """By which interface each joint takes commands now."""
+        return {joint.name: joint.interface.declared.written for joint in self._joints}
+
+    def actuator_states(self) -> list[ActuatorState]:
+        """The actuators of all real transmissions, as the joints were read last."""
+        handles = {joint.name: joint.handle for joint in self._joints}
+        return [state for transmission in self._transmissions for state in transmission.states(handles)]
 
     @property
     def drives(self) -> tuple[Drive, ...]:
@@ -405,29 +526,30 @@ class MujocoRobotHW(RobotHW):
             joint = next((one for one in self._joints if (one.interface.type_name, one.name) == (kind, name)), None)
             if joint is None:
                 continue  # another interface of the joint is the one that drives
-            if hold and joint.interface is EffortJointInterface:
+            if hold and joint.quantity == "effort":
                 raise Refused(
                     f"{name} is commanded by its effort, and without a controller no effort holds it where it is",
                     "leave a controller of positions running, or let the joint go: --zero",
                 )
-            if not hold and joint.interface is PositionJointInterface:
+            if not hold and joint.quantity == "position":
                 raise Refused(
                     f"{name} is commanded by its position: zero would move it to 0",
                     "it holds its last command by itself; --hold lets it stay where it is",
                 )
-            commands[kind, name] = joint.handle.position if joint.interface is PositionJointInterface else 0.0
+            commands[kind, name] = joint.resting_command()
         return commands
 
     def command(self, commands: Mapping[tuple[str, str], float]) -> None:
         """Set commands, by interface and joint, that stay until a controller writes others."""
         for joint in self._joints:
-            joint.handle.command = commands.get((joint.interface.type_name, joint.name), joint.handle.command)
+            if (claim := (joint.interface.type_name, joint.name)) in commands:
+                joint.command(commands[claim])
 
     def reset(self) -> None:
         """After the world was reset: angles unwrapped anew, commands 0, limits and gains without a past."""
-        for joint in self._joints:
+        for joint in self._offered:
             joint.reset()
-        for drive in self._drives:
+        for drive in self._drive_of.values():
             if drive.pid is not None:
                 drive.pid.reset()
         self._held = None
@@ -435,8 +557,8 @@ class MujocoRobotHW(RobotHW):
 
     def _register(self, node: NodeHandle) -> None:
         states = JointStateInterface()
-        commands = {kind: kind() for kind in COMMAND_INTERFACES}
-        for joint in self._joints:
+        commands = {kind: kind() for kind in COMMAND_INTERFACES.values()}
+        for joint in self._offered:
             states.register_handle(joint.handle)
             commands[joint.interface].register_handle(joint.handle)
             joint.register_limits(node)
@@ -457,8 +579,8 @@ class MujocoRobotHW(RobotHW):
 
     def _is_pushed(self, joint: HardwareJoint) -> bool:
         """Effort joints, except those that several transmissions drive: their efforts add up."""
-        alone = sum(other.name == joint.name for other in self._joints) == 1
-        return alone and joint.interface is EffortJointInterface
+        alone = joint not in self._joints or sum(other.name == joint.name for other in self._joints) == 1
+        return alone and joint.quantity == "effort"
 
     def _bind(self) -> None:
         """The model was rebuilt: look at its new data, and find the joints if they have moved."""
@@ -474,11 +596,13 @@ class MujocoRobotHW(RobotHW):
         sliding: list[_Measured] = []
         turning: list[_Measured] = []
         pushed: list[_Pushed] = []
-        for joint in self._joints:
+        for transmission in self._transmissions:
+            transmission.bind(self._body)
+        for joint in self._offered:
             place = self._body.place(joint.name)
             group = sliding if joint.joint.type == "prismatic" else turning
             group.append((joint.handle, place.qpos, place.dof))
-            if self._is_pushed(joint):
+            if joint in self._joints and self._is_pushed(joint):
                 bounds = EffortTruncation.of(joint.joint)
                 pushed.append((joint.handle, place.dof, bounds.effort, bounds.velocity))
         self._sliding, self._turning, self._pushed = tuple(sliding), tuple(turning), tuple(pushed)
@@ -492,11 +616,13 @@ class MujocoRobotHW(RobotHW):
             self._forces[dof] = 0.0
         for drive in self._drives:
             drive.apply(period_s, self._estop)
+        for transmission in self._limited:
+            transmission.bound(self._forces)
 
     def _mind_estop(self) -> None:
         """While stopped, position commands are the positions that were read when it began."""
         if self._estop and self._held is None:
             self._held = [joint.handle.position for joint in self._joints]
         for joint, position in zip(self._joints, self._held or (), strict=False):
-            if joint.interface is PositionJointInterface:
-                joint.handle.command = position
+            if joint.quantity == "position":
+                joint.command(position)

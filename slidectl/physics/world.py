@@ -473,12 +473,18 @@ class World:
         self.loads.keep(lambda _: False)
         self._loads_changed()
 
-    def add_motors(self, body: Body, most_efforts: dict[str, float]) -> None:
-        """Hold joints by motors, each with at most this effort (N or N·m), as long as the robot is in the world.
+    def has_motors(self, body: Body) -> bool:
+        """Whether joints of the robot are held by motors."""
+        return self.loads.motors.has(body)
+
+    def set_motors(self, body: Body, most_efforts: dict[str, float]) -> None:
+        """Hold these joints and no others by motors, each with at most this effort (N or N·m), until the robot goes.
 
         `loads.motors.velocities` has what they are to reach.
         """
-        self.loads.motors.add(body, most_efforts)
+        self.loads.motors.release(self.model)
+        self.loads.efforts[body.dofs] = 0.0
+        self.loads.motors.put_of(body, most_efforts)
         self._bind_loads()
         self._announce()
 

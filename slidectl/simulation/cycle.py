@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 
 from slidectl.control.duration import to_seconds
 from slidectl.control.laws import law
+from slidectl.control.user_classes import failed, is_of_a_user
+from slidectl.errors import SlidectlError
 
 if TYPE_CHECKING:
     from slidectl.control.controller_manager import ControllerManager
@@ -49,6 +51,24 @@ def begin_to_write(cycle: ControlCycle, time_ns: int) -> float:
     return cycle.write_period_s
 
 
+class HardwareFailed(SlidectlError):
+    """Hardware that a user wrote has failed in a cycle."""
+
+
+def guarded(hardware: RobotHW, hook: Callable[[int, float], None]) -> Callable[[int, float], None]:
+    """The hook; that of a user's class raises HardwareFailed, with file and line, whatever it raises."""
+    if not is_of_a_user(type(hardware)):
+        return hook
+
+    def call(time_ns: int, period_s: float) -> None:
+        try:
+            hook(time_ns, period_s)
+        except Exception as failure:
+            raise HardwareFailed(failed(f"{type(hardware).__name__}.{hook.__name__}", failure).message) from failure
+
+    return call
+
+
 class ControlCycle:
     """Calls the hardware and the controller manager of one robot as GazeboRosControlPlugin::Update does.
 
@@ -72,9 +92,9 @@ class ControlCycle:
 
     def __init__(self, hardware: RobotHW, manager: ControllerManager, control_period_ns: int, time_ns: int) -> None:
         """`time_ns` is now: counted from 0, the first period would be the whole time of the world."""
-        self._read = hardware.read
+        self._read = guarded(hardware, hardware.read)
         self._update = manager.update
-        self._write = hardware.write
+        self._write = guarded(hardware, hardware.write)
         self.control_period_ns = control_period_ns
         self.emergency_stop = False
         self._was_stopped = False

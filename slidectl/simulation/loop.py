@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from slidectl.errors import Refused, SlidectlError
 from slidectl.physics import Diverged, EngineError, World
 from slidectl.simulation.compiled.engine import Engine
-from slidectl.simulation.cycle import CHECK_EVERY, PlainRunner, Runner
+from slidectl.simulation.cycle import CHECK_EVERY, HardwareFailed, PlainRunner, Runner
 from slidectl.simulation.graph import WORLD_NODE, Graph
 from slidectl.simulation.pending import Pending
 
@@ -224,7 +224,7 @@ class Loop:
             done = runner.run(count)
             if clock.cycles % CHECK_EVERY == 0:
                 self.world.check()
-        except Diverged as trouble:
+        except (Diverged, HardwareFailed) as trouble:
             return clock.cycles - before, trouble
         except EngineError as trouble:
             return clock.cycles - before, Refused(f"MuJoCo cannot go on: {trouble}")
@@ -232,7 +232,8 @@ class Loop:
 
     def _give_up(self, trouble: SlidectlError) -> None:
         """Hold the world; whoever drives it is told by the log, whoever calls it directly by the error."""
-        self.run.hold(trouble.message, "the simulation diverged")
+        what = "the world cannot go on" if isinstance(trouble, HardwareFailed) else "the simulation diverged"
+        self.run.hold(trouble.message, what)
         self.graph.log("fatal", WORLD_NODE, str(trouble))
         if not self.driven:
             raise trouble

@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING, Any
 import slidectl
 from slidectl import msgs, names
 from slidectl.control.duration import from_seconds
-from slidectl.control.hardware_interface import EffortJointInterface, PositionJointInterface, VelocityJointInterface
 from slidectl.control.node_handle import Message
+from slidectl.description import interfaces
 from slidectl.description.robot import Joint
-from slidectl.description.transmissions import driving
 from slidectl.errors import Refused, SlidectlError, UnknownName, Unused, UsageError, closest, listing
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.rosapi import absolute, from_json, typedefs
@@ -30,11 +29,7 @@ LONGEST_S = 1e9
 _KINDS = ("topic", "service", "parameter", "node", "robot")
 _MOST_COMPARED = 8
 """Ways to cut a name from a field that are compared with known names for a suggestion, which takes milliseconds."""
-_QUANTITIES = {
-    EffortJointInterface.type_name: "an effort of",
-    VelocityJointInterface.type_name: "a velocity of",
-    PositionJointInterface.type_name: "the position",
-}
+_PHRASES = {interface.type_name: interface.phrase for interface in interfaces.ALL}
 
 Claim = tuple[str, str]
 """An interface and a joint."""
@@ -260,9 +255,7 @@ class OwnServices:
     def _robot_info(self, robot: SpawnedRobot) -> Message:
         """slidectl/RobotInfo."""
         paper = robot.paper
-        driven = [transmission.joints[0] for transmission in driving(paper.transmissions)]
-        # A joint is commanded through the first of its interfaces, as the hardware reads it.
-        interfaces = {joint.name: joint.hardware_interfaces[0] for joint in driven}
+        commanded = robot.parts.hardware.interfaces() if robot.is_controlled else {}
         position, attitude = self._simulation.world.link_pose(robot.name, paper.root)
         return {
             "name": robot.name,
@@ -270,7 +263,7 @@ class OwnServices:
             "kind": robot.kind,
             "fixed": paper.is_fixed_to_world,
             "links": list(paper.links),
-            "joints": [self._joint_info(robot, joint, interfaces) for joint in paper.joints.values()],
+            "joints": [self._joint_info(robot, joint, commanded) for joint in paper.joints.values()],
             "controllers": list(robot.parts.manager.names()) if robot.is_controlled else [],
             "pose": [*map(float, position), *map(float, attitude)],
             "report": [
@@ -281,7 +274,7 @@ class OwnServices:
             "process_session": robot.caller,
         }
 
-    def _joint_info(self, robot: SpawnedRobot, joint: Joint, interfaces: dict[str, str]) -> Message:
+    def _joint_info(self, robot: SpawnedRobot, joint: Joint, commanded: dict[str, str]) -> Message:
         position: Any = math.nan
         velocity = effort = position
         if joint.type in ("revolute", "continuous", "prismatic"):
@@ -291,7 +284,7 @@ class OwnServices:
         return {
             "name": joint.name,
             "type": joint.type,
-            "hardware_interface": interfaces.get(joint.name, ""),
+            "hardware_interface": commanded.get(joint.name, ""),
             "position": position,
             "velocity": velocity,
             "effort": effort,
@@ -338,7 +331,7 @@ class OwnServices:
         except SlidectlError as error:
             return {"success": False, "message": str(error), "joints": []}
         joints = list(dict.fromkeys(joint for _, joint in commands))
-        text = "; ".join(f"{joint} keeps {_QUANTITIES[kind]} {value:g}" for (kind, joint), value in commands.items())
+        text = "; ".join(f"{joint} keeps {_PHRASES[kind]} {value:g}" for (kind, joint), value in commands.items())
         return {"success": True, "message": text or "no joint is concerned", "joints": joints}
 
     # Controllers of users

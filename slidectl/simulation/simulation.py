@@ -42,7 +42,8 @@ class Simulation:
         ground: whether there is a floor at height 0.
         engine: who runs the cycles: `plain` (the interpreter), `compiled` (machine code; needs numba) or `auto`, which
             is compiled as soon as it can be. The results are the same to the bit.
-        imports: modules with controllers of your own, by dotted name or as files (`FILE.py`), imported first.
+        imports: modules with controllers and hardware of your own, by dotted name or as files (`FILE.py`), imported
+            first.
 
     Callbacks of `subscribe` and of `graph.timers` find what the script holds of a robot (controllers, joint handles) as
     it is in that moment. Who listens in another way, as a node of the graph, takes it from `robots` anew.

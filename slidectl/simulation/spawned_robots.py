@@ -10,14 +10,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from functools import partial
 from typing import NamedTuple
 
 from slidectl import description, names
+from slidectl.control import hardware_types
 from slidectl.control.controller_manager import ControllerManager
 from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message
+from slidectl.control.user_classes import file_of, watched_for
 from slidectl.description import source_note
-from slidectl.description.gazebo_tags import SIM_TYPES
 from slidectl.description.robot import ControlPlugin, Robot
 from slidectl.errors import BadFile, Refused, UnknownName
 from slidectl.physics import EngineError, Overlap, World
@@ -25,12 +27,17 @@ from slidectl.physics.body import Body
 from slidectl.physics.hulls import Hulls
 from slidectl.physics.robot_hw import MujocoRobotHW
 from slidectl.rotations import ORIGIN, Pose
+from slidectl.simulation.clock import SECOND, stamp
 from slidectl.simulation.cycle import ControlCycle
 from slidectl.simulation.graph import GraphNode
 from slidectl.simulation.loop import Loop
 from slidectl.simulation.manager_services import ManagerServices
+from slidectl.simulation.topics import PeriodicTopic
 
 DESCRIPTION = "robot_description"
+TRANSMISSIONS = "gazebo_ros_control/transmissions"
+"""The parameter that says how transmissions count, where the model's plugin does not."""
+ACTUATOR_RATE_HZ = 50
 RESERVED = ("world", "map")
 """What gazebo_ros takes for the world wherever it could be a model: such a robot could not be told from it."""
 STANDING = 0.001
@@ -236,12 +243,17 @@ class Robots:
         urdf, note = source_note.split(xml)
         note = note or self.sources.get(source_note.digest(urdf))
         paper = description.parse(source_note.join(urdf, note))
-        plugin = paper.plugin or ControlPlugin()
-        if plugin.robot_sim_type not in SIM_TYPES:
-            reason = f"<robotSimType> {plugin.robot_sim_type!r} is no simulated hardware; there is {SIM_TYPES[0]}"
-            raise BadFile(reason, DESCRIPTION, plugin.line)
         asked = (names.join("/", namespace).rstrip("/") or "/") if namespace else description.namespace_of(paper, name)
         place = names.check(asked)
+        plugin = paper.plugin or ControlPlugin()
+        how = self._loop.graph.parameters.get(names.join(place, TRANSMISSIONS), None)
+        if plugin.transmissions is None and how is not None:
+            urdf, note = source_note.split(description.with_transmissions(source_note.join(urdf, note), str(how)))
+            paper = description.parse(source_note.join(urdf, note))
+        try:
+            hardware_types.check_known(plugin.robot_sim_type)
+        except UnknownName as error:
+            raise BadFile(error.message, plugin.file or DESCRIPTION, plugin.line, error.hint) from None
         is_controlled = not is_model or paper.plugin is not None or bool(paper.transmissions)
         parsed = ParsedRobot(name, place, paper, urdf, note, self._loop.graph.caller, is_controlled)
         self._check_namespace(parsed)
@@ -281,18 +293,35 @@ class Robots:
     def _bring_up_control(self, robot: SpawnedRobot, undoing: ExitStack) -> None:
         loop, parts, plugin = self._loop, robot.parts, robot.paper.plugin or ControlPlugin()
         _put_description(robot, loop, undoing)
-        parts.hardware = MujocoRobotHW(self._world, robot.body, robot.paper, robot.node, robot.namespace)
+        parts.hardware = self._hardware(robot, plugin.robot_sim_type)
         robot.look()
         parts.manager = ControllerManager(parts.hardware, robot.node)
         period_ns = _control_period(plugin, loop.step_ns, robot)
         parts.cycle = ControlCycle(parts.hardware, parts.manager, period_ns, loop.graph.clock.time_ns)
         robot.services = ManagerServices(parts.manager, robot.node, robot.look, loop)
+        if parts.hardware.actuator_states():
+            topic, period_ns = names.join(robot.namespace, "actuator_states"), SECOND // ACTUATOR_RATE_HZ
+            build = partial(_actuator_states, robot)
+            states = PeriodicTopic(loop.graph, topic, "sensor_msgs/JointState", robot.node.name, period_ns, build)
+            undoing.callback(states.close)
         if plugin.estop_topic is not None:
 
             def take_emergency_stop(message: Message) -> None:
                 robot.emergency_stop = message["data"]
 
             robot.node.subscribe(plugin.estop_topic, "std_msgs/Bool", take_emergency_stop)
+
+    def _hardware(self, robot: SpawnedRobot, sim_type: str) -> MujocoRobotHW:
+        """Raises BadFile: no class of simulated hardware. Refused: a user's class failed. Else as `MujocoRobotHW`."""
+        places = self._world, robot.body, robot.paper, robot.node, robot.namespace
+        cls = hardware_types.find(sim_type)
+        if cls is None:
+            return MujocoRobotHW(*places)
+        if not issubclass(cls, MujocoRobotHW):
+            hint = f"class {cls.__name__}(slidectl.physics.MujocoRobotHW): ..."
+            raise BadFile(f"{sim_type} is not derived from slidectl.physics.MujocoRobotHW", file_of(cls), None, hint)
+        with watched_for("robotSimType", sim_type):
+            return cls(*places)
 
     def delete(self, name: str) -> None:
         """Take all that belongs to the robot out of the world, and stop its controllers. Raises UnknownName.
@@ -370,6 +399,18 @@ def _put_description(robot: SpawnedRobot, loop: Loop, undoing: ExitStack) -> Non
             parameters.delete(name)
 
     undoing.callback(take_back)
+
+
+def _actuator_states(robot: SpawnedRobot) -> Message:
+    """As sensor_msgs/JointState."""
+    states = robot.hardware.actuator_states()
+    return {
+        "header": {"stamp": stamp(robot.node.now_ns()), "frame_id": ""},
+        "name": [state.name for state in states],
+        "position": [state.position for state in states],
+        "velocity": [state.velocity for state in states],
+        "effort": [state.effort for state in states],
+    }
 
 
 def _control_period(plugin: ControlPlugin, step_ns: int, robot: SpawnedRobot) -> int:

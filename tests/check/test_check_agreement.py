@@ -26,6 +26,10 @@ def plugin(*inside: str) -> str:
     return PLUGIN.replace("</plugin>", "".join(inside) + "</plugin>")
 
 
+REAL = plugin("<transmissions>real</transmissions>")
+FIRST = "<hardwareInterface>hardware_interface/EffortJointInterface</hardwareInterface>"
+SECOND = FIRST.replace("Effort", "Velocity")
+
 ODD = {
     "sound": driven_cart(),
     "no plugin": cart(transmission()),
@@ -40,6 +44,14 @@ ODD = {
     "position": cart(transmission(interface="hardware_interface/PositionJointInterface"), PLUGIN, joint=LIMIT + SOFT),
     "hardware type": cart(transmission(), plugin("<robotSimType>gazebo_ros_control/Default</robotSimType>")),
     "short hardware type": cart(transmission(), plugin("<robotSimType>DefaultRobotHWSim</robotSimType>")),
+    "position and velocity": cart(transmission(interface="hardware_interface/PosVelJointInterface"), PLUGIN),
+    "real": cart(transmission(), REAL),
+    "real of no kind": cart(transmission().replace("SimpleT", "SimpelT"), REAL),
+    "real without reduction": cart(transmission().replace("<mechanicalReduction>1</mechanicalReduction>", ""), REAL),
+    "real with several interfaces": cart(transmission().replace(FIRST, f"{SECOND}{FIRST}"), REAL),
+    "real with an unknown interface": cart(transmission(interface="hardware_interface/Effort"), REAL),
+    "real, twice": cart(transmission(), transmission(), REAL),
+    "nearly real": cart(transmission(), REAL.replace("real", "reel")),
     "legacy": cart(transmission(), plugin("<legacyModeNS>true</legacyModeNS>")),
     "misspelt plugin": cart(transmission(), PLUGIN.replace("libgazebo", "gazebo")),
     "misspelt tags": driven_cart('<gazebo reference="cart"><mu>1</mu></gazebo><gazebo reference="crat"/><lnk/>'),

@@ -227,7 +227,7 @@ HARDWARE = [
     ("joint_limits: {slide: {has_velocity_limits: true, max_velocity: 1.0}}", []),
     ("joint_limits: {slide: {max_velocity: 1.0}}", ["max_velocity: has no effect without has_velocity_limits: true"]),
     ("joint_limits: {slide: {has_velocity_limits: true}}", ["has_velocity_limits: true has no effect without max_vel"]),
-    ("joint_limits: {slide: {has_soft_limits: true}}", ["has_soft_limits: simulated hardware takes soft limits from"]),
+    ("joint_limits: {slide: {has_soft_limits: true}}", ["has_soft_limits: true has no effect without soft_lower"]),
     ("joint_limits: {slide: {max_velocty: 1.0}}", ["max_velocty: simulated hardware does not read it; did you mean"]),
     ("joint_limits: {slyde: {max_velocity: 1.0}}", ["slyde: the robot has no joint 'slyde'; did you mean 'slide'?"]),
     ("gazebo_ros_control: {pid_gains: {slide: {p: 1.0}}}", ["slide: joint 'slide' takes efforts"]),

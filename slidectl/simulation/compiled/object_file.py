@@ -27,8 +27,9 @@ from slidectl.control.registry import compiled_forms
 from slidectl.simulation.compiled import guard
 from slidectl.writing import replace
 
-KEPT = {"cycle-*.o": 8, "law-*.o": 64}
-"""How many files stay: those that were used last. Each version of anything that the code is made from has its own."""
+KEPT, KEPT_LAWS = 8, 64
+"""Files of cycles and of users' laws that stay: those that were used last. Each version of anything that the code is
+made from has its own."""
 _SEAL_BYTES = 32
 _SOURCES = (
     "control",
@@ -121,7 +122,7 @@ def tidy() -> None:
     """
     for draft in folder().glob("*.o.*"):
         draft.unlink(missing_ok=True)
-    for pattern, kept in KEPT.items():
+    for pattern, kept in (("cycle-*.o", KEPT), ("law-*.o", KEPT_LAWS)):
         by_use = sorted(folder().glob(pattern), key=lambda path: path.stat().st_mtime, reverse=True)
         for old in by_use[kept:]:
             old.unlink(missing_ok=True)

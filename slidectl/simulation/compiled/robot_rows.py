@@ -134,6 +134,7 @@ class RobotRows:
         controllers = [_compiled(update, self._laws) for update in self.updates]
         is_possible = (
             type(self.parts.hardware) is MujocoRobotHW
+            and self.parts.hardware.has_compiled_form
             and all(_is_compiled(drive) for drive in drives)
             and (not controllers or any(controllers))
         )
@@ -221,8 +222,8 @@ def _show(joints: bytearray, offset: int, handle: Any) -> None:
 
 
 def _is_compiled(drive: Drive) -> bool:
-    """A PID that publishes each step does so in the interpreter."""
-    return drive.pid is None or drive.pid.observer is None
+    """A PID that publishes each step does so in the interpreter; so do drives of several commands."""
+    return type(drive) is Drive and (drive.pid is None or drive.pid.observer is None)
 
 
 class CompiledController:

@@ -215,15 +215,17 @@ class CompiledRunner(Runner):
 
     def _run_turns(self, end: int) -> None:
         """Call the machine code, and take the turns that it leaves to the interpreter, up to the last cycle for now."""
-        progress, code, addresses = self._progress, self._code.run, self._addresses.buffer_info()[0]
+        progress, code = self._progress, self._code.run
         world, clock, timers, topics = self._world, self._graph.clock, self._graph.timers, self._graph.topics
         while True:
             self._allow(end)
-            turn = code(addresses)
+            turn = code(self._addresses.buffer_info()[0])
             clock.time_ns = progress.time_ns
             to_check = turn == turns.DIVERGED
             if turn != turns.DONE and not to_check:
                 self._take_turn(turn)
+                if self._is_new:  # a switch has given a robot other motors
+                    self._find_memory()
                 if world.step is not self._step:  # somebody has begun to push from outside, or to watch the steps
                     self._look_outside()
                 if topics.changes != self._topic_changes:

@@ -1,0 +1,115 @@
+"""Simulated hardware that users write: named by `robotSimType`, and what becomes of its faults."""
+
+from __future__ import annotations
+
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+from engine_scenes import add
+from sim_robots import cart
+
+from slidectl.control import hardware_types
+from slidectl.description import gazebo_tags
+from slidectl.errors import SlidectlError
+from slidectl.simulation import Simulation
+from slidectl.simulation.compiled.object_file import is_possible
+
+HARDWARE = '''
+from slidectl.control import RobotHW
+from slidectl.physics import MujocoRobotHW
+
+class Half(MujocoRobotHW):
+    """Gives half of what is asked."""
+
+    def write(self, time_ns, period_s):
+        super().write(time_ns, period_s)
+        self.set_joint_effort("joint1", self.joint_effort("joint1") / 2.0)
+
+class Careless(MujocoRobotHW):
+    def init(self, node):
+        self.offset = float("unknown")
+
+class Fragile(MujocoRobotHW):
+    def read(self, time_ns, period_s):
+        super().read(time_ns, period_s)
+        if time_ns == 5_000_000:
+            raise ValueError("the encoder is gone")
+
+class Bare(RobotHW):
+    pass
+'''
+
+
+def of(kind: str) -> str:
+    return cart(f"<robotSimType>{kind}</robotSimType>")
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> str:
+    path = tmp_path / "odd_hw.py"
+    path.write_text(HARDWARE)
+    return str(path)
+
+
+def test_hardware_of_a_module_drives_the_robots_that_name_it_beside_compiled_ones(file: str) -> None:
+    simulation = Simulation(ground=False, imports=[file])
+    push = {"push": {"type": "effort_controllers/JointEffortController", "joint": "joint1"}}
+    for name, xml in (("cart", of("odd_hw/Half")), ("other", cart())):
+        add(simulation, name, xml, push)
+        simulation.step(2)
+        simulation.publish(f"/{name}/push/command", {"data": 8.0})
+    simulation.step(100)
+    assert [simulation.world.joint_state(name, "joint1")[2] for name in ("cart", "other")] == [4.0, 8.0]
+
+
+def test_hardware_of_an_installed_package_is_found_by_its_entry_point(
+    file: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(Path(file).parent))
+    points = {"odd/Half": EntryPoint("odd/Half", "odd_hw:Half", gazebo_tags.HARDWARE_ENTRY_POINTS)}
+    monkeypatch.setattr(hardware_types, "installed_hardware", lambda: points)
+    simulation = Simulation(ground=False)
+    simulation.spawn(of("odd/Half"), "cart")
+    assert type(simulation.robots.get("cart").hardware).__name__ == "Half"
+
+
+@pytest.mark.parametrize(
+    ("kind", "why"),
+    [
+        ("odd_hw/Hlaf", "no robotSimType 'odd_hw/Hlaf'. Did you mean 'odd_hw/Half'?"),
+        ("odd_hw/Careless", "robotSimType odd_hw/Careless: ValueError"),
+        ("odd_hw/Bare", "odd_hw/Bare is not derived from slidectl.physics.MujocoRobotHW"),
+    ],
+)
+def test_hardware_that_cannot_be_refuses_the_spawn_and_leaves_nothing(file: str, kind: str, why: str) -> None:
+    simulation = Simulation(ground=False, imports=[file])
+    with pytest.raises(SlidectlError) as error:
+        simulation.spawn(of(kind), "cart")
+    assert why in str(error.value)
+    assert not list(simulation.robots)
+    assert simulation.world.names() == []
+
+
+@pytest.mark.parametrize(
+    "engine",
+    ["plain", pytest.param("compiled", marks=pytest.mark.skipif(not is_possible(), reason="numba is not installed"))],
+)
+def test_an_exception_in_a_cycle_holds_the_world_and_says_where(file: str, engine: str) -> None:
+    simulation = Simulation(ground=False, imports=[file], engine=engine)
+    if engine == "compiled":
+        simulation.engine.complete()
+    simulation.spawn(cart(), "other")
+    simulation.driven = True
+    simulation.spawn(of("odd_hw/Fragile"), "cart")
+    simulation.resume()
+    simulation.step(20)
+    trouble = simulation.call("/slidectl/status")["trouble"]
+    assert "Fragile.read: ValueError: the encoder is gone" in trouble
+    assert "odd_hw.py:20" in trouble
+    assert simulation.call("/slidectl/status")["paused"]
+    assert simulation.cycles == 5
+    simulation.delete("cart")
+    simulation.resume()
+    simulation.step(20)
+    assert simulation.cycles == 25
