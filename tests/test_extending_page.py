@@ -13,6 +13,7 @@ import pytest
 from daemon_fixture import running_daemon
 
 from slidectl import Simulation, description
+from slidectl.simulation.compiled import object_file
 
 ROOT = Path(__file__).parent.parent
 BLOCK = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -31,15 +32,17 @@ def laws(tmp_path: Path) -> Path:
     return example("A controller of your own", tmp_path / "my_laws.py")
 
 
-def sliding(name: str, file: Path, class_name: str) -> Simulation:
+def sliding(name: str, file: Path, class_name: str, engine: str = "auto") -> Simulation:
     """The slider, driven by a class of a file."""
-    simulation = Simulation()
+    simulation = Simulation(engine=engine)
     simulation.spawn(description.load("slider").xml, "slider")
     simulation.parameters.set(f"/slider/{name}/joint", "joint1")
     request = {"robot": "slider", "name": name, "file": str(file), "class_name": class_name}
     assert simulation.call("/slidectl/load_controller_file", request)["ok"]
     switch = {"start_controllers": [name], "strictness": 2}
     assert simulation.call("/slider/controller_manager/switch_controller", switch)["ok"]
+    if engine == "compiled":
+        simulation.engine.complete()
     simulation.publish(f"/slider/{name}/command", {"data": 0.5})
     return simulation
 
@@ -54,6 +57,18 @@ def test_the_controller_moves_the_slider_to_its_set_point(laws: Path) -> None:
     simulation = sliding("spring", laws, "Spring")
     simulation.step(5000)
     assert abs(position(simulation) - 0.5) < 0.05
+
+
+@pytest.mark.skipif(not object_file.is_possible(), reason="numba is not installed")
+def test_the_compiled_controller_gives_the_same_bits(tmp_path: Path) -> None:
+    file = example("Machine code for a controller of your own", tmp_path / "my_laws.py")
+    plain, compiled = (sliding("spring", file, "QuickSpring", engine) for engine in ("plain", "compiled"))
+    for simulation in (plain, compiled):
+        simulation.step(5000)
+    assert position(plain) == position(compiled)
+    assert abs(position(plain) - 0.5) < 0.05
+    times = compiled.call("/slidectl/update_times", {"robot": "slider"})["controllers"]
+    assert [one["compiled"] for one in times] == [True]
 
 
 def test_the_service_holds_the_slider_where_it_is(laws: Path) -> None:

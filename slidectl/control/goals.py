@@ -43,7 +43,7 @@ class MonitoredGoal:
 
     def __init__(self, handle: GoalHandle) -> None:
         self.handle = handle
-        self.feedback: Callable[[], Message] | None = None
+        self.feedback: Callable[[], Message | None] = lambda: None
         """Makes the feedback of the last update; None before the first one, or where there is none at all."""
         self._decision: GoalStatus | None = None
         self._result: Message = {}
@@ -59,6 +59,11 @@ class MonitoredGoal:
             self._decision = status
             self._result = result
 
+    @property
+    def looks(self) -> bool:
+        """Does a tick look at the controller, or change what it looks at?"""
+        return self._decision is not None or self.handle.wants_feedback
+
     def tick(self) -> None:
         """Send what there is: the result of a decision, and the feedback if the goal was active until now."""
         was_active = self.is_active
@@ -67,8 +72,9 @@ class MonitoredGoal:
                 self.handle.abort(dict(self._result))
             elif self._decision is GoalStatus.SUCCEEDED:
                 self.handle.succeed(dict(self._result))
-        if was_active and self.feedback is not None:
-            self.handle.publish_feedback(self.feedback())
+        feedback = self.feedback() if was_active and self.handle.wants_feedback else None
+        if feedback is not None:
+            self.handle.publish_feedback(feedback)
 
 
 class GoalMonitor:
@@ -90,11 +96,13 @@ class GoalMonitor:
         if self._goal is not None:
             self._goal.handle.release()
         self._goal = goal
-        self._timer = self._node.call_every(self._period_ns, self._tick)
+        self._timer = self._node.call_every(self._period_ns, self._tick, enters=False)
 
     def _tick(self) -> None:
         assert self._goal is not None
         assert self._timer is not None
+        if self._goal.looks:
+            self._node.enter()
         self._goal.tick()
         if self._goal.handle.status not in (GoalStatus.ACTIVE, GoalStatus.PREEMPTING):
             self._timer.cancel()

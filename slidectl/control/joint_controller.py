@@ -185,11 +185,9 @@ class PidController(ScalarController):
         """Use these gains from the next update on; parameters and subscribers are told."""
         self._reconfigurable_pid.set_gains(gains)
 
-    def parts(self) -> Parts | None:
-        """What runs compiled besides this controller; None while its PID publishes each step."""
-        if self._pid.observer is not None:
-            return None
-        return Parts(self._state, self._joint, self._pid, (self._joint,))
+    def parts(self) -> Parts:
+        """What runs compiled besides this controller."""
+        return Parts((self._state,), self._joint, self._pid, (self._joint,))
 
     def _offer_pid(self, node: NodeHandle) -> None:
         self._reconfigurable_pid = ReconfigurablePid(node.child("pid"))

@@ -187,8 +187,8 @@ class GraphNode:
     def advertise_action(self, action: str, type_name: str, on_goal: GoalCallback, on_cancel: GoalCallback) -> None:
         ActionServer(self.child(action), type_name, on_goal, on_cancel)
 
-    def call_every(self, period_ns: int, callback: Callable[[], None]) -> RepeatedCall:
-        enter = self._entering(callback)
+    def call_every(self, period_ns: int, callback: Callable[[], None], enters: bool = True) -> RepeatedCall:
+        enter = self._entering(callback) if enters else callback
 
         def tick() -> None:
             with suppress(SlidectlError):  # nobody asked for this call; the guard has told of it
@@ -236,16 +236,19 @@ class GraphNode:
         guard = self.guard
 
         def entered(*arguments: P.args, **keywords: P.kwargs) -> T:
-            node: GraphNode | None = self
-            while node is not None:
-                node.before_entry()
-                node = node._parent
+            self.enter()
             if guard is None:
                 return callback(*arguments, **keywords)
             with guard:
                 return callback(*arguments, **keywords)
 
         return entered
+
+    def enter(self) -> None:
+        node: GraphNode | None = self
+        while node is not None:
+            node.before_entry()
+            node = node._parent
 
     def _absolute(self, name: str) -> str:
         return names.join(self.namespace, name)
