@@ -553,6 +553,7 @@ class JointTrajectoryController(ActionController[Any]):
             try:
                 self._replace(trajectory, handle)
             except Refused as refusal:
+                self._goals -= 1  # the present one goes on
                 self._reject(handle, refusal.message, _result(INVALID_GOAL, refusal.message))
                 return
             goal = MonitoredGoal(handle)
