@@ -26,7 +26,7 @@ PERFORMANCE = HERE.parent / "docs" / "performance.md"
 NAMES = ("commands", "cycles", "controllers", "realtime", "latency", "streams", "spawns", "compare")
 HEADLINES = (
     "slidectl pub command 1.0",
-    "slidectl pub command 1.0, beside import click",
+    "slidectl pub command 1.0: ratio to python -c 'import click'",
     "slidectl daemon start",
     "slidectl launch my_slider slider.launch, from nothing",
     "slider, compiled: ratio to bare mj_step",

@@ -47,7 +47,7 @@ def _commands(instance: Daemon) -> list[Row]:
         goal = 1000 * GOAL_S if everyday else 1000 * FOREIGN_GOAL_S if foreign else None
         rows.append(Row(name, 1000 * seconds, "ms", goal, note=note))
         if everyday:
-            rows.append(Row(f"{name}, beside import click", seconds / floor, "x", GOAL_RATIO))
+            rows.append(Row(f"{name}: ratio to python -c 'import click'", seconds / floor, "x", GOAL_RATIO))
     return rows
 
 
