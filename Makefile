@@ -14,8 +14,8 @@ help:  ## this list
 $(STAMP): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "slidectl needs Python 3.11 or newer; give one with: make PYTHON=/path/to/python3.11 $(MAKECMDGOALS)" >&2; exit 1; }
 	@$(PYTHON) -m venv --clear $(VENV) || { echo "python's venv module does not work (on Debian: apt install python3-venv)" >&2; exit 1; }
-	@echo "installing slidectl into $(VENV) ..."
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@echo "installing slidectl into $(VENV): downloads about 220 MB, takes 850 MB of disk and some minutes"
+	@$(BIN)/python -m pip install --disable-pip-version-check --editable '.[dev]'
 	@$(BIN)/python -m compileall -q slidectl
 	@touch $@
 
