@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
 DEFAULT_INSTANCE = "default"
 _SOCKET = "socket"
-_INSTANCE = r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}\Z"
+_LONGEST_INSTANCE = 64
+_INSTANCE = rf"[A-Za-z0-9][A-Za-z0-9_.-]{{0,{_LONGEST_INSTANCE - 1}}}\Z"
 # A Unix socket's path is limited by the kernel (sun_path, 108 bytes with its end).
 _LONGEST_SOCKET_PATH = 107
 
@@ -100,6 +101,8 @@ def instance(name: str | None = None, socket: str | None = None) -> InstancePath
     else:
         name = name if name is not None else os.environ.get("SLIDECTL_INSTANCE") or DEFAULT_INSTANCE
         if not re.match(_INSTANCE, name):
+            if len(name) > _LONGEST_INSTANCE:
+                raise UsageError(f"instance name {name!r} has {len(name)} characters, more than {_LONGEST_INSTANCE}")
             raise UsageError(f"instance name {name!r} is not a plain file name (letters, digits, '.', '_', '-')")
         folder = os.path.join(runtime_folder(), name)
         found = InstancePaths(folder, os.path.join(folder, _SOCKET))

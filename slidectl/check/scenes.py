@@ -36,7 +36,8 @@ def tell_settings(world: gazebo.WorldFile, findings: Findings) -> None:
     asked = {field.name: getattr(world.settings, field.name) for field in fields(world.settings)}
     for name, value in asked.items():
         if value is not None and name != "paused":
-            findings.add("used", f"world, {name}", f"{value}", world.file, 1)
+            text = f"{value}" if name != "ground" else "a plane" if value else "none"
+            findings.add("used", f"{name} of the world", text, world.file, 1)
 
 
 def tell_scene(scene: sdf.Scene, findings: Findings, strict: bool = False) -> None:

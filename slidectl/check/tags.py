@@ -16,7 +16,7 @@ from slidectl.description.xml_tree import TITLES, Element
 from slidectl.errors import BadFile
 
 # Not read, and yet not without use: there is but one version, and a doc is for people.
-_HARMLESS = {("robot", "version"), ("arg", "doc")}
+_HARMLESS = {("robot", "version"), ("arg", "doc"), ("plugin", "name")}
 _CONDITIONS = {"if", "unless"}
 _ROOTS = ("robot", "launch")
 _LONGEST = 60

@@ -85,6 +85,7 @@ COMMANDS = {
 
 _CALLED_ELSEWHERE = {
     "kill": ("daemon stop", "delete ROBOT", "ros rosnode kill NODE"),
+    "rosbag": ("record", "play", "bag"),
     "run": ("launch FILE", "ros rosrun PACKAGE NODE"),
     "start": ("launch FILE",),
     "switch_controller": ("controller switch",),

@@ -91,7 +91,7 @@ def send(ctx: Context, controller: str, file: str, wait: bool) -> None:
 @_wait
 @click.pass_obj
 def plan(ctx: Context, controller: str, targets: tuple[str, ...], duration: float, wait: bool) -> None:
-    """Go to positions of some joints in a time; the other joints go where they are to be now.
+    """Go to positions of some joints in a time; the other joints go to their desired positions of this moment.
 
     All come to rest at the end, by a polynomial without jumps of velocity and acceleration. JSON keys as for send.
     """
@@ -282,13 +282,13 @@ def _number(text: str, file: str, line: int) -> float:
 
 
 def _target(text: str) -> tuple[str, float]:
-    joint, equals, value = text.partition("=")
+    joint, _, value = text.partition("=")
     try:
         position = float(value)
     except ValueError:
-        position = math.nan
-    if not equals or not math.isfinite(position):
-        raise UsageError(f"--to {text!r}: write JOINT=POSITION, as joint1=1.5")
+        raise UsageError(f"--to {text!r}: write JOINT=POSITION, as joint1=1.5") from None
+    if not math.isfinite(position):
+        raise UsageError(f"--to {text!r}: the position must be a finite number")
     return joint, position
 
 
@@ -305,7 +305,7 @@ def _action(ctx: Context, controller: str) -> Action:
 
 
 def _desired(ctx: Context, action: Action) -> dict[str, float]:
-    """Where each joint is to be now. Raises Refused: the controller does not run."""
+    """The desired position of each joint at this moment. Raises Refused: the controller does not run."""
     now = ctx.call("/rosapi/get_time")["time"]
     answer = ctx.call(f"{names.parent(action.name)}/query_state", {"time": now})
     return dict(zip(answer["name"], answer["position"], strict=True))

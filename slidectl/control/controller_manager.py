@@ -552,11 +552,12 @@ class ControllerManager:
         """Import the file of a loaded controller's class anew, for `exchange`. Returns the controller's state.
 
         Raises:
-            UnknownName. SlidectlError: as `registry.renewed`; then nothing has changed.
+            Refused: it is not loaded. SlidectlError: as `registry.renewed`; then nothing has changed.
         """
         entry = self._loaded.get(name)
         if entry is None:
-            raise UnknownName("controller", name, self.names(), "to reload")
+            hint = f"load it: slidectl controller load {name}"
+            raise Refused(f"cannot reload controller {quoted(name)}: it is not loaded", hint)
         registry.renewed(type(entry.controller))
         return entry.controller.state
 

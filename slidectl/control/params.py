@@ -164,9 +164,11 @@ def described(value: Any) -> str:
     if not isinstance(value, str):
         return f"{value!r}"
     try:
-        float(value)
+        number = float(value)
     except ValueError:
         return f"the string {value!r}"
+    if not isfinite(number):
+        return f"the string {value!r} (a number must be finite)"
     if "e" in value.lower():
         return f"the string {value!r} (YAML reads a number with an exponent only with a dot in it, as 1.0e-3)"
     return f"the string {value!r} (a number has no quotes)"

@@ -28,8 +28,7 @@ class UnknownPackage(UnknownName):
 
     def __init__(self, name: str, known: list[str], looked: list[str]) -> None:
         super().__init__("package", name, known)
-        places = "; ".join(looked) or "nowhere, as there is no package path here"
-        self.hint = f"looked in: {places}\ngive --package {name}=PATH, or set SLIDECTL_PACKAGE_PATH"
+        self.hint = f"looked in: {'; '.join(looked)}\ngive --package {name}=PATH, or set SLIDECTL_PACKAGE_PATH"
 
 
 class Packages:
@@ -112,7 +111,7 @@ class Packages:
             if value := os.environ.get(variable):
                 looked.append(f"{variable}={value}")
         looked += [f"{start} and the folders above it" for start in self.starts]
-        return looked
+        return [*looked, "the packages shipped with slidectl"]
 
 
 def package_name(folder: Path) -> str:

@@ -97,6 +97,18 @@ def test_an_empty_variable_does_not_mean_another_daemon(slidectl: CommandLine, o
     slidectl.ok("daemon", "stop")
 
 
+def test_a_long_instance_name_is_told_its_length(slidectl: CommandLine) -> None:
+    done = slidectl("-i", "a" * 200, "daemon", "start")
+    assert done.returncode == 2
+    assert "has 200 characters, more than 64" in done.stderr
+
+
+def test_ros_names_the_commands_that_do_what_rosbag_does(slidectl: CommandLine) -> None:
+    done = slidectl("ros", "rosbag", "record", "-a")
+    assert done.returncode == 2
+    assert "slidectl record, slidectl play and slidectl bag do what it does" in done.stderr
+
+
 def test_a_namespace_must_be_a_legal_name(slidectl: CommandLine) -> None:
     assert slidectl("--ns", "a b", "robots").returncode == 2
     assert slidectl("robots", SLIDECTL_NAMESPACE="a b").returncode == 2
@@ -184,6 +196,7 @@ def test_a_traceback_is_shown_only_when_v_is_given_twice(slidectl: CommandLine) 
         ("switch", ["slidectl controller switch"]),
         ("run", ["slidectl daemon run", "slidectl ros rosrun"]),
         ("kill", ["slidectl daemon stop"]),
+        ("rosbag", ["slidectl record", "slidectl play", "slidectl bag"]),
         ("pause", ["slidectl sim pause"]),
         ("rostopic list", ["slidectl ros rostopic"]),
     ],

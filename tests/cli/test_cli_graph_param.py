@@ -244,6 +244,7 @@ def agrees(world: World) -> None:
     [
         ("p", "abc", "must be a number, not the string 'abc'"),
         ("p", '"150"', "a number has no quotes"),
+        ("p", "nan", "a number must be finite"),
         ("p", ".nan", "parameters hold finite numbers"),
         ("i_clamp", "wide", "must be a number"),
         ("antiwindup", "1", "must be true or false, not 1"),

@@ -112,6 +112,15 @@ def test_any_client_can_load_and_reload(slider: CommandLine, law: Path) -> None:
         assert client.controllers("/slider").states() == {"my_law": "initialized"}
 
 
+def test_a_controller_that_is_not_loaded_cannot_be_reloaded(slider: CommandLine) -> None:
+    slider.ok("param", "set", "/slider/idle/type", "effort_controllers/JointPositionController", "--new")
+    done = slider("controller", "reload", "idle")
+    assert done.returncode == 1
+    assert done.stderr == (
+        "error: cannot reload controller 'idle': it is not loaded\nload it: slidectl controller load idle\n"
+    )
+
+
 def test_a_file_that_is_not_there(slider: CommandLine, tmp_path: Path) -> None:
     assert refused(slider, tmp_path / "no.py") == f"error: {tmp_path}/no.py: no such file\n"
 

@@ -271,6 +271,7 @@ def test_whoever_waits_for_a_goal_is_told_when_its_robot_is_deleted(world: Comma
         (["action", "send", "gripper_cmd", "{comand: {}}"], 2, ["no field 'goal.comand'"]),
         (["trajectory", "plan", "arm_controller", "--to", "joint9=1", "--duration", "1"], 1, ["no joint 'joint9'"]),
         (["trajectory", "plan", "arm_controller", "--to", "joint1", "--duration", "1"], 2, ["JOINT=POSITION"]),
+        (["trajectory", "plan", "arm_controller", "--to", "joint1=nan", "--duration", "1"], 2, ["a finite number"]),
         (["trajectory", "plan", "arm_controller", "--to", "joint1=1", "--duration", "0"], 2, ["not above 0"]),
     ],
 )

@@ -243,7 +243,9 @@ def test_what_the_real_one_refuses_is_refused_with_the_place(workspace: Workspac
 
 
 def test_a_package_that_is_not_there_says_where_was_looked(workspace: Workspace) -> None:
-    with pytest.raises(SlidectlError, match=r"no package 'nopkg'.*\nlooked in: .* and the folders above it"):
+    with pytest.raises(
+        SlidectlError, match=r"no package 'nopkg'.*\nlooked in: .* and the folders above it; the packages shipped"
+    ):
         workspace.plan('<param name="x" value="$(find nopkg)"/>')
 
 

@@ -59,6 +59,9 @@ def ros(ctx: Context, words: tuple[str, ...]) -> None:
     """
     name, *argv = words
     if name not in TOOLS:
+        if name == "rosbag":
+            hint = "slidectl record, slidectl play and slidectl bag do what it does"
+            raise UsageError(f"no ROS command {name!r}", hint)
         near = closest(name, TOOLS)
         suggestion = f" Did you mean {near!r}?" if near else ""
         raise UsageError(f"no ROS command {name!r}.{suggestion}", f"there are: {', '.join(TOOLS)}")
