@@ -32,6 +32,7 @@ CROWDS = (1, 10, 100, 200)
 JOINTS = (1, 6, 30)
 COMPILED_GOAL, CROWD_GOAL, PLAIN_GOAL = 0.90, 0.85, 0.25
 OWN_IMPORT_GOALS = (("rrbot", RRBOT_CONTROLLERS, 1.2), ("slider", SLIDER_CONTROLLERS, 1.45))
+STATES = "joint_state_controller/JointStateController"
 SPACING_M = 5.0
 ORIGIN = (0.0, 0.0, 0.0)
 MOTORS_GOALS = {"cart": 30.0, "arm": 100.0}
@@ -121,14 +122,14 @@ def comb(joints: int) -> Simulation:
     simulation.engine.complete()
     law = {"type": "effort_controllers/JointPositionController", "pid": {"p": 10.0, "i": 0.0, "d": 1.0}}
     names = [f"joint{number}" for number in range(joints)]
-    states: dict[str, Any] = {"type": "joint_state_controller/JointStateController", "publish_rate": 50}
+    states: dict[str, Any] = {"type": STATES, "publish_rate": 50}
     simulation.parameters.set("/comb", {"states": states, **{f"of_{name}": {**law, "joint": name} for name in names}})
-    simulation.spawn(f"<robot name='comb'><link name='world'/>{''.join(map(_hinge, names))}</robot>", "comb", "/comb")
+    simulation.spawn(f"<robot name='comb'><link name='world'/>{''.join(map(hinge, names))}</robot>", "comb", "/comb")
     start(simulation, "comb", ("states", *(f"of_{name}" for name in names)))
     return simulation
 
 
-def _hinge(name: str) -> str:
+def hinge(name: str) -> str:
     return f"""
     <link name='{name}_link'><inertial><origin xyz='0.1 0 0'/><mass value='1'/>
       <inertia ixx='0.01' iyy='0.01' izz='0.01' ixy='0' ixz='0' iyz='0'/></inertial></link>
@@ -163,7 +164,7 @@ def beside_real_time(engine: str) -> list[Row]:
         simulation.driven = True
         simulation.step(SETTLING_CYCLES)
         cycles = _cycles_of_a_round(simulation)
-        taken = min(_cpu_s(lambda simulation=simulation, n=cycles: simulation.step(n)) for _ in range(5)) / cycles
+        taken = min(cpu_s(lambda simulation=simulation, n=cycles: simulation.step(n)) for _ in range(5)) / cycles
         goal = MOTORS_GOALS[kind] if engine == "compiled" and "motors" in name else None
         factor = simulation.world.timestep / taken
         note = f"{1e6 * taken:.3g} us a cycle"
@@ -212,19 +213,19 @@ def in_turns(simulation: Simulation, model: Any, start_state: Callable[[], Any])
     ratios, ours, bare = [], [], []
     for _ in range(ROUNDS):
         data = start_state()
-        bare.append(_cpu_s(lambda data=data: mujoco.mj_step(model, data, nstep=cycles)) / cycles)
-        ours.append(_cpu_s(lambda: simulation.step(cycles)) / cycles)
+        bare.append(cpu_s(lambda data=data: mujoco.mj_step(model, data, nstep=cycles)) / cycles)
+        ours.append(cpu_s(lambda: simulation.step(cycles)) / cycles)
         ratios.append(bare[-1] / ours[-1])
     return statistics.median(ratios), statistics.median(ours), statistics.median(bare)
 
 
 def _cycles_of_a_round(simulation: Simulation) -> int:
     simulation.step(500)
-    taken = _cpu_s(lambda: simulation.step(500)) / 500
+    taken = cpu_s(lambda: simulation.step(500)) / 500
     return max(200, int(ROUND_S / taken))
 
 
-def _cpu_s(action: Callable[[], Any]) -> float:
+def cpu_s(action: Callable[[], Any]) -> float:
     began = time.process_time()
     action()
     return time.process_time() - began

@@ -29,7 +29,7 @@ _ORIGINS = (
     ("0 0 0.09465", "0 0 0"),
 )
 _AXES = ("0 0 1", "0 1 0", "0 1 0", "0 1 0", "0 0 1", "0 1 0")
-_GAINS = ((800.0, 80.0), (800.0, 80.0), (400.0, 20.0), (50.0, 1.0), (50.0, 0.5), (5.0, 0.02))
+ARM_GAINS = ((800.0, 80.0), (800.0, 80.0), (400.0, 20.0), (50.0, 1.0), (50.0, 0.5), (5.0, 0.02))
 ARM_POSE = (0.4, -1.2, 1.0, -0.5, 0.5, 0.5)
 """rad, above the ground."""
 _EFFORTS = (150.0, 150.0, 150.0, 28.0, 28.0, 28.0)
@@ -83,7 +83,7 @@ def arm_parameters(interface: str) -> dict[str, Any]:
     if interface == "PositionJointInterface":
         return _controllers("position_controllers/JointPositionController", ARM_JOINTS)
     made = _controllers("effort_controllers/JointPositionController", ARM_JOINTS)
-    for joint, (p, d) in zip(ARM_JOINTS, _GAINS, strict=True):
+    for joint, (p, d) in zip(ARM_JOINTS, ARM_GAINS, strict=True):
         made[f"of_{joint}"]["pid"] = {"p": p, "i": 0.0, "d": d}
     return made
 

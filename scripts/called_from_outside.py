@@ -38,6 +38,7 @@ PositionJointTrajectoryController, EffortJointTrajectoryController, VelocityJoin
 PosVelAccJointTrajectoryController, PositionGripperActionController, EffortGripperActionController, DiffDriveController
 AckermannSteeringController, FourWheelSteeringController
 Unspawner, GroupScript, StaticTransform, Viewer, Window, JointStatePublisher
+Throttle, Mux, TwistMux
 
 # For authors of controllers, of other sources of controllers, and of hardware.
 register_loader, ONGOING, set_joint_effort

@@ -19,7 +19,7 @@ HEAD = """# Controllers
 
 What `slidectl controller types` lists, with the parameters below a controller's own name. Written by
 `python scripts/controller_reference.py`. They behave as those of ros_controllers; [deviations](deviations.md) has what
-differs.
+differs. Every controller reads its `type`, and `update_budget` ([times](extending.md#a-controller-of-your-own)).
 
 A trajectory controller for two joints, and a goal for it:
 
@@ -49,7 +49,7 @@ goal preempts the one before.
 The shipped cart, driven by velocities of its base:
 
 ```text
-slidectl spawn cart --controllers config/cart_control.yaml --start joint_state_controller base_controller
+slidectl spawn cart drive:=controller --controllers config/cart_control.yaml --start base_controller
 slidectl pub /cart/base_controller/cmd_vel '{linear: {x: 0.5}, angular: {z: 0.3}}' -r 10
 slidectl echo /cart/base_controller/odom -n 1
 ```

@@ -14,8 +14,8 @@ from daemon_fixture import Runtime
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 SCRIPTS = (
-    "slide.sh", "rrbot.sh", "two_robots.sh", "gravity.sh", "sine.sh", "trajectory.sh", "cart.sh", "car.sh",
-    "wrist.sh", "demo.py",
+    "slide.sh", "rrbot.sh", "two_robots.sh", "gravity.sh", "sine.sh", "trajectory.sh", "cart.sh", "cartpole.sh",
+    "car.sh", "wrist.sh", "demo.py",
 )  # fmt: skip
 
 

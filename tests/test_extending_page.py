@@ -1,43 +1,111 @@
-"""The controller and the hardware of docs/extending.md work as the page says."""
+"""The examples of docs/extending.md work as the page says."""
 
 from __future__ import annotations
 
 import math
 import re
+import socket
+import subprocess
+import sys
 from pathlib import Path
 
+import pytest
+from daemon_fixture import running_daemon
+
 from slidectl import Simulation, description
+from slidectl.simulation.compiled import object_file
 
 ROOT = Path(__file__).parent.parent
 BLOCK = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
-def saved(file: Path, containing: str) -> Path:
-    """The file, with the block of the page that has this in it."""
-    blocks = BLOCK.findall((ROOT / "docs" / "extending.md").read_text(encoding="utf-8"))
-    [text] = [block for block in blocks if containing in block]
-    file.write_text(text, encoding="utf-8")
+def example(section: str, file: Path) -> Path:
+    """The Python text of a section of the page, written to a file."""
+    [text] = [part for part in (ROOT / "docs" / "extending.md").read_text(encoding="utf-8").split("\n## ")
+              if part.startswith(f"{section}\n")]  # fmt: skip
+    file.write_text("\n".join(BLOCK.findall(text)), encoding="utf-8")
     return file
 
 
-def test_the_controller_of_the_page_moves_the_slider_to_its_set_point(tmp_path: Path) -> None:
-    file = saved(tmp_path / "my_laws.py", "class Spring")
-    simulation = Simulation()
+@pytest.fixture
+def laws(tmp_path: Path) -> Path:
+    return example("A controller of your own", tmp_path / "my_laws.py")
+
+
+def sliding(name: str, file: Path, class_name: str, engine: str = "auto") -> Simulation:
+    """The slider, driven by a class of a file."""
+    simulation = Simulation(engine=engine)
     simulation.spawn(description.load("slider").xml, "slider")
-    simulation.parameters.set("/slider/spring/joint", "joint1")
-    request = {"robot": "slider", "name": "spring", "file": str(file), "class_name": "Spring"}
+    simulation.parameters.set(f"/slider/{name}/joint", "joint1")
+    request = {"robot": "slider", "name": name, "file": str(file), "class_name": class_name}
     assert simulation.call("/slidectl/load_controller_file", request)["ok"]
-    switch = {"start_controllers": ["spring"], "strictness": 2}
+    switch = {"start_controllers": [name], "strictness": 2}
     assert simulation.call("/slider/controller_manager/switch_controller", switch)["ok"]
-    simulation.publish("/slider/spring/command", {"data": 0.5})
-    simulation.step(5000)
+    if engine == "compiled":
+        simulation.engine.complete()
+    simulation.publish(f"/slider/{name}/command", {"data": 0.5})
+    return simulation
+
+
+def position(simulation: Simulation) -> float:
     [robot] = simulation.call("/slidectl/list_robots")["robots"]
-    [position] = [joint["position"] for joint in robot["joints"] if joint["name"] == "joint1"]
-    assert abs(position - 0.5) < 0.05
+    [found] = [joint["position"] for joint in robot["joints"] if joint["name"] == "joint1"]
+    return float(found)
 
 
-def test_the_hardware_of_the_page_lets_efforts_follow_with_its_time_constant(tmp_path: Path) -> None:
-    file = saved(tmp_path / "my_hardware.py", "class SlowMotors")
+def test_the_controller_moves_the_slider_to_its_set_point(laws: Path) -> None:
+    simulation = sliding("spring", laws, "Spring")
+    simulation.step(5000)
+    assert abs(position(simulation) - 0.5) < 0.05
+
+
+@pytest.mark.skipif(not object_file.is_possible(), reason="numba is not installed")
+def test_the_compiled_controller_gives_the_same_bits(tmp_path: Path) -> None:
+    file = example("Machine code for a controller of your own", tmp_path / "my_laws.py")
+    plain, compiled = (sliding("spring", file, "QuickSpring", engine) for engine in ("plain", "compiled"))
+    for simulation in (plain, compiled):
+        simulation.step(5000)
+    assert position(plain) == position(compiled)
+    assert abs(position(plain) - 0.5) < 0.05
+    times = compiled.call("/slidectl/update_times", {"robot": "slider"})["controllers"]
+    assert [one["compiled"] for one in times] == [True]
+
+
+def test_the_service_holds_the_slider_where_it_is(laws: Path) -> None:
+    file = example("A service of your own", laws.with_name("my_services.py"))
+    simulation = sliding("held_spring", file, "HeldSpring")
+    simulation.step(1000)
+    answer = simulation.call("/slider/held_spring/hold")
+    here = position(simulation)
+    assert answer == {"success": True, "message": f"holds {here:.3f} m"}
+    simulation.step(5000)
+    assert abs(position(simulation) - here) < 0.05 < abs(here - 0.5)
+
+
+def test_the_gateway_hands_commands_on_and_sends_positions_back(laws: Path) -> None:
+    file = example("A gateway of your own", laws.with_name("udp_gateway.py"))
+    with running_daemon(rtf=10.0) as daemon, daemon.environment(), daemon.client() as client:
+        client.spawn("slider", controllers=ROOT / "config" / "slider_control.yaml", start=["joint_state_controller"])
+        client.params.set_all({"/slider/spring/joint": "joint1"})
+        client.controllers("/slider").load_file("spring", str(laws))
+        client.controllers("/slider").start(["spring"])
+        words = [sys.executable, str(file), "0", "/slider/spring/command", "/slider/joint_states"]
+        with subprocess.Popen(words, env=daemon.env, stdout=subprocess.PIPE, text=True) as gateway:
+            assert gateway.stdout is not None
+            port = int(gateway.stdout.readline())
+            with socket.socket(type=socket.SOCK_DGRAM) as udp:
+                udp.settimeout(30)
+                udp.connect(("127.0.0.1", port))
+                udp.send(b"far")
+                assert udp.recv(1000) == b"error: could not convert string to float: b'far'"
+                udp.send(b"0.5")
+                while abs(float(udp.recv(1000)) - 0.5) > 0.05:
+                    pass
+            gateway.terminate()
+
+
+def test_the_hardware_lets_efforts_follow_with_its_time_constant(tmp_path: Path) -> None:
+    file = example("A robot hardware of your own", tmp_path / "my_hardware.py")
     simulation = Simulation(imports=[str(file)])
     xml = description.load("slider").xml.replace("gazebo_ros_control/DefaultRobotHWSim", "my_hardware/SlowMotors")
     effort = {"type": "effort_controllers/JointEffortController", "joint": "joint1"}

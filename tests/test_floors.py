@@ -39,7 +39,7 @@ FORBIDDEN = {
     "writing": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "msgs": {"click", "mujoco", "socket"},
     "description": {"click", "mujoco", "socket"},
-    "control": {"click", "mujoco", "socket", "numpy"},
+    "control": {"click", "mujoco", "socket"},
     "client": {"asyncio", "click", "mujoco", "numpy", "yaml", "rosbags", "lxml", "threading"},
     "recording": {"click", "mujoco", "socket", "yaml"},
     "physics": {"click", "socket", "select", "threading"},

@@ -20,9 +20,10 @@ from slidectl.control import registry
 from slidectl.control.controller_interface import ControllerBase
 from slidectl.control.hardware_interface import JointStateInterface, ResourceManager
 from slidectl.control.limits import LIMITS
-from slidectl.control.params import LIST, TEXT, Parameter, as_boolean, as_number, described, leaves
+from slidectl.control.params import LIST, TEXT, UPDATE_BUDGET, Parameter, as_boolean, as_number, described, leaves
 from slidectl.control.reconfigurable_pid import GAINS
 from slidectl.control.ros2_names import Counterpart, NoCounterpart, counterpart
+from slidectl.control.user_classes import is_of_a_user
 from slidectl.description import controllers_file, interfaces
 from slidectl.description.controllers_file import ROS_2, retarget
 from slidectl.description.models import read_file
@@ -416,7 +417,11 @@ class ControllerCheck:
             return
         kinds = " and ".join(interface.type_name for interface in _interfaces(cls))
         self.source.add("used", f"{path}/type", f"{type_name}; on {kinds or 'no interface'}")
-        declared = Declared(cls.parameters)
+        if not cls.parameters and is_of_a_user(cls):
+            for name in tree.keys() - {"type"}:
+                self.source.add("used", f"{path}/{name}", f"{cls.__name__} does not say which parameters it reads")
+            return
+        declared = Declared((*cls.parameters, UPDATE_BUDGET))
         values = {name: value for name, value in declared.leaves(tree) if name != "type"}
         said: set[str] = set()
         for space in dict.fromkeys(name.rpartition("/")[0] for name in values):

@@ -25,7 +25,7 @@ from slidectl.description.mesh_files import MeshFiles
 from slidectl.description.packages import Packages, is_file
 from slidectl.description.parser import parse_tree
 from slidectl.description.report import Report
-from slidectl.description.robot import ControlPlugin, Joint, Link, Notice, Robot, TransmissionInfo, Verdict
+from slidectl.description.robot import ControlPlugin, Joint, Link, Notice, Robot, TransmissionInfo, Verdict, WheelDrive
 from slidectl.description.transmissions import driving
 from slidectl.description.xml_tree import Comment, Element
 from slidectl.errors import BadFile, BadName, SlidectlError, UnknownName
@@ -255,7 +255,11 @@ class _Joints:
             yield f"a {joint.type} joint without <limit>: neither its effort nor its velocity is bounded"
         if joint.mimic is not None and joint.name in self.driven:
             yield f"it has a transmission, and it follows {joint.mimic.joint!r}: two masters"
-        elif joint.name not in self.driven and joint.mimic is None:
+        wheels = [drive for drive in self.robot.drives if isinstance(drive, WheelDrive)]
+        turning = next((drive for drive in wheels if joint.name in (*drive.left, *drive.right)), None)
+        if turning is not None and joint.name in self.driven:
+            yield f"it has a transmission, and the plugin {turning.name!r} turns it: two masters"
+        elif joint.name not in self.driven and joint.mimic is None and turning is None:
             yield "no transmission drives it: it moves freely, controllers and joint_states do not know it"
 
 

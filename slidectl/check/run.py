@@ -7,6 +7,7 @@ from pathlib import Path
 
 from slidectl.check import controllers, kinds, model, scenes
 from slidectl.check.findings import Findings
+from slidectl.control import registry
 from slidectl.description import models, sdf
 from slidectl.description.missing import Missing
 from slidectl.description.packages import Packages, is_file, shown
@@ -23,6 +24,7 @@ def check(
     strict: bool = False,
     missing: Missing | None = None,
     transmissions: str | None = None,
+    imports: Sequence[str] = (),
 ) -> Findings:
     """Everything that there is to say of a file.
 
@@ -36,11 +38,14 @@ def check(
         strict: whether masses, inertias and shapes of models that spawn would mend are refused.
         missing: takes in what the files name and is not there.
         transmissions: how those of a model count, whatever it says.
+        imports: modules, or files that end with `.py`, whose controllers and hardware are known too.
 
     Raises:
         BadFile: no such file. UnknownName: no such model, or no such file in the package. UnknownPackage. UsageError:
             arguments that do not go with the file.
     """
+    for module in imports:
+        registry.add_module(module)
     findings = Findings(missing)
     source = words[0]
     kind: kinds.Kind = "launch"

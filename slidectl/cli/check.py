@@ -36,6 +36,7 @@ _COLOURS = {"used": "green", "converted": "cyan", "ignored": "yellow", "wrong": 
         "slidectl check my_slider slider.launch",
         "slidectl check rrbot_description rrbot.xacro",
         "slidectl check config/slider_control.yaml --only ignored --only wrong",
+        "slidectl check my_control.yaml --import my_laws.py",
     ]
 )
 @click.argument("source", metavar="MODEL|LAUNCH|CONTROLLERS", shell_complete=completion.models)
@@ -50,6 +51,15 @@ _COLOURS = {"used": "green", "converted": "cyan", "ignored": "yellow", "wrong": 
 @click.option(
     "--transmissions", type=click.Choice(["gazebo", "real"]), help="As for spawn: how transmissions of the model count."
 )
+@click.option(
+    "--import",
+    "--from",
+    "imports",
+    multiple=True,
+    metavar="MODULE",
+    shell_complete=completion.files,
+    help="Know the controllers and hardware of your own in this module or FILE.py; may repeat.",
+)
 @click.option("--strict", is_flag=True, help="Exit 1 when anything is ignored, too, and refuse what spawn mends.")
 @click.option("--only", multiple=True, type=click.Choice(_VERDICTS), help="Print findings of this kind; may repeat.")
 @click.option("--keep-going", is_flag=True, help="Leave out what is not there, as launch and spawn do with it.")
@@ -62,6 +72,7 @@ def check(
     arguments: tuple[str, ...],
     controllers: tuple[str, ...],
     transmissions: str | None,
+    imports: tuple[str, ...],
     strict: bool,
     only: tuple[str, ...],
     keep_going: bool,
@@ -74,12 +85,13 @@ def check(
     input. KEY:=VALUE are their arguments. Every tag, attribute, limit and parameter is listed with file and line as
     used, converted (taken otherwise than written), ignored (no effect here) or wrong. Exits 0 when nothing is wrong, 1
     when something is, and 2 when a file cannot be used at all. With --keep-going what is not there is ignored, listed
-    at the end, and the exit code is 1 only when nothing is left to drive. JSON keys: file, line, verdict, subject,
-    text.
+    at the end, and the exit code is 1 only when nothing is left to drive. --import runs the code of the module, but no
+    controller. JSON keys: file, line, verdict, subject, text.
     """
     ctx = click_context.find_object(Context)
     assert ctx is not None
     from slidectl.check.run import check as run
+    from slidectl.cli.daemon import module_or_file
     from slidectl.description.missing import Missing
 
     places = package_lookup(packages, "check")
@@ -91,7 +103,18 @@ def check(
     words += [word for word in arguments if ":=" not in word]
     given = pairs([word for word in arguments if ":=" in word], ":=", "check")
     missing = Missing("all" if keep_going else "nothing")
-    findings = run(words, given, places, files, text, second_opinion, strict, missing, transmissions)
+    findings = run(
+        words,
+        given,
+        places,
+        files,
+        text,
+        ask_others=second_opinion,
+        strict=strict,
+        missing=missing,
+        transmissions=transmissions,
+        imports=[module_or_file(module) for module in imports],
+    )
     tell_own_packages(ctx, places)
     _print(ctx, findings, only)
     if lines := missing.lines():

@@ -133,18 +133,27 @@ def controller() -> None:
 def list_controllers(ctx: Context, manager: str | None, with_unloaded: bool) -> None:
     """List the loaded controllers with their states.
 
-    With -v also what they claim. JSON keys: manager, name, state, type, claimed_resources (hardware_interface and
-    resources).
+    With -v also what they claim, and the wall time of their updates since the start, mean and longest: compiled ones
+    are not measured. JSON keys: manager, name, state, type, claimed_resources (hardware_interface and resources); with
+    -v update_times (slidectl/UpdateTimes, in s).
     """
     managers = chosen(ctx, manager)
     rows = [row for one in managers for row in _rows(one, with_unloaded)]
+    if ctx.verbose:
+        times = {(one.namespace, each["name"]): each for one in managers for each in one.update_times()}
+        rows = [{**row, "update_times": times.get((row["manager"], row["name"]))} for row in rows]
     stopped = ctx.call("/slidectl/status")["estop"]
     if stopped:
         spaces = {robot["namespace"] for robot in robots.all_robots(ctx) if robot["name"] in stopped}
         robots.warn_stopped(ctx, [one.namespace for one in managers if one.namespace in spaces])
-    columns = ["manager", "name", "state", "type"] + (["claimed"] if ctx.verbose and ctx.format != "json" else [])
+    columns = ["manager", "name", "state", "type"] + (
+        ["claimed", "update"] if ctx.verbose and ctx.format != "json" else []
+    )
     if "claimed" in columns:
-        rows = [{**row, "claimed": claimed_text(row["claimed_resources"])} for row in rows]
+        rows = [
+            {**row, "claimed": claimed_text(row["claimed_resources"]), "update": _times_text(row["update_times"])}
+            for row in rows
+        ]
     ctx.emit_rows(
         rows, columns, empty="no controllers are loaded; 'slidectl controller spawn NAME' loads and starts one"
     )
@@ -164,6 +173,16 @@ def claimed_text(resources: Sequence[dict[str, Any]]) -> str:
     """`EffortJointInterface: joint1 joint2`, several parted by semicolons."""
     parts = ((item["hardware_interface"].rpartition("::")[2], item["resources"]) for item in resources)
     return "; ".join(f"{interface}: {' '.join(names)}" if names else interface for interface, names in parts)
+
+
+def _times_text(times: dict[str, Any] | None) -> str:
+    """`3.2 us, longest 41.0 us`, and what there is to say of the budget."""
+    if times is None or not (times["compiled"] or times["updates"]):
+        return ""
+    if times["compiled"]:
+        return "compiled"
+    text = f"{times['mean'] * 1e6:.1f} us, longest {times['longest'] * 1e6:.1f} us"
+    return f"{text}, {times['over_budget']} over {times['budget'] * 1e6:g} us" if times["budget"] else text
 
 
 @controller.command("types", examples=["slidectl controller types"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from contextlib import suppress
 from typing import Any
 
 import click
@@ -112,18 +113,28 @@ def parse_speed(text: str) -> float:
     return value
 
 
-@sim.command("step", examples=["slidectl sim step", "slidectl sim step 100", "slidectl sim step 0.5s"])
-@click.argument("amount", default="1", metavar="[N|SECONDSs]")
+@sim.command(
+    "step",
+    examples=["slidectl sim step", "slidectl sim step 100", "slidectl sim step 0.5s", "slidectl sim step --until 12.5"],
+)
+@click.argument("amount", required=False, metavar="[N|SECONDSs]")
+@click.option("--until", metavar="TIME", help="Up to this simulated time, s.")
 @click.pass_obj
-def step(ctx: Context, amount: str) -> None:
-    """Do N cycles, or so many simulated seconds, and return when they are done.
+def step(ctx: Context, amount: str | None, until: str | None) -> None:
+    """Do N cycles (1), or so many simulated seconds, or all until a time, and return when they are done.
 
     A time is a whole number of cycles (of 0.001 s, unless the daemon was started otherwise); another one is refused.
     Pauses the world first if it runs. Without --timeout it waits a minute longer than the steps take at a tenth of
     real time.
     """
-    request = parse_amount(amount)
-    seconds = request["seconds"] or request["cycles"] * 1e-3
+    if until is not None:
+        if amount is not None:
+            raise UsageError(f"give an amount ({amount}) or --until, not both")
+        request = {"until": _time(until)}
+        seconds = max(0.0, request["until"] - ctx.call("/slidectl/status")["time"])
+    else:
+        request = parse_amount(amount or "1")
+        seconds = request["seconds"] or request["cycles"] * 1e-3
     limit = ctx.wait_limit(wait_for_world_s(seconds))
     try:
         answer = _demand(ctx.call("/slidectl/step", request, limit))
@@ -133,6 +144,14 @@ def step(ctx: Context, amount: str) -> None:
         ) from None
     record = {"time": answer["time"], "cycles": answer["cycles"]}
     ctx.done(record, f"time {answer['time']:.6g} s after {answer['cycles']} cycles")
+
+
+def _time(text: str) -> float:
+    """`12.5` or `12.5s`. Raises UsageError."""
+    with suppress(ValueError):
+        if 0.0 < (value := float(text.removesuffix("s"))) < math.inf:
+            return value
+    raise UsageError(f"--until takes a simulated time above 0 s, such as 12.5, not {text!r}")
 
 
 def parse_amount(text: str) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
         "slidectl spawn slider -n left --at 0 1 0 --controllers config/slider_control.yaml"
         " --start joint_state_controller",
         "slidectl spawn models/rrbot.xacro --fixed",
+        "slidectl spawn rrbot --joint joint1=0.5 --joint joint2=-1.2",
         "slidectl spawn rrbot_description rrbot.xacro",
         "slidectl spawn house.world --at 2 0 0",
         "slidectl spawn model://table -n desk",
@@ -45,6 +46,9 @@ if TYPE_CHECKING:
 @click.option("-n", "--name", metavar="NAME", help="Name of the robot; by default that of the model.")
 @click.option(
     "--at", cls=Variadic, type=float, takes=looks_like_number, metavar="X Y Z [R P Y]", help="Place, m and rad."
+)
+@click.option(
+    "--joint", "joints", multiple=True, metavar="JOINT=POSITION", help="Where it starts, rad or m; may repeat."
 )
 @click.option("--fixed/--free", "fixed", default=None, help="Fix the root to the world, or free it.")
 @click.option(
@@ -66,6 +70,7 @@ def spawn(
     arguments: tuple[str, ...],
     name: str | None,
     at: tuple[float, ...],
+    joints: tuple[str, ...],
     fixed: bool | None,
     controllers: str | None,
     start: tuple[str, ...],
@@ -89,10 +94,11 @@ def spawn(
     from slidectl.description.missing import Missing
 
     missing = Missing("all" if keep_going else "nothing")
+    positions = _positions(joints)
     places = package_lookup(packages)
     source, given = in_package(model, arguments, places)
     if spawning.is_scene(source):
-        spawning.check_scene_options(given, controllers or transmissions, start)
+        spawning.check_scene_options(given, controllers or transmissions, start, positions)
         _spawn_scene(ctx, spawning.scene(source, places, missing), name, at, fixed, strict)
         _tell_left_out(ctx, missing)
         return
@@ -106,7 +112,7 @@ def spawn(
     missing.refuse()
     xml = spawning.with_transmissions(document, transmissions, _rooted(document.xml, document.file, fixed))
     pose = spawning.pose(at, "--at")
-    wanted, namespace = spawning.identity(xml, document, name, strict)
+    wanted, namespace = spawning.identity(xml, document, name, strict, positions)
     spawning.check_free(robots.all_robots(ctx), wanted, namespace)
     if controllers is not None:
         try:
@@ -116,9 +122,9 @@ def spawn(
             missing.refuse()
     manager = ctx.manager(namespace)
     there = _configured(manager, start, missing)
-    warnings = ctx.client.spawn_urdf(wanted, xml, pose, timeout=ctx.wait_limit(SPAWN_LIMIT_S))
+    warnings = ctx.client.spawn_urdf(wanted, xml, pose, positions, timeout=ctx.wait_limit(SPAWN_LIMIT_S))
     loads = {} if keep_going else manager.ask_to_load(there)  # the robot is new: it has none yet
-    _tell_report(ctx, wanted, document)
+    _tell_report(ctx, wanted, document, positions)
     for warning in warnings:
         ctx.warn(warning)
     try:
@@ -161,7 +167,7 @@ def urdf(ctx: Context, model: str, arguments: tuple[str, ...], target: str | Non
     places = package_lookup(packages, "urdf")
     source, given = in_package(model, arguments, places, "urdf")
     if spawning.is_scene(source):
-        spawning.check_scene_options(given, None, ())
+        spawning.check_scene_options(given, None, (), {})
         document = _single_model(source, places)
     else:
         title = "<stdin>" if source == "-" else None
@@ -201,6 +207,18 @@ def pairs(words: Sequence[str], sign: str, command: str = "spawn") -> dict[str, 
             hint = f"slidectl {command} --help shows the order of arguments"
             raise UsageError(f"{word!r} is not KEY{sign}VALUE", hint)
     return {key: value for key, _, value in (word.partition(sign) for word in words)}
+
+
+def _positions(words: Sequence[str]) -> dict[str, float]:
+    """`--joint JOINT=POSITION`. Raises UsageError."""
+    positions = {}
+    for joint, text in pairs(words, "=").items():
+        try:
+            positions[joint] = float(text)
+        except ValueError:
+            message = f"--joint {joint} takes a number, in rad or m, not {text!r}"
+            raise UsageError(message, "90 degrees are 1.5708 rad") from None
+    return positions
 
 
 def package_lookup(given: Sequence[str], command: str = "spawn") -> Packages:
@@ -329,11 +347,14 @@ def _bring_up_each(manager: Manager, names: Sequence[str], missing: Missing) -> 
     return there
 
 
-def _tell_report(ctx: Context, name: str, document: Document) -> None:
+def _tell_report(ctx: Context, name: str, document: Document, positions: Mapping[str, float]) -> None:
     """What became of the tags: wrong ones and mended inertias in full, the others counted unless `-v`."""
+    from slidectl.description.parser import is_put_inside
+
     for notice in document.report:
         ctx.warn(str(notice))
     report = robots.find(robots.all_robots(ctx), name)["report"]
+    report = [notice for notice in report if not is_put_inside(notice["subject"], notice["text"], positions)]
     _tell_notices(ctx, report)
     if not ctx.verbose:
         ctx.say(robots.summary(name, report))

@@ -19,7 +19,7 @@ from slidectl.cli.context import Context
 from slidectl.cli.echo import predicate
 from slidectl.cli.topic_streams import PUBLISHERS, Event, Schema, Stream, Target, look_up, nanoseconds
 from slidectl.errors import NoDaemon, Refused, TimedOut
-from slidectl.msgs.schema import BYTES, TIMES
+from slidectl.msgs.sizes import size
 
 Record = dict[str, Any]
 Render = Callable[[Sequence[Record]], str]
@@ -28,10 +28,6 @@ Render = Callable[[Sequence[Record]], str]
 NOTHING_NEW = "no new messages"
 _REPORT_PERIOD_S = 1.0
 _LARGEST_WINDOW = 10_000_000
-_SIZES = {
-    "bool": 1, "int8": 1, "uint8": 1, "byte": 1, "char": 1, "int16": 2, "uint16": 2, "int32": 4, "uint32": 4,
-    "float32": 4, "int64": 8, "uint64": 8, "float64": 8, "time": 8, "duration": 8,
-}  # fmt: skip
 
 
 # --- the figures ------------------------------------------------------------------------------------------------------
@@ -156,26 +152,7 @@ def spread_of(numbers: Sequence[float]) -> dict[str, float]:
 
 def size_counter(schema: Schema) -> Callable[[dict[str, Any]], int]:
     """The function that gives the bytes of a message in ROS 1's serialisation (what rostopic bw counts)."""
-    return lambda message: _size(schema, schema.root, message)
-
-
-def _size(schema: Schema, type_name: str, value: Any) -> int:
-    if type_name in _SIZES:
-        return _SIZES[type_name]
-    if type_name == "string":
-        return 4 + len(value.encode("utf-8", "surrogatepass"))
-    return sum(_field_size(schema, f.type, f.array, value[f.name]) for f in schema.fields(type_name))
-
-
-def _field_size(schema: Schema, type_name: str, array: int, value: Any) -> int:
-    if array < 0:
-        return _size(schema, type_name, value)
-    prefix = 4 if array == 0 else 0
-    if type_name in BYTES and isinstance(value, str):
-        return prefix + len(value.rstrip("=")) * 3 // 4
-    if type_name in _SIZES or type_name in TIMES:
-        return prefix + _SIZES[type_name] * len(value)
-    return prefix + sum(_size(schema, type_name, element) for element in value)
+    return lambda message: size(schema.fields, schema.root, message)
 
 
 # --- text -------------------------------------------------------------------------------------------------------------

@@ -27,6 +27,9 @@ STATES = (
 """By the numbers of actionlib_msgs/GoalStatus."""
 SUCCEEDED, LOST = 3, 9
 _SUFFIX = "ActionGoal"
+_LOOK_EVERY_S = 1.0
+"""Between two looks whether somebody serves the action still."""
+_NOBODY = "nobody serves the action any more: its robot or its controller has gone"
 
 _serial = itertools.count(1)
 
@@ -144,7 +147,7 @@ class Action:
     def follow(self, goal_id: str, timeout: float = math.inf) -> Iterator[Message | ActionResult]:
         """The goal's feedback messages as they come, and its ActionResult as the last. Raises as `wait`.
 
-        A goal that leaves the server's list without a result is lost.
+        A goal that leaves the server's list without a result is lost, and so is one whose server has gone.
         """
         deadline = time.monotonic() + timeout
         while True:
@@ -154,15 +157,23 @@ class Action:
                     yield message["feedback"]
             is_gone = self._is_gone(goal_id)
             if (ended := self.ended(goal_id)) is not None:
-                yield ended
+                yield ended if ended.succeeded or ended.text or self._is_served() else ended._replace(text=_NOBODY)
                 return
             if is_gone:
                 yield ActionResult(LOST, "the server does not list the goal any more", {})
                 return
+            left_s = deadline - time.monotonic()
             try:
-                self._client.wait_until(self._has_news, deadline - time.monotonic(), "")
+                self._client.wait_until(self._has_news, min(left_s, _LOOK_EVERY_S), "")
             except TimedOut as error:
-                raise TimedOut(f"the goal of {self.name} has not ended within {timeout:g} s", error.hint) from None
+                if left_s <= _LOOK_EVERY_S:
+                    raise TimedOut(f"the goal of {self.name} has not ended within {timeout:g} s", error.hint) from None
+                if not self._is_served() and self.ended(goal_id) is None:
+                    yield ActionResult(LOST, _NOBODY, {})
+                    return
+
+    def _is_served(self) -> bool:
+        return bool(self._client.call("/rosapi/subscribers", {"topic": f"{self.name}/goal"})["subscribers"])
 
     def _has_news(self) -> bool:
         return bool(len(self._feedback) or len(self._results) or len(self._lists))

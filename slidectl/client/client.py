@@ -11,7 +11,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
 from slidectl import __version__, names, paths
@@ -91,6 +91,8 @@ class Client:
         self._unheard: dict[str, int] = {}
         """Topic -> those of them that nobody got."""
         self._first_call: str | None = None
+        self._handlers: dict[str, Callable[[Message], Message]] = {}
+        """Of the services that this client provides."""
 
     # --- services -----------------------------------------------------------------------------------------------
 
@@ -142,6 +144,30 @@ class Client:
         """Nobody will ask for the response to an earlier `call_async`."""
         self._awaited.discard(call_id)
         self._answers.pop(call_id, None)
+
+    def advertise_service(self, service: str, type: str, handler: Callable[[Message], Message]) -> None:
+        """Provide a service (its full name) until the client is closed: the handler makes the response of a request.
+
+        Requests are answered while the client waits for something. What the handler raises is the caller's failure.
+
+        Raises:
+            Refused: there is such a service already, or no such type.
+        """
+        advertise_id = self._next_id("advertise")
+        self._handlers[service] = handler
+        self._send(op="advertise_service", id=advertise_id, service=service, type=type)
+        self.call(_SYNCHRONIZE)
+        if advertise_id in self._refusals:
+            del self._handlers[service]
+            raise self._refusals.pop(advertise_id)
+
+    def _serve(self, request: Message) -> None:
+        answer: Message = {"op": "service_response", "id": request["id"], "service": request["service"]}
+        try:
+            answer |= {"values": self._handlers[request["service"]](request["args"]), "result": True}
+        except Exception as error:  # the caller's, not ours
+            answer |= {"values": str(error) or type(error).__name__, "result": False}
+        self._send(**answer)
 
     # --- topics -------------------------------------------------------------------------------------------------
 
@@ -342,6 +368,7 @@ class Client:
         at: Sequence[float] = (),
         controllers: str | None = None,
         start: Sequence[str] = (),
+        joints: Mapping[str, float] | None = None,
         transmissions: str | None = None,
         **xacro_arguments: str,
     ) -> Message:
@@ -354,6 +381,7 @@ class Client:
             at: x, y, z in m, or these and roll, pitch, yaw in rad.
             controllers: the YAML file of its controllers' parameters.
             start: controllers to load and start.
+            joints: where joints start, rad or m.
             transmissions: `gazebo` or `real`, whatever the model says.
 
         Raises:
@@ -366,13 +394,13 @@ class Client:
             names.check_robot(name)
         pose = spawning.pose(at)
         if spawning.is_scene(model):
-            spawning.check_scene_options(xacro_arguments, controllers, start)
+            spawning.check_scene_options(xacro_arguments, controllers, start, joints or {})
             models = spawning.scene(model).named(name)
             self.spawn_models([spawning.request(one, at) for one in models])
             return dict(self.call("/slidectl/list_robots", {"name": models[0].name})["robots"][0])
         document = spawning.document(model, xacro_arguments, name)
         xml = spawning.with_transmissions(document, transmissions)
-        chosen, namespace = spawning.identity(xml, document, name)
+        chosen, namespace = spawning.identity(xml, document, name, joints=joints or {})
         spawning.check_free(self.robots(), chosen, namespace)
         if controllers is not None:
             self.params.set_all(spawning.controller_parameters(controllers, namespace))
@@ -381,15 +409,40 @@ class Client:
         for wanted in start:
             if wanted not in known:
                 raise UnknownName("controller", wanted, known, f"in the parameters of {namespace}")
-        self.spawn_urdf(chosen, xml, pose)
+        self.spawn_urdf(chosen, xml, pose, joints)
         if start:
             manager.loaded(manager.ask_to_load(start))
             manager.start(start)
         return dict(self.call("/slidectl/list_robots", {"name": chosen})["robots"][0])
 
-    def spawn_urdf(self, name: str, xml: str, pose: Message, *, timeout: float = SPAWN_LIMIT_S) -> list[str]:
-        """Put a URDF into the world at a geometry_msgs/Pose. Returns the world's remarks. Raises Refused."""
-        return self._spawn("urdf", {"model_name": name, "model_xml": xml, "initial_pose": pose}, timeout)
+    def spawn_urdf(
+        self,
+        name: str,
+        xml: str,
+        pose: Message,
+        joints: Mapping[str, float] | None = None,
+        *,
+        timeout: float = SPAWN_LIMIT_S,
+    ) -> list[str]:
+        """Put a URDF into the world at a geometry_msgs/Pose, with joints where they start (rad or m).
+
+        Returns the world's remarks. Raises Refused.
+        """
+        request = {"model_name": name, "model_xml": xml, "initial_pose": pose}
+        if not joints:
+            return self._spawn("urdf", request, timeout)
+        with self._spawning() as spawned:  # no moment passes between the two
+            self._spawn("urdf", request, timeout)
+            spawned.append(name)
+            self.start_joints(name, joints)
+        return []  # what it was put into with its joints at 0 is nobody's concern
+
+    def start_joints(self, robot: str, positions: Mapping[str, float]) -> None:
+        """Put joints of a robot there (rad or m), at rest, and let resets do so too. Raises Refused."""
+        names, values = list(positions), list(positions.values())
+        answer = self.call("/slidectl/start_joints", {"robot": robot, "joint_names": names, "joint_positions": values})
+        if not answer["success"]:
+            raise Refused(answer["message"])
 
     def spawn_models(self, models: Sequence[Message], *, timeout: float = SPAWN_LIMIT_S) -> list[str]:
         """Put models into the world, all or none; it stands still meanwhile. Returns the world's remarks.
@@ -403,15 +456,22 @@ class Client:
         if taken:
             there = ", ".join(repr(name) for name in sorted(taken))
             raise Refused(f"there is already: {there}", f"slidectl delete {' '.join(sorted(taken))}")
-        was_running = not self.call("/slidectl/status")["paused"]
         remarks: list[str] = []
+        with self._spawning() as spawned:
+            for model in models:
+                spawned.append(model["model_name"])
+                remarks += self._spawn("sdf", model, timeout)
+        return remarks
+
+    @contextmanager
+    def _spawning(self) -> Iterator[list[str]]:
+        """The world stands still, and the models that are listed leave it again if this fails."""
+        was_running = not self.call("/slidectl/status")["paused"]
         spawned: list[str] = []
         if was_running:
             self.call("/gazebo/pause_physics")
         try:
-            for model in models:
-                spawned.append(model["model_name"])
-                remarks += self._spawn("sdf", model, timeout)
+            yield spawned
         except BaseException:
             with suppress(SlidectlError):
                 for name in reversed(spawned):
@@ -421,7 +481,6 @@ class Client:
             if was_running:
                 with suppress(NoDaemon):
                     self.call("/gazebo/unpause_physics")
-        return remarks
 
     def _spawn(self, kind: str, request: Message, timeout: float) -> list[str]:
         answer = self.call(f"/gazebo/spawn_{kind}_model", request, timeout=timeout)
@@ -459,15 +518,18 @@ class Client:
         """The parameters, as a mapping of names to values."""
         return Params(self)
 
-    def step(self, cycles: int | None = None, *, seconds: float = 0.0) -> float:
-        """Pause the world and run so many cycles (1), or simulated seconds. Returns the simulated time in s.
+    def step(self, cycles: int | None = None, *, seconds: float = 0.0, until: float = 0.0) -> float:
+        """Pause the world and run so many cycles (1), or simulated seconds, or up to a simulated time above 0.
+
+        Returns the simulated time in s.
 
         Raises:
-            Refused: seconds that are no whole number of cycles, or the steps were given up.
+            Refused: a time that is no whole number of cycles away, or has passed, or the steps were given up.
         """
-        if cycles is not None and seconds:
-            raise UsageError("step takes cycles or seconds, not both")
-        request = {"cycles": 1 if cycles is None and not seconds else cycles or 0, "seconds": seconds}
+        if (cycles is not None) + bool(seconds) + bool(until) > 1:
+            raise UsageError("step takes one of cycles, seconds and until")
+        count = 1 if cycles is None and not (seconds or until) else cycles or 0
+        request = {"cycles": count, "seconds": seconds, "until": until}
         answer = self.call("/slidectl/step", request, timeout=math.inf)
         if not answer["success"]:
             raise Refused(answer["message"])
@@ -543,7 +605,9 @@ class Client:
             for subscription in self._subscriptions.get(message["topic"], ()):
                 subscription.put(message)
             return
-        if op == "status":
+        if op == "call_service":
+            self._serve(message)
+        elif op == "status":
             self._take_status(message)
         elif message.get("id") == self._first_call and message.get("version") != __version__:
             self._first_call = ""
@@ -784,6 +848,10 @@ class Manager:
     def states(self) -> dict[str, str]:
         """Name -> state of the loaded controllers."""
         return {controller["name"]: controller["state"] for controller in self.controllers()}
+
+    def update_times(self) -> list[Message]:
+        """How long the updates of the loaded controllers took, in load order (slidectl/UpdateTimes)."""
+        return list(self.client.call("/slidectl/update_times", {"robot": self.namespace})["controllers"])
 
     def types(self) -> Message:
         """`types` and `base_classes`, parallel lists."""

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slidectl import names, rotations
-from slidectl.errors import NotThere, Refused, UsageError
+from slidectl.errors import NotThere, Refused, UnknownName, UsageError
 
 if TYPE_CHECKING:
     from slidectl.description import Document, Packages
@@ -50,12 +50,24 @@ def with_transmissions(model: Document, how: str | None, xml: str | None = None)
     return xml if how is None else description.with_transmissions(xml, how, model.file)
 
 
-def identity(xml: str, model: Document, name: str | None, strict: bool = False) -> tuple[str, str]:
-    """The robot's name and namespace. Raises BadFile when the model is broken, BadName."""
+def identity(
+    xml: str, model: Document, name: str | None, strict: bool = False, joints: Mapping[str, float] | None = None
+) -> tuple[str, str]:
+    """The robot's name and namespace. `joints` is where some of its joints are to start, rad or m.
+
+    Raises:
+        BadFile: the model is broken. BadName. UnknownName, Refused: a joint that is not there, or cannot be there.
+    """
     from slidectl import description
+    from slidectl.description.robot import check_position
 
     robot = description.parse(xml, model.file, strict=strict)
     chosen = names.check_robot(robot.name if name is None else name)
+    moving = {one.name: one for one in robot.joints.values() if one.type in ("revolute", "continuous", "prismatic")}
+    for joint, position in (joints or {}).items():
+        if joint not in moving:
+            raise UnknownName("moving joint", joint, list(moving), f"on robot {chosen!r}")
+        check_position(moving[joint], position)
     return chosen, description.namespace_of(robot, chosen)
 
 
@@ -78,10 +90,14 @@ def is_scene(source: str) -> bool:
     return sdf.is_scene(source)
 
 
-def check_scene_options(arguments: Mapping[str, str], controllers: str | None, start: Sequence[str]) -> None:
+def check_scene_options(
+    arguments: Mapping[str, str], controllers: str | None, start: Sequence[str], joints: Mapping[str, float]
+) -> None:
     """Raise UsageError for what only a robot of URDF or xacro has."""
     if arguments:
         raise UsageError(f"SDF takes no arguments: {', '.join(arguments)}")
+    if joints:
+        raise UsageError(f"models of SDF start as their file says, and not with joints at {', '.join(joints)}")
     if controllers is not None or start:
         raise UsageError("models of SDF have no controllers", "describe a robot that is driven in URDF or xacro")
 

@@ -8,7 +8,7 @@ What authors of controllers need is here by name, as `from slidectl.control impo
 
 from __future__ import annotations
 
-from slidectl.control.controller_interface import Controller, MultiInterfaceController
+from slidectl.control.controller_interface import Compiled, Controller, Member, MultiInterfaceController, Parts
 from slidectl.control.hardware_interface import (
     EffortJointInterface,
     ForceTorqueSensorInterface,
@@ -22,6 +22,7 @@ from slidectl.control.hardware_interface import (
     RobotHW,
     VelocityJointInterface,
 )
+from slidectl.control.laws import LEAVE, PUBLISH, Columns, LawTables, law
 from slidectl.control.node_handle import Message, NodeHandle, Publisher
 from slidectl.control.params import BOOLEAN, INTEGER, NUMBER, NUMBERS, TEXT, TEXTS, Parameter
 from slidectl.control.pid import Gains, Pid
@@ -31,10 +32,14 @@ from slidectl.errors import MessageRefused, Refused
 __all__ = [
     "BOOLEAN",
     "INTEGER",
+    "LEAVE",
     "NUMBER",
     "NUMBERS",
+    "PUBLISH",
     "TEXT",
     "TEXTS",
+    "Columns",
+    "Compiled",
     "Controller",
     "EffortJointInterface",
     "ForceTorqueSensorInterface",
@@ -43,11 +48,14 @@ __all__ = [
     "JointHandle",
     "JointStateHandle",
     "JointStateInterface",
+    "LawTables",
+    "Member",
     "Message",
     "MessageRefused",
     "MultiInterfaceController",
     "NodeHandle",
     "Parameter",
+    "Parts",
     "Pid",
     "PosVelAccJointInterface",
     "PosVelJointInterface",
@@ -57,4 +65,5 @@ __all__ = [
     "RobotHW",
     "VelocityJointInterface",
     "controller",
+    "law",
 ]

@@ -15,9 +15,12 @@ TWO_PI = 2.0 * pi
 @law
 def normalize_angle(angle: float) -> float:
     """The same angle in (-π, π]; both -π and π become π. What is not finite has no angle: nan."""
+    turned = angle + pi
+    if 0.0 < turned < TWO_PI:  # fmod would give it back as it is, and later
+        return turned - pi
     if not isfinite(angle):
         return nan
-    turned = fmod(angle + pi, TWO_PI)
+    turned = fmod(turned, TWO_PI)
     return turned + pi if turned <= 0.0 else turned - pi
 
 

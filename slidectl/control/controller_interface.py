@@ -5,10 +5,10 @@ Only the requests here change a controller's state; hooks never do. It knows no 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, ClassVar, Generic
+from typing import Any, ClassVar, Generic, NamedTuple
 
 from slidectl.control.hardware_interface import (
     AnyInterface,
@@ -18,7 +18,7 @@ from slidectl.control.hardware_interface import (
     JointStateHandle,
     RobotHW,
 )
-from slidectl.control.laws import Columns
+from slidectl.control.laws import Columns, LawTables
 from slidectl.control.node_handle import NodeHandle, Publisher
 from slidectl.control.params import Parameter
 from slidectl.control.pid import Pid
@@ -37,33 +37,62 @@ class State(StrEnum):
     ABORTED = "aborted"
 
 
-@dataclass(frozen=True, slots=True)
 class Compiled:
-    """How a controller runs compiled: the law of its `update`, and the columns of its row.
+    """How a controller runs compiled: the law of its `update`, and the columns of its row and of its members' rows.
 
-    `update(row, joints, pids, time_ns, period_s)` is a law: it does to the rows what the method does to the objects,
-    and returns True when `publish` is due. `Columns.places` are `pid` where there is a PID, `joint` where there is one
-    joint, and `wanted` where there is a publisher, in this order: indices into `pids` and `joints`, and a flag.
+    `update(row, tables, time_ns, period_s)` is a law: it does to the rows what the method does to the objects. It
+    returns 0, or False; PUBLISH, or True, when `publish` is due; or LEAVE. Behind its columns a row has `pid` and
+    `joint`, indices into `tables`, and `wanted`: somebody listens. A member's row has `pid` and `joint`.
     """
 
-    update: Callable[[Any, Any, Any, int, float], bool]
-    columns: Columns
+    __slots__ = ("instead_of", "members", "row", "update")
+
+    def __init__(
+        self,
+        update: Callable[[Any, LawTables, int, float], int],
+        columns: Columns | None = None,
+        members: Columns | None = None,
+        instead_of: str = "",
+    ) -> None:
+        """`instead_of`: methods besides `update` and `publish` that the law stands for, parted by blanks."""
+        self.update = update
+        self.row = (columns or Columns()).with_places("pid joint wanted")
+        self.members = (members or Columns()).with_places("pid joint")
+        self.instead_of = ("update", "publish", *instead_of.split(), *self.row.attributes)
+        """What an heir cannot have of its own and run compiled by this."""
+
+
+class Member(NamedTuple):
+    """One of several like parts of a controller: an object with the attributes of a row, its joint and its PID."""
+
+    source: object
+    joint: JointStateHandle | None = None
+    pid: Pid | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Parts:
     """What a controller consists of besides itself, while it runs compiled."""
 
-    publisher: Publisher | None = None
-    """Where its `publish` goes; it is called only while that is wanted."""
+    publishers: tuple[Publisher, ...] = ()
+    """Where its `publish` goes; it is called only while one of them is wanted."""
     joint: JointHandle | None = None
     pid: Pid | None = None
     shown: tuple[JointStateHandle, ...] = ()
     """Joints of which `publish` tells."""
+    members: Sequence[Member] = ()
+    numbers: Any = None
+    """A writable buffer of doubles that the law and the methods share."""
 
     def handles(self) -> list[JointStateHandle]:
         """All that are named here."""
-        return [*self.shown, *([] if self.joint is None else [self.joint])]
+        joints = [self.joint, *(member.joint for member in self.members)]
+        return [*self.shown, *(joint for joint in joints if joint is not None)]
+
+    def pids(self) -> list[Pid]:
+        """All that are named here."""
+        pids = [self.pid, *(member.pid for member in self.members)]
+        return [pid for pid in pids if pid is not None]
 
 
 class MissingInterface(Refused):
@@ -114,7 +143,7 @@ class ControllerBase:
         return None
 
     def publish(self, time_ns: int, period_s: float) -> None:
-        """Publish what the last update made due; called only while the publisher of its parts is wanted."""
+        """Publish what the last update made due; called only while a publisher of its parts is wanted."""
 
     # Requests: what the manager calls.
 
@@ -148,11 +177,6 @@ class ControllerBase:
     def give_up(self) -> None:
         """Be aborted without a hook: for a controller whose hooks fail."""
         self.state = State.ABORTED
-
-    def update_request(self, time_ns: int, period_s: float) -> None:
-        """Update if running, else nothing."""
-        if self.state is State.RUNNING:
-            self.update(time_ns, period_s)
 
     def _enter(self, state: State, hook: Callable[[int], None], time_ns: int) -> bool:
         if self.state is State.CONSTRUCTED:

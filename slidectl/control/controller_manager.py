@@ -7,31 +7,106 @@ It knows neither the names of the services around it nor who waits for an answer
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
+from time import perf_counter_ns
 from typing import Any
 
 from slidectl import names
 from slidectl.control import registry
 from slidectl.control.controller_interface import ControllerBase, State
-from slidectl.control.duration import to_seconds
+from slidectl.control.duration import NANOSECONDS, to_seconds
 from slidectl.control.hardware_interface import ControllerInfo, RobotHW, SwitchState
 from slidectl.control.node_handle import NodeHandle, Reasons
-from slidectl.control.params import Guard
+from slidectl.control.params import UPDATE_BUDGET, Guard, value_of
 from slidectl.control.registry import ControllerLoader, RegistryLoader, UnknownType
 from slidectl.control.ros2_names import counterpart
-from slidectl.control.user_classes import place_of, watched
+from slidectl.control.user_classes import HookGuard, is_of_a_user, place_of, watched
 from slidectl.errors import BadName, Refused, SlidectlError, UnknownName, quoted
+
+_LONGEST_BUDGET_S = 1e9
+
+
+class UpdateTimes:
+    """Wall time, in ns, that the updates of one controller took in the interpreter since it was started."""
+
+    __slots__ = (
+        "_name",
+        "_next_warning_ns",
+        "_node",
+        "budget_ns",
+        "count",
+        "longest_ns",
+        "notable_ns",
+        "over_budget",
+        "total_ns",
+    )
+
+    def __init__(self, name: str, node: NodeHandle) -> None:
+        self._name = name
+        self._node = node
+        self._next_warning_ns = 0
+        self.budget_ns = 0
+        """An update that takes longer is warned of; 0: none is."""
+        self.clear()
+
+    def clear(self) -> None:
+        """Count from now on."""
+        self.count = self.total_ns = self.longest_ns = self.over_budget = 0
+        self.notable_ns = 0
+        """`note` is to be told of an update that took longer."""
+
+    def set_budget(self, budget_s: float) -> None:
+        """From now on; not above 0: none."""
+        self.budget_ns = round(min(max(0.0, budget_s), _LONGEST_BUDGET_S) * NANOSECONDS)
+        self.notable_ns = 0
+
+    def add(self, took_ns: int, now_ns: int) -> None:
+        """One more update; now is on the clock of `perf_counter_ns`."""
+        self.count += 1
+        self.total_ns += took_ns
+        if took_ns > self.notable_ns:
+            self.note(took_ns, now_ns)
+
+    def note(self, took_ns: int, now_ns: int) -> None:
+        """Of an update that is the longest so far, or over the budget."""
+        self.longest_ns = max(self.longest_ns, took_ns)
+        self.notable_ns = min(self.longest_ns, self.budget_ns or self.longest_ns)
+        if 0 < self.budget_ns < took_ns:
+            self.over_budget += 1
+            if now_ns >= self._next_warning_ns:
+                self._next_warning_ns = now_ns + NANOSECONDS
+                took, budget = f"{took_ns / 1000:.1f} us", f"{self.budget_ns / 1000:g} us"
+                text = f"an update took {took}, its budget is {budget}; so did {self.over_budget} of {self.count}"
+                self._node.log("warn", f"controller {self._name!r}: {text}")
+
+    def message(self) -> dict[str, Any]:
+        """As slidectl/UpdateTimes, in seconds."""
+        mean_ns = self.total_ns / self.count if self.count else 0.0
+        times = {"mean": mean_ns, "longest": self.longest_ns, "budget": self.budget_ns}
+        seconds = {key: value / NANOSECONDS for key, value in times.items()}
+        return {"name": self._name, "updates": self.count, "over_budget": self.over_budget, **seconds}
 
 
 class LoadedController:
     """One entry of a manager's list. Times are nanoseconds of simulated time."""
 
-    __slots__ = ("controller", "info", "node")
+    __slots__ = ("_watched", "controller", "info", "node", "times")
 
     def __init__(self, name: str, type_name: str, controller: ControllerBase, node: NodeHandle) -> None:
         self.controller = controller
         self.node = node
         self.info = ControllerInfo(name, type_name, controller.claimed_resources)
+        self.times = UpdateTimes(name, node)
+        self._watched = watched(type(controller))
+        self._read_budget()
+        node.watch_param(UPDATE_BUDGET.name, self._read_budget)
+
+    def _read_budget(self) -> None:
+        self.times.set_budget(value_of(self.node, UPDATE_BUDGET))
+        if self.times.budget_ns and self.controller.compiled is not None:
+            where = names.join(self.node.namespace, UPDATE_BUDGET.name)
+            self.node.log("warn", f"parameter {where} has no effect while the controller runs compiled")
 
     @property
     def name(self) -> str:
@@ -50,6 +125,7 @@ class LoadedController:
 
     def start(self, time_ns: int) -> None:
         """Start, or start again."""
+        self.times.clear()
         self._request(self.controller.start_request, time_ns)
 
     def stop(self, time_ns: int) -> None:
@@ -65,9 +141,26 @@ class LoadedController:
         self._request(self.controller.abort_request, time_ns)
 
     def update(self, time_ns: int, period_s: float) -> None:
-        """One cycle, if it is running."""
+        """One cycle, measured. Raises what the controller raises."""
+        began_ns = perf_counter_ns()
+        self.bare_update(time_ns, period_s)
+        now_ns = perf_counter_ns()
+        self.times.add(now_ns - began_ns, now_ns)
+
+    @property
+    def bare_update(self) -> Callable[[int, float], None]:
+        """The same, not measured."""
+        return self.controller.update if self._watched is None else self._watched_update
+
+    def _watched_update(self, time_ns: int, period_s: float) -> None:
+        with self._watched or nullcontext():
+            self.controller.update(time_ns, period_s)
+
+    def update_if_running(self, time_ns: int, period_s: float) -> None:
+        """One cycle, unless a controller before this one has stopped it. A failure aborts it."""
         try:
-            self.controller.update_request(time_ns, period_s)
+            if self.is_running:
+                self.update(time_ns, period_s)
         except Exception as failure:
             self.fail(failure, time_ns)
 
@@ -75,7 +168,8 @@ class LoadedController:
         """Log what the controller's code raised, and abort it."""
         self.node.log("fatal", f"controller {self.name!r} failed and is aborted: {described(failure)}")
         try:
-            self.controller.abort_request(time_ns)
+            with self._watched or nullcontext():
+                self.controller.abort_request(time_ns)
         except Exception as another:
             self.node.log("fatal", f"controller {self.name!r} failed while aborting: {described(another)}")
             self.controller.give_up()
@@ -91,7 +185,7 @@ class LoadedController:
 
     def _request(self, request: Callable[[int], bool], time_ns: int) -> None:
         try:
-            with watched(type(self.controller)):
+            with self._watched or nullcontext():
                 request(time_ns)
         except Exception as failure:
             self.fail(failure, time_ns)
@@ -104,6 +198,22 @@ def described(failure: Exception) -> str:
     place = place_of(failure)
     where = f" ({place[0]}:{place[1]})" if place else ""
     return f"{type(failure).__name__}: {failure}{where}".replace("\n", " ")
+
+
+class CallbackGuard(HookGuard):
+    """Inside, a user's controller takes a message, a call, a goal or a tick. What it raises becomes a Refused."""
+
+    def __init__(self, node: NodeHandle) -> None:
+        self._node = node
+
+    def __exit__(self, kind: type[BaseException] | None, failure: BaseException | None, *trace: Any) -> None:
+        try:
+            super().__exit__(kind, failure, *trace)
+            if isinstance(failure, Exception) and not isinstance(failure, SlidectlError):
+                raise Refused(described(failure)) from None
+        except Refused as refusal:  # who sent the message may not ask what became of it
+            self._node.log("error", f"{self._node.namespace}: {described(refusal)}")
+            raise
 
 
 BEST_EFFORT = 1
@@ -249,6 +359,7 @@ class Switch:
 
 
 Names = list[str]
+Messages = list[dict[str, Any]]
 
 
 def _nothing(_ok: bool) -> None:
@@ -265,7 +376,7 @@ class ControllerManager:
         self._loaders: list[ControllerLoader] = [RegistryLoader()]
         self._loaded: dict[str, LoadedController] = {}
         self._running: tuple[LoadedController, ...] = ()
-        self._updates: tuple[Callable[[int, float], None], ...] = ()
+        self._updates: tuple[tuple[Callable[[int, float], None], UpdateTimes], ...] = ()
         self._switch: Switch | None = None
 
     # The cycle.
@@ -278,11 +389,21 @@ class ControllerManager:
         """
         if reset_controllers:
             self.restart_running(time_ns)
+        # What UpdateTimes.add does, and one look at the clock for each controller: a call more would show.
+        clock_ns = perf_counter_ns
+        began_ns = clock_ns()
         try:
-            for update in self._updates:
+            for update, times in self._updates:
                 update(time_ns, period_s)
+                now_ns = clock_ns()
+                took_ns = now_ns - began_ns
+                times.count += 1
+                times.total_ns += took_ns
+                if took_ns > times.notable_ns:
+                    times.note(took_ns, now_ns)
+                began_ns = now_ns
         except Exception as failure:
-            self._carry_on(self._updates.index(update), failure, time_ns, period_s)
+            self._carry_on(self._updates.index((update, times)), failure, time_ns, period_s)
         if self._switch is not None:
             self.manage_switch(time_ns)
 
@@ -292,7 +413,7 @@ class ControllerManager:
             self._carry_on(done - 1, failure, time_ns, period_s)
         else:
             for entry in self._running[done:]:
-                entry.update(time_ns, period_s)
+                entry.update_if_running(time_ns, period_s)
         if self._switch is not None:
             self.manage_switch(time_ns)
 
@@ -327,12 +448,12 @@ class ControllerManager:
         running = self._running
         running[position].fail(failure, time_ns)
         for entry in running[position + 1 :]:
-            entry.update(time_ns, period_s)
+            entry.update_if_running(time_ns, period_s)
         self._refresh()
 
     def _refresh(self) -> None:
         self._running = tuple(entry for entry in self._loaded.values() if entry.is_running)
-        self._updates = tuple(entry.controller.update for entry in self._running)
+        self._updates = tuple((entry.bare_update, entry.times) for entry in self._running)
 
     # What is there.
 
@@ -342,14 +463,9 @@ class ControllerManager:
         return self._switch is not None
 
     @property
-    def running_count(self) -> int:
-        """The number of running controllers."""
-        return len(self._running)
-
-    @property
-    def updates(self) -> tuple[Callable[[int, float], None], ...]:
-        """`update` of each running controller, in order: another tuple whenever these are others."""
-        return self._updates
+    def running(self) -> tuple[LoadedController, ...]:
+        """The running controllers, in order: another tuple whenever these are others."""
+        return self._running
 
     def names(self) -> list[str]:
         """The names of all loaded controllers, in load order."""
@@ -360,9 +476,13 @@ class ControllerManager:
         entry = self._loaded.get(name)
         return entry.controller if entry is not None else None
 
-    def list(self) -> list[dict[str, Any]]:
+    def list(self) -> Messages:
         """All loaded controllers in load order, each as controller_manager_msgs/ControllerState."""
         return [entry.message() for entry in self._loaded.values()]
+
+    def update_times(self) -> Messages:
+        """How long the updates of all loaded controllers took, in load order, each as slidectl/UpdateTimes."""
+        return [entry.times.message() for entry in self._loaded.values()]
 
     def types(self) -> Names:
         """The controller types that can be loaded."""
@@ -399,7 +519,9 @@ class ControllerManager:
         try:
             type_name = _understood(node, _type_of(node))
             controller = self._create(type_name)
-            with watched(type(controller)):
+            if is_of_a_user(type(controller)):
+                node.guard = CallbackGuard(node)
+            with watched(type(controller)) or nullcontext():
                 controller.init_request(self._hw, self._node, node)
         except BaseException:
             node.shutdown()

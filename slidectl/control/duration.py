@@ -37,8 +37,16 @@ def from_seconds(seconds: float) -> int:
     """
     if not isfinite(seconds) or abs(seconds) > _MOST_SECONDS:
         raise BadDuration(seconds)
+    return nearest_ns(seconds)
+
+
+@law
+def nearest_ns(seconds: float) -> int:
+    """`from_seconds` of what a duration can hold."""
     whole = floor(seconds)
-    return whole * NANOSECONDS + _round_half_up((seconds - whole) * 1e9)
+    value = (seconds - whole) * 1e9
+    above = ceil(value)  # not floor(value + 0.5): that sum may round up by itself
+    return whole * NANOSECONDS + (above - 1 if above - value > 0.5 else above)
 
 
 def to_stamp(ns: int) -> dict[str, int]:
@@ -55,9 +63,3 @@ def header_of(ns: int, frame: str = "") -> dict[str, Any]:
 def from_stamp(stamp: dict[str, int]) -> int:
     """Nanoseconds of a time or duration on a message."""
     return stamp["secs"] * NANOSECONDS + stamp["nsecs"]
-
-
-def _round_half_up(value: float) -> int:
-    """Nearest whole number of a value >= 0. Not floor(value + 0.5): that sum may round up by itself."""
-    above = ceil(value)
-    return above - 1 if above - value > 0.5 else above

@@ -1,4 +1,4 @@
-"""A goal of an action that a controller works on: what updates decide reaches the client at the ticks of a monitor.
+"""Controllers that work on a goal of an action: what updates decide reaches the client at the ticks of a monitor.
 
 After realtime_tools' RealtimeServerGoalHandle and the timer that ros_controllers put beside it.
 """
@@ -9,7 +9,9 @@ from collections.abc import Callable
 from math import inf
 
 from slidectl.control import params
+from slidectl.control.controller_interface import Controller
 from slidectl.control.duration import BadDuration, from_seconds
+from slidectl.control.hardware_interface import I
 from slidectl.control.node_handle import GoalHandle, GoalStatus, Message, NodeHandle, RepeatingTimer
 from slidectl.control.params import NUMBER, Parameter
 from slidectl.errors import Refused
@@ -41,7 +43,7 @@ class MonitoredGoal:
 
     def __init__(self, handle: GoalHandle) -> None:
         self.handle = handle
-        self.feedback: Callable[[], Message] | None = None
+        self.feedback: Callable[[], Message | None] = lambda: None
         """Makes the feedback of the last update; None before the first one, or where there is none at all."""
         self._decision: GoalStatus | None = None
         self._result: Message = {}
@@ -57,6 +59,11 @@ class MonitoredGoal:
             self._decision = status
             self._result = result
 
+    @property
+    def looks(self) -> bool:
+        """Does a tick look at the controller, or change what it looks at?"""
+        return self._decision is not None or self.handle.wants_feedback
+
     def tick(self) -> None:
         """Send what there is: the result of a decision, and the feedback if the goal was active until now."""
         was_active = self.is_active
@@ -65,8 +72,9 @@ class MonitoredGoal:
                 self.handle.abort(dict(self._result))
             elif self._decision is GoalStatus.SUCCEEDED:
                 self.handle.succeed(dict(self._result))
-        if was_active and self.feedback is not None:
-            self.handle.publish_feedback(self.feedback())
+        feedback = self.feedback() if was_active and self.handle.wants_feedback else None
+        if feedback is not None:
+            self.handle.publish_feedback(feedback)
 
 
 class GoalMonitor:
@@ -88,11 +96,62 @@ class GoalMonitor:
         if self._goal is not None:
             self._goal.handle.release()
         self._goal = goal
-        self._timer = self._node.call_every(self._period_ns, self._tick)
+        self._timer = self._node.call_every(self._period_ns, self._tick, enters=False)
 
     def _tick(self) -> None:
         assert self._goal is not None
         assert self._timer is not None
+        if self._goal.looks:
+            self._node.enter()
         self._goal.tick()
         if self._goal.handle.status not in (GoalStatus.ACTIVE, GoalStatus.PREEMPTING):
             self._timer.cancel()
+
+
+class ActionController(Controller[I]):
+    """Serves one action, and works on the goal that came last. A child says what a goal means."""
+
+    def _serve(self, node: NodeHandle, action: str, type_name: str, monitor_period_ns: int) -> None:
+        """Advertise the action, as the last step of `init`."""
+        self._node = node
+        self._goal: MonitoredGoal | None = None
+        self._monitor = GoalMonitor(node, monitor_period_ns)
+        node.advertise_action(action, type_name, self._take_goal, self._take_cancel)
+
+    def _take_goal(self, handle: GoalHandle) -> None:
+        """Reject the goal, or follow it."""
+        raise NotImplementedError
+
+    def _hold(self) -> None:
+        """The goal is cancelled: come to rest."""
+        raise NotImplementedError
+
+    def stopping(self, time_ns: int) -> None:  # noqa: ARG002
+        """Nobody works on the goal any more."""
+        self._preempt()
+
+    def aborting(self, time_ns: int) -> None:  # noqa: ARG002
+        self._preempt()
+
+    def _follow(self, goal: MonitoredGoal) -> None:
+        """From now on this goal, and no other."""
+        self._preempt()
+        goal.handle.accept()
+        self._goal = goal
+        self._monitor.watch(goal)
+
+    def _reject(self, handle: GoalHandle, text: str, result: Message | None = None) -> None:
+        self._node.log("error", f"{self._node.namespace}: {text}")
+        handle.reject(result)
+
+    def _take_cancel(self, handle: GoalHandle) -> None:
+        if self._goal is not None and self._goal.handle is handle:
+            self._goal = None
+            self._hold()
+            handle.cancel()
+
+    def _preempt(self) -> None:
+        """Another motion takes the place of the goal's. One that has just ended keeps its result."""
+        goal, self._goal = self._goal, None
+        if goal is not None and goal.is_active:
+            goal.handle.cancel()

@@ -127,8 +127,12 @@ class GroupController(CommandController):
 def joint_names(node: NodeHandle) -> list[str]:
     """The value of `joints`. Raises SlidectlError: it is missing, of another type, or empty."""
     found = params.needed_texts(node, JOINTS.name)
+    where = names.join(node.namespace, JOINTS.name)
     if not found:
-        raise Refused(f"parameter {names.join(node.namespace, JOINTS.name)} must name at least one joint")
+        raise Refused(f"parameter {where} must name at least one joint")
+    for name in dict.fromkeys(found):
+        if found.count(name) > 1:
+            node.log("warn", f"parameter {where} names {name!r} twice: the later command counts")
     return found
 
 
@@ -181,11 +185,9 @@ class PidController(ScalarController):
         """Use these gains from the next update on; parameters and subscribers are told."""
         self._reconfigurable_pid.set_gains(gains)
 
-    def parts(self) -> Parts | None:
-        """What runs compiled besides this controller; None while its PID publishes each step."""
-        if self._pid.observer is not None:
-            return None
-        return Parts(self._state, self._joint, self._pid, (self._joint,))
+    def parts(self) -> Parts:
+        """What runs compiled besides this controller."""
+        return Parts((self._state,), self._joint, self._pid, (self._joint,))
 
     def _offer_pid(self, node: NodeHandle) -> None:
         self._reconfigurable_pid = ReconfigurablePid(node.child("pid"))

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from operator import attrgetter
 from struct import Struct
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, Self, TypeVar
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -26,6 +26,24 @@ def law(function: F) -> F:
     return function
 
 
+PUBLISH, LEAVE = 1, 2
+"""What the law of a controller's update may return besides 0: `publish` is due; or nothing was changed, and the
+interpreter is to make this update."""
+
+
+class LawTables(NamedTuple):
+    """What the law of a controller's update finds beside the controller's own row."""
+
+    joints: Any
+    """The rows of all joints: position, velocity, effort and command of each, as a handle has them."""
+    pids: Any
+    """The rows of all PIDs."""
+    members: Any
+    """The rows of the controller's members, in their order; each tells its `joint` and `pid`."""
+    numbers: Any
+    """The controller's block of numbers."""
+
+
 class Columns:
     """Attributes of an object that make a row: floats and whole numbers, those that laws change first.
 
@@ -39,16 +57,27 @@ class Columns:
         places: str = "",
         whole: str = "",
     ) -> None:
-        """Names parted by blanks; `whole` are those of the others that are whole numbers or truth values."""
+        """Names parted by blanks; `whole` are those of the others that are whole numbers or truth values.
+
+        `part.name` is an attribute of an attribute; its column is called `part_name`.
+        """
         self.changing = tuple(changing.split())
         self.attributes = (*self.changing, *fixed.split())
-        self.names = (*self.attributes, *places.split())
-        self.kinds = "".join("q" if name in whole.split() else "d" for name in self.names)
+        paths = (*self.attributes, *places.split())
+        self.names = tuple(path.replace(".", "_") for path in paths)
+        self.kinds = "".join("q" if path in whole.split() else "d" for path in paths)
         self.size = 8 * len(self.names)
         self._all = Struct("=" + self.kinds)
         self._changing = Struct("=" + self.kinds[: len(self.changing)])
         self._values = _getter(self.attributes)
         self._changing_values = _getter(self.changing)
+        self._targets = [path.rpartition(".")[::2] for path in self.changing]
+
+    def with_places(self, places: str) -> Self:
+        """The same columns, and places behind them that are whole numbers."""
+        whole = [path for path, kind in zip(self.attributes, self.kinds, strict=False) if kind == "q"]
+        fixed = self.attributes[len(self.changing) :]
+        return type(self)(" ".join(self.changing), " ".join(fixed), places, " ".join((*whole, places)))
 
     def fill(self, rows: bytearray, row: int, source: object, *places: float) -> None:
         """Write the whole row: the attributes of `source`, then the places."""
@@ -61,8 +90,8 @@ class Columns:
     def give(self, rows: bytearray, row: int, target: object) -> None:
         """Set the attributes of `target` that laws change to what the row holds."""
         values = self._changing.unpack_from(rows, row * self.size)
-        for name, value in zip(self.changing, values, strict=True):
-            setattr(target, name, value)
+        for (owner, name), value in zip(self._targets, values, strict=True):
+            setattr(attrgetter(owner)(target) if owner else target, name, value)
 
 
 def _getter(names: Sequence[str]) -> Callable[[object], tuple[Any, ...]]:

@@ -6,17 +6,18 @@ rad. It knows no joints.
 
 from __future__ import annotations
 
-from collections import deque
+from array import array
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import cos, isfinite, sin
-from typing import Protocol
+from typing import Any, Protocol
 
 from slidectl import names
 from slidectl.control import params
 from slidectl.control.controller_interface import ControllerBase, State
 from slidectl.control.duration import header_of, to_seconds
 from slidectl.control.goals import period_of
+from slidectl.control.laws import law
 from slidectl.control.node_handle import Message, NodeHandle, Publisher
 from slidectl.control.params import BOOLEAN, INTEGER, NUMBER, TEXT, Kind, Parameter, within
 from slidectl.description.robot import Cylinder, Joint, Robot, Sphere
@@ -78,7 +79,7 @@ class CommandTopic:
         self.time_ns = 0
         """When it came."""
         self._numbers: tuple[float, ...] | None = None
-        self._timeout_s: float = params.value_of(node, TIMEOUT)
+        self.timeout_s: float = params.value_of(node, TIMEOUT)
         self._controller = controller
         self._node = node
         self._topic = topic
@@ -92,7 +93,12 @@ class CommandTopic:
 
     def at(self, time_ns: int) -> tuple[float, ...] | None:
         """The numbers; None: there is no command, or it has timed out."""
-        return None if to_seconds(time_ns - self.time_ns) > self._timeout_s else self._numbers
+        return None if to_seconds(time_ns - self.time_ns) > self.timeout_s else self._numbers
+
+    @property
+    def first_two(self) -> tuple[float, float]:
+        """The first two numbers of the last command; 0 where there is none."""
+        return (0.0, 0.0) if self._numbers is None else (self._numbers[0], self._numbers[1])
 
     def _receive(self, message: Message) -> None:
         """Take a command, between two cycles."""
@@ -132,25 +138,39 @@ def velocity_commands(
 # -- limits ------------------------------------------------------------------------------------------------------------
 
 
+@law
+def clamp(value: float, least: float, most: float) -> float:
+    """min(max(least, value), most)."""
+    if value > least:
+        least = value
+    return most if most < least else least
+
+
+@law
+def limited(limits: Any, wanted: float, last: float, before: float, period_s: float) -> float:
+    """The velocity that follows `last` and the one `before` it, when this one is wanted; `limits` as a SpeedLimiter
+    has them."""
+    if limits[0]:
+        change, scale = last - before, 2.0 * period_s * period_s
+        wanted = last + change + clamp(wanted - last - change, limits[1] * scale, limits[2] * scale)
+    if limits[3]:
+        wanted = last + clamp(wanted - last, limits[4] * period_s, limits[5] * period_s)
+    return clamp(wanted, limits[7], limits[8]) if limits[6] else wanted
+
+
+LIMIT_NUMBERS = 9
+
+
 class SpeedLimiter:
     """Bounds a velocity, its change in a period, and the change of that, after speed_limiter.cpp."""
 
     def __init__(self, node: NodeHandle, where: str, has_jerk: bool) -> None:
         """Read the parameters of the namespace `where`."""
-        self._velocity = _bounds(node, where, "velocity")
-        self._acceleration = _bounds(node, where, "acceleration")
-        self._jerk = _bounds(node, where, "jerk") if has_jerk else None
-
-    def limit(self, wanted: float, last: float, before: float, period_s: float) -> float:
-        """The velocity that follows `last` and the one `before` it, when this one is wanted."""
-        if self._jerk is not None:
-            least, most = self._jerk
-            change, scale = last - before, 2.0 * period_s * period_s
-            wanted = last + change + clamp(wanted - last - change, least * scale, most * scale)
-        if self._acceleration is not None:
-            least, most = self._acceleration
-            wanted = last + clamp(wanted - last, least * period_s, most * period_s)
-        return wanted if self._velocity is None else clamp(wanted, *self._velocity)
+        velocity, acceleration = _bounds(node, where, "velocity"), _bounds(node, where, "acceleration")
+        jerk = _bounds(node, where, "jerk") if has_jerk else None
+        bounds = (jerk, acceleration, velocity)
+        self.numbers = [number for pair in bounds for number in ((1.0, *pair) if pair else (0.0, 0.0, 0.0))]
+        """Of jerk, acceleration and velocity: whether it is bounded, the least, and the largest."""
 
 
 def _bounds(node: NodeHandle, where: str, what: str) -> tuple[float, float] | None:
@@ -163,11 +183,6 @@ def _bounds(node: NodeHandle, where: str, what: str) -> tuple[float, float] | No
         node.log("warn", f"{place}/has_{what}_limits is true without max_{what}, which is 0 then")
         most = 0.0
     return -most if least is None else least, most
-
-
-def clamp(value: float, least: float, most: float) -> float:
-    """The nearest value within bounds."""
-    return min(max(least, value), most)
 
 
 @dataclass(slots=True)
@@ -188,38 +203,58 @@ class LimitedVelocity:
 
     def forget(self) -> None:
         """Go on from standing still."""
-        self.last, self._before = BaseVelocity(), BaseVelocity()
+        self.last, self.before = BaseVelocity(), BaseVelocity()
 
     def follow(self, linear: float, angular: float | None, period_s: float) -> BaseVelocity:
         """The velocity of the next period; `angular` is None where nobody turns by it, and the last one stays."""
-        last, before = self.last, self._before
-        linear = self._linear.limit(linear, last.linear, before.linear, period_s)
+        last, before = self.last, self.before
+        linear = limited(self._linear.numbers, linear, last.linear, before.linear, period_s)
         if angular is None:
             angular = last.angular
         else:
-            angular = self._angular.limit(angular, last.angular, before.angular, period_s)
-        self._before, self.last = last, BaseVelocity(linear, angular)
+            angular = limited(self._angular.numbers, angular, last.angular, before.angular, period_s)
+        self.before, self.last = last, BaseVelocity(linear, angular)
         return self.last
+
+    def numbers(self) -> list[float]:
+        """The limits of the velocity forwards, then those of the turning."""
+        return [*self._linear.numbers, *self._angular.numbers]
 
 
 # -- odometry ----------------------------------------------------------------------------------------------------------
 
 
+@law
+def rolling_mean(mean: float, value: float, past: Any, first: int, window: int, count: int) -> float:
+    """The mean with one more value, computed as boost's accumulator does: the same bits. The last values, of which
+    there were `count`, are `past` from `first` on; the oldest makes room for the new one."""
+    slot = first + count % window
+    oldest, past[slot] = past[slot], value
+    return mean + ((value - oldest) / window if count >= window else (value - mean) / (count + 1))
+
+
 class RollingMean:
-    """The mean of the last values, computed as boost's accumulator does: the same bits."""
+    """The mean of the last values, so many at most."""
 
     def __init__(self, size: int) -> None:
-        self._values: deque[float] = deque()
-        self._size = size
+        self._past = size * [0.0]
+        self._count = 0
         self.mean = 0.0
 
     def add(self, value: float) -> None:
-        """One more value; the oldest leaves when there are more than `size`."""
-        self._values.append(value)
-        if len(self._values) > self._size:
-            self.mean += (value - self._values.popleft()) / self._size
-        else:
-            self.mean += (value - self.mean) / len(self._values)
+        """One more value."""
+        self.mean = rolling_mean(self.mean, value, self._past, 0, len(self._past), self._count)
+        self._count += 1
+
+
+@law
+def moved(x: float, y: float, heading: float, linear: float, angular: float) -> tuple[float, float, float]:
+    """The place after a way along a circle, or along a line where that is as good."""
+    if abs(angular) < 1e-6:
+        direction = heading + angular * 0.5
+        return x + linear * cos(direction), y + linear * sin(direction), heading + angular
+    radius, new = linear / angular, heading + angular
+    return x + radius * (sin(new) - sin(heading)), y + -radius * (cos(new) - cos(heading)), new
 
 
 def window_of(node: NodeHandle) -> int:
@@ -235,13 +270,17 @@ class Odometry:
 
     def __init__(self, window: int) -> None:
         self.x = self.y = self.heading = self.linear = self.angular = 0.0
-        self._window = window
+        self.window = window
+        self.past: Any = array("d", 2 * window * [0.0])
+        """The last velocities: the linear ones, then the angular ones."""
         self.start(0)
 
     def start(self, time_ns: int) -> None:
         """Begin with the velocities anew. The place stays."""
-        self._time_ns = time_ns
-        self._linear, self._angular = RollingMean(self._window), RollingMean(self._window)
+        self.time_ns = time_ns
+        self.count = 0
+        """Of the velocities so far."""
+        self.linear_mean = self.angular_mean = 0.0
 
     def forget(self) -> None:
         """The base is at the origin, and its wheels have made no way."""
@@ -250,33 +289,25 @@ class Odometry:
     def advance(self, linear: float, angular: float, time_ns: int) -> None:
         """The base has moved so far, in m, and turned so far, in rad, since the last time."""
         self._integrate(linear, angular)
-        period_s = to_seconds(time_ns - self._time_ns)
+        period_s = to_seconds(time_ns - self.time_ns)
         if period_s < SHORTEST_S:
             return
-        self._time_ns = time_ns
-        self._linear.add(linear / period_s)
-        self._angular.add(angular / period_s)
-        self.linear, self.angular = self._linear.mean, self._angular.mean
+        self.time_ns = time_ns
+        past, window, count = self.past, self.window, self.count
+        self.linear = rolling_mean(self.linear_mean, linear / period_s, past, 0, window, count)
+        self.angular = rolling_mean(self.angular_mean, angular / period_s, past, window, window, count)
+        self.linear_mean, self.angular_mean = self.linear, self.angular
+        self.count = count + 1
 
     def advance_by(self, velocity: BaseVelocity, time_ns: int) -> None:
         """The base has had these velocities since the last time."""
         self.linear, self.angular = velocity.linear, velocity.angular
-        period_s = to_seconds(time_ns - self._time_ns)
-        self._time_ns = time_ns
+        period_s = to_seconds(time_ns - self.time_ns)
+        self.time_ns = time_ns
         self._integrate(velocity.linear * period_s, velocity.angular * period_s)
 
     def _integrate(self, linear: float, angular: float) -> None:
-        """Along a circle, or along a line where that is as good."""
-        if abs(angular) < 1e-6:
-            direction = self.heading + angular * 0.5
-            self.x += linear * cos(direction)
-            self.y += linear * sin(direction)
-            self.heading += angular
-        else:
-            old, radius = self.heading, linear / angular
-            self.heading += angular
-            self.x += radius * (sin(self.heading) - sin(old))
-            self.y += -radius * (cos(self.heading) - cos(old))
+        self.x, self.y, self.heading = moved(self.x, self.y, self.heading, linear, angular)
 
 
 SHORTEST_S = 0.0001
@@ -293,22 +324,30 @@ class OdometryTopics:
         self._odom_frame = odom_frame
         self._base_frame: str = params.value_of(node, BASE_FRAME)
         self._pose_covariance, self._twist_covariance = (
-            _matrix(params.value_of(node, diagonal)) for diagonal in COVARIANCES
+            matrix_of(params.value_of(node, diagonal)) for diagonal in COVARIANCES
         )
-        self._published_ns = 0
+        self.published_ns = 0
+        self.messages = 0
+        """That were due, whether somebody took them or not."""
         self._odom = node.advertise("odom", "nav_msgs/Odometry")
         self._tf = node.advertise("/tf", "tf2_msgs/TFMessage")
 
     def start(self, time_ns: int) -> None:
         """The first message comes a period later."""
-        self._published_ns = time_ns
+        self.published_ns = time_ns
 
     def are_due(self, time_ns: int) -> bool:
         """Is a message due? Then the next one is due a period later."""
-        if self._published_ns + self.period_ns >= time_ns:
+        if self.published_ns + self.period_ns >= time_ns:
             return False
-        self._published_ns += self.period_ns
+        self.published_ns += self.period_ns
+        self.messages += 1
         return True
+
+    @property
+    def publishers(self) -> tuple[Publisher, ...]:
+        """Of the odometry and of the frame."""
+        return self._odom, self._tf
 
     def publish(self, time_ns: int, place: PlaceOfBase, velocity: tuple[float, float, float]) -> None:
         """`velocity` is that forwards and to the left, m/s, and of the turning to the left, rad/s."""
@@ -316,6 +355,7 @@ class OdometryTopics:
         orientation = {"x": 0.0, "y": 0.0, "z": sin(half), "w": cos(half)}
         position = {"x": place.x, "y": place.y, "z": 0.0}
         header = header_of(time_ns, self._odom_frame)
+        self._odom.sequence = self.messages - 1
         publish(
             self._odom,
             lambda: {
@@ -342,7 +382,7 @@ class PlaceOfBase(Protocol):
     heading: float
 
 
-def _matrix(diagonal: list[float]) -> list[float]:
+def matrix_of(diagonal: list[float]) -> list[float]:
     """A square matrix of zeros but for its diagonal, row by row."""
     size = len(diagonal)
     return [diagonal[k // size] if k % (size + 1) == 0 else 0.0 for k in range(size * size)]

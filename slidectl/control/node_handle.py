@@ -99,6 +99,10 @@ class GoalHandle(Protocol):
     def succeed(self, result: Message | None = None) -> None:
         """ACTIVE and PREEMPTING become SUCCEEDED."""
 
+    @property
+    def wants_feedback(self) -> bool:
+        """Does somebody listen to the feedback?"""
+
     def publish_feedback(self, feedback: Message) -> None:
         """Send a message of the action's `Feedback` type."""
 
@@ -120,6 +124,8 @@ class NodeHandle(Protocol):
     """A namespace of the graph. Relative names are resolved in it; absolute ones stay as they are."""
 
     namespace: str
+    guard: AbstractContextManager[None] | None
+    """Surrounds the callbacks that are given to this handle, or to a child of it, from now on."""
 
     def child(self, name: str) -> NodeHandle:
         """The node handle of `namespace/name`. What it advertises ends with its root's `shutdown`."""
@@ -160,8 +166,14 @@ class NodeHandle(Protocol):
         `on_goal` gets each new goal, which is PENDING, and `on_cancel` one that a client wants cancelled.
         """
 
-    def call_every(self, period_ns: int, callback: Callable[[], None]) -> RepeatingTimer:
-        """Call back each period of simulated time, counted from now, at the end of a cycle."""
+    def call_every(self, period_ns: int, callback: Callable[[], None], enters: bool = True) -> RepeatingTimer:
+        """Call back each period of simulated time, counted from now, at the end of a cycle.
+
+        Without `enters` the callback calls `enter` itself before it looks at what cycles work on, if it does.
+        """
+
+    def enter(self) -> None:
+        """Let controllers and handles be as they are in the simulation: machine code keeps them elsewhere."""
 
     def log(self, severity: str, text: str) -> None:
         """One line on /rosout; severity is `debug`, `info`, `warn`, `error` or `fatal`.

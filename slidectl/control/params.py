@@ -274,7 +274,8 @@ class Guard:
 
     def __init__(self, node: NodeHandle, declared: Iterable[Parameter]) -> None:
         self._node = node
-        self._declared = (TYPE, *declared)
+        self._own = tuple(declared)
+        self._declared = (TYPE, UPDATE_BUDGET, *self._own)
 
     def judge(self, change: ParameterChange) -> None:
         """A control.node.ParameterJudge."""
@@ -299,7 +300,7 @@ class Guard:
                 reads = f"{self._node.namespace} is a loaded controller; it reads: {listing(every)}"
                 error.hint = f"{reads}\n--new sets it all the same"
                 raise error
-            if len(readable) > 1:
+            if self._own:
                 self._node.log("warn", f"parameter {full} has no effect: the controller does not read it")
 
     def _reads(self, name: str, place: str) -> bool:
@@ -308,6 +309,15 @@ class Guard:
 
 
 TYPE = Parameter("type", TEXT, "the controller's type", required=True)
+UPDATE_BUDGET = Parameter(
+    "update_budget",
+    NUMBER,
+    "wall time that an update may take without a warning; 0: any",
+    "s",
+    default=0.0,
+    live=True,
+    unless_positive="updates may take any time",
+)
 """What the manager reads of every controller."""
 JOINT = Parameter("joint", TEXT, "the joint that it drives", required=True, names_joints=True)
 JOINTS = Parameter("joints", TEXTS, "the joints that it drives, in this order", required=True, names_joints=True)

@@ -9,11 +9,12 @@ from __future__ import annotations
 import os
 import sys
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from importlib import import_module
 from pathlib import Path
 from types import FunctionType, ModuleType
+from typing import Any
 
 from slidectl.control.controller_interface import Controller, ControllerBase, MultiInterfaceController
 from slidectl.errors import BadFile, Refused, SlidectlError, UnknownName, UsageError, listing
@@ -39,7 +40,7 @@ class TookTooLong(BaseException):
     """Users' code was ended by `limit`. Not an Exception: `except Exception` in that code must not keep it."""
 
 
-limit: Callable[[], AbstractContextManager[None]] = nullcontext
+limit: AbstractContextManager[None] = nullcontext()
 """Surrounds users' code and raises TookTooLong in it. The daemon sets it, since its clients wait meanwhile."""
 
 
@@ -48,24 +49,28 @@ def is_of_a_user(cls: type) -> bool:
     return not cls.__module__.startswith("slidectl.")
 
 
-@contextmanager
-def watched(cls: ControllerClass) -> Iterator[None]:
-    """Inside, a hook of the class runs. Raises Refused when a user's class took too long."""
-    if not is_of_a_user(cls):
-        yield
-        return
-    try:
-        with limit():
-            yield
-    except TookTooLong as failure:
-        raise _too_long(failure) from None
+class HookGuard(AbstractContextManager[None]):
+    """Inside, a hook of a user's class runs, in each cycle perhaps. Raises Refused when it took too long."""
+
+    def __enter__(self) -> None:
+        limit.__enter__()
+
+    def __exit__(self, kind: type[BaseException] | None, failure: BaseException | None, *trace: Any) -> None:
+        limit.__exit__(kind, failure, *trace)
+        if isinstance(failure, TookTooLong):
+            raise _too_long(failure) from None
+
+
+def watched(cls: ControllerClass) -> HookGuard | None:
+    """What surrounds the hooks of the class; None for a controller of slidectl itself."""
+    return HookGuard() if is_of_a_user(cls) else None
 
 
 @contextmanager
 def watched_for(what: str, name: str) -> Iterator[None]:
     """Inside, code of a user may run that `what` names. Raises Refused, with its file and line, when that fails."""
     try:
-        with limit():
+        with limit:
             yield
     except SlidectlError:
         raise
@@ -127,7 +132,7 @@ def run_file(file: str, name: str = "") -> ModuleType:
     sys.modules[name] = module  # dataclasses look up the module of their class
     sys.path.insert(0, str(path.parent))
     try:
-        with _importing(file), limit():
+        with _importing(file), limit:
             exec(code, vars(module))
     except BaseException:
         del sys.modules[name]
@@ -148,7 +153,7 @@ def import_named(name: str) -> ModuleType:
     """
     if name.endswith(".py"):
         return run_file(name)
-    with _importing(name), limit():
+    with _importing(name), limit:
         return import_module(name)
 
 
@@ -237,7 +242,7 @@ def check_class(cls: object, name: str, file: str | None = None) -> None:
 
 def made(cls: ControllerClass) -> ControllerBase:
     """An instance. Raises BadFile: its `__init__` leaves out what a controller needs."""
-    with watched(cls):
+    with watched(cls) or nullcontext():
         controller = cls()
     if not hasattr(controller, "state"):
         raise BadFile(f"{cls.__name__}.__init__ does not call super().__init__()", file_of(cls), _line(cls))

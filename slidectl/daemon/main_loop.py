@@ -23,9 +23,10 @@ from slidectl.daemon.logfile import LogFile
 from slidectl.daemon.mesh_reader import MeshReader
 from slidectl.daemon.options import Start
 from slidectl.daemon.pacing import Pacer
+from slidectl.daemon.picture_queue import PictureQueue
 from slidectl.daemon.place import Place, TakenOver
 from slidectl.daemon.server import Server
-from slidectl.daemon.time_limit import time_limit
+from slidectl.daemon.time_limit import TimeLimit
 from slidectl.errors import SlidectlError
 from slidectl.paths import shown
 from slidectl.simulation.simulation import Simulation
@@ -59,7 +60,7 @@ class Daemon:
         self._kept_robots: frozenset[SpawnedRobot] = frozenset()
         self._most_kept_objects = 0
         options = start.options
-        user_classes.limit = time_limit
+        user_classes.limit = TimeLimit()
         self.simulation = Simulation(options.timestep, options.gravity, options.ground, options.engine, options.imports)
         self.simulation.driven = True
         self.simulation.engine.may_load = False
@@ -75,6 +76,8 @@ class Daemon:
         self._server = Server(listener, self._loop, graph, self._unexpected)
         self._mesh_reader = MeshReader(self._loop, self._unexpected)
         self.simulation.read_meshes = self._mesh_reader.read
+        self._pictures = PictureQueue(self._loop, self.simulation.world)
+        self.simulation.paint = self._pictures.paint
         self._watch_signals()
 
     def run(self) -> None:
@@ -174,7 +177,7 @@ class Daemon:
 
     def _take_signal(self, _: int) -> None:
         for number in os.read(self._signals, 64):
-            if number != signal.SIGALRM:  # that of time_limit, which was taken when it came
+            if number != signal.SIGALRM:  # that of TimeLimit, which was taken when it came
                 self._stopping = f"stopped by {signal.Signals(number).name}"
 
     def _shut_down(self, _: Message) -> Message:
@@ -184,6 +187,7 @@ class Daemon:
     def _end(self) -> None:
         self._log.write("info", self._stopping)
         self._mesh_reader.close()
+        self._pictures.close()
         self._server.close(f"the daemon was {self._stopping}")
         self._loop.close()
 

@@ -1,59 +1,88 @@
 """A limit of wall time around users' code, which would hold up the daemon and all its clients if it did not end.
 
 There is one thread, so nobody else can end that code: a timer's signal interrupts it, and the signal's handler raises
-an exception in it. This is on only while users' code is imported and in the hooks of a controller's life, never in its
-`update`. Code in C that does not return to the interpreter cannot be interrupted.
+an exception in it. The timer ticks on while users' code runs now and then: an `update` is entered in each cycle, and to
+set a timer costs system calls. Code in C that does not return to the interpreter cannot be interrupted.
 """
 
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
+from math import inf
+from time import monotonic
 from types import FrameType
+from typing import Any
 
-from slidectl.control import controller_interface, user_classes
+from slidectl.control import controller_interface, controller_manager, user_classes
 from slidectl.control.user_classes import PACKAGE, TookTooLong
+from slidectl.simulation import graph
 
 LIMIT_S = 5.0
+_TICK_S = 0.1
 _AGAIN_S = 0.005
 _MOST_AGAIN = 200
 """Signals that may meet code of slidectl before that is interrupted too."""
-_ENTRIES = (controller_interface.__file__, user_classes.__file__)
-"""Files whose functions call users' code and have nothing to lose themselves."""
+_ENTRIES = (controller_interface.__file__, controller_manager.__file__, graph.__file__, user_classes.__file__)
+"""Files whose functions call users' code."""
 
 
-@contextmanager
-def time_limit() -> Iterator[None]:
-    """Raise TookTooLong in what runs inside after LIMIT_S. Set as `user_classes.limit`; main thread only."""
-    spared = 0
+class TimeLimit(AbstractContextManager[None]):
+    """Raises TookTooLong in what runs inside after LIMIT_S. Set as `user_classes.limit`; main thread only."""
 
-    def interrupt(_number: int, frame: FrameType | None) -> None:
+    def __init__(self) -> None:
+        self._depth = 0
+        self._end_s = inf
+        """When what runs inside is interrupted; infinite while nothing does."""
+        self._tick_s = 0.0
+        """The timer's period; 0: it stands still."""
+        self._was_entered = False
+        """Since the tick before."""
+        self._spared = 0
+        signal.signal(signal.SIGALRM, self._tick)
+
+    def __enter__(self) -> None:
+        self._depth += 1  # a controller publishes, and another one takes the message
+        if self._depth == 1:
+            self._end_s = monotonic() + LIMIT_S
+            self._was_entered = True
+            if not self._tick_s:
+                self._set_timer(_TICK_S)
+
+    def __exit__(self, *_: Any) -> None:
+        self._depth -= 1
+        if not self._depth:
+            self._end_s = inf
+
+    def _set_timer(self, period_s: float) -> None:
+        self._tick_s = period_s
+        signal.setitimer(signal.ITIMER_REAL, period_s, period_s)
+
+    def _tick(self, _number: int, frame: FrameType | None) -> None:
+        if monotonic() < self._end_s:
+            self._spared = 0
+            if self._end_s == inf and not self._was_entered:
+                self._set_timer(0.0)
+            elif self._tick_s != _TICK_S:
+                self._set_timer(_TICK_S)
+            self._was_entered = False
+            return
+        if self._tick_s != _AGAIN_S:  # again and again: the code may catch the exception and go on
+            self._set_timer(_AGAIN_S)
         # What slidectl does for the user's code, such as to advertise a topic, is to be done wholly or not at all: the
         # next signals try again until they meet the user's own code.
-        nonlocal spared
-        spared += 1
-        if _is_ours(frame) and spared < _MOST_AGAIN:
-            return
-        raise TookTooLong(f"the code ran longer than {LIMIT_S:g} s and was ended")
-
-    before = signal.signal(signal.SIGALRM, interrupt)
-    # Again and again: the code may catch the exception and go on.
-    signal.setitimer(signal.ITIMER_REAL, LIMIT_S, _AGAIN_S)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+        self._spared += 1
+        if _is_users(frame) or self._spared > _MOST_AGAIN:
+            raise TookTooLong(f"the code ran longer than {LIMIT_S:g} s and was ended")
 
 
-def _is_ours(frame: FrameType | None) -> bool:
-    """Is the code of a frame slidectl's, or that of a library which slidectl calls?"""
+def _is_users(frame: FrameType | None) -> bool:
+    """Is the code of a frame a user's, or that of a library which it calls? Of slidectl's own frames none is."""
+    is_outside = False
     while frame is not None:
         file = frame.f_code.co_filename
-        if file in _ENTRIES:
-            return False
         if file.startswith(PACKAGE):
-            return True
+            return is_outside and file in _ENTRIES
+        is_outside = True
         frame = frame.f_back
     return False

@@ -72,6 +72,20 @@ def not_negative(element: Element, name: str, owner: str, default: float | None 
     return value
 
 
+def child_text(element: Element, tag: str, default: str) -> str:
+    """The text of a child; the default when there is none, or it is empty."""
+    child = element.find(tag)
+    return child.first_text if child is not None and child.first_text else default
+
+
+def child_number(element: Element | None, tag: str, default: float, place: str) -> float:
+    """The number in a child, infinite ones included; the default when there is no child, or it is empty."""
+    child = element.find(tag) if element is not None else None
+    if child is None or not child.first_text:
+        return default
+    return parse_number(child.first_text, child, f"{place}/<{tag}>", finite=False)
+
+
 def numbers(element: Element, name: str, count: int, owner: str) -> tuple[float, ...]:
     """A mandatory attribute of `count` numbers parted by blanks."""
     text = required(element, name, owner)

@@ -1,4 +1,4 @@
-"""`<gazebo>`: the control plugin, and what is said of links. All else in there is reported as ignored.
+"""`<gazebo>`: plugins of the model, and what is said of links. All else in there is reported as ignored.
 
 Texts are read as sdformat reads them: an attribute `value` goes before the text. Later tags win over earlier ones.
 """
@@ -13,7 +13,7 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any, cast, get_args
 
 from slidectl import names
-from slidectl.description import element_values
+from slidectl.description import drives, element_values
 from slidectl.description.missing import Missing
 from slidectl.description.report import Report
 from slidectl.description.robot import ControlPlugin, Surface, Transmissions
@@ -56,6 +56,7 @@ class GazeboReader:
         self.plugin: ControlPlugin | None = None
         self.surfaces: dict[str, Surface] = {}
         self.sensors = SensorReader(report, links, joints)
+        self.drives = drives.DriveReader(report, joints)
 
     def read(self, element: Element) -> None:
         """Take one `<gazebo>` in.
@@ -82,11 +83,16 @@ class GazeboReader:
                 self.report.ignored(child, f"has no effect here{hint}", f"<gazebo>/{child.title}")
 
     def _plugin(self, element: Element) -> bool:
-        """The control plugin. Others are not loaded; one that is nearly called so was meant to be it."""
+        """A plugin with a counterpart. Others are not loaded; one that is nearly called as the control plugin was meant
+        to be it."""
         filename = (element.get("filename") or "").strip()
         place = f'<plugin name="{element.get("name") or ""}">'
         if library(element) in OF_MODEL:
             self.sensors.of_model(element, place)
+        elif library(element) in drives.DRIVES:
+            self.drives.read_drive(element, library(element), place)
+        elif library(element) in drives.MIMIC:
+            self.drives.read_mimic(element, place)
         elif not _is_control(element):
             from difflib import get_close_matches
 

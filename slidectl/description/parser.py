@@ -8,7 +8,7 @@ is evaluated, fetched or written. What has no effect is in the robot's report. `
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast, get_args
@@ -96,7 +96,8 @@ def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = 
     joints, joint_at = _named(root, "joint", joint_reader.read, report)
     # With a part that cannot be read there are gaps: how the rest hangs together would be judged wrongly.
     is_whole = len(links) == len(root.find_all("link")) and len(joints) == len(root.find_all("joint"))
-    base = _Structure(links, joints, link_at, joint_at, report).check(root) if is_whole else None
+    structure = _Structure(links, joints, link_at, joint_at, report)
+    base = structure.check(root) if is_whole else None
     if not report.faults and base is not None:
         if base == WORLD and (inertial := link_at[base].find("inertial")) is not None:
             report.ignored(inertial, "the world does not move", f"link {base!r}/<inertial>")
@@ -106,6 +107,13 @@ def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = 
     gazebo = GazeboReader(report, known, ends)
     for element in root.find_all("gazebo"):
         gazebo.read(element)
+    if is_whole:
+        for follower, (mimic, plugin) in gazebo.drives.mimics.items():
+            if joints[follower].mimic not in (None, mimic):
+                text = f"the plugin goes before the <mimic> of joint {follower!r}, which says otherwise, as in Gazebo"
+                report.wrong(plugin, text)
+            joints[follower] = replace(joints[follower], mimic=mimic)
+            report.attempt(structure.check_mimic, joint_at[follower])
     is_real = gazebo.plugin is not None and gazebo.plugin.transmissions == "real"
     reader = TransmissionReader(report, joints, is_whole, is_real)
     read = (report.attempt(reader.read, element) for element in root.find_all("transmission"))
@@ -120,8 +128,8 @@ def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = 
     if report.faults or base is None:
         raise report.faults[0]
     links = {key: replace(link, surface=gazebo.surfaces.get(key, Surface())) for key, link in links.items()}
-    sensors = tuple(gazebo.sensors.sensors)
-    return Robot(name, links, joints, base, transmissions, gazebo.plugin, report.notices(root), sensors)
+    sensors, drives = tuple(gazebo.sensors.sensors), tuple(gazebo.drives.drives)
+    return Robot(name, links, joints, base, transmissions, gazebo.plugin, report.notices(root), sensors, drives)
 
 
 def _named(
@@ -153,6 +161,12 @@ def _end(joint: Element, tag: str) -> str:
 def place_of_limit(joint: str) -> str:
     """The subject of notices on a joint's range."""
     return f"joint {joint!r}/<limit>"
+
+
+def is_put_inside(subject: str, text: str, joints: Collection[str]) -> bool:
+    """Whether a notice says that a joint starts outside of its limits, and it is one of those that were put elsewhere,
+    which is inside: all else is refused."""
+    return text.startswith(STARTS_OUTSIDE) and subject in map(place_of_limit, joints)
 
 
 def _origin(report: Report, element: Element, owner: str) -> Pose:
@@ -490,7 +504,7 @@ class _Structure:
         placed = [self.report.attempt(self._take, element) for element in elements]
         root = self.report.attempt(self._root, robot) if all(placed) else None
         for element in elements:
-            self.report.attempt(self._check_mimic, element)
+            self.report.attempt(self.check_mimic, element)
         if root is not None and (joint := too_deep(root, self.joints)) is not None:
             raise self.joint_at[joint.name].error(f"joint {joint.name!r}: {TOO_DEEP}")
         return root
@@ -529,7 +543,8 @@ class _Structure:
             link = self.above[link].parent
         clear.update(way)
 
-    def _check_mimic(self, element: Element) -> bool:
+    def check_mimic(self, element: Element) -> bool:
+        """Whether the joint of this element follows one that it can follow. Raises BadFile."""
         joint = self.joints[element.attributes["name"]]
         if joint.mimic is None:
             return True

@@ -9,9 +9,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import ClassVar, Literal
 
 from slidectl import names
+from slidectl.errors import Refused
 
 Vector = tuple[float, float, float]
 JointType = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]
@@ -265,6 +266,28 @@ class Laser(Sensor):
 
 
 @dataclass(frozen=True)
+class Camera(Sensor):
+    """`<sensor type="camera">` with libgazebo_ros_camera.so: looks along its x axis. sensor_msgs/Image, CameraInfo.
+
+    The noise is that of a channel, of which the brightest value is 1.
+    """
+
+    MOST_PIXELS: ClassVar[int] = 4096
+    """In a row, or a column."""
+    info_topic: str = "camera_info"
+    width: int = 320
+    height: int = 240
+    field_of_view: float = 1.047
+    """Horizontal, rad."""
+    near: float = 0.1
+    """m."""
+    far: float = 100.0
+    encoding: str = "rgb8"
+    baseline: float = 0.0
+    """m, to the first camera of a pair."""
+
+
+@dataclass(frozen=True)
 class Imu(Sensor):
     """libgazebo_ros_imu_sensor.so in a `<sensor type="imu">`, or a plugin of a model. sensor_msgs/Imu."""
 
@@ -304,6 +327,58 @@ class JointStates(Sensor):
 
 
 @dataclass(frozen=True)
+class BaseDrive:
+    """A plugin that moves the robot by velocities (geometry_msgs/Twist) and tells where it is (nav_msgs/Odometry)."""
+
+    name: str
+    namespace: str | None
+    """Where its topics are; None: where the robot is."""
+    command_topic: str
+    odometry_topic: str
+    odometry_frame: str
+    base_frame: str
+    odometry_rate_hz: float
+    """0: in each step of the world."""
+    has_odometry: bool
+    has_odometry_tf: bool
+    tells_height: bool
+    """Whether the odometry's z is that of the robot, and not 0."""
+    pose_variances: Vector
+    """Of x and y in m², of the heading in rad²."""
+    twist_variances: Vector | None
+
+
+@dataclass(frozen=True)
+class WheelDrive(BaseDrive):
+    """libgazebo_ros_diff_drive.so and libgazebo_ros_skid_steer_drive.so: the wheels of a side turn at one velocity."""
+
+    left: tuple[str, ...] = ()
+    """Joints of the wheels that turn faster when the base turns right."""
+    right: tuple[str, ...] = ()
+    separation: float = 0.0
+    """m."""
+    diameter: float = 0.0
+    """m."""
+    torque: float = 0.0
+    """The most on each wheel, N·m."""
+    acceleration: float = 0.0
+    """Of the wheels along the ground, m/s²; 0: as much as the torque makes."""
+    update_rate_hz: float = 0.0
+    """How often commands take effect; 0: in each step of the world."""
+    measures_wheels: bool = False
+    """Odometry is made of the turns of the wheels, not of the robot's place in the world."""
+    has_joint_states: bool = False
+
+
+@dataclass(frozen=True)
+class PlanarMove(BaseDrive):
+    """libgazebo_ros_planar_move.so: the whole robot has the velocity, whatever acts on it."""
+
+    timeout_s: float = -1.0
+    """A command counts for so long; below 0: until the next."""
+
+
+@dataclass(frozen=True)
 class Robot:
     """The whole robot. `links` and `joints` keep the order of the file."""
 
@@ -316,6 +391,7 @@ class Robot:
     plugin: ControlPlugin | None = None
     report: Sequence[Notice] = field(default=())
     sensors: Sequence[Sensor] = ()
+    drives: Sequence[BaseDrive] = ()
 
     def children_of(self, link: str) -> Sequence[Joint]:
         """The joints whose parent is `link`, in the order of the file."""
@@ -332,6 +408,16 @@ class Robot:
     def is_fixed_to_world(self) -> bool:
         """A root link called `world` is the world itself."""
         return self.root == "world"
+
+
+def check_position(joint: Joint, position: float) -> None:
+    """Raises Refused unless the joint can be there (rad or m)."""
+    if not math.isfinite(position):
+        raise Refused(f"position of {joint.name} must be a finite number, not {position}")
+    limit = joint.limit if joint.type in ("revolute", "prismatic") else None
+    if limit is not None and not limit.lower <= position <= limit.upper:
+        unit = "m" if joint.type == "prismatic" else "rad"
+        raise Refused(f"{joint.name} goes from {limit.lower:g} to {limit.upper:g} {unit}, not to {position:g}")
 
 
 def namespace_of(robot: Robot, name: str) -> str:

@@ -8,9 +8,20 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping
 
-from slidectl.description.element_values import parse_number
+from slidectl.description.element_values import child_number, child_text, parse_number
 from slidectl.description.report import Report
-from slidectl.description.robot import Bumper, ForceTorque, GroundTruth, Imu, JointStates, Laser, Pose, Sensor, Vector
+from slidectl.description.robot import (
+    Bumper,
+    Camera,
+    ForceTorque,
+    GroundTruth,
+    Imu,
+    JointStates,
+    Laser,
+    Pose,
+    Sensor,
+    Vector,
+)
 from slidectl.description.xml_tree import Element
 
 _FORCE_PLUGIN = "libgazebo_ros_ft_sensor"
@@ -21,6 +32,7 @@ _OF_LINK = {
     "gpu_ray": ("libgazebo_ros_gpu_laser", "libgazebo_ros_laser"),
     "imu": ("libgazebo_ros_imu_sensor",),
     "contact": ("libgazebo_ros_bumper",),
+    "camera": ("libgazebo_ros_camera",),
 }
 """Type of `<sensor>` -> the plugins that publish it."""
 OF_MODEL = (
@@ -28,7 +40,16 @@ OF_MODEL = (
     _FORCE_PLUGIN,
 )  # fmt: skip
 """Plugins of a model that measure."""
-_DRAWN = {"visualize", "always_on", "update_rate", "pose", "plugin", "ray", "imu", "contact", "topic", "force_torque"}
+_DRAWN = {
+    "visualize", "always_on", "update_rate", "pose", "plugin", "topic", "ray", "imu", "contact", "camera",
+    "force_torque",
+}  # fmt: skip
+_ENCODINGS = {
+    "R8G8B8": "rgb8", "RGB_INT8": "rgb8", "B8G8R8": "bgr8", "BGR_INT8": "bgr8", "L8": "mono8", "L_INT8": "mono8",
+}  # fmt: skip
+"""Formats of pixels, and what sensor_msgs/Image calls them."""
+_CAMERA_TOPICS = (("imageTopicName", "image_raw"), ("cameraInfoTopicName", "camera_info"))
+_DISTORTIONS = ("distortionK1", "distortionK2", "distortionK3", "distortionT1", "distortionT2")
 
 
 class SensorReader:
@@ -61,20 +82,22 @@ class SensorReader:
         name = sensor.get("name") or kind
         text = plugin.find("pose") or sensor.find("pose")
         origin = _pose(text, place) if text is not None else Pose()
-        rate = _number(sensor, "update_rate", 0.0, place)
+        rate = child_number(sensor, "update_rate", 0.0, place)
         if kind in ("ray", "gpu_ray"):
             self.sensors.append(self._laser(name, link, sensor, plugin, origin, rate, place))
         elif kind == "imu":
             self.sensors.append(
                 Imu(
-                    name, link, _text(plugin, "topicName", "imu"), _text(plugin, "frameName", link),
-                    _number(plugin, "updateRateHZ", rate, place), _moved(plugin, origin, place),
-                    _number(plugin, "gaussianNoise", 0.0, place),
+                    name, link, child_text(plugin, "topicName", "imu"), child_text(plugin, "frameName", link),
+                    child_number(plugin, "updateRateHZ", rate, place), _moved(plugin, origin, place),
+                    child_number(plugin, "gaussianNoise", 0.0, place),
                 )
             )  # fmt: skip
+        elif kind == "camera":
+            self.sensors.append(self._camera(sensor, plugin, Sensor(name, link, "", "", rate, origin, 0.0), place))
         else:
-            topic = _text(plugin, "bumperTopicName", "bumper_states")
-            self.sensors.append(Bumper(name, link, topic, _text(plugin, "frameName", "world"), rate, origin, 0.0))
+            topic = child_text(plugin, "bumperTopicName", "bumper_states")
+            self.sensors.append(Bumper(name, link, topic, child_text(plugin, "frameName", "world"), rate, origin, 0.0))
         return None
 
     def _laser(
@@ -83,20 +106,54 @@ class SensorReader:
         ray = sensor.find("ray")
         scan = _below(ray, "scan", "horizontal")
         extent, noise = _below(ray, "range"), _below(ray, "noise")
-        if (vertical := _below(ray, "scan", "vertical")) is not None and _number(vertical, "samples", 1, place) > 1:
+        if (vertical := _below(ray, "scan", "vertical")) is not None and child_number(
+            vertical, "samples", 1, place
+        ) > 1:
             self.report.ignored(vertical, "has no effect: a scan has one layer here", f"{place}/<vertical>")
-        samples = int(_number(scan, "samples", 640, place))
-        least, most = _number(scan, "min_angle", 0.0, place), _number(scan, "max_angle", 0.0, place)
-        nearest, farthest = _number(extent, "min", 0.0, place), _number(extent, "max", math.inf, place)
+        samples = int(child_number(scan, "samples", 640, place))
+        least, most = child_number(scan, "min_angle", 0.0, place), child_number(scan, "max_angle", 0.0, place)
+        nearest, farthest = child_number(extent, "min", 0.0, place), child_number(extent, "max", math.inf, place)
         if samples < 1 or samples > 100_000 or most < least or nearest < 0 or farthest <= nearest:
             raise sensor.error(
                 f"{place}: a scan of {samples} samples from {least:g} to {most:g} rad, {nearest:g} to {farthest:g} m",
                 "1 to 100000 samples, min_angle up to max_angle, min below max",
             )
         return Laser(
-            name, link, _text(plugin, "topicName", "scan"), _text(plugin, "frameName", link), rate, origin,
-            _number(noise, "stddev", _number(plugin, "gaussianNoise", 0.0, place), place),
-            _number(noise, "mean", 0.0, place), samples, least, most, nearest, farthest,
+            name, link, child_text(plugin, "topicName", "scan"), child_text(plugin, "frameName", link), rate, origin,
+            child_number(noise, "stddev", child_number(plugin, "gaussianNoise", 0.0, place), place),
+            child_number(noise, "mean", 0.0, place), samples, least, most, nearest, farthest,
+        )  # fmt: skip
+
+    def _camera(self, sensor: Element, plugin: Element, common: Sensor, place: str) -> Camera:
+        camera = sensor.find("camera")
+        image, clip, noise = (_below(camera, tag) for tag in ("image", "clip", "noise"))
+        width, height = (int(child_number(image, tag, size, place)) for tag, size in (("width", 320), ("height", 240)))
+        view = child_number(camera, "horizontal_fov", 1.047, place)
+        near, far = child_number(clip, "near", 0.1, place), child_number(clip, "far", 100.0, place)
+        most = Camera.MOST_PIXELS
+        if not (0 < width <= most and 0 < height <= most and 0.0 < view < math.pi and 0.0 < near < far < math.inf):
+            raise sensor.error(
+                f"{place}: a camera of {width} x {height} pixels, {view:g} rad wide, {near:g} to {far:g} m",
+                f"1 to {most} pixels either way, a horizontal_fov between 0 and pi, near above 0 and below far",
+            )
+        written = child_text(image, "format", "R8G8B8") if image is not None else "R8G8B8"
+        if written not in _ENCODINGS and image is not None:
+            known = ", ".join(_ENCODINGS)
+            self.report.wrong(
+                image, f"<format> {written} is unknown here, and R8G8B8 is taken; there is {known}", place
+            )
+        group = child_text(plugin, "cameraName", "")
+        topics = [child_text(plugin, tag, default).strip("/") for tag, default in _CAMERA_TOPICS]
+        topic, info = (f"{group.rstrip('/')}/{name}" if group else name for name in topics)
+        for tag in _DISTORTIONS:
+            if child_number(plugin, tag, 0.0, place):
+                self.report.ignored(plugin, f"<{tag}> has no effect: pictures here have no distortion", place)
+        return Camera(
+            common.name, common.link, topic, child_text(plugin, "frameName", "world").lstrip("/"),
+            child_number(plugin, "updateRate", 0.0, place) or common.rate_hz, common.origin,
+            child_number(noise, "stddev", 0.0, place), child_number(noise, "mean", 0.0, place), info,
+            width, height, view, near, far, _ENCODINGS.get(written, "rgb8"),
+            child_number(plugin, "hackBaseline", 0.0, place),
         )  # fmt: skip
 
     def of_joint(self, joint: str, sensor: Element, place: str) -> None:
@@ -123,11 +180,11 @@ class SensorReader:
         for child in sensor.children:
             if child.tag not in _DRAWN:
                 self.report.ignored(child, "has no effect in a sensor here", f"{place}/{child.title}")
-        topic = _text(plugin, "topicName", "") if plugin is not None else ""
+        topic = child_text(plugin, "topicName", "") if plugin is not None else ""
         noise = _below(tags, "force", "x", "noise")
         self._force_torque(
-            sensor.get("name") or kind, joint, topic, _number(sensor, "update_rate", 0.0, place),
-            _number(plugin, "gaussianNoise", _number(noise, "stddev", 0.0, place), place),
+            sensor.get("name") or kind, joint, topic, child_number(sensor, "update_rate", 0.0, place),
+            child_number(plugin, "gaussianNoise", child_number(noise, "stddev", 0.0, place), place),
             words["frame"] == "parent", words["measure_direction"] == "parent_to_child",
         )  # fmt: skip
         return None
@@ -145,35 +202,35 @@ class SensorReader:
     def of_model(self, plugin: Element, place: str) -> None:
         """Take in a plugin of `OF_MODEL`. Raises BadFile: a malformed number."""
         kind = library(plugin)
-        name, rate = plugin.get("name") or kind, _number(plugin, "updateRate", 0.0, place)
-        noise = _number(plugin, "gaussianNoise", 0.0, place)
+        name, rate = plugin.get("name") or kind, child_number(plugin, "updateRate", 0.0, place)
+        noise = child_number(plugin, "gaussianNoise", 0.0, place)
         if kind == "libgazebo_ros_joint_state_publisher":
-            names = tuple(word.strip() for word in _text(plugin, "jointName", "").split(",") if word.strip())
+            names = tuple(word.strip() for word in child_text(plugin, "jointName", "").split(",") if word.strip())
             for joint in [joint for joint in names if joint not in self.joints]:
                 self.report.wrong(plugin, f"there is no joint {joint!r}; it is left out", place)
             joints = tuple(joint for joint in names if joint in self.joints)
-            rate = _number(plugin, "updateRate", 100.0, place)
+            rate = child_number(plugin, "updateRate", 100.0, place)
             self.sensors.append(JointStates(name, "", "joint_states", "", rate, Pose(), 0.0, 0.0, joints))
             return None
         if kind == _FORCE_PLUGIN:
-            joint, topic = _text(plugin, "jointName", ""), _text(plugin, "topicName", "")
+            joint, topic = child_text(plugin, "jointName", ""), child_text(plugin, "topicName", "")
             if joint not in self.joints or not topic:
                 text = f"there is no joint {joint!r}" if joint not in self.joints else "<topicName> is missing"
                 return self.report.wrong(plugin, f"{text}; the plugin has no effect", place)
             return self._force_torque(name, joint, topic, rate, noise)
-        link = _text(plugin, "bodyName", "")
+        link = child_text(plugin, "bodyName", "")
         if link not in self.links:
             return self.report.wrong(plugin, f"<bodyName> {link!r} is no link; the plugin has no effect", place)
         origin = _moved(plugin, Pose(), place)
         if kind == "libgazebo_ros_p3d":
-            topic, frame = _text(plugin, "topicName", "odom"), _text(plugin, "frameName", "world")
+            topic, frame = child_text(plugin, "topicName", "odom"), child_text(plugin, "frameName", "world")
             if frame not in ("world", "/world", "map", "/map"):
                 text = f"<frameName> {frame}: place and velocity are those in the world"
                 self.report.ignored(plugin, text, place)
             self.sensors.append(GroundTruth(name, link, topic, frame.lstrip("/"), rate, origin, noise))
         else:
-            topic = _text(plugin, "topicName", "imu")
-            frame, feels_gravity = _text(plugin, "frameName", link), kind != "libgazebo_ros_imu"
+            topic = child_text(plugin, "topicName", "imu")
+            frame, feels_gravity = child_text(plugin, "frameName", link), kind != "libgazebo_ros_imu"
             self.sensors.append(Imu(name, link, topic, frame, rate, origin, noise, 0.0, feels_gravity))
         return None
 
@@ -187,18 +244,6 @@ def _below(element: Element | None, *tags: str) -> Element | None:
     for tag in tags:
         element = element.find(tag) if element is not None else None
     return element
-
-
-def _text(element: Element, tag: str, default: str) -> str:
-    child = element.find(tag)
-    return child.first_text if child is not None and child.first_text else default
-
-
-def _number(element: Element | None, tag: str, default: float, place: str) -> float:
-    child = element.find(tag) if element is not None else None
-    if child is None or not child.first_text:
-        return default
-    return parse_number(child.first_text, child, f"{place}/<{tag}>", finite=False)
 
 
 def _vector(element: Element, place: str) -> Vector:

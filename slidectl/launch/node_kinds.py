@@ -34,6 +34,10 @@ COUNTERPARTS = {
     ("joint_state_publisher_gui", "joint_state_publisher_gui"): "left_out:JointStatePublisher",
     ("tf", "static_transform_publisher"): "frame_nodes:StaticTransform",
     ("tf2_ros", "static_transform_publisher"): "frame_nodes:StaticTransform",
+    ("topic_tools", "relay"): "topic_tools:Relay",
+    ("topic_tools", "throttle"): "topic_tools:Throttle",
+    ("topic_tools", "mux"): "topic_tools:Mux",
+    ("twist_mux", "twist_mux"): "topic_tools:TwistMux",
 }
 """Package and type of the nodes that have one, without the windows, which are all those of rviz and rqt."""
 _TOOLS = ("rostopic", "rosservice", "rosparam")

@@ -189,7 +189,8 @@ def _checker_and_default(field: Field) -> tuple[Checker, Callable[[], Any]]:
     kept_as_is = {float} if field.type == "float64" else set()
 
     def check_list(value: Any) -> list[Any]:
-        if hasattr(value, "tolist"):  # an array of numpy, from a script beside the simulation
+        # An array of numpy comes from a script beside the simulation.
+        if type(value) is not list and hasattr(value, "tolist"):
             value = value.tolist()
         values = checked_length(field, value)
         if kept_as_is and kept_as_is.issuperset(map(type, values)):
@@ -294,6 +295,10 @@ def _time_checker(type_name: str) -> Checker:
     integer = _integer_checker("int64")
 
     def check_time(value: Any) -> dict[str, int]:
+        if type(value) is dict and len(value) == 2:
+            secs, nsecs = value.get("secs"), value.get("nsecs")
+            if type(secs) is int and type(nsecs) is int and 0 <= nsecs < _NS and lowest <= secs <= highest:
+                return {"secs": secs, "nsecs": nsecs}
         if not isinstance(value, Mapping):
             raise must_be(f"a {type_name} {{secs, nsecs}}", value)
         if not value.keys() <= {"secs", "nsecs"}:

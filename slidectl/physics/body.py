@@ -5,7 +5,7 @@ A Body outlives rebuilds of the model; `bind` finds its places again. It steps n
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -79,6 +79,10 @@ class Body:
         """All links by name, those on fixed joints too."""
         self.joints: dict[str, JointPlace] = {}
         """Revolute, continuous and prismatic joints by name, in the order of the file; another dict when they moved."""
+        self.start: dict[str, float] = {}
+        """Where joints begin that do not begin at 0, rad or m."""
+        self.lasting_motors: dict[str, float] = {}
+        """Joints that motors hold as long as it is in the world, with the most effort of each, N or N·m."""
         self.weights: Weights | None = None
         """Set once, when the robot is attached."""
         self._lumps = lumps(robot)
@@ -206,7 +210,7 @@ class Body:
         model.body_quat[root] = state.root_attitude
 
     def put_at_spawn(self) -> None:
-        """The state right after attaching: at the pose of the spawn, joints at zero, at rest, no forces."""
+        """The state right after attaching: at the pose of the spawn, joints where they start, at rest, no forces."""
         data, model, part = self._data, self._model, self._slices
         data.qpos[part["qpos"]] = model.qpos0[part["qpos"]]
         for array in (data.qvel, data.qacc_warmstart, data.qfrc_applied):
@@ -214,9 +218,25 @@ class Body:
         data.xfrc_applied[part["body"]] = 0.0
         data.eq_active[part["tie"]] = model.eq_active0[part["tie"]]
         self.put_root(self.spawn_pose)
-        for place in self.joints.values():
-            if place.joint.mimic is not None:
-                data.qpos[place.qpos] = _mimicked(place.joint, self.joints)
+        self.put_joints(self.start)
+
+    def put_joints(self, positions: Mapping[str, float]) -> None:
+        """Put joints there. Those that follow others, and are not among them, follow. Raises UnknownName."""
+        for name, position in positions.items():
+            self._data.qpos[self.place(name).qpos] = position
+        for name, place in self.joints.items():
+            if place.joint.mimic is not None and name not in positions:
+                self._data.qpos[place.qpos] = self._mimicked(place.joint)
+
+    def _mimicked(self, joint: Joint) -> float:
+        """Where a mimic joint belongs; mimics of mimics are followed."""
+        position, factor = 0.0, 1.0
+        for _ in range(len(self.joints)):
+            if joint.mimic is None:
+                break
+            position, factor = position + factor * joint.mimic.offset, factor * joint.mimic.multiplier
+            joint = self.joints[joint.mimic.joint].joint
+        return position + factor * float(self._data.qpos[self.joints[joint.name].qpos])
 
     def put_root(self, pose: Pose) -> None:
         """Put the root link there; velocities stay."""
@@ -226,17 +246,6 @@ class Body:
         else:
             start = self.root_qpos
             self._data.qpos[start : start + 3], self._data.qpos[start + 3 : start + 7] = position, attitude
-
-
-def _mimicked(joint: Joint, places: dict[str, JointPlace]) -> float:
-    """Where a mimic joint stands while its leaders stand at zero; mimics of mimics are followed."""
-    position, factor = 0.0, 1.0
-    for _ in range(len(places)):
-        if joint.mimic is None:
-            break
-        position, factor = position + factor * joint.mimic.offset, factor * joint.mimic.multiplier
-        joint = places[joint.mimic.joint].joint
-    return position
 
 
 def _slices(model: Any, root: int, bodies: int) -> dict[str, slice]:

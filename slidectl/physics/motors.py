@@ -82,6 +82,10 @@ class Motors:
         if bounds:
             self._bounds[body] = bounds
 
+    def of(self, body: Body) -> dict[str, float]:
+        """The robot's motors: joints with the most effort of each."""
+        return dict(self._bounds.get(body, {}))
+
     def release(self, model: Any) -> None:
         """Let the solver hold no joint of this model. `bind` is to follow."""
         model.dof_frictionloss[self._dofs] = 0.0

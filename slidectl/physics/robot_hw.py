@@ -21,6 +21,7 @@ from slidectl.control.hardware_interface import (
     JointCommands,
     JointHandle,
     JointStateInterface,
+    PositionJointInterface,
     PosVelJointHandle,
     RobotHW,
     SensorHandle,
@@ -545,14 +546,21 @@ class MujocoRobotHW(RobotHW):
             if (claim := (joint.interface.type_name, joint.name)) in commands:
                 joint.command(commands[claim])
 
+    def stay(self, positions: Mapping[str, float]) -> None:
+        """Command the positions of these joints where they take such commands: they were put there."""
+        for joint in self._joints:
+            if joint.interface is PositionJointInterface and joint.name in positions:
+                joint.command(positions[joint.name])
+
     def reset(self) -> None:
-        """After the world was reset: angles unwrapped anew, commands 0, limits and gains without a past."""
+        """After the world was reset: angles unwrapped anew, commands of the start, limits and gains without a past."""
         for joint in self._offered:
             joint.reset()
         for drive in self._drive_of.values():
             if drive.pid is not None:
                 drive.pid.reset()
         self._held = None
+        self.stay(self._body.start)
         self.read(0, 0.0)
 
     def _register(self, node: NodeHandle) -> None:

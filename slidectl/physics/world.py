@@ -7,7 +7,7 @@ carried over every rebuild of the model, to the last bit. SI units; quaternions 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -397,15 +397,17 @@ class World:
         body.put_root((finite(pose[0]), normalized(finite4(pose[1]))))
         self._observer.invalidate()
         if twist is not None and not body.robot.is_fixed_to_world:
-            self._set_root_twist(body, (finite(twist[0]), finite(twist[1])))
+            self.set_root_twist(name, (finite(twist[0]), finite(twist[1])))
 
-    def _set_root_twist(self, body: Body, twist: Twist) -> None:
-        """A free joint's velocities: linear in the world's axes, angular in the body's."""
-        turn, local = np.zeros(4), np.zeros(3)
+    def set_root_twist(self, name: str, twist: Twist) -> None:
+        """Let a root link that is free have this velocity (finite, world's axes). Raises UnknownName."""
+        # A free joint's velocities are linear in the world's axes and angular in the body's.
+        body, turn, local = self.body(name), np.zeros(4), np.zeros(3)
         start = body.root_qpos + 3
         mujoco.mju_negQuat(turn, self.data.qpos[start : start + 4])
         mujoco.mju_rotVecQuat(local, np.array(twist[1]), turn)
         self.data.qvel[body.root_dof : body.root_dof + 6] = [*twist[0], *local]
+        self._observer.invalidate()
 
     def set_joint(self, name: str, joint: str, position: float, velocity: float | None = None) -> None:
         """Put a joint there; its velocity stays unless one is given. Raises UnknownName, Refused (not finite)."""
@@ -414,6 +416,12 @@ class World:
         if velocity is not None:
             self.data.qvel[place.dof] = number(velocity)
         self._observer.invalidate()
+
+    def put_joints(self, name: str, positions: Mapping[str, float]) -> None:
+        """Put joints there, at rest, and those that follow them. Raises UnknownName, Refused (not finite)."""
+        for joint, position in positions.items():
+            self.set_joint(name, joint, position, 0.0)
+        self.body(name).put_joints(positions)
 
     def overlaps(self, name: str, least: float) -> list[Overlap]:
         """Where links of the robot are in others by more than `least` (m), the deepest first. Raises UnknownName."""
@@ -478,15 +486,20 @@ class World:
         return self.loads.motors.has(body)
 
     def set_motors(self, body: Body, most_efforts: dict[str, float]) -> None:
-        """Hold these joints and no others by motors, each with at most this effort (N or N·m), until the robot goes.
+        """Hold these joints by motors, each with at most this effort (N or N·m), and no others but `lasting_motors`.
 
         `loads.motors.velocities` has what they are to reach.
         """
         self.loads.motors.release(self.model)
         self.loads.efforts[body.dofs] = 0.0
-        self.loads.motors.put_of(body, most_efforts)
+        self.loads.motors.put_of(body, most_efforts | body.lasting_motors)
         self._bind_loads()
         self._announce()
+
+    def add_motors(self, body: Body, most_efforts: dict[str, float]) -> None:
+        """Hold these joints too, as long as the robot is in the world, whatever `set_motors` is told."""
+        body.lasting_motors |= most_efforts
+        self.set_motors(body, self.loads.motors.of(body))
 
 
 def number(value: float) -> float:

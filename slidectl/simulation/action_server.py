@@ -54,6 +54,10 @@ class ActionGoal:
     def succeed(self, result: Message | None = None) -> None:
         self._end(dict.fromkeys((GoalStatus.ACTIVE, GoalStatus.PREEMPTING), GoalStatus.SUCCEEDED), result)
 
+    @property
+    def wants_feedback(self) -> bool:
+        return self._server.wants_feedback
+
     def publish_feedback(self, feedback: Message) -> None:
         self._server.publish_feedback(self, feedback)
 
@@ -110,7 +114,7 @@ class ActionServer:
         self._status = node.advertise("status", "actionlib_msgs/GoalStatusArray", latch=True)
         node.subscribe("goal", f"{type_name}ActionGoal", self._take_goal)
         node.subscribe("cancel", "actionlib_msgs/GoalID", self._take_cancel)
-        node.call_every(STATUS_PERIOD_NS, self.publish_status)
+        node.call_every(STATUS_PERIOD_NS, self.publish_status, enters=False)
         self.publish_status()
 
     def publish_status(self) -> None:
@@ -125,6 +129,11 @@ class ActionServer:
         message = msgs.default(f"{self._type}Result") if result is None else result
         self._results.publish({"header": _header(self.now_ns()), "status": goal.message(), "result": message})
         self.publish_status()
+
+    @property
+    def wants_feedback(self) -> bool:
+        """Does somebody listen to it?"""
+        return self._feedback.wanted
 
     def publish_feedback(self, goal: ActionGoal, feedback: Message) -> None:
         """How far a goal is."""

@@ -247,25 +247,8 @@ class GazeboServices:
     def _configure(self, request: Message) -> Answer:
         """All joints or none. A joint may be named with its model, as `model::joint`."""
         names, positions = request["joint_names"], request["joint_positions"]
-        if len(names) != len(positions):
-            raise Refused(f"{len(names)} joint names but {len(positions)} positions")
-        robot = self._robots.get(request["model_name"])
-        asked = [(name.removeprefix(f"{robot.name}::"), at) for name, at in zip(names, positions, strict=True)]
-        for joint, position in asked:
-            self._check_position(robot, joint, position)
-        for joint, position in asked:
-            self._world.set_joint(robot.name, joint, position, 0.0)
-        return f"set {len(names)} joints of {robot.name!r}", {}
-
-    def _check_position(self, robot: SpawnedRobot, name: str, position: float) -> None:
-        known = self._world.body(robot.name).joints
-        if name not in known:
-            raise UnknownName("moving joint", name, list(known), f"on robot {robot.name!r}")
-        if not math.isfinite(position):
-            raise Refused(f"position of {name} must be a finite number, not {position}")
-        joint, limit = known[name].joint, known[name].joint.limit
-        if limit and joint.type in ("revolute", "prismatic") and not limit.lower <= position <= limit.upper:
-            raise Refused(f"{name} goes from {limit.lower:g} to {limit.upper:g}, not to {position:g}")
+        self._robots.put_joints(request["model_name"], names, positions)
+        return f"set {len(names)} joints of {request['model_name']!r}", {}
 
     # Links and joints
 

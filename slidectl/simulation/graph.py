@@ -6,7 +6,7 @@ No physics and no control here; the simulation hangs those on it.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from typing import Any, ParamSpec, TypeVar
 
 from slidectl import names
@@ -19,7 +19,7 @@ from slidectl.control.node_handle import (
     Publisher,
     Reasons,
 )
-from slidectl.errors import cut
+from slidectl.errors import SlidectlError, cut
 from slidectl.simulation.action_server import ActionServer
 from slidectl.simulation.clock import Clock, ClockTopic, RepeatedCall, Timers, stamp
 from slidectl.simulation.parameters import Parameters
@@ -126,6 +126,7 @@ class GraphNode:
         self._calls: set[RepeatedCall] = set()
         self.before_entry: Callable[[], None] = lambda: None
         """Called before every callback that was given to this handle or a child of it."""
+        self.guard: AbstractContextManager[None] | None = None
         self.caution = ""
         """Of a handle without a parent: a warning for who publishes to it or to a child of it; empty for none."""
 
@@ -133,6 +134,7 @@ class GraphNode:
         """The node handle of `namespace/name`. What it advertises ends with this one's `shutdown`."""
         node = GraphNode(self._graph, self._absolute(name), self.name)
         node._parent = self
+        node.guard = self.guard
         self._children.append(node)
         return node
 
@@ -185,8 +187,14 @@ class GraphNode:
     def advertise_action(self, action: str, type_name: str, on_goal: GoalCallback, on_cancel: GoalCallback) -> None:
         ActionServer(self.child(action), type_name, on_goal, on_cancel)
 
-    def call_every(self, period_ns: int, callback: Callable[[], None]) -> RepeatedCall:
-        call = RepeatedCall(self._graph.timers, period_ns, callback, self._calls)
+    def call_every(self, period_ns: int, callback: Callable[[], None], enters: bool = True) -> RepeatedCall:
+        enter = self._entering(callback) if enters else callback
+
+        def tick() -> None:
+            with suppress(SlidectlError):  # nobody asked for this call; the guard has told of it
+                enter()
+
+        call = RepeatedCall(self._graph.timers, period_ns, tick, self._calls)
         self._calls.add(call)
         return call
 
@@ -223,16 +231,24 @@ class GraphNode:
         return self.caution if self._parent is None else self._parent._caution()
 
     def _entering(self, callback: Callable[P, T]) -> Callable[P, T]:
-        """The callback, before which all handles above are told that somebody is about to call into what they hold."""
+        """The callback in its guard, before which all handles above are told that somebody is about to call into what
+        they hold."""
+        guard = self.guard
 
         def entered(*arguments: P.args, **keywords: P.kwargs) -> T:
-            node: GraphNode | None = self
-            while node is not None:
-                node.before_entry()
-                node = node._parent
-            return callback(*arguments, **keywords)
+            self.enter()
+            if guard is None:
+                return callback(*arguments, **keywords)
+            with guard:
+                return callback(*arguments, **keywords)
 
         return entered
+
+    def enter(self) -> None:
+        node: GraphNode | None = self
+        while node is not None:
+            node.before_entry()
+            node = node._parent
 
     def _absolute(self, name: str) -> str:
         return names.join(self.namespace, name)

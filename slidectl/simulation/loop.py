@@ -163,6 +163,11 @@ class Loop:
             for runner in self._runners():
                 runner.follow_world()
 
+    def compiled_controllers(self, robot: SpawnedRobot) -> frozenset[str]:
+        """The names of the robot's controllers that run as machine code."""
+        compiled = self.engine.compiled
+        return frozenset() if compiled is None else compiled.compiled_controllers(robot)
+
     @property
     def stands_still(self) -> bool:
         """True when no cycle will come by itself."""

@@ -1,7 +1,7 @@
 """The services of `/slidectl` but `wait`, which has a module of its own, and `shutdown`, which is the daemon's.
 
 These are not in ROS: status, step, sleep, set_speed, set_params, list_robots, sources, resolve, estop, rest_joints,
-load_controller_file, reload_controller.
+start_joints, load_controller_file, reload_controller, update_times.
 """
 
 from __future__ import annotations
@@ -54,8 +54,10 @@ class OwnServices:
         node.advertise_service("resolve", "slidectl/Resolve", self._resolve)
         node.advertise_service("estop", "slidectl/EmergencyStop", self._stop)
         node.advertise_service("rest_joints", "slidectl/RestJoints", self._rest)
+        node.advertise_service("start_joints", "slidectl/StartJoints", self._start_joints)
         node.advertise_service("load_controller_file", "slidectl/LoadControllerFile", self._load_file)
         node.advertise_service("reload_controller", "slidectl/ReloadController", self._reload)
+        node.advertise_service("update_times", "slidectl/ListUpdateTimes", self._update_times)
 
     def _status(self, _: Message) -> Message:
         simulation = self._simulation
@@ -73,7 +75,7 @@ class OwnServices:
             "robots": self._robots.names(),
             "estop": [robot.name for robot in self._robots if robot.emergency_stop],
             "controllers": sum(len(manager.names()) for manager in managers),
-            "controllers_running": sum(manager.running_count for manager in managers),
+            "controllers_running": sum(len(manager.running) for manager in managers),
             **simulation.monitor(),
         }
 
@@ -105,20 +107,26 @@ class OwnServices:
     def _cycles(self, request: Message) -> int:
         """Whole cycles: those that were asked for, or as many as make up the time that was asked for.
 
-        Raises Refused for a time that is no whole number of cycles: the world would stop elsewhere than was asked.
+        Raises Refused for a time that is no whole number of cycles: the world would stop elsewhere than was asked; and
+        for one that has passed.
         """
-        seconds: float = request["seconds"]
-        if not 0 <= seconds < LONGEST_S:
-            raise Refused(f"seconds must be 0 or more (and less than {LONGEST_S:g}), not {seconds:g}")
+        for name in ("seconds", "until"):
+            if not 0 <= request[name] < LONGEST_S:
+                raise Refused(f"{name} must be 0 or more (and less than {LONGEST_S:g}), not {request[name]:g}")
         if request["cycles"]:
             return int(request["cycles"])
-        step_ns, asked_ns = self._simulation.timestep_ns, from_seconds(seconds)
+        is_until = request["until"] and not request["seconds"]
+        seconds, start_ns = (request["until"], self._graph.clock.time_ns) if is_until else (request["seconds"], 0)
+        step_ns, asked_ns = self._simulation.timestep_ns, from_seconds(seconds) - start_ns
+        if asked_ns < 0:
+            raise Refused(f"it is {start_ns * 1e-9:.9g} s already", "slidectl sim reset --time begins at 0 again")
         cycles = round(asked_ns / step_ns)
         # A time step such as 1/240 s is rounded to nanoseconds, so a second of it is up to one off for each cycle.
         if abs(cycles * step_ns - asked_ns) > cycles:
             below = asked_ns // step_ns
-            near = [f"{count * step_ns * 1e-9:.9g}s" for count in (below, below + 1) if count]
-            text = f"{seconds:.9g} s is no whole number of cycles of {step_ns * 1e-9:g} s"
+            near = [f"{(start_ns + count * step_ns) * 1e-9:.9g}s" for count in (below, below + 1) if count]
+            after = f" after {start_ns * 1e-9:.9g} s" if start_ns else ""
+            text = f"{seconds:.9g} s is no whole number of cycles of {step_ns * 1e-9:g} s{after}"
             raise Refused(text, f"possible: {' or '.join(near)}")
         return cycles
 
@@ -333,6 +341,20 @@ class OwnServices:
         joints = list(dict.fromkeys(joint for _, joint in commands))
         text = "; ".join(f"{joint} keeps {_PHRASES[kind]} {value:g}" for (kind, joint), value in commands.items())
         return {"success": True, "message": text or "no joint is concerned", "joints": joints}
+
+    def _update_times(self, request: Message) -> Message:
+        robot = self._robot(request["robot"])
+        compiled = self._simulation.loop.compiled_controllers(robot)
+        times = robot.manager.update_times() if robot.is_controlled else []
+        return {"controllers": [{**one, "compiled": one["name"] in compiled} for one in times]}
+
+    def _start_joints(self, request: Message) -> Message:
+        try:
+            robot = self._robot(request["robot"])
+            self._robots.put_joints(robot.name, request["joint_names"], request["joint_positions"], is_start=True)
+        except SlidectlError as error:
+            return {"success": False, "message": str(error)}
+        return {"success": True, "message": f"{robot.name}: {len(request['joint_names'])} joints start elsewhere"}
 
     # Controllers of users
 

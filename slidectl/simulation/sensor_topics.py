@@ -20,9 +20,10 @@ from slidectl.control.controllers.sensor_controllers import (
 )
 from slidectl.control.duration import header_of
 from slidectl.control.node_handle import Message
-from slidectl.description.robot import Bumper, ForceTorque, GroundTruth, Imu, JointStates, Laser, Sensor
+from slidectl.description.robot import Bumper, Camera, ForceTorque, GroundTruth, Imu, JointStates, Laser, Sensor
 from slidectl.physics import sensing
 from slidectl.rotations import Quaternion, Vector, add, cross, message, subtract
+from slidectl.simulation.camera_topics import CameraTopics
 from slidectl.simulation.clock import SECOND
 from slidectl.simulation.spawned_robots import SpawnedRobot
 from slidectl.simulation.topics import PeriodicTopic
@@ -188,7 +189,13 @@ def _pose(position: Vector, attitude: Quaternion) -> Message:
 
 def bring_up(simulation: Simulation, robot: SpawnedRobot) -> Callable[[], None]:
     """Give a robot the topics of its sensors. Returns what takes them back."""
-    topics = [SensorTopic(simulation, robot, sensor) for sensor in robot.paper.sensors if sensor.topic]
+    topics = [
+        CameraTopics(simulation, robot, sensor)
+        if isinstance(sensor, Camera)
+        else SensorTopic(simulation, robot, sensor)
+        for sensor in robot.paper.sensors
+        if sensor.topic
+    ]
 
     def take_back() -> None:
         for topic in topics:

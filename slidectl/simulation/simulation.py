@@ -12,11 +12,13 @@ from typing import Any
 from slidectl.control import registry
 from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message, MessageCallback
+from slidectl.description.robot import Camera
 from slidectl.errors import Refused
 from slidectl.physics import World, hulls
 from slidectl.physics.hulls import MeshSource
+from slidectl.physics.painting import Painter
 from slidectl.rotations import ORIGIN, Pose
-from slidectl.simulation import rosapi, waits
+from slidectl.simulation import base_drives, rosapi, waits
 from slidectl.simulation.compiled.engine import Engine
 from slidectl.simulation.gazebo_services import GazeboServices
 from slidectl.simulation.graph import Graph
@@ -71,6 +73,10 @@ class Simulation:
         self.read_meshes: Callable[[Sequence[MeshSource]], Pending] = _read_here
         """How `/gazebo/spawn_urdf_model` gets the hulls (physics.hulls.Hulls) of meshes. A driver puts its own, which
         may answer later."""
+        self.paint: Callable[[Camera, Pose, int], Pending] = self._paint_here
+        """How a camera at a pose gets its picture (pixels in base64), with the seed of its noise. A driver puts its
+        own, which may answer later."""
+        self._painter: Painter | None = None
         self.chosen: set[str] = set()
         """What a user has asked for, of `speed`, `timestep` and `gravity`: the file of a world does not change it."""
         self.world.clock = self.graph.clock.now_ns
@@ -80,7 +86,11 @@ class Simulation:
         OwnServices(self)
         waits.advertise(self.graph)
         GazeboServices(self)
-        self.robots.on_spawn += [StatePublishers(self).bring_up, partial(bring_up_sensors, self)]
+        self.robots.on_spawn += [
+            StatePublishers(self).bring_up,
+            partial(bring_up_sensors, self),
+            partial(base_drives.bring_up, self),
+        ]
 
     @property
     def time_ns(self) -> int:
@@ -190,6 +200,19 @@ class Simulation:
             raise Refused(f"a time step is above 0 s, not {seconds:g}")
         self.world.set_timestep(seconds)
         self.loop.step_ns = step_ns
+
+    def _paint_here(self, camera: Camera, pose: Pose, seed: int) -> Pending:
+        """Waits for the picture."""
+        self._painter = self._painter or Painter()
+        try:
+            self._painter.ask(self._painter.look(self.world, camera, pose, seed))
+            while (picture := self._painter.take()) is None:
+                pass
+        except Refused as error:
+            pending = Pending()
+            pending.reject(error)
+            return pending
+        return Pending.of(picture)
 
     def reset_simulation(self) -> None:
         """Time and world back to the beginning, at once, all or nothing; controllers stay loaded and running.

@@ -8,7 +8,7 @@ on a stack, so a failure half-way and a deletion are the same path. Requests of 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from functools import partial
 from typing import NamedTuple
@@ -20,7 +20,7 @@ from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message
 from slidectl.control.user_classes import file_of, watched_for
 from slidectl.description import source_note
-from slidectl.description.robot import ControlPlugin, Robot
+from slidectl.description.robot import ControlPlugin, Robot, check_position
 from slidectl.errors import BadFile, Refused, UnknownName
 from slidectl.physics import EngineError, Overlap, World
 from slidectl.physics.body import Body
@@ -77,8 +77,12 @@ class SpawnedRobot:
         self.node = node
         self.taken = ExitStack()
         self.parts = ControlParts()
+        self.on_reset: list[Callable[[], None]] = []
+        """Called when the robot is to be as it was spawned, after the world is."""
+        self.on_emergency_stop: list[Callable[[], None]] = []
+        """Called when an emergency stop begins."""
         self.warnings: list[str] = []
-        """What was wrong with the place at which it was spawned."""
+        """What was wrong with its spawn: its place, or what it has and cannot use there."""
 
     def watch_entries(self, callback: Callable[[], None]) -> None:
         """Call back before anybody outside of the cycle looks at the robot's control, or changes it."""
@@ -129,6 +133,8 @@ class SpawnedRobot:
         self.cycle.emergency_stop = self.hardware.estop = stopped
         text = f"emergency stop is on: {self.name}; slidectl estop release ends it"
         self.node.caution = text if stopped else ""
+        for stop in self.on_emergency_stop if stopped else ():
+            stop()
 
     def look(self) -> None:
         """Read the joints outside of a cycle: after the world was changed, and before the first cycle."""
@@ -139,6 +145,8 @@ class SpawnedRobot:
 
         The hardware comes first, since a controller's set point is what it measures when it starts.
         """
+        for reset in self.on_reset:
+            reset()
         if not self.is_controlled:
             return
         self.hardware.reset()
@@ -340,6 +348,27 @@ class Robots:
         except Exception as error:
             text = f"{name} is deleted, but not all went well: {type(error).__name__}: {error}"
             self._loop.graph.log("error", robot.node.name, text)
+
+    def put_joints(self, name: str, joints: Sequence[str], positions: Sequence[float], is_start: bool = False) -> None:
+        """Put joints, each named alone or as `robot::joint`, there, at rest; all or none. With `is_start` resets do so.
+
+        One that is commanded by its position stays there until a controller commands another.
+
+        Raises:
+            UnknownName: no such robot or moving joint. Refused: a position that is none, or beyond the joint's limits.
+        """
+        if len(joints) != len(positions):
+            raise Refused(f"{len(joints)} joint names but {len(positions)} positions")
+        robot = self.get(name)
+        short = (joint.removeprefix(f"{robot.name}::") for joint in joints)
+        asked = dict(zip(short, positions, strict=True))
+        for joint, position in asked.items():
+            check_position(robot.body.place(joint).joint, position)
+        self._world.put_joints(name, asked)
+        if is_start:
+            robot.body.start |= asked
+        if robot.is_controlled:
+            robot.hardware.stay(asked)
 
     def reset(self) -> None:
         """All of them and the world are as they were spawned, even if one fails; its error is raised then."""

@@ -44,7 +44,7 @@ class StatePublishers:
         others = {frame for publisher in self._publishers.values() for frame in publisher.frames()}
         shares_frames = not others.isdisjoint(set(robot.paper.links) - {"world"})
         chosen, prefix = "", ""
-        if shares_frames and not _prefix(self._simulation, robot):
+        if shares_frames and not tf_prefix(self._simulation, robot):
             prefix = robot.namespace.strip("/") or robot.name
             chosen = names.join(robot.namespace, f"{NODE}/tf_prefix")  # in a namespace above, it would be others' too
             parameters.set(chosen, prefix)
@@ -100,7 +100,7 @@ class StatePublisher:
     def _configure(self) -> None:
         """What the parameters of the node ask for; called whenever one is set or deleted."""
         simulation = self._simulation
-        prefix = _prefix(simulation, self._robot) or self._chosen
+        prefix = tf_prefix(simulation, self._robot) or self._chosen
         has_other_names, self._prefix = prefix != self._prefix, prefix
         if simulation.parameters.get(names.join(self._node, "enabled"), True) is False:
             self._silence()
@@ -171,7 +171,8 @@ def _displacement(joint: Joint, position: float) -> Pose:
     return (x * position, y * position, z * position), IDENTITY
 
 
-def _prefix(simulation: Simulation, robot: SpawnedRobot) -> str:
+def tf_prefix(simulation: Simulation, robot: SpawnedRobot) -> str:
+    """What stands before the robot's frames by the parameter `tf_prefix`, in its namespace or above; may be empty."""
     found = simulation.parameters.search(names.join(robot.namespace, NODE), "tf_prefix")
     value = simulation.parameters.get(found) if found else None
     return value.strip("/") if isinstance(value, str) else ""

@@ -116,6 +116,8 @@ class _DemandPublisher(NodePublisher):
 class PeriodicTopic:
     """Publishes what `build` gives, every `period_ns` of simulated time, until `close`. Free while nobody listens.
 
+    What `build` gives later, and None now, is published by `publish`.
+
     The phase is that of multiples of the period, whoever listened before. While `is_still` says that no cycle will come
     by itself, a new subscriber gets the present message at once, and those that are there when the publisher comes too.
     """
@@ -127,7 +129,7 @@ class PeriodicTopic:
         type_name: str,
         node: str,
         period_ns: int,
-        build: Callable[[], Message],
+        build: Callable[[], Message | None],
         is_still: Callable[[], bool] = lambda: False,
     ) -> None:
         self._graph = graph
@@ -149,8 +151,14 @@ class PeriodicTopic:
             self._timer.cancel()
         self._timer = self._graph.timers.every(self._period_ns, self._publish) if wanted else None
 
+    def publish(self, message: Message) -> None:
+        """One that was built since."""
+        self._publisher.publish(message)
+
     def _publish(self) -> None:
-        self._publisher.publish(self._build())
+        message = self._build()
+        if message is not None:
+            self.publish(message)
 
 
 class TopicSubscription:

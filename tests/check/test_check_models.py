@@ -78,7 +78,7 @@ def test_nothing_below_an_ignored_tag_is_used(model: Check) -> None:
     assert lines.about("sensor") == [
         'used 7 <gazebo reference="cart">: with <sensor>',
         'ignored 7 <gazebo reference="cart">/<sensor name="s">: has no effect: '
-        "sensors here are ray, gpu_ray, imu, contact, not ''",
+        "sensors here are ray, gpu_ray, imu, contact, camera, not ''",
     ]
     assert not lines.about("update_rate")
 

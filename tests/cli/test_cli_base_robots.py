@@ -338,3 +338,45 @@ def test_an_impossible_mass_is_mended_with_old_and_new_values_and_refused_when_s
     assert change in done.stderr
     checked = world("check", path, "--only", "converted")
     assert (checked.returncode, change in checked.stdout) == (0, True)
+
+
+def test_joints_start_where_spawn_says_and_again_after_a_reset(world: CommandLine) -> None:
+    world.ok("sim", "pause")
+    world.ok("spawn", "rrbot", "--joint", "joint1=0.5", "--joint", "joint2=-1.25")
+    positions = {"joint1": 0.5, "joint2": -1.25}
+    assert {name: position(world, "rrbot", name) for name in positions} == positions
+    world.ok("sim", "step", "500")
+    assert position(world, "rrbot", "joint1") != 0.5
+    world.ok("sim", "reset")
+    assert {name: position(world, "rrbot", name) for name in positions} == positions
+
+
+def test_a_joint_that_is_commanded_by_its_position_stays_where_it_starts(world: CommandLine, tmp_path: Path) -> None:
+    file = tmp_path / "slider.urdf"
+    file.write_text(world.ok("urdf", "slider").replace("EffortJointInterface", "PositionJointInterface"))
+    world.ok("spawn", str(file), "--joint", "joint1=-0.7")
+    for _ in range(2):
+        world.ok("sim", "step", "500")
+        assert position(world, "slider", "joint1") == pytest.approx(-0.7, abs=1e-6)
+        world.ok("sim", "reset")
+
+
+@pytest.mark.parametrize(
+    ("joint", "code", "words"),
+    [
+        ("joint1=1.5", 1, "joint1 goes from -1 to 1 m, not to 1.5"),
+        ("jiont1=0.5", 1, "no moving joint 'jiont1' on robot 'slider'. Did you mean 'joint1'?"),
+        ("joint1=30deg", 2, "takes a number, in rad or m, not '30deg'"),
+        ("joint1=nan", 1, "must be a finite number"),
+        ("joint1", 2, "'joint1' is not KEY=VALUE"),
+    ],
+)
+def test_a_joint_that_cannot_start_there_leaves_no_robot(world: CommandLine, joint: str, code: int, words: str) -> None:
+    done = world("spawn", "slider", "--joint", joint)
+    assert (done.returncode, words in done.stderr) == (code, True), done.stderr
+    assert world.ok("robots", "--json") == ""
+
+
+def position(world: CommandLine, name: str, joint: str) -> float:
+    found = json.loads(world.ok("robots", name, "--json"))["joints"]
+    return next(float(one["position"]) for one in found if one["name"] == joint)

@@ -89,6 +89,21 @@ def test_an_amount_without_end_is_none(slidectl: CommandLine) -> None:
     assert "'1e400s' is no amount of steps" in slidectl("sim", "step", "1e400s").stderr
 
 
+def test_steps_go_up_to_a_time_that_has_not_passed(slidectl: CommandLine) -> None:
+    slidectl.ok("sim", "step", "7")
+    assert slidectl.ok("sim", "step", "--until", "0.25") == "time 0.25 s after 250 cycles\n"
+    assert slidectl.ok("sim", "step", "--until", "0.25s") == "time 0.25 s after 250 cycles\n"
+    for arguments, code, words in (
+        (("--until", "0.2"), 1, "it is 0.25 s already"),
+        (("--until", "0.3005"), 1, "possible: 0.3s or 0.301s"),
+        (("--until", "soon"), 2, "such as 12.5, not 'soon'"),
+        (("3", "--until", "1"), 2, "not both"),
+    ):
+        done = slidectl("sim", "step", *arguments)
+        assert (done.returncode, words in done.stderr) == (code, True), done.stderr
+    assert json.loads(slidectl.ok("sim", "status", "--json"))["time"] == 0.25
+
+
 def test_step_pauses_a_world_that_runs(slidectl: CommandLine) -> None:
     assert slidectl.ok("sim", "resume").startswith("running at ")
     slidectl.ok("sim", "step", "10")

@@ -254,13 +254,16 @@ def test_spawning_can_wait_for_another_robot(world: CommandLine, write: Write) -
     assert launched.end() == 0
 
 
-def test_tags_without_effect_are_counted_and_shown_with_v(world: CommandLine, write: Write) -> None:
-    path = write(spawn().replace("my_slider)/urdf/slider", "rrbot_description)/urdf/rrbot"))
+def test_tags_without_effect_are_counted_and_shown_with_v(world: CommandLine, write: Write, tmp_path: Path) -> None:
+    model = tmp_path / "extra.urdf"
+    tag = '<gazebo reference="link2"><sensor type="sonar" name="s"/></gazebo></robot>'
+    model.write_text(world.ok("urdf", "slider").replace("</robot>", tag))
+    path = write(node("gazebo_ros/spawn_model", f"-urdf -model slider -file {model}"))
     done = world("launch", path)
     assert "without effect, -v shows them" in done.stdout
     world.ok("delete", "slider")
     done = world("launch", path, "-v")
-    assert "rrbot.xacro:" in done.stderr
+    assert "extra.urdf:" in done.stderr
     assert "<sensor" in done.stderr
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from textwrap import dedent
@@ -14,7 +15,7 @@ from daemon_fixture import Runtime
 LAW = """
 from slidectl.control import NUMBER, TEXT, Controller, EffortJointInterface, Parameter, params
 
-JOINT = Parameter("joint", TEXT, "the joint that it pushes", default="joint1")
+JOINT = Parameter("joint", TEXT, "the joint that it pushes", default="joint1", names_joints=True)
 PUSH = Parameter("push", NUMBER, "how hard", unit="N", default=1.0)
 
 
@@ -82,6 +83,15 @@ def refused(world: CommandLine, file: Path, class_name: str = "Push", code: int 
     return done.stderr
 
 
+BROKEN = [
+    ("1 / 0\n", "my_laws.py:1: ZeroDivisionError: division by zero"),
+    ("x = 1\n", "my_laws.py: there is no controller in it"),
+    (LAW.replace("def init(self", "def init(self:"), "my_laws.py:12: "),
+    (LAW.replace("time_ns, period_s", "time"), "Push.update has a wrong signature"),
+]
+"""Texts of modules, and what is said of each."""
+
+
 # -- load --------------------------------------------------------------------------------------------------------------
 
 
@@ -104,6 +114,23 @@ def test_any_client_can_load_and_reload(slider: CommandLine, law: Path) -> None:
 
 def test_a_file_that_is_not_there(slider: CommandLine, tmp_path: Path) -> None:
     assert refused(slider, tmp_path / "no.py") == f"error: {tmp_path}/no.py: no such file\n"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("def init(self", "def init(self:", "my_laws.py:12: "),
+        (
+            "time_ns, period_s",
+            "time",
+            "my_laws.py:17: Push.update has a wrong signature: (self, time) takes no call with",
+        ),
+        ("class Push", "class Pull", "error: no controller class 'Push' in "),
+    ],
+)
+def test_a_file_that_is_wrong(slider: CommandLine, law: Path, old: str, new: str, said: str) -> None:
+    code = 1 if "no controller class" in said else 2
+    assert said in refused(slider, written(law, LAW.replace(old, new)), code=code)
 
 
 def test_a_word_that_names_no_python_file(world: CommandLine) -> None:
@@ -160,6 +187,85 @@ def test_a_law_that_raises_is_aborted_with_file_and_line_and_runs_again_when_it_
     assert effort(pushing) == 2.0
 
 
+LOOP = """while True:
+            try:
+                time_ns += 1
+            except BaseException:
+                pass
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "lines"),
+    [
+        ("self.joint.command = self.push\n", LOOP, range(18, 23)),
+        ("    def update", f"    def starting(self, time_ns):\n        {LOOP}\n    def update", range(18, 23)),
+    ],
+    ids=["update", "starting"],
+)
+def test_a_loop_without_an_end_in_a_cycle_aborts_its_controller_and_the_others_go_on(
+    pushing: CommandLine, law: Path, old: str, new: str, lines: range
+) -> None:
+    pushing.ok(
+        "param", "set", "/slider/states", "{type: joint_state_controller/JointStateController, publish_rate: 50}"
+    )
+    pushing.ok("controller", "spawn", "states")
+    written(law, LAW.replace(old, new))
+    pushing("controller", "reload", "my_law")
+    pushing.ok("sim", "step", "2")
+    assert state(pushing) == "aborted"
+    log = pushing.ok("daemon", "logs", "-n", "5")
+    [line] = [int(line) for line in re.findall(rf"ran longer than 5 s and was ended \({law}:(\d+)\)", log)]
+    assert line in lines
+    pushing.ok("sim", "step", "2000")  # with the clock of the limit that has gone by
+    assert state(pushing, "states") == "running"
+    written(law, LAW)
+    assert pushing.ok("controller", "reload", "my_law") == "my_law: reloaded, running (was aborted)\n"
+    assert effort(pushing) == 2.0
+
+
+def test_a_callback_that_fails_or_does_not_end_is_an_error_of_its_caller_and_the_controller_goes_on(
+    pushing: CommandLine, law: Path
+) -> None:
+    hear = """
+    def hear(self, message):
+        while message["data"]: pass
+        raise KeyError("gain")
+"""
+    subscribe = 'node.subscribe("hear", "std_msgs/Bool", self.hear)\n        self.told ='
+    text = LAW.replace("self.told =", subscribe, 1) + hear
+    written(law, text)
+    pushing.ok("controller", "reload", "my_law")
+    first = text.splitlines().index("    def hear(self, message):") + 1
+    for value, line, said in (
+        ("true", first + 1, "the code ran longer than 5 s"),
+        ("false", first + 2, "KeyError: 'gain'"),
+    ):
+        done = pushing("pub", "/slider/my_law/hear", value)
+        assert done.returncode == 1
+        assert said in done.stderr
+        assert f"({law}:{line})" in done.stderr
+    assert effort(pushing) == 2.0
+
+
+def test_the_times_of_updates_are_listed_and_a_budget_is_warned_of(pushing: CommandLine) -> None:
+    pushing.ok("sim", "step", "100")
+    [line] = pushing.ok("controller", "list", "-v").splitlines()[1:]
+    assert re.search(r" \d+\.\d us, longest \d+\.\d us$", line)
+    [record] = map(json.loads, pushing.ok("controller", "list", "-v", "--json").splitlines())
+    assert record["update_times"]["updates"] == 100
+    assert 0 < record["update_times"]["mean"] <= record["update_times"]["longest"] < 1
+    assert "update_times" not in pushing.ok("controller", "list", "--json")
+    pushing.ok("param", "set", "/slider/my_law/update_budget", "1e-9", "--new")
+    pushing.ok("sim", "step", "100")
+    assert pushing.ok("controller", "list", "-v").endswith("100 over 0.001 us\n")
+    log = pushing.ok("daemon", "logs", "-n", "20")
+    assert (
+        len(re.findall(r"controller 'my_law': an update took .* us, its budget is 0.001 us; so did 1 of 101", log)) == 1
+    )
+    assert state(pushing) == "running"
+
+
 # -- daemon start --import ---------------------------------------------------------------------------------------------
 
 
@@ -190,9 +296,7 @@ def test_types_of_an_imported_module_are_there_from_the_start(empty: CommandLine
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("1 / 0\n", "my_laws.py:1: ZeroDivisionError: division by zero"),
-        ("x = 1\n", "my_laws.py: there is no controller in it"),
-        (LAW.replace("time_ns, period_s", "time"), "Push.update has a wrong signature"),
+        *BROKEN,
         ("while True: pass\n", "the code ran longer than 5 s"),
     ],
 )
@@ -204,10 +308,44 @@ def test_a_daemon_with_a_broken_module_does_not_start(empty: CommandLine, law: P
     assert empty("daemon", "status").returncode == 3
 
 
+@pytest.mark.parametrize(("text", "said"), BROKEN)
+def test_check_refuses_a_broken_module(empty: CommandLine, law: Path, text: str, said: str) -> None:
+    done = empty("check", "slider", "--import", str(written(law, text)))
+    assert done.returncode == 2
+    assert said in done.stderr
+
+
 def test_a_module_that_is_nowhere(empty: CommandLine) -> None:
     done = empty("daemon", "start", "--import", "no_such_laws")
     assert done.returncode == 2
     assert "no module 'no_such_laws' is installed, nor is there a file no_such_laws.py here" in done.stderr
+
+
+# -- check --import ----------------------------------------------------------------------------------------------------
+
+
+def test_check_knows_the_parameters_of_imported_types(empty: CommandLine, law: Path) -> None:
+    file = written(
+        law.parent / "my_control.yaml",
+        """
+        slider:
+          good: {type: my_laws/Push, joint: joint1, push: 2.0, update_budget: 1.0e-3}
+          bad: {type: my_laws/Push, joint: elbow, push: much, pish: 1}
+          free: {type: my_laws/Free, anything: 1}
+        """,
+    )
+    with law.open("a") as text:
+        text.write("\n\nclass Free(Push):\n    parameters = ()\n")
+    words = ["check", "slider", "--controllers", str(file)]
+    assert "'my_laws/Push'" in empty(*words).stdout
+    for option, module in (("--import", "my_laws"), ("--from", "my_laws.py")):
+        done = empty(*words, option, module, "--json", cwd=law.parent)
+        found = {record["subject"]: record for record in map(json.loads, done.stdout.splitlines())}
+        wrong = {name.removeprefix("/slider/") for name, record in found.items() if record["verdict"] == "wrong"}
+        assert (done.returncode, wrong) == (1, {"bad/joint", "bad/push"})
+        assert "did you mean 'push'?" in found["/slider/bad/pish"]["text"]
+        assert found["/slider/good/update_budget"]["verdict"] == "used"
+        assert found["/slider/free/anything"]["text"] == "Free does not say which parameters it reads"
 
 
 # -- entry points ------------------------------------------------------------------------------------------------------

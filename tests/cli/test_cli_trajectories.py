@@ -248,6 +248,19 @@ def test_a_stopped_controller_says_that_it_does_not_run(world: CommandLine) -> N
         world.ok("controller", "start", "arm_controller")
 
 
+def test_whoever_waits_for_a_goal_is_told_when_its_robot_is_deleted(world: CommandLine, client: Client) -> None:
+    words = ["--at", "0", "4", "0", "--controllers", "config/arm_control.yaml", "--start", "arm_controller"]
+    world.ok("spawn", "arm", "--name", "other", *words)
+    with client.action("/other/arm_controller/follow_joint_trajectory") as arm:
+        process = world.start("action", "send", arm.name, f"trajectory: {SLOW}", "--wait")
+        active_goal(arm)
+        world.ok("delete", "other")
+        _, err = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert err.startswith("error: /other/arm_controller/follow_joint_trajectory: preempted")
+    assert err.endswith(": nobody serves the action any more: its robot or its controller has gone\n")
+
+
 @pytest.mark.parametrize(
     ("words", "code", "told"),
     [
@@ -291,11 +304,27 @@ def test_a_goal_that_the_server_forgets_is_lost(client: Client) -> None:
         goal_id = arm.send(goal_of(0.0, 3000))
         entry = {"goal_id": {"id": goal_id}, "status": 1}
         for listed in ([entry], []):
-            arm._lists.put({"status_list": listed})
+            arm._lists.put({"msg": {"status_list": listed}})
             arm._is_gone(goal_id)
-        arm._lists.put({"status_list": []})
+        arm._lists.put({"msg": {"status_list": []}})
         assert arm.wait(goal_id, timeout=30).state == "lost"
         arm.cancel(goal_id)
+
+
+def test_a_goal_is_lost_when_the_process_that_serves_its_action_ends(world: CommandLine, client: Client) -> None:
+    with world.client() as server:
+        server.subscribe("/tool/goal", "control_msgs/GripperCommandActionGoal")
+        server.advertise("/tool/status", "actionlib_msgs/GoalStatusArray")
+        for topic in ("result", "feedback"):
+            server.advertise(f"/tool/{topic}", f"control_msgs/GripperCommandAction{topic.capitalize()}")
+        server.flush()
+        tool = client.action("/tool")
+        goal_id = tool.send({})
+    assert tool.wait(goal_id, timeout=30) == (
+        9,
+        "nobody serves the action any more: its robot or its controller has gone",
+        {},
+    )
 
 
 def test_an_action_that_is_not_there_or_not_alone_is_an_error(client: Client) -> None:

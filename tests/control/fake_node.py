@@ -129,6 +129,7 @@ class FakeNode:
     def __init__(self, graph: FakeGraph, namespace: str) -> None:
         self.graph = graph
         self.namespace = namespace
+        self.guard: Any = None
         self._children: list[FakeNode] = []
         self._taken: list[Callable[[], object]] = []
 
@@ -192,7 +193,10 @@ class FakeNode:
     def advertise_action(self, action: str, type_name: str, on_goal: GoalCallback, on_cancel: GoalCallback) -> None:
         ActionServer(self.child(action), type_name, on_goal, on_cancel)
 
-    def call_every(self, period_ns: int, callback: Callable[[], None]) -> RepeatedCall:
+    def enter(self) -> None:
+        """Nothing keeps anything elsewhere."""
+
+    def call_every(self, period_ns: int, callback: Callable[[], None], enters: bool = True) -> RepeatedCall:  # noqa: ARG002
         call = RepeatedCall(self.graph.timers, period_ns, callback, set())
         self._taken.append(call.cancel)
         return call

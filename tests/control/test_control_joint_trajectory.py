@@ -15,13 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slidectl import msgs
-from slidectl.control.controllers.joint_trajectory import (
-    PointState,
-    Segment,
-    evaluate,
-    spline,
-    wraparound_offset,
-)
+from slidectl.control import segments
+from slidectl.control.controllers.joint_trajectory import wraparound_offset
 from slidectl.control.node_handle import GoalStatus
 from slidectl.errors import MessageRefused, Refused
 
@@ -102,6 +97,26 @@ def trajectory(points: tuple[dict, ...], joints: tuple[str, ...], stamp: float =
     return {"header": header, "joint_names": list(joints), "points": list(points)}
 
 
+BAD = [
+    ([point(0.1, 1.0, 1.0), point(0.1, 2.0, 2.0)], ("j1", "j2"), "not strictly increasing in time"),
+    ([point(0.2, 1.0, 1.0), point(0.1, 2.0, 2.0)], ("j1", "j2"), "not strictly increasing in time"),
+    ([point(0.1, 1.0)], ("j1",), "does not contain the expected joints"),
+    ([point(0.1, 1.0, 1.0)], ("j1", "nope"), "does not contain the expected joints"),
+    ([point(0.1, 1.0, 1.0, 1.0)], ("j1", "j2", "j2"), "does not contain the expected joints"),
+    ([point(0.1, 1.0)], (), "does not contain the expected joints"),
+    ([point(0.1, 1.0, 1.0, velocities=[1.0])], ("j1", "j2"), "Size mismatch in trajectory point"),
+    ([point(0.1, 1.0, 1.0, accelerations=[1.0])], ("j1", "j2"), "Size mismatch in trajectory point"),
+    ([point(0.1)], ("j1", "j2"), "Size mismatch between trajectory point"),
+    ([point(0.1, 1.0, 1.0), point(0.2)], ("j1", "j2"), "Start/end points data size mismatch"),
+    ([point(0.1, 1.0)], ("j1", "j2"), "has 1 positions for 2 joints"),
+    ([point(0.1, nan, 1.0)], ("j1", "j2"), "must have finite numbers"),
+    ([point(0.1, 1.0, 1.0, velocities=[inf, 0.0])], ("j1", "j2"), "must have finite numbers"),
+    ([point(-0.01, 1.0, 1.0)], ("j1", "j2"), "Dropping all 1 trajectory point"),
+    ([point(0.0, 1.0, 1.0)], ("j1", "j2"), "Dropping all 1 trajectory point"),
+]
+"""Points and joints that no trajectory can be made of, and what is said."""
+
+
 @pytest.fixture
 def arm() -> Arm:
     arm = Arm(constraints={"goal_time": 0.05})
@@ -110,6 +125,12 @@ def arm() -> Arm:
 
 
 finite = st.floats(-10.0, 10.0)
+
+
+def spline(start: list[float], end: list[float], t: float) -> tuple[float, ...]:
+    """The coefficients of one segment."""
+    states = ([[value] for value in state] for state in (start, end))
+    return tuple(segments.between([0.0], next(states), [t], next(states))[0, segments.C0 : segments.C5 + 1])
 
 
 class TestSplines:
@@ -122,8 +143,8 @@ class TestSplines:
             rows.append(derivative)
         given = [ends[0], ends[2], ends[4]][:orders] + [ends[1], ends[3], ends[5]][:orders]
         expected = np.linalg.solve(np.array(rows), np.array(given))
-        said = [value if k < terms else None for k, value in enumerate(ends)]
-        found = spline(PointState(*said[0::2]), PointState(*said[1::2]), t)
+        said = [value if k < terms else nan for k, value in enumerate(ends)]
+        found = spline(said[0::2], said[1::2], t)
         scale = np.array([t**k for k in range(terms)])
         assert np.allclose(np.array(found[:terms]) * scale, expected * scale, atol=1e-6)
         assert found[terms:] == (0.0,) * (6 - terms)
@@ -132,26 +153,25 @@ class TestSplines:
     def test_velocity_and_acceleration_are_the_derivatives(self, coefficients: list[float], x: float) -> None:
         polynomial = np.polynomial.Polynomial(coefficients)
         expected = [polynomial.deriv(order)(x) if order else polynomial(x) for order in range(3)]
-        assert evaluate(tuple(coefficients), x) == pytest.approx(expected, abs=1e-6)
+        assert segments.evaluate([0.0] * segments.C0 + coefficients, x) == pytest.approx(expected, abs=1e-6)
 
-    @pytest.mark.parametrize(("v1", "a1"), [(None, 1.0), (None, None)])
-    def test_an_end_without_velocity_makes_it_a_line(self, v1: float | None, a1: float | None) -> None:
-        assert spline(PointState(1.0, 9.0, 9.0), PointState(3.0, v1, a1), 2.0) == (1.0, 1.0, 0.0, 0.0, 0.0, 0.0)
+    @pytest.mark.parametrize(("v1", "a1"), [(nan, 1.0), (nan, nan)])
+    def test_an_end_without_velocity_makes_it_a_line(self, v1: float, a1: float) -> None:
+        assert spline([1.0, 9.0, 9.0], [3.0, v1, a1], 2.0) == (1.0, 1.0, 0.0, 0.0, 0.0, 0.0)
 
     def test_outside_of_a_segment_it_rests_at_its_ends_and_at_the_end_it_still_moves(self) -> None:
-        segment = Segment(1.0, PointState(0.0, None, None), 2.0, PointState(1.0, None, None))
-        assert segment.sample(0.5) == (0.0, 0.0, 0.0)
-        assert segment.sample(2.0) == (1.0, 1.0, 0.0)
-        assert segment.sample(2.0000001) == (1.0, 0.0, 0.0)
+        rows = segments.between([1.0], [[0.0], [nan], [nan]], [2.0], [[1.0], [nan], [nan]])
+        assert segments.sample_at(rows, 0.5) == (0.0, 0.0, 0.0)
+        assert segments.sample_at(rows, 2.0) == (1.0, 1.0, 0.0)
+        assert segments.sample_at(rows, 2.0000001) == (1.0, 0.0, 0.0)
 
     def test_no_time_at_all_is_a_step(self) -> None:
-        state = PointState(1.0, 2.0, 3.0)
-        assert spline(state, PointState(5.0, 0.0, 0.0), 0.0) == (1.0, 2.0, 1.5, 0.0, 0.0, 0.0)
-        assert spline(state, PointState(5.0, None, None), 0.0) == (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        assert spline([1.0, 2.0, 3.0], [5.0, 0.0, 0.0], 0.0) == (1.0, 2.0, 1.5, 0.0, 0.0, 0.0)
+        assert spline([1.0, 2.0, 3.0], [5.0, nan, nan], 0.0) == (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
     def test_a_segment_that_ends_before_it_starts_is_refused(self) -> None:
         with pytest.raises(Refused, match="end_time < start_time"):
-            Segment(1.0, PointState(0.0, None, None), 0.5, PointState(0.0, None, None))
+            segments.between([1.0], [[0.0], [nan], [nan]], [0.5], [[0.0], [nan], [nan]])
 
     @given(st.floats(-20.0, 20.0), st.floats(-20.0, 20.0))
     def test_a_continuous_joint_goes_no_farther_than_half_a_turn(self, start: float, end: float) -> None:
@@ -230,6 +250,12 @@ def test_a_negative_tolerance_is_pointed_out() -> None:
     assert "/bot/arm/constraints/j1/goal is below 0: it is not checked" in arm.graph.lines("warn")
 
 
+def test_a_joint_that_is_named_twice_is_pointed_out() -> None:
+    arm = Arm(joints=["j1", "j2", "j1"])
+    arm.load("arm")
+    assert "/bot/arm/joints names 'j1' twice" in arm.graph.lines("warn")
+
+
 def test_parameters_of_other_joints_are_pointed_out() -> None:
     gains = {**GAINS["gains"], "j8": {"p": 1.0}}
     arm = Arm("effort", constraints={"j7": {"goal": 0.1}, "goal_time": 1.0}, gains=gains)
@@ -299,26 +325,7 @@ class TestCommands:
         arm.run(20)
         assert arm.robot.joints["j1"].velocity == pytest.approx(0.0, abs=1e-12)
 
-    @pytest.mark.parametrize(
-        ("points", "joints", "text"),
-        [
-            ([point(0.1, 1.0, 1.0), point(0.1, 2.0, 2.0)], ("j1", "j2"), "not strictly increasing in time"),
-            ([point(0.2, 1.0, 1.0), point(0.1, 2.0, 2.0)], ("j1", "j2"), "not strictly increasing in time"),
-            ([point(0.1, 1.0)], ("j1",), "does not contain the expected joints"),
-            ([point(0.1, 1.0, 1.0)], ("j1", "nope"), "does not contain the expected joints"),
-            ([point(0.1, 1.0, 1.0, 1.0)], ("j1", "j2", "j2"), "does not contain the expected joints"),
-            ([point(0.1, 1.0)], (), "does not contain the expected joints"),
-            ([point(0.1, 1.0, 1.0, velocities=[1.0])], ("j1", "j2"), "Size mismatch in trajectory point"),
-            ([point(0.1, 1.0, 1.0, accelerations=[1.0])], ("j1", "j2"), "Size mismatch in trajectory point"),
-            ([point(0.1)], ("j1", "j2"), "Size mismatch between trajectory point"),
-            ([point(0.1, 1.0, 1.0), point(0.2)], ("j1", "j2"), "Start/end points data size mismatch"),
-            ([point(0.1, 1.0)], ("j1", "j2"), "has 1 positions for 2 joints"),
-            ([point(0.1, nan, 1.0)], ("j1", "j2"), "must have finite numbers"),
-            ([point(0.1, 1.0, 1.0, velocities=[inf, 0.0])], ("j1", "j2"), "must have finite numbers"),
-            ([point(-0.01, 1.0, 1.0)], ("j1", "j2"), "Dropping all 1 trajectory point"),
-            ([point(0.0, 1.0, 1.0)], ("j1", "j2"), "Dropping all 1 trajectory point"),
-        ],
-    )
+    @pytest.mark.parametrize(("points", "joints", "text"), BAD)
     def test_a_command_that_cannot_be_followed_is_refused_and_changes_nothing(
         self, arm: Arm, points: list[dict], joints: tuple[str, ...], text: str
     ) -> None:
@@ -430,23 +437,36 @@ class TestGoals:
         assert arm.results()[0][2] == -4
         assert "no joint 'other': its tolerance is ignored" in arm.graph.lines("warn")
 
-    @pytest.mark.parametrize(
-        ("points", "joints", "code", "text"),
-        [
-            ([point(0.1, 1.0)], ("j1",), -2, ""),
-            ([point(0.1, 1.0, 1.0)], ("j1", "nope"), -2, ""),
-            ([point(0.1, 1.0, 1.0), point(0.1, 2.0, 2.0)], ("j1", "j2"), -1, "Trajectory message contains waypoints"),
-            ([point(0.1, nan, 1.0)], ("j1", "j2"), -1, "a trajectory point has nan or infinity"),
-        ],
-    )
-    def test_a_goal_that_cannot_be_followed_is_rejected_with_a_code(
-        self, arm: Arm, points: list[dict], joints: tuple[str, ...], code: int, text: str
+    @pytest.mark.parametrize(("points", "joints", "text"), BAD)
+    def test_a_goal_that_cannot_be_followed_is_rejected_with_a_code_and_the_present_one_goes_on(
+        self, arm: Arm, points: list[dict], joints: tuple[str, ...], text: str
     ) -> None:
+        arm.goal(point(0.1, 0.5, 0.5))
+        arm.run(20)
         arm.goal(*points, joints=joints)
-        (_, status, found, error) = arm.results()[0]
-        assert (status, found) == (GoalStatus.REJECTED, code)
-        assert error.startswith(text)
-        assert arm.graph.lines("error")
+        is_of_joints = joints != ("j1", "j2")
+        (_, status, code, error) = arm.results()[0]
+        assert (status, code) == (GoalStatus.REJECTED, -2 if is_of_joints else -1)
+        assert error == "" if is_of_joints else text in error
+        assert ("don't match the controller joints" if is_of_joints else text) in arm.graph.lines("error")
+        arm.run(200)
+        assert arm.positions() == pytest.approx((0.5, 0.5))
+        assert arm.results()[1][1:3] == (GoalStatus.SUCCEEDED, 0)
+
+    @given(*(st.tuples(*[st.sampled_from(v)] * 2) for v in ([0.0, 0.2, -0.4], [-1.0, 0.0, 0.1, 0.3], [0.0, 0.1, 0.3])))
+    def test_of_joints_that_are_blocked_the_tolerances_decide(self, targets: tuple, path: tuple, goal: tuple) -> None:
+        arm = Arm(constraints={"goal_time": 0.05, "stopped_velocity_tolerance": 0.0})
+        arm.start("arm")
+        arm.follows = False
+        tolerances = {
+            f"{kind}_tolerance": [{"name": f"j{k}", "position": value} for k, value in enumerate(values, 1)]
+            for kind, values in (("path", path), ("goal", goal))
+        }
+        arm.goal(point(0.1, *targets), **tolerances)
+        arm.run(300)
+        errors = np.abs(targets)
+        path_ends, goal_ends = (bool(np.any((np.array(most) > 0) & (np.array(most) < errors))) for most in (path, goal))
+        assert arm.results()[0][2] == (-4 if path_ends else -5 if goal_ends else 0)
 
     def test_one_to_a_controller_that_is_not_running_is_rejected(self) -> None:
         arm = Arm()
@@ -496,4 +516,6 @@ def test_the_state_is_published_at_its_rate_and_counted_when_nobody_listens(arm:
     assert [message["header"]["stamp"]["nsecs"] for message in publisher.messages[:2]] == [22_000_000, 42_000_000]
     publisher.wanted = False
     arm.run(100)
-    assert (len(publisher.messages), publisher.sequence) == (4, 5)
+    publisher.wanted = True
+    arm.run(10)
+    assert (len(publisher.messages), publisher.sequence) == (5, 9)

@@ -13,6 +13,7 @@ from slidectl.control.controller_interface import (
     MultiInterfaceController,
     State,
 )
+from slidectl.control.controller_manager import LoadedController
 from slidectl.control.hardware_interface import EffortJointInterface, PositionJointInterface, VelocityJointInterface
 from slidectl.errors import Refused
 
@@ -63,7 +64,7 @@ def test_only_a_running_controller_is_updated(request_name):
     controller = initialised(Recorder())
     if request_name:
         getattr(controller, request_name)(0)
-    controller.update_request(1, 0.001)
+    LoadedController("c", "test/Recorder", controller, FakeGraph().node("/bot/c")).update_if_running(1, 0.001)
     assert ("update" in controller.calls) is (controller.state is State.RUNNING)
 
 

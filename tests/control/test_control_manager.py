@@ -160,7 +160,7 @@ def test_the_list_keeps_the_load_order_and_shows_states_types_and_claims(bench):
     assert bench.manager.names() == ["vel_eff", "mine"]
     assert isinstance(bench.manager.get("mine"), Recorder)
     assert bench.manager.get("nobody") is None
-    assert bench.manager.running_count == 1
+    assert len(bench.manager.running) == 1
 
 
 def test_types_come_with_their_base_classes(bench):

@@ -113,7 +113,7 @@ def test_gravity_is_turned_off_by_any_word_for_yes(text: str, off: bool) -> None
     [
         (plugin("<legacyModeNS>true</legacyModeNS>"), "ignored", "legacyModeNS has no effect"),
         (plugin("<foo/>"), "ignored", "<foo>: is unknown here"),
-        (plugin(filename="libgazebo_ros_planar_move.so"), "ignored", "not loaded: libgazebo_ros_planar_move.so"),
+        (plugin(filename="libgazebo_ros_vacuum_gripper.so"), "ignored", "not loaded: libgazebo_ros_vacuum_gripper.so"),
         (plugin() + plugin(), "ignored", "only the first libgazebo_ros_control.so counts, line 5"),
         ("<gazebo><static>true</static></gazebo>", "ignored", "use --fixed"),
         (of_cart("<kp>1000</kp>"), "ignored", '<gazebo reference="cart">/<kp>: has no effect here'),

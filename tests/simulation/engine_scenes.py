@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import struct
+from array import array
+from collections import deque
 from collections.abc import Callable
 from random import Random
 from typing import Any
@@ -129,15 +131,22 @@ def play(scene: Scene, engine: str, driven: bool = False) -> tuple[list[Any], Si
 
 
 def vars_of(thing: Any) -> Any:
-    """All numbers of an object, to the bit."""
+    """All numbers of an object, and of what it consists of, to the bit."""
     names = [
         *getattr(thing, "__dict__", {}),
         *(name for cls in type(thing).__mro__ for name in getattr(cls, "__slots__", ())),
     ]
-    values = {name: getattr(thing, name) for name in names}
-    pid = values.get("_pid")
-    own = {name: _bits(value) for name, value in values.items() if isinstance(value, int | float)}
-    return (own, vars_of(pid)) if pid is not None else own
+    found = {name: _seen(getattr(thing, name)) for name in names if name not in ("observer", "segment", "next_s")}
+    return {name: value for name, value in found.items() if value is not None}
+
+
+def _seen(value: Any) -> Any:
+    if isinstance(value, int | float):
+        return _bits(value)
+    if isinstance(value, list | tuple | array | deque):
+        return [_seen(one) for one in value]
+    is_part = type(value).__module__.startswith(("slidectl.control.controllers", "slidectl.control.pid"))
+    return vars_of(value) if is_part else None
 
 
 def _bits(value: float) -> bytes:

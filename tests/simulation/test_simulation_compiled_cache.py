@@ -36,9 +36,9 @@ def put(folder: Path, name: str) -> Path:
 def test_what_is_written_is_the_users_alone(folder: Path) -> None:
     file = folder / "cycle-now.o"
     assert not object_file.is_there()
-    object_file.write(b"code")
+    object_file.write(object_file.place(), b"code")
     assert object_file.is_there()
-    assert object_file._read() == b"code"
+    assert object_file._read(object_file.place()) == b"code"
     assert file.stat().st_mode & 0o777 == 0o600
     assert folder.stat().st_mode & 0o777 == 0o700
     assert list(folder.iterdir()) == [file]
@@ -46,24 +46,24 @@ def test_what_is_written_is_the_users_alone(folder: Path) -> None:
 
 @pytest.mark.parametrize(("place", "mode"), [("cycle-now.o", 0o620), ("cycle-now.o", 0o602), (".", 0o770)])
 def test_what_others_may_write_is_not_taken(folder: Path, place: str, mode: int) -> None:
-    object_file.write(b"code")
+    object_file.write(object_file.place(), b"code")
     (folder / place).chmod(mode)
     with pytest.raises(object_file.NotOurs, match="belongs to somebody else, or others may write"):
-        object_file._read()
+        object_file._read(object_file.place())
 
 
 def test_a_link_to_a_file_is_not_taken(folder: Path, tmp_path: Path) -> None:
     (folder / "cycle-now.o").symlink_to(put(tmp_path, "code"))
     with pytest.raises(OSError, match="symbolic link"):
-        object_file._read()
+        object_file._read(object_file.place())
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files away")
 def test_a_file_of_somebody_else_is_not_taken(folder: Path) -> None:
-    object_file.write(b"code")
+    object_file.write(object_file.place(), b"code")
     os.chown(folder / "cycle-now.o", 12345, 12345)
     with pytest.raises(object_file.NotOurs):
-        object_file._read()
+        object_file._read(object_file.place())
 
 
 @needs_numba
@@ -80,7 +80,7 @@ def test_an_engine_without_a_place_for_its_code_says_so_and_runs_plain(folder: P
 
 @needs_numba
 def test_code_that_is_tidied_away_under_an_engine_is_made_anew(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    object_file.write(b"code")
+    object_file.write(object_file.place(), b"code")
 
     def gone() -> None:
         (folder / "cycle-now.o").unlink(missing_ok=True)
@@ -93,11 +93,11 @@ def test_code_that_is_tidied_away_under_an_engine_is_made_anew(folder: Path, mon
 
 
 def test_the_files_that_were_used_last_stay(folder: Path) -> None:
-    object_file.write(b"code")
+    object_file.write(object_file.place(), b"code")
     for age in range(object_file.KEPT + 5):
         os.utime(put(folder, f"cycle-{age}.o"), (10_000.0 - age, 10_000.0 - age))
     os.utime(folder / "cycle-now.o", (1.0, 1.0))
-    object_file._read()
+    object_file._read(object_file.place())
     (folder / "cycle-1.o.4711").write_bytes(b"cod")
     (folder / "compiling.log").touch()
     object_file.tidy()
@@ -135,7 +135,7 @@ def test_a_file_that_is_not_what_was_written_is_thrown_away(folder: Path) -> Non
         file = put(folder, "cycle-now.o")
         file.write_bytes(damaged)
         with pytest.raises(FileNotFoundError):
-            object_file._read()
+            object_file._read(object_file.place())
         assert not file.exists()
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from engine_scenes import arm
-from sim_robots import Probe, cart, command, logged, put_probe, running_cart, state, switch
+from sim_robots import Probe, cart, command, drive_up, logged, put_probe, running_cart, state, switch
 
 from slidectl.simulation import Simulation
 from slidectl.simulation.compiled import object_file
@@ -46,6 +46,33 @@ def test_with_a_control_period_the_controllers_run_at_the_next_multiple_of_the_s
     assert probe.periods == [0.003, 0.003]
 
 
+def test_between_two_updates_of_the_controllers_the_last_effort_acts_in_every_step() -> None:
+    simulation = Simulation(ground=False)
+    simulation.spawn(cart("<controlPeriod>0.005</controlPeriod>", damping=0.0), "cart")
+    simulation.parameters.set("/cart/push", {"type": "effort_controllers/JointEffortController", "joint": "joint1"})
+    assert simulation.call("/cart/controller_manager/load_controller", {"name": "push"})["ok"]
+    assert switch(simulation, start=["push"])
+    simulation.step(5)
+    command(simulation, 3.0, "/cart/push/command")
+    simulation.step(4)
+    assert state(simulation)[1] == 0.0
+    simulation.step(10)
+    assert state(simulation)[1] == pytest.approx(10 * 0.001 * 3.0)
+
+
+def test_what_a_transmission_says_of_its_gear_changes_nothing() -> None:
+    gear = '<actuator name="m1"><mechanicalReduction>50</mechanicalReduction></actuator>'
+    moved = []
+    for text in (cart(), cart().replace('<actuator name="m1"/>', gear)):
+        simulation = Simulation(ground=False)
+        simulation.spawn(text, "cart")
+        drive_up(simulation)
+        command(simulation, 1.0)
+        simulation.step(500)
+        moved.append(state(simulation))
+    assert moved[0] == moved[1] != (0.0, 0.0, 0.0)
+
+
 def test_a_control_period_below_the_step_is_reported_and_means_every_step() -> None:
     simulation = Simulation(ground=False)
     lines = logged(simulation)
@@ -61,6 +88,22 @@ def test_a_control_period_above_the_step_is_reported() -> None:
 
 
 ENGINES = ["plain", pytest.param("compiled", marks=needs_numba)]
+
+
+@needs_numba
+def test_times_of_updates_are_those_of_the_interpreter_and_say_what_runs_compiled() -> None:
+    simulation = Simulation(ground=False, engine="compiled")
+    simulation.engine.complete()
+    robot = simulation.spawn(cart(joints=2), "cart")
+    drive_up(simulation, joints=1)
+    put_probe(simulation, robot, joint="joint2")
+    assert switch(simulation, start=["probe"])
+    simulation.step(100)
+    listed = simulation.call("/slidectl/update_times", {"robot": "cart"})["controllers"]
+    times = {one["name"]: one for one in listed}
+    assert (times["position1"]["compiled"], times["probe"]["compiled"]) == (True, False)
+    assert times["position1"]["updates"] < times["probe"]["updates"] == 100
+    assert 0.0 < times["probe"]["mean"] <= times["probe"]["longest"]
 
 
 @pytest.mark.parametrize("engine", ENGINES)

@@ -527,7 +527,7 @@ def test_code_that_is_no_code_leaves_the_interpreter(monkeypatch: pytest.MonkeyP
 
     monkeypatch.setattr(object_file, "load", broken)
     simulation = Simulation(engine="auto")
-    object_file.write(b"nonsense")
+    object_file.write(object_file.place(), b"nonsense")
     simulation.step(3)
     assert str(simulation.engine) == "plain: the compiled code cannot be loaded: no such code"
 

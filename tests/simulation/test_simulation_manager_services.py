@@ -74,7 +74,7 @@ def test_in_a_running_world_a_switch_is_answered_by_the_cycle_that_did_it(driven
     assert not answer.done
     driven.step(1)
     assert answer.result() == {"ok": True}
-    assert driven.robots.get("cart").manager.running_count == 2
+    assert len(driven.robots.get("cart").manager.running) == 2
 
 
 def test_all_services_queue_behind_an_armed_switch(driven: Simulation) -> None:

@@ -5,9 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from sim_robots import STATES, cart, switch
+from scipy.linalg import solve_continuous_are
+from sim_robots import STATES, cart, logged, switch
 
+from slidectl import description
 from slidectl.errors import SlidectlError
 from slidectl.simulation import Simulation
 
@@ -237,6 +240,23 @@ def test_a_law_that_raises_is_aborted_and_runs_again_when_it_is_mended(pushing: 
     assert pushing.effort() == 2.0
 
 
+def test_a_tick_or_a_call_that_raises_is_told_with_its_line_and_the_law_runs_on(bench: Bench) -> None:
+    failing = """
+        node.call_every(10_000_000, lambda: 1 / 0)
+        node.advertise_service("ask", "std_srvs/Trigger", lambda request: {}["gain"])
+        self.told ="""
+    bench.write("\n        self.told =", failing)
+    assert bench.load()
+    assert switch(bench.simulation, start=["my_law"])
+    lines = logged(bench.simulation)
+    bench.simulation.step(25)
+    told = ("error", f"/cart/my_law: ZeroDivisionError: division by zero ({bench.file}:15)")
+    assert lines == [told, told]
+    with pytest.raises(SlidectlError, match=r"KeyError: 'gain' \(.*my_laws.py:16\)"):
+        bench.simulation.call("/cart/my_law/ask")
+    assert bench.effort() == 1.0
+
+
 def test_a_controller_of_slidectl_is_not_reloaded(bench: Bench) -> None:
     bench.simulation.parameters.set("/cart/my_law", {"type": STATES, "publish_rate": 50})
     bench.simulation.call("/cart/controller_manager/load_controller", {"name": "my_law"})
@@ -248,3 +268,28 @@ def test_a_simulation_imports_modules_by_file(bench: Bench) -> None:
     simulation = Simulation(imports=[str(bench.file)])
     robot = simulation.spawn(cart(), "cart")
     assert "my_laws/Push" in robot.manager.types()
+
+
+# -- the cart-pole of the examples -------------------------------------------------------------------------------------
+
+
+def test_the_regulator_of_the_example_balances_the_pole_with_the_gains_that_scipy_finds() -> None:
+    simulation = Simulation(imports=[str(Path(__file__).parents[2] / "examples" / "cartpole.py")])
+    robot = simulation.spawn(description.load("cartpole").xml, "cartpole")
+    for name, value in {"type": "cartpole/Lqr", "weights": [10.0, 10.0, 1.0, 1.0]}.items():
+        simulation.parameters.set(f"/cartpole/lqr/{name}", value)
+    assert simulation.call("/cartpole/controller_manager/load_controller", {"name": "lqr"})["ok"]
+    assert switch(simulation, start=["lqr"], namespace="/cartpole")
+    example: Any = robot.manager.get("lqr")
+    a, b = type(example).init.__globals__["linearised"](1.0, 0.2, 1.0, 0.5, 0.01)
+    p = solve_continuous_are(a, b[:, None], np.diag([10.0, 10.0, 1.0, 1.0]), [[0.1]])
+    assert np.allclose(example.gains, b @ p / 0.1, rtol=1e-9)
+    moved = {"model_name": "cartpole", "joint_names": ["pole_joint"], "joint_positions": [0.2]}
+    assert simulation.call("/gazebo/set_model_configuration", moved)["success"]
+    farthest = 0.0
+    for _ in range(1000):
+        simulation.step(10)
+        farthest = max(farthest, abs(example.cart.position))
+    assert 0.1 < farthest < 1.0
+    assert abs(example.cart.position) < 1e-2
+    assert abs(example.pole.position) < 1e-4

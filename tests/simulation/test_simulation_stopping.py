@@ -135,7 +135,7 @@ def test_an_emergency_stop_does_to_each_interface_what_the_hardware_of_gazebo_do
     assert state(world, "a")[2] == 0.0
     for name in "bc":
         assert state(world, name)[0] == pytest.approx(before[name], abs=2e-3)
-    assert [robot.manager.running_count for robot in world.robots] == [1, 1, 1], "controllers go on"
+    assert [len(robot.manager.running) for robot in world.robots] == [1, 1, 1], "controllers go on"
 
 
 def test_one_robot_is_stopped_by_name_or_namespace_and_the_listings_say_so(world: Simulation) -> None:

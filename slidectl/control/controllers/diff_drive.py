@@ -9,30 +9,37 @@ Topics `cmd_vel`, `odom`, `/tf`, and when asked for `cmd_vel_out` and `wheel_joi
 
 from __future__ import annotations
 
+from array import array
 from dataclasses import replace
 from math import inf, isfinite, isnan, nan, sqrt
 from typing import Any, ClassVar
 
 from slidectl.control import params
-from slidectl.control.controller_interface import Controller
+from slidectl.control.controller_interface import Compiled, Controller, Member, Parts
 from slidectl.control.duration import from_seconds, header_of, to_seconds, to_stamp
 from slidectl.control.hardware_interface import JointHandle, VelocityJointInterface
+from slidectl.control.laws import Columns, LawTables, law
 from slidectl.control.mobile_base import (
     ALLOWS_MANY,
     BASE_FRAME,
     COVARIANCES,
+    LIMIT_NUMBERS,
     LIMITS,
     ODOM_FRAME,
     ODOM_TF,
     OPEN_LOOP,
     PUBLISH_RATE,
+    SHORTEST_S,
     TIMEOUT,
     WINDOW,
     LimitedVelocity,
     Odometry,
     OdometryTopics,
     check_lengths,
+    limited,
+    moved,
     publish,
+    rolling_mean,
     twist_of,
     velocity_commands,
     wheel_radius,
@@ -64,17 +71,83 @@ class SidesOdometry(Odometry):
 
     def __init__(self, window: int) -> None:
         super().__init__(window)
-        self._left = self._right = 0.0
+        self.left = self.right = 0.0
 
     def forget(self) -> None:
         super().forget()
-        self._left = self._right = 0.0
+        self.left = self.right = 0.0
 
     def update(self, left: float, right: float, separation: float, time_ns: int) -> None:
         """The two sides have made these ways, in m, since the beginning."""
-        left_change, right_change = left - self._left, right - self._right
-        self._left, self._right = left, right
+        left_change, right_change = left - self.left, right - self.right
+        self.left, self.right = left, right
         self.advance((right_change + left_change) * 0.5, (right_change - left_change) / separation, time_ns)
+
+
+@law
+def side_positions(tables: LawTables) -> tuple[float, float]:
+    """The mean positions of the left and of the right wheels, in rad."""
+    count = len(tables.members) // 2
+    left = right = 0.0
+    for k in range(count):
+        left += tables.joints[tables.members[k].joint].position
+        right += tables.joints[tables.members[count + k].joint].position
+    return left / count, right / count
+
+
+@law
+def drive(base: Any, tables: LawTables, time_ns: int, period_s: float) -> bool:
+    """The update on rows. The numbers are the limits, and behind them the past of the odometry."""
+    base.updated_ns = time_ns
+    left, right = side_positions(tables)
+    if isnan(left) or isnan(right):
+        return False
+    left, right = left * base.left_radius, right * base.right_radius
+    left_change, right_change = left - base.odometry_left, right - base.odometry_right
+    base.odometry_left, base.odometry_right = left, right
+    way, turn = (right_change + left_change) * 0.5, (right_change - left_change) / base.width
+    base.odometry_x, base.odometry_y, base.odometry_heading = moved(
+        base.odometry_x, base.odometry_y, base.odometry_heading, way, turn
+    )
+    elapsed_s = to_seconds(time_ns - base.odometry_time_ns)
+    if not elapsed_s < SHORTEST_S:
+        base.odometry_time_ns = time_ns
+        past, window, count = tables.numbers[2 * LIMIT_NUMBERS :], base.odometry_window, base.odometry_count
+        base.odometry_linear = rolling_mean(base.odometry_linear_mean, way / elapsed_s, past, 0, window, count)
+        base.odometry_angular = rolling_mean(base.odometry_angular_mean, turn / elapsed_s, past, window, window, count)
+        base.odometry_linear_mean, base.odometry_angular_mean = base.odometry_linear, base.odometry_angular
+        base.odometry_count += 1
+    linear, angular = base.wanted_linear, base.wanted_angular
+    if to_seconds(time_ns - base.commands_time_ns) > base.commands_timeout_s:
+        linear = angular = 0.0
+    last_linear, last_angular = base.velocity_last_linear, base.velocity_last_angular
+    linear = limited(tables.numbers, linear, last_linear, base.velocity_before_linear, period_s)
+    turns = tables.numbers[LIMIT_NUMBERS:]
+    angular = limited(turns, angular, last_angular, base.velocity_before_angular, period_s)
+    base.velocity_before_linear, base.velocity_before_angular = last_linear, last_angular
+    base.velocity_last_linear, base.velocity_last_angular = linear, angular
+    left = (linear - angular * base.width / 2.0) / base.left_radius
+    right = (linear + angular * base.width / 2.0) / base.right_radius
+    for k in range(len(tables.members) // 2):
+        tables.joints[tables.members[k].joint].command = left
+    for k in range(len(tables.members) // 2, len(tables.members)):
+        tables.joints[tables.members[k].joint].command = right
+    if base.topics_published_ns + base.topics_period_ns >= time_ns:
+        return False
+    base.topics_published_ns += base.topics_period_ns
+    base.topics_messages += 1
+    return bool(base.wanted)
+
+
+DRIVE = Columns(
+    changing="updated_ns odometry.x odometry.y odometry.heading odometry.linear odometry.angular odometry.left "
+    "odometry.right odometry.time_ns odometry.count odometry.linear_mean odometry.angular_mean velocity.last.linear "
+    "velocity.last.angular velocity.before.linear velocity.before.angular topics.published_ns topics.messages",
+    fixed="odometry.window topics.period_ns commands.time_ns commands.timeout_s wanted_linear wanted_angular "
+    "left_radius right_radius width",
+    whole="updated_ns odometry.time_ns odometry.count odometry.window topics.published_ns topics.messages "
+    "topics.period_ns commands.time_ns",
+)
 
 
 @controller("diff_drive_controller/DiffDriveController")
@@ -82,6 +155,7 @@ class DiffDriveController(Controller[VelocityJointInterface]):
     """velocity of a wheel = (linear ∓ angular · separation / 2) / radius."""
 
     interface_type = VelocityJointInterface
+    compiled = Compiled(drive, DRIVE)
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("left_wheel", WHEELS, "the joints of the left wheels", required=True, names_joints=True),
         Parameter("right_wheel", WHEELS, "the joints of the right wheels, as many", required=True, names_joints=True),
@@ -124,11 +198,13 @@ class DiffDriveController(Controller[VelocityJointInterface]):
         self._is_open_loop: bool = params.value_of(node, OPEN_LOOP)
         self.odometry = SidesOdometry(window_of(node))
         self.velocity = LimitedVelocity(node)
+        self._numbers = array("d", [*self.velocity.numbers(), *self.odometry.past])
+        self.odometry.past = memoryview(self._numbers)[2 * LIMIT_NUMBERS :]
         self._separation, self._radius = self._geometry(root, node, left[0], right[0])
-        self._topics = OdometryTopics(node, params.value_of(node, ODOM_FRAME))
+        self.topics = OdometryTopics(node, params.value_of(node, ODOM_FRAME))
         self._left = [interface.get_handle(name) for name in left]
         self._right = [interface.get_handle(name) for name in right]
-        self._updated_ns = 0
+        self.updated_ns = 0
         self._values = self._first_values(node)
         self._take_values(self._values)
         self._is_writing = False
@@ -140,7 +216,7 @@ class DiffDriveController(Controller[VelocityJointInterface]):
         self._change_values(self._values)
         node.guard_params(self._judge)
         node.watch_param(node.namespace, self._parameters_changed)
-        self._commands = velocity_commands(self, node, None if params.value_of(node, ALLOWS_MANY) else self._brake)
+        self.commands = velocity_commands(self, node, None if params.value_of(node, ALLOWS_MANY) else self._brake)
 
     def _geometry(self, root: NodeHandle, node: NodeHandle, left: str, right: str) -> tuple[float, float]:
         """Separation and radius: by the parameters, else by the description in the robot's own namespace."""
@@ -178,12 +254,12 @@ class DiffDriveController(Controller[VelocityJointInterface]):
 
     def _take_values(self, values: Values) -> None:
         """Use these from the next update on. Raises BadDuration: no clock can count the period; nothing changes."""
-        self._topics.period_ns = from_seconds(1.0 / values["publish_rate"])
+        self.topics.period_ns = from_seconds(1.0 / values["publish_rate"])
         self._values = dict(values)
         left, right, separation = (values[name] for name in MULTIPLIERS)
-        self._left_radius, self._right_radius = left * self._radius, right * self._radius
-        self._width = separation * self._separation
-        self._topics.has_tf = bool(values["enable_odom_tf"])
+        self.left_radius, self.right_radius = left * self._radius, right * self._radius
+        self.width = separation * self._separation
+        self.topics.has_tf = bool(values["enable_odom_tf"])
 
     def _change_values(self, values: Values) -> None:
         """Use these, write them to the parameters, and tell the subscribers. Raises Refused."""
@@ -218,13 +294,13 @@ class DiffDriveController(Controller[VelocityJointInterface]):
 
     def starting(self, time_ns: int) -> None:
         """Stand still. The limits go on from the last command, and so does the place, unless time was put back."""
-        if time_ns < self._updated_ns:
+        if time_ns < self.updated_ns:
             self.odometry.forget()
             self.velocity.forget()
-            self._commands.forget()
+            self.commands.forget()
         self._brake()
-        self._updated_ns = time_ns
-        self._topics.start(time_ns)
+        self.updated_ns = time_ns
+        self.topics.start(time_ns)
         if self._wheel_state is not None:
             self._wheel_state.time_ns = time_ns
         self.odometry.start(time_ns)
@@ -238,29 +314,50 @@ class DiffDriveController(Controller[VelocityJointInterface]):
             joint.command = 0.0
 
     def update(self, time_ns: int, period_s: float) -> None:
-        self._updated_ns = time_ns
+        self.updated_ns = time_ns
         if self._is_open_loop:
             self.odometry.advance_by(self.velocity.last, time_ns)
         else:
             left, right = _mean_position(self._left), _mean_position(self._right)
             if isnan(left) or isnan(right):
                 return
-            self.odometry.update(left * self._left_radius, right * self._right_radius, self._width, time_ns)
-        if self._topics.are_due(time_ns):
-            self._topics.publish(time_ns, self.odometry, (self.odometry.linear, 0.0, self.odometry.angular))
-        wanted_linear, wanted_angular = self._commands.at(time_ns) or (0.0, 0.0)
+            self.odometry.update(left * self.left_radius, right * self.right_radius, self.width, time_ns)
+        wanted_linear, wanted_angular = self.commands.at(time_ns) or (0.0, 0.0)
         velocity = self.velocity.follow(wanted_linear, wanted_angular, period_s)
         linear, angular = velocity.linear, velocity.angular
         if self._cmd is not None:
             publish(self._cmd, lambda: {"header": header_of(time_ns), "twist": twist_of(linear, 0.0, angular)})
-        left_velocity = (linear - angular * self._width / 2.0) / self._left_radius
-        right_velocity = (linear + angular * self._width / 2.0) / self._right_radius
+        left_velocity = (linear - angular * self.width / 2.0) / self.left_radius
+        right_velocity = (linear + angular * self.width / 2.0) / self.right_radius
         for joint in self._left:
             joint.command = left_velocity
         for joint in self._right:
             joint.command = right_velocity
         if self._wheel_state is not None:
             self._wheel_state.update(time_ns, period_s, left_velocity, right_velocity)
+        if self.topics.are_due(time_ns):
+            self.publish(time_ns, period_s)
+
+    def publish(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
+        """Where the base is."""
+        self.topics.publish(time_ns, self.odometry, (self.odometry.linear, 0.0, self.odometry.angular))
+
+    @property
+    def wanted_linear(self) -> float:
+        """Of the last command, in m/s."""
+        return self.commands.first_two[0]
+
+    @property
+    def wanted_angular(self) -> float:
+        """Of the last command, in rad/s."""
+        return self.commands.first_two[1]
+
+    def parts(self) -> Parts | None:
+        """What runs compiled besides this controller; None when it publishes each update, or moves by its commands."""
+        if self._is_open_loop or self._cmd is not None or self._wheel_state is not None:
+            return None
+        wheels = [Member(None, joint) for joint in (*self._left, *self._right)]
+        return Parts(self.topics.publishers, members=wheels, numbers=self._numbers)
 
 
 class WheelState:

@@ -5,10 +5,11 @@ Parameter `joint`, or `joints` for a group. No PID, no limits, no state topic.
 
 from __future__ import annotations
 
+from array import array
 from typing import Any, ClassVar
 
 from slidectl.control import params
-from slidectl.control.controller_interface import Compiled, Parts
+from slidectl.control.controller_interface import Compiled, Member, Parts
 from slidectl.control.hardware_interface import (
     EffortJointInterface,
     JointCommandInterface,
@@ -17,7 +18,7 @@ from slidectl.control.hardware_interface import (
     VelocityJointInterface,
 )
 from slidectl.control.joint_controller import GroupController, ScalarController
-from slidectl.control.laws import Columns, law
+from slidectl.control.laws import Columns, LawTables, law
 from slidectl.control.node_handle import NodeHandle
 from slidectl.control.params import JOINT, Parameter
 from slidectl.control.registry import controller
@@ -30,9 +31,17 @@ def hand_on(goal: ForwardController, joint: JointHandle) -> None:
 
 
 @law
-def update_forward(goal: Any, joints: Any, pids: Any, time_ns: int, period_s: float) -> bool:  # noqa: ARG001
+def update_forward(goal: Any, tables: LawTables, time_ns: int, period_s: float) -> bool:  # noqa: ARG001
     """The update on rows."""
-    hand_on(goal, joints[goal.joint])
+    hand_on(goal, tables.joints[goal.joint])
+    return False
+
+
+@law
+def update_group(group: Any, tables: LawTables, time_ns: int, period_s: float) -> bool:  # noqa: ARG001
+    """The update of a group on rows; its numbers are the set points."""
+    for k in range(len(tables.members)):
+        tables.joints[tables.members[k].joint].command = tables.numbers[k]
     return False
 
 
@@ -40,7 +49,7 @@ class ForwardController(ScalarController):
     """joint command = the last command, 0 until there is one."""
 
     parameters: ClassVar[tuple[Parameter, ...]] = (JOINT,)
-    compiled = Compiled(update_forward, Columns(fixed="set_point", places="joint", whole="joint"))
+    compiled = Compiled(update_forward, Columns(fixed="set_point"))
 
     def init(self, interface: JointCommandInterface, node: NodeHandle) -> None:
         """Raises SlidectlError: the parameter or the joint is missing."""
@@ -94,14 +103,16 @@ class ForwardPositionController(ForwardController):
 class ForwardGroupController(GroupController):
     """command of each joint = its value in the last command, 0 until there is one."""
 
+    compiled = Compiled(update_group)
+
     def init(self, interface: JointCommandInterface, node: NodeHandle) -> None:
         """Raises SlidectlError: `joints` is missing or empty, or the robot has not one of them."""
         self._get_joints(interface, node)
-        self.set_points = [0.0] * len(self._joints)
+        self.set_points = array("d", [0.0] * len(self._joints))
         self._listen(node, "std_msgs/Float64MultiArray", self._receive)
 
     def starting(self, time_ns: int) -> None:  # noqa: ARG002
-        self.set_points = [self.first_command(joint) for joint in self._joints]
+        self.set_points = array("d", [self.first_command(joint) for joint in self._joints])
 
     def first_command(self, joint: JointHandle) -> float:  # noqa: ARG002
         """What to command until somebody says otherwise."""
@@ -109,7 +120,11 @@ class ForwardGroupController(GroupController):
 
     def set_commands(self, values: list[float]) -> None:
         """Hand these on from the next update on."""
-        self.set_points = values
+        self.set_points = array("d", values)
+
+    def parts(self) -> Parts:
+        """What runs compiled besides this controller."""
+        return Parts(members=[Member(None, joint) for joint in self._joints], numbers=self.set_points)
 
     def update(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
         for joint, value in zip(self._joints, self.set_points, strict=True):

@@ -7,14 +7,15 @@ elsewhere for a while. Action `gripper_cmd`, without feedback; no other topics.
 from __future__ import annotations
 
 from math import isfinite
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from slidectl.control import params
-from slidectl.control.controller_interface import Controller, State
+from slidectl.control.controller_interface import Compiled, Parts, State
 from slidectl.control.duration import to_seconds
-from slidectl.control.goals import MONITOR_RATE, GoalMonitor, MonitoredGoal, period_of
+from slidectl.control.goals import MONITOR_RATE, ActionController, MonitoredGoal, period_of
 from slidectl.control.hardware_interface import EffortJointInterface, JointCommandInterface, PositionJointInterface
 from slidectl.control.joint_controller import warn_of_other_joints
+from slidectl.control.laws import LEAVE, Columns, LawTables, law
 from slidectl.control.node_handle import GoalHandle, GoalStatus, Message, NodeHandle
 from slidectl.control.params import JOINT, NUMBER, Parameter, within
 from slidectl.control.pid import Pid, next_command_from
@@ -23,7 +24,58 @@ from slidectl.control.registry import controller
 from slidectl.control.robot_description import joint_on_paper
 
 
-class GripperActionController(Controller[JointCommandInterface]):
+@law
+def goal_goes_on(gripper: Any, joint: Any, error: float, time_ns: int) -> bool:
+    """False in an update in which the goal is decided: nothing has changed then."""
+    if not gripper.is_judged:
+        return True
+    if abs(error) < gripper.tolerance:
+        return False
+    if abs(joint.velocity) > gripper.stall_velocity:
+        gripper.moved_ns = time_ns
+        return True
+    return not to_seconds(time_ns - gripper.moved_ns) > gripper.stall_timeout_s
+
+
+@law
+def grip_by_position(gripper: Any, tables: LawTables, time_ns: int, period_s: float) -> int:  # noqa: ARG001
+    """The update of a position joint on rows."""
+    joint = tables.joints[gripper.joint]
+    if not goal_goes_on(gripper, joint, gripper.position - joint.position, time_ns):
+        return LEAVE
+    joint.command = gripper.position
+    gripper.command = gripper.max_effort
+    return 0
+
+
+@law
+def grip_by_effort(gripper: Any, tables: LawTables, time_ns: int, period_s: float) -> int:
+    """The update of an effort joint on rows."""
+    joint = tables.joints[gripper.joint]
+    error = gripper.position - joint.position
+    if not goal_goes_on(gripper, joint, error, time_ns):
+        return LEAVE
+    wanted = next_command_from(tables.pids[gripper.pid], error, -joint.velocity, period_s)
+    gripper.command = joint.command = clamp_effort(wanted, gripper.max_effort)
+    return 0
+
+
+@law
+def clamp_effort(wanted: float, max_effort: float) -> float:
+    """min(most, max(-most, wanted)), with the size of the largest effort."""
+    most = abs(max_effort)
+    least = wanted if wanted > -most else -most
+    return least if least < most else most
+
+
+GRIPPER = Columns(
+    changing="command moved_ns",
+    fixed="position max_effort tolerance stall_velocity stall_timeout_s is_judged",
+    whole="moved_ns is_judged",
+)
+
+
+class GripperActionController(ActionController[JointCommandInterface]):
     """Follows the position of the goal; how is the part of the children."""
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
@@ -35,6 +87,8 @@ class GripperActionController(Controller[JointCommandInterface]):
         Parameter("stall_timeout", NUMBER, "a joint that stands still longer aborts the goal", "s", default=1.0),
     )
 
+    _pid: Pid | None = None
+
     def init(self, interface: JointCommandInterface, node: NodeHandle) -> None:
         """Raises SlidectlError: a parameter, the joint, or the robot description is missing or wrong."""
         self._node = node
@@ -42,22 +96,20 @@ class GripperActionController(Controller[JointCommandInterface]):
         name = params.needed_text(node, JOINT.name)
         joint_on_paper(node, name)
         self._joint = interface.get_handle(name)
-        self._tolerance = abs(self._number("goal_tolerance", 0.01))
+        self.tolerance = abs(self._number("goal_tolerance", 0.01))
         self._default_effort = abs(self._number("max_effort", 0.0))
-        self._stall_velocity = self._number("stall_velocity_threshold", 0.001)
-        self._stall_timeout_s = self._number("stall_timeout", 1.0)
+        self.stall_velocity = self._number("stall_velocity_threshold", 0.001)
+        self.stall_timeout_s = self._number("stall_timeout", 1.0)
         self._get_commands(node)
         self.position = self._joint.position
         """Where the joint is to be."""
         self.max_effort = self._default_effort
         self.command = 0.0
         """The effort of the last update: of position joints, the largest one of the goal."""
-        self._moved_ns = 0
-        self._goal: MonitoredGoal | None = None
+        self.moved_ns = 0
         # One result for all goals, as upstream: an ended goal has the values of the tick that sends it.
         self._result: Message = {"position": self.position, "effort": 0.0, "stalled": False, "reached_goal": False}
-        self._monitor = GoalMonitor(node, monitor_period_ns)
-        node.advertise_action("gripper_cmd", "control_msgs/GripperCommand", self._take_goal, self._take_cancel)
+        self._serve(node, "gripper_cmd", "control_msgs/GripperCommand", monitor_period_ns)
 
     def _number(self, name: str, default: float) -> float:
         value = params.number(self._node, name)
@@ -77,28 +129,30 @@ class GripperActionController(Controller[JointCommandInterface]):
         """Stay where the joint is."""
         self._hold()
         self._start_commands()
-        self._moved_ns = time_ns
-
-    def stopping(self, time_ns: int) -> None:  # noqa: ARG002
-        """Nobody works on the goal any more."""
-        self._preempt()
-
-    def aborting(self, time_ns: int) -> None:  # noqa: ARG002
-        self._preempt()
+        self.moved_ns = time_ns
 
     def update(self, time_ns: int, period_s: float) -> None:
         error = self.position - self._joint.position
-        if self._goal is not None and self._goal.is_active:
+        if self._goal is not None and self.is_judged:
             self._judge(self._goal, error, time_ns)
         self.command = self._command(error, period_s)
 
+    @property
+    def is_judged(self) -> bool:
+        """Is there a goal that is still to be decided, or was and has no result yet?"""
+        return self._goal is not None and self._goal.is_active
+
+    def parts(self) -> Parts:
+        """What runs compiled besides this controller."""
+        return Parts(joint=self._joint, pid=self._pid)
+
     def _judge(self, goal: MonitoredGoal, error: float, time_ns: int) -> None:
         """Has the joint arrived, or does it stand still? It is judged until the tick that sends the result."""
-        if abs(error) < self._tolerance:
+        if abs(error) < self.tolerance:
             self._decide(goal, GoalStatus.SUCCEEDED)
-        elif abs(self._joint.velocity) > self._stall_velocity:
-            self._moved_ns = time_ns
-        elif to_seconds(time_ns - self._moved_ns) > self._stall_timeout_s:
+        elif abs(self._joint.velocity) > self.stall_velocity:
+            self.moved_ns = time_ns
+        elif to_seconds(time_ns - self.moved_ns) > self.stall_timeout_s:
             self._decide(goal, GoalStatus.ABORTED)
 
     def _decide(self, goal: MonitoredGoal, status: GoalStatus) -> None:
@@ -117,28 +171,10 @@ class GripperActionController(Controller[JointCommandInterface]):
         elif not isfinite(command["position"]) or not isfinite(command["max_effort"]):
             self._reject(handle, "a goal of nan or infinity is not taken: it must have finite numbers")
         else:
-            self._preempt()
-            handle.accept()
+            self._follow(MonitoredGoal(handle))
             self.position, self.max_effort = command["position"], command["max_effort"]
             self._result.update(reached_goal=False, stalled=False)
-            self._moved_ns = self._node.now_ns()
-            self._goal = MonitoredGoal(handle)
-            self._monitor.watch(self._goal)
-
-    def _reject(self, handle: GoalHandle, text: str) -> None:
-        self._node.log("error", f"{self._node.namespace}: {text}")
-        handle.reject()
-
-    def _take_cancel(self, handle: GoalHandle) -> None:
-        if self._goal is not None and self._goal.handle is handle:
-            self._goal = None
-            self._hold()
-            handle.cancel()
-
-    def _preempt(self) -> None:
-        goal, self._goal = self._goal, None
-        if goal is not None and goal.is_active:
-            goal.handle.cancel()
+            self.moved_ns = self._node.now_ns()
 
     def _hold(self) -> None:
         """Stay at the measured position, with the effort for no goal."""
@@ -150,6 +186,7 @@ class GripperActionController(Controller[JointCommandInterface]):
 class PositionGripperActionController(GripperActionController):
     """The command is the position. The effort of a goal bounds nothing; results tell it as it is."""
 
+    compiled = Compiled(grip_by_position, GRIPPER, instead_of="_command")
     interface_type = PositionJointInterface
 
     def _command(self, error: float, period_s: float) -> float:  # noqa: ARG002
@@ -162,6 +199,8 @@ class EffortGripperActionController(GripperActionController):
     """effort = pid(error), within the effort of the goal: a goal without one pushes nothing."""
 
     interface_type = EffortJointInterface
+    compiled = Compiled(grip_by_effort, GRIPPER, instead_of="_command")
+    _pid: Pid
     parameters: ClassVar[tuple[Parameter, ...]] = (
         *GripperActionController.parameters,
         *within("gains/<joint>", GAINS),
@@ -186,6 +225,5 @@ class EffortGripperActionController(GripperActionController):
         wanted = next_command_from(self._pid, error, -self._joint.velocity, period_s)
         if self._pid.observer is not None:
             self._pid.tell(error, period_s)
-        most = abs(self.max_effort)
-        self._joint.command = min(most, max(-most, wanted))
+        self._joint.command = clamp_effort(wanted, self.max_effort)
         return self._joint.command

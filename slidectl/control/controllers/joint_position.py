@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 from slidectl.control import params
 from slidectl.control.angular_distance import distance_with_large_limits, shortest_angular_distance
-from slidectl.control.controller_interface import Compiled
+from slidectl.control.controller_interface import Compiled, Member, Parts
 from slidectl.control.hardware_interface import (
     EffortJointInterface,
     JointCommandInterface,
@@ -19,7 +19,7 @@ from slidectl.control.hardware_interface import (
     VelocityJointInterface,
 )
 from slidectl.control.joint_controller import GroupController, PidController, state_is_due
-from slidectl.control.laws import Columns, law
+from slidectl.control.laws import Columns, LawTables, law
 from slidectl.control.node_handle import NodeHandle
 from slidectl.control.params import JOINT, JOINTS, Parameter, within
 from slidectl.control.pid import Pid, next_command, next_command_from
@@ -30,6 +30,11 @@ from slidectl.description.robot import Joint
 
 SLIDES, REVOLVES, TURNS = 0, 1, 2
 """How the difference of two positions is taken: of lengths, of angles with limits, on the circle."""
+
+
+_GOAL = "set_point set_velocity has_set_velocity lower upper turns"
+_WHOLE = "has_set_velocity turns"
+"""The columns of a goal that no law changes, and which of them are whole numbers."""
 
 
 class PositionGoal:
@@ -71,10 +76,19 @@ def track_position(goal: JointPositionController | PositionGoal, pid: Pid, joint
 
 
 @law
-def update_position(goal: Any, joints: Any, pids: Any, time_ns: int, period_s: float) -> bool:  # noqa: ARG001
+def update_position(goal: Any, tables: LawTables, time_ns: int, period_s: float) -> bool:  # noqa: ARG001
     """The update on rows."""
-    track_position(goal, pids[goal.pid], joints[goal.joint], period_s)
+    track_position(goal, tables.pids[goal.pid], tables.joints[goal.joint], period_s)
     return state_is_due(goal) and goal.wanted != 0
+
+
+@law
+def update_positions(group: Any, tables: LawTables, time_ns: int, period_s: float) -> bool:  # noqa: ARG001
+    """The update of a group on rows."""
+    for k in range(len(tables.members)):
+        goal = tables.members[k]
+        track_position(goal, tables.pids[goal.pid], tables.joints[goal.joint], period_s)
+    return False
 
 
 class JointPositionController(PidController):
@@ -84,9 +98,8 @@ class JointPositionController(PidController):
         update_position,
         Columns(
             changing="error updates_to_state states",
-            fixed="set_point set_velocity has_set_velocity lower upper turns",
-            places="pid joint wanted",
-            whole="updates_to_state states has_set_velocity turns pid joint wanted",
+            fixed=_GOAL,
+            whole=f"updates_to_state states {_WHOLE}",
         ),
     )
 
@@ -149,6 +162,7 @@ class EffortJointGroupPositionController(GroupController):
 
     interface_type = EffortJointInterface
     parameters: ClassVar[tuple[Parameter, ...]] = (JOINTS, *within("<joint>/pid", GAINS))
+    compiled = Compiled(update_positions, members=Columns(changing="error", fixed=_GOAL, whole=_WHOLE))
 
     def init(self, interface: JointCommandInterface, node: NodeHandle) -> None:
         """Raises SlidectlError: a parameter, a joint, or the robot description is missing."""
@@ -171,6 +185,10 @@ class EffortJointGroupPositionController(GroupController):
         """Go to these positions (m or rad), brought within the limits."""
         for goal, value in zip(self._goals, values, strict=True):
             goal.set_point = within_limits(goal, value)
+
+    def parts(self) -> Parts:
+        """What runs compiled besides this controller."""
+        return Parts(members=list(map(Member, self._goals, self._joints, self._pids)))
 
     def update(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
         for goal, pid, joint in zip(self._goals, self._pids, self._joints, strict=True):

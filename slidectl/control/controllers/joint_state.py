@@ -13,7 +13,7 @@ from slidectl.control import params
 from slidectl.control.controller_interface import Compiled, Controller, Parts
 from slidectl.control.duration import from_seconds, header_of
 from slidectl.control.hardware_interface import JointStateInterface
-from slidectl.control.laws import Columns, law
+from slidectl.control.laws import Columns, LawTables, law
 from slidectl.control.node_handle import Message, NodeHandle
 from slidectl.control.params import FLOAT, LIST, NUMBER, TEXT, TEXTS, Parameter
 from slidectl.control.registry import controller
@@ -38,7 +38,7 @@ def states_are_due(rhythm: JointStateController, time_ns: int) -> bool:
 
 
 @law
-def update_states(rhythm: Any, joints: Any, pids: Any, time_ns: int, period_s: float) -> bool:  # noqa: ARG001
+def update_states(rhythm: Any, tables: LawTables, time_ns: int, period_s: float) -> bool:  # noqa: ARG001
     """The update on rows."""
     return states_are_due(rhythm, time_ns) and rhythm.wanted != 0
 
@@ -59,9 +59,7 @@ class JointStateController(Controller[JointStateInterface]):
     interface_type = JointStateInterface
     compiled = Compiled(
         update_states,
-        Columns(
-            changing="due_ns messages", fixed="period_ns", places="wanted", whole="due_ns messages period_ns wanted"
-        ),
+        Columns(changing="due_ns messages", fixed="period_ns", whole="due_ns messages period_ns"),
     )
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter(
@@ -126,7 +124,7 @@ class JointStateController(Controller[JointStateInterface]):
 
     def parts(self) -> Parts:
         """What runs compiled besides this controller."""
-        return Parts(self._publisher, shown=self._joints)
+        return Parts((self._publisher,), shown=self._joints)
 
     def _message(self, time_ns: int) -> Message:
         joints = self._joints

@@ -1,8 +1,8 @@
 """Follows trajectories of joints by commands and by an action, after ros_controllers' joint_trajectory_controller.
 
-A trajectory is a list of segments for each joint: a segment is a line, or a cubic or quintic polynomial of time,
-between two points. Its times are seconds of the controller's uptime, which counts from its start. New trajectories are
-blended with the present one when they arrive, between two cycles; an update only samples.
+A trajectory is a block of numbers, in which each joint has a range of segments (`control/segments.py`). Times are
+seconds of the controller's uptime, which counts from its start. New trajectories are blended with the present one when
+they arrive, between two cycles; an update only samples. An update in which a goal ends is the interpreter's.
 
 Topics `command` and `state`, service `query_state`, action `follow_joint_trajectory`. The types of the joints come from
 `robot_description`.
@@ -10,20 +10,16 @@ Topics `command` and `state`, service `query_state`, action `follow_joint_trajec
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections.abc import Sequence
-from copy import copy
-from functools import partial
 from itertools import pairwise
-from math import isfinite, pi
-from operator import attrgetter
+from math import inf, pi
 from typing import Any, ClassVar, NamedTuple
 
-from slidectl.control import params
+from slidectl.control import params, segments
 from slidectl.control.angular_distance import shortest_angular_distance
-from slidectl.control.controller_interface import Controller, State
-from slidectl.control.duration import NANOSECONDS, from_seconds, from_stamp, to_seconds, to_stamp
-from slidectl.control.goals import MONITOR_RATE, GoalMonitor, MonitoredGoal, period_of
+from slidectl.control.controller_interface import Compiled, Member, Parts, State
+from slidectl.control.duration import NANOSECONDS, from_seconds, from_stamp, nearest_ns, to_seconds, to_stamp
+from slidectl.control.goals import MONITOR_RATE, ActionController, MonitoredGoal, period_of
 from slidectl.control.hardware_interface import (
     EffortJointInterface,
     JointHandle,
@@ -37,12 +33,27 @@ from slidectl.control.hardware_interface import (
     VelocityJointInterface,
 )
 from slidectl.control.joint_controller import joint_names, warn_of_other_joints
+from slidectl.control.laws import LEAVE, Columns, LawTables, law
 from slidectl.control.node_handle import GoalHandle, GoalStatus, Message, NodeHandle
 from slidectl.control.params import BOOLEAN, JOINTS, NUMBER, Parameter, within
-from slidectl.control.pid import next_command_from
+from slidectl.control.pid import Pid, next_command_from
 from slidectl.control.reconfigurable_pid import GAINS, ReconfigurablePid
 from slidectl.control.registry import controller
 from slidectl.control.robot_description import joint_on_paper
+from slidectl.control.segments import (
+    END,
+    END_POSITION,
+    END_TIME,
+    END_VELOCITY,
+    FROM_START,
+    GOAL,
+    PATH_POSITION,
+    PATH_VELOCITY,
+    SIZE,
+    START,
+    TOLERANCES,
+    sample,
+)
 from slidectl.errors import MessageRefused, Refused
 
 SUCCESSFUL, INVALID_GOAL, INVALID_JOINTS, PATH_TOLERANCE_VIOLATED, GOAL_TOLERANCE_VIOLATED = 0, -1, -2, -4, -5
@@ -50,28 +61,14 @@ SUCCESSFUL, INVALID_GOAL, INVALID_JOINTS, PATH_TOLERANCE_VIOLATED, GOAL_TOLERANC
 
 
 STATE_RATE = Parameter("state_publish_rate", NUMBER, "messages on `state` per simulated second", "1/s", default=50.0)
-Coefficients = tuple[float, float, float, float, float, float]
-
-
-class PointState(NamedTuple):
-    """What one joint is to do at one point; None is what a message does not say."""
-
-    position: float
-    velocity: float | None
-    acceleration: float | None
-    time_from_start_s: float = 0.0
 
 
 class StateTolerances(NamedTuple):
-    """The largest errors that count as none; 0 checks nothing."""
+    """The largest errors that count as none; 0 checks nothing. Nobody measures accelerations: they have no error."""
 
     position: float = 0.0
     velocity: float = 0.0
     acceleration: float = 0.0
-
-    def allow(self, position_error: float, velocity_error: float) -> bool:
-        """Are these errors within the tolerances? There is no error of acceleration: nobody measures it."""
-        return not (0.0 < self.position < abs(position_error) or 0.0 < self.velocity < abs(velocity_error))
 
     def updated(self, message: Message) -> StateTolerances:
         """With what a control_msgs/JointTolerance says: above 0 replaces, below 0 switches off, 0 keeps."""
@@ -85,110 +82,196 @@ class SegmentTolerances(NamedTuple):
     goal: StateTolerances = StateTolerances()
     goal_time_s: float = 0.0
 
-
-UNCHECKED = SegmentTolerances()
+    def numbers(self) -> tuple[float, ...]:
+        """As they stand in a segment."""
+        return *self.path[:2], *self.goal[:2], self.goal_time_s
 
 
 def _replaced(old: float, new: float) -> float:
     return new if new > 0.0 else 0.0 if new < 0.0 else old
 
 
-class Segment:
-    """The motion of one joint between two points. Its polynomial is made when it is first sampled: points are many."""
+class Motion:
+    """One joint's part of the trajectory, and its states of the last update: desired, measured, and the errors."""
 
-    __slots__ = ("_coefficients", "_end", "_start", "duration_s", "end_s", "goal", "start_s", "tolerances")
-
-    def __init__(self, start_s: float, start: PointState, end_s: float, end: PointState) -> None:
-        """Raises Refused: it ends before it starts."""
-        if end_s < start_s:
-            raise Refused("Quintic spline segment can't be constructed: end_time < start_time.")
-        self.start_s = start_s
-        self.duration_s = end_s - start_s
-        self.end_s = start_s + self.duration_s
-        self.goal: MonitoredGoal | None = None
-        self.tolerances = UNCHECKED
-        self._start = start
-        self._end = end
-        self._coefficients: Coefficients | None = None
-
-    @property
-    def time_from_start_s(self) -> float:
-        """That of its first point; 0 where it begins in a motion of before."""
-        return self._start.time_from_start_s
-
-    def sample(self, time_s: float) -> tuple[float, float, float]:
-        """Position, velocity and acceleration; outside of the segment those of its ends, at rest."""
-        if self._coefficients is None:
-            self._coefficients = spline(self._start, self._end, self.duration_s)
-        x = time_s - self.start_s
-        if 0.0 <= x <= self.duration_s:
-            return evaluate(self._coefficients, x)
-        return evaluate(self._coefficients, 0.0 if x < 0.0 else self.duration_s)[0], 0.0, 0.0
-
-    def for_goal(self, goal: MonitoredGoal | None) -> Segment:
-        """The same motion as part of a goal; the tolerances stay."""
-        copied = copy(self)
-        copied.goal = goal
-        return copied
-
-
-Trajectory = list[list[Segment]]
-"""The segments of each joint, in the order of time."""
-_START = attrgetter("start_s")
-
-
-def find_segment(segments: Sequence[Segment], time_s: float) -> int:
-    """The index of the last segment that has started; 0 when none has."""
-    return max(bisect_right(segments, time_s, key=_START) - 1, 0)
-
-
-def spline(start: PointState, end: PointState, duration_s: float) -> Coefficients:
-    """The polynomial of the least order that meets what both ends say, after quintic_spline_segment.h.
-
-    The order of the operations is upstream's: the results are the same to the bit.
-    """
-    p0, v0, a0, _ = start
-    p1, v1, a1, _ = end
-    t = duration_s
-    if v0 is None or v1 is None:
-        return p0, 0.0 if t == 0.0 else (p1 - p0) / t, 0.0, 0.0, 0.0, 0.0
-    if t == 0.0:
-        return p0, v0, 0.0 if a0 is None or a1 is None else 0.5 * a0, 0.0, 0.0, 0.0
-    t2 = t * t
-    t3 = t2 * t
-    if a0 is None or a1 is None:
-        return (
-            p0,
-            v0,
-            (-3.0 * p0 + 3.0 * p1 - 2.0 * v0 * t - v1 * t) / t2,
-            (2.0 * p0 - 2.0 * p1 + v0 * t + v1 * t) / t3,
-            0.0,
-            0.0,
-        )
-    t4 = t3 * t
-    t5 = t4 * t
-    return (
-        p0,
-        v0,
-        0.5 * a0,
-        (-20.0 * p0 + 20.0 * p1 - 3.0 * a0 * t2 + a1 * t2 - 12.0 * v0 * t - 8.0 * v1 * t) / (2.0 * t3),
-        (30.0 * p0 - 30.0 * p1 + 3.0 * a0 * t2 - 2.0 * a1 * t2 + 16.0 * v0 * t + 14.0 * v1 * t) / (2.0 * t4),
-        (-12.0 * p0 + 12.0 * p1 - a0 * t2 + a1 * t2 - 6.0 * v0 * t - 6.0 * v1 * t) / (2.0 * t5),
+    __slots__ = (
+        "acceleration",
+        "actual_position",
+        "actual_velocity",
+        "index",
+        "last",
+        "next_s",
+        "position",
+        "position_error",
+        "reached",
+        "segment",
+        "velocity",
+        "velocity_error",
+        "velocity_ff",
+    )
+    columns = Columns(
+        changing="index position velocity acceleration actual_position actual_velocity position_error velocity_error "
+        "reached",
+        fixed="last velocity_ff",
+        whole="index reached last",
     )
 
+    def __init__(self) -> None:
+        self.position = self.velocity = self.acceleration = 0.0
+        self.actual_position = self.actual_velocity = self.position_error = self.velocity_error = 0.0
+        self.velocity_ff = 0.0
+        """Command per desired velocity."""
+        self.reached = False
+        """At its goal. As upstream, only the end of a goal clears it, not its cancellation."""
+        self.place(0, 0)
 
-def evaluate(coefficients: Coefficients, x: float) -> tuple[float, float, float]:
-    """The polynomial and its two derivatives at `x`."""
-    c0, c1, c2, c3, c4, c5 = coefficients
-    x2 = x * x
-    x3 = x2 * x
-    x4 = x3 * x
-    x5 = x4 * x
-    return (
-        c0 + x * c1 + x2 * c2 + x3 * c3 + x4 * c4 + x5 * c5,
-        c1 + 2.0 * x * c2 + 3.0 * x2 * c3 + 4.0 * x3 * c4 + 5.0 * x4 * c5,
-        2.0 * c2 + 6.0 * x * c3 + 12.0 * x2 * c4 + 20.0 * x3 * c5,
-    )
+    def place(self, first: int, last: int) -> None:
+        """Its segments are these from now on, by their numbers in the block."""
+        self.index, self.last = first, last
+        self.segment: list[float] = []
+        """The numbers of the present segment, for the interpreter; from `next_s` on it is another one."""
+        self.next_s = -inf
+
+    def segment_at(self, numbers: Any, time_s: float) -> list[float]:
+        """The last segment that has started, or the first one. Times never go back."""
+        if time_s >= self.next_s or not self.segment:
+            advance(self, numbers, time_s)
+            begin, end = self.index * SIZE, (self.index + 1) * SIZE
+            self.segment = numbers[begin:end].tolist()
+            self.next_s = numbers[end + START] if self.index < self.last else inf
+        return self.segment
+
+
+@law
+def advance(motion: Motion, numbers: Any, time_s: float) -> None:
+    """Go on to the last segment that has started."""
+    while motion.index < motion.last and numbers[(motion.index + 1) * SIZE + START] <= time_s:
+        motion.index += 1
+
+
+UNDECIDED, REACHED, OFF_PATH, OFF_GOAL = range(4)
+"""What becomes of a goal by one of its joints."""
+
+
+@law
+def judged(segment: Any, is_last: bool, time_s: float, error: float, error_dot: float) -> int:
+    """The errors of position and velocity, held against the tolerances of a segment."""
+    size, size_dot = abs(error), abs(error_dot)
+    if time_s < segment[END]:
+        is_off = 0.0 < segment[PATH_POSITION] < size or 0.0 < segment[PATH_VELOCITY] < size_dot
+        return OFF_PATH if is_off else UNDECIDED
+    if not is_last:
+        return UNDECIDED
+    if not (0.0 < segment[END_POSITION] < size or 0.0 < segment[END_VELOCITY] < size_dot):
+        return REACHED
+    return UNDECIDED if time_s < segment[END] + segment[END_TIME] else OFF_GOAL
+
+
+@law
+def take_states(
+    motion: Motion, joint: JointStateHandle, position: float, velocity: float, acceleration: float, error: float
+) -> None:
+    """The states of an update: the desired ones, and the error of the position."""
+    motion.position, motion.velocity, motion.acceleration = position, velocity, acceleration
+    motion.actual_position, motion.actual_velocity = joint.position, joint.velocity
+    motion.position_error, motion.velocity_error = error, velocity - joint.velocity
+
+
+@law
+def count_time(follower: Any, period_s: float) -> int:
+    """The uptime of the update that begins, in ns."""
+    if period_s != follower.period_s:
+        follower.period_s = period_s
+        follower.period_ns = nearest_ns(period_s)
+    uptime_ns: int = follower.uptime_ns + follower.period_ns
+    return uptime_ns
+
+
+@law
+def state_is_due(follower: Any) -> bool:
+    """Count the messages on `state`, also those that nobody takes."""
+    if not follower.published_ns + follower.state_period_ns < follower.uptime_ns:
+        return False
+    follower.published_ns += follower.state_period_ns
+    follower.states += 1
+    return True
+
+
+@law
+def goal_goes_on(follower: Any, tables: LawTables, uptime_s: float) -> bool:
+    """False in an update in which the goal ends: nothing has changed then that the end does not clear."""
+    reached = 0
+    for k in range(len(tables.members)):
+        motion = tables.members[k]
+        advance(motion, tables.numbers, uptime_s)
+        segment = tables.numbers[motion.index * SIZE : (motion.index + 1) * SIZE]
+        if segment[GOAL] == follower.goal_number:
+            joint = tables.joints[motion.joint]
+            position, velocity, _ = sample(segment, uptime_s)
+            error = shortest_angular_distance(joint.position, position)
+            verdict = judged(segment, motion.index == motion.last, uptime_s, error, velocity - joint.velocity)
+            if verdict >= OFF_PATH:
+                return False
+            if verdict == REACHED:
+                motion.reached = True
+        reached += motion.reached
+    return reached < len(tables.members)
+
+
+@law
+def follow(follower: Any, tables: LawTables, time_ns: int, period_s: float) -> bool:
+    """The update on rows without the commands. False: it is left to the interpreter."""
+    uptime_ns = count_time(follower, period_s)
+    uptime_s = to_seconds(uptime_ns)
+    if follower.goal_number != 0 and not goal_goes_on(follower, tables, uptime_s):
+        return False
+    for k in range(len(tables.members)):
+        motion = tables.members[k]
+        joint = tables.joints[motion.joint]
+        advance(motion, tables.numbers, uptime_s)
+        segment = tables.numbers[motion.index * SIZE : (motion.index + 1) * SIZE]
+        position, velocity, acceleration = sample(segment, uptime_s)
+        error = shortest_angular_distance(joint.position, position)
+        take_states(motion, joint, position, velocity, acceleration, error)
+    follower.time_ns = time_ns
+    follower.uptime_ns = uptime_ns
+    return True
+
+
+@law
+def follow_by_positions(follower: Any, tables: LawTables, time_ns: int, period_s: float) -> int:
+    """The update of position joints on rows."""
+    if not follow(follower, tables, time_ns, period_s):
+        return LEAVE
+    for k in range(len(tables.members)):
+        motion = tables.members[k]
+        tables.joints[motion.joint].command = motion.position
+    return int(state_is_due(follower) and follower.wanted != 0)
+
+
+@law
+def correct(motion: Motion, pid: Pid, joint: JointHandle, period_s: float) -> None:
+    """command = feed-forward gain · desired velocity + pid(errors of position and velocity)."""
+    correction = next_command_from(pid, motion.position_error, motion.velocity_error, period_s)
+    joint.command = motion.velocity * motion.velocity_ff + correction
+
+
+@law
+def follow_by_pids(follower: Any, tables: LawTables, time_ns: int, period_s: float) -> int:
+    """The update of joints with PIDs on rows."""
+    if not follow(follower, tables, time_ns, period_s):
+        return LEAVE
+    for k in range(len(tables.members)):
+        motion = tables.members[k]
+        correct(motion, tables.pids[motion.pid], tables.joints[motion.joint], period_s)
+    return int(state_is_due(follower) and follower.wanted != 0)
+
+
+FOLLOWER = Columns(
+    changing="time_ns uptime_ns period_s period_ns published_ns states",
+    fixed="state_period_ns goal_number",
+    whole="time_ns uptime_ns period_ns published_ns states state_period_ns",
+)
 
 
 def wraparound_offset(previous: float, following: float) -> float:
@@ -200,7 +283,7 @@ def wraparound_offset(previous: float, following: float) -> float:
 
 
 class MeasuredJoints(NamedTuple):
-    """States of all joints in one cycle. The lists are made anew in each cycle, and never changed."""
+    """States of all joints in one update."""
 
     positions: list[float]
     velocities: list[float]
@@ -218,7 +301,7 @@ class MeasuredJoints(NamedTuple):
         }
 
 
-class JointTrajectoryController(Controller[Any]):
+class JointTrajectoryController(ActionController[Any]):
     """Samples the trajectory in each cycle; what becomes of the desired states is the part of the children."""
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
@@ -260,13 +343,14 @@ class JointTrajectoryController(Controller[Any]):
     )
     interface_type: type[ResourceManager[Any]]
     _joints: tuple[JointStateHandle, ...]
+    _pids: Sequence[Pid] = ()
 
     # Init.
 
     def init(self, interface: ResourceManager[Any], node: NodeHandle) -> None:
         """Raises SlidectlError: a parameter, a joint, or the robot description is missing or wrong."""
         self._node = node
-        self._state_period_ns = period_of(node, STATE_RATE)
+        self.state_period_ns = period_of(node, STATE_RATE)
         monitor_period_ns = period_of(node, MONITOR_RATE)
         self._stop_duration_s = params.number(node, "stop_trajectory_duration") or 0.0
         if not 0.0 <= self._stop_duration_s < float("inf"):
@@ -277,21 +361,19 @@ class JointTrajectoryController(Controller[Any]):
         self._joints = tuple(interface.get_handle(name) for name in self._names)
         warn_of_other_joints(node, "constraints", [*self._names, "goal_time", "stopped_velocity_tolerance"])
         self._tolerances = self._default_tolerances()
+        self._motions = [Motion() for _ in self._names]
         self._get_commands(node)
-        nothing = [0.0] * len(self._names)
-        self.desired = self.actual = self.error = MeasuredJoints(nothing, nothing, nothing)
-        self._trajectory: Trajectory = []
-        self._time_ns = self._uptime_ns = self._period_ns = self._published_ns = 0
-        self._period_of_s: tuple[float, int] = (0.0, 0)
-        self._goal: MonitoredGoal | None = None
-        self._reached = [False] * len(self._names)
-        """The joints at their goals. As upstream, only the end of a goal clears it, not its cancellation."""
-        self._monitor = GoalMonitor(node, monitor_period_ns)
+        self._goals = 0
+        """That were taken. The number of the present one stands in its segments."""
+        self._goal_since_ns = 0
+        """The uptime of its acceptance."""
+        self.states = 0
+        self._trajectory: list[segments.Rows] = []
+        self._numbers: Any = SIZE * [0.0]
+        self._start_time(0)
         self._state = node.advertise("state", "control_msgs/JointTrajectoryControllerState")
         node.advertise_service("query_state", "control_msgs/QueryTrajectoryState", self._query_state)
-        node.advertise_action(
-            "follow_joint_trajectory", "control_msgs/FollowJointTrajectory", self._take_goal, self._take_cancel
-        )
+        self._serve(node, "follow_joint_trajectory", "control_msgs/FollowJointTrajectory", monitor_period_ns)
         node.subscribe("command", "trajectory_msgs/JointTrajectory", self._take_command)
 
     def _get_commands(self, node: NodeHandle) -> None:
@@ -327,106 +409,128 @@ class JointTrajectoryController(Controller[Any]):
 
     def starting(self, time_ns: int) -> None:
         """Stay where the joints are."""
-        self._time_ns = time_ns
-        self._uptime_ns = self._period_ns = self._published_ns = 0
-        positions = [joint.position for joint in self._joints]
-        velocities = [joint.velocity for joint in self._joints]
-        self.desired = self.desired._replace(positions=positions, velocities=velocities)
+        self._start_time(time_ns)
+        for motion, joint in zip(self._motions, self._joints, strict=True):
+            motion.position, motion.velocity = joint.position, joint.velocity
         self._hold()
         self._start_commands()
 
-    def stopping(self, time_ns: int) -> None:  # noqa: ARG002
-        """Nobody works on the goal any more."""
-        self._preempt()
-
-    def aborting(self, time_ns: int) -> None:  # noqa: ARG002
-        self._preempt()
+    def _start_time(self, time_ns: int) -> None:
+        self.time_ns = time_ns
+        self.uptime_ns = self.period_ns = self.published_ns = 0
+        self.period_s = 0.0
 
     def update(self, time_ns: int, period_s: float) -> None:
-        if period_s != self._period_of_s[0]:
-            self._period_of_s = period_s, from_seconds(period_s)
-        self._time_ns = time_ns
-        self._period_ns = self._period_of_s[1]
-        self._uptime_ns += self._period_ns
-        uptime_s = to_seconds(self._uptime_ns)
-        active = self._sample(uptime_s)
+        uptime_ns = count_time(self, period_s)
+        uptime_s, numbers = to_seconds(uptime_ns), self._numbers
+        samples = []
+        for joint, motion in zip(self._joints, self._motions, strict=True):
+            position, velocity, acceleration = sample(motion.segment_at(numbers, uptime_s), uptime_s)
+            # Of any joint, as upstream, also of one that slides.
+            error = shortest_angular_distance(joint.position, position)
+            samples.append((motion, joint, position, velocity, acceleration, error))
         if self._goal is not None:
-            self._judge(active, uptime_s)
+            self._judge(self._goal, samples, uptime_s)
+        for states in samples:
+            take_states(*states)
+        self.time_ns, self.uptime_ns = time_ns, uptime_ns
         self._command(period_s)
-        if self._goal is not None:
-            self._goal.feedback = partial(self._message, time_ns, self.desired, self.actual, self.error)
-        if self._published_ns + self._state_period_ns < self._uptime_ns:
-            self._published_ns += self._state_period_ns
-            if self._state.wanted:
-                self._state.publish(self._message(time_ns, self.desired, self.actual, self.error))
-            else:
-                self._state.sequence += 1
+        if state_is_due(self) and self._state.wanted:
+            self.publish(time_ns, period_s)
 
-    def _sample(self, uptime_s: float) -> list[Segment]:
-        """Take the desired and the actual states and the errors. Returns the segment of each joint.
+    def _judge(self, goal: MonitoredGoal, samples: list[Any], uptime_s: float) -> None:
+        """Hold the errors against the tolerances of the goal. What violates them ends it, but not the motion.
 
-        The error of the position is the shortest angle for every joint, as upstream, also for one that slides.
+        Its last feedback is that of the update before.
         """
-        active = []
-        desired_p, desired_v, desired_a, actual_p, actual_v, error_p, error_v = [], [], [], [], [], [], []
-        for joint, segments in zip(self._joints, self._trajectory, strict=True):
-            segment = segments[find_segment(segments, uptime_s)]
-            position, velocity, acceleration = segment.sample(uptime_s)
-            active.append(segment)
-            desired_p.append(position)
-            desired_v.append(velocity)
-            desired_a.append(acceleration)
-            actual_p.append(joint.position)
-            actual_v.append(joint.velocity)
-            error_p.append(shortest_angular_distance(joint.position, position))
-            error_v.append(velocity - joint.velocity)
-        first = active[0]
-        desired_s = first.time_from_start_s
-        actual_s = uptime_s - first.start_s + desired_s
-        self.desired = MeasuredJoints(desired_p, desired_v, desired_a, desired_s)
-        self.actual = MeasuredJoints(actual_p, actual_v, [], actual_s)
-        self.error = MeasuredJoints(error_p, error_v, [], desired_s - actual_s)
-        return active
-
-    def _judge(self, active: list[Segment], uptime_s: float) -> None:
-        """Hold the errors against the tolerances of the goal. What violates them ends it, but not the motion."""
-        for k, segment in enumerate(active):
-            if self._goal is None or segment.goal is not self._goal:
+        for name, (motion, joint, _, velocity, _, error) in zip(self._names, samples, strict=True):
+            if motion.segment[GOAL] != self._goals:
                 continue
-            error, error_dot = self.error.positions[k], self.error.velocities[k]
-            tolerances = segment.tolerances
-            if uptime_s < segment.end_s:
-                if not tolerances.path.allow(error, error_dot):
-                    self._abort(PATH_TOLERANCE_VIOLATED, f"{self._names[k]} path error {error:f}")
-            elif segment is self._trajectory[k][-1]:
-                if tolerances.goal.allow(error, error_dot):
-                    self._reached[k] = True
-                elif not uptime_s < segment.end_s + tolerances.goal_time_s:
-                    self._abort(GOAL_TOLERANCE_VIOLATED, f"{self._names[k]} goal error {error:f}")
-        if self._goal is not None and all(self._reached):
-            self._goal.decide(GoalStatus.SUCCEEDED, _result(SUCCESSFUL))
+            is_last = motion.index == motion.last
+            verdict = judged(motion.segment, is_last, uptime_s, error, velocity - joint.velocity)
+            if verdict == OFF_PATH:
+                return self._abort(goal, PATH_TOLERANCE_VIOLATED, f"{name} path error {error:f}")
+            if verdict == OFF_GOAL:
+                return self._abort(goal, GOAL_TOLERANCE_VIOLATED, f"{name} goal error {error:f}")
+            motion.reached = motion.reached or verdict == REACHED
+        if all(motion.reached for motion in self._motions):
+            feedback = self._feedback()
+            goal.feedback = lambda: feedback
+            goal.decide(GoalStatus.SUCCEEDED, _result(SUCCESSFUL))
             self._end_goal()
+        return None
 
-    def _abort(self, code: int, text: str) -> None:
+    def _abort(self, goal: MonitoredGoal, code: int, text: str) -> None:
         """The goal has failed; the client hears of it at once."""
-        assert self._goal is not None
-        self._goal.decide(GoalStatus.ABORTED, _result(code, text))
-        self._goal.tick()
+        goal.decide(GoalStatus.ABORTED, _result(code, text))
+        goal.tick()
         self._end_goal()
 
     def _end_goal(self) -> None:
         self._goal = None
-        self._reached = [False] * len(self._names)
+        for motion in self._motions:
+            motion.reached = False
 
-    def _message(self, time_ns: int, desired: MeasuredJoints, actual: MeasuredJoints, error: MeasuredJoints) -> Message:
+    def publish(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
+        """The states of the last update."""
+        self._state.sequence = self.states - 1
+        self._state.publish(self._message())
+
+    def _feedback(self) -> Message | None:
+        """That of a goal; None before its first update."""
+        return None if self.uptime_ns == self._goal_since_ns else self._message()
+
+    def _message(self) -> Message:
         """As control_msgs/JointTrajectoryControllerState, and as the action's feedback."""
         return {
-            "header": {"seq": 0, "stamp": to_stamp(time_ns), "frame_id": ""},
+            "header": {"seq": 0, "stamp": to_stamp(self.time_ns), "frame_id": ""},
             "joint_names": self._names,
-            "desired": desired.message(with_accelerations=True),
-            "actual": actual.message(),
-            "error": error.message(),
+            "desired": self.desired.message(with_accelerations=True),
+            "actual": self.actual.message(),
+            "error": self.error.message(),
         }
+
+    @property
+    def desired(self) -> MeasuredJoints:
+        """What the joints were to do in the last update."""
+        motions = self._motions
+        return MeasuredJoints(
+            [motion.position for motion in motions],
+            [motion.velocity for motion in motions],
+            [motion.acceleration for motion in motions],
+            self._segment_times()[0],
+        )
+
+    @property
+    def actual(self) -> MeasuredJoints:
+        """What they did. Nobody measures accelerations."""
+        motions = self._motions
+        positions, velocities = [one.actual_position for one in motions], [one.actual_velocity for one in motions]
+        return MeasuredJoints(positions, velocities, [], self._segment_times()[1])
+
+    @property
+    def error(self) -> MeasuredJoints:
+        """The difference; that of positions is the shortest angle."""
+        motions, (desired_s, actual_s) = self._motions, self._segment_times()
+        positions, velocities = [one.position_error for one in motions], [one.velocity_error for one in motions]
+        return MeasuredJoints(positions, velocities, [], desired_s - actual_s)
+
+    def _segment_times(self) -> tuple[float, float]:
+        """Of the first joint: the time from the start at which its segment begins, and where it is by now, in s."""
+        begin = self._motions[0].index * SIZE
+        from_start_s = self._numbers[begin + FROM_START]
+        return from_start_s, to_seconds(self.uptime_ns) - self._numbers[begin + START] + from_start_s
+
+    @property
+    def goal_number(self) -> int:
+        """That of the goal that is followed; 0 for none."""
+        return 0 if self._goal is None else self._goals
+
+    def parts(self) -> Parts:
+        """What runs compiled besides this controller."""
+        pids = self._pids or len(self._joints) * (None,)
+        members = [Member(*part) for part in zip(self._motions, self._joints, pids, strict=True)]
+        return Parts((self._state,), members=members, numbers=self._numbers)
 
     # What clients ask for, between two cycles.
 
@@ -441,67 +545,59 @@ class JointTrajectoryController(Controller[Any]):
     def _take_goal(self, handle: GoalHandle) -> None:
         trajectory = handle.goal["trajectory"]
         if self.state is not State.RUNNING:
-            self._reject(handle, INVALID_GOAL, "", "Can't accept new action goals. Controller is not running.")
+            self._reject(handle, "Can't accept new action goals. Controller is not running.", _result(INVALID_GOAL))
         elif self._order_of(trajectory["joint_names"]) is None:
-            self._reject(handle, INVALID_JOINTS, "", "Joints on incoming goal don't match the controller joints.")
+            self._reject(handle, "Joints on incoming goal don't match the controller joints.", _result(INVALID_JOINTS))
         else:
-            goal = MonitoredGoal(handle)
+            self._goals += 1
             try:
-                self._replace(trajectory, goal)
+                self._replace(trajectory, handle)
             except Refused as refusal:
-                self._reject(handle, INVALID_GOAL, refusal.message, refusal.message)
+                self._goals -= 1  # the present one goes on
+                self._reject(handle, refusal.message, _result(INVALID_GOAL, refusal.message))
                 return
-            self._preempt()
-            handle.accept()
-            self._goal = goal
-            self._monitor.watch(goal)
-
-    def _reject(self, handle: GoalHandle, code: int, error: str, text: str) -> None:
-        self._node.log("error", f"{self._node.namespace}: {text}")
-        handle.reject(_result(code, error))
-
-    def _take_cancel(self, handle: GoalHandle) -> None:
-        if self._goal is not None and self._goal.handle is handle:
-            self._goal = None
-            self._hold()
-            handle.cancel()
-
-    def _preempt(self) -> None:
-        """Another motion takes the place of the goal's."""
-        goal, self._goal = self._goal, None
-        if goal is not None:
-            goal.handle.cancel()
+            goal = MonitoredGoal(handle)
+            goal.feedback = self._feedback
+            self._goal_since_ns = self.uptime_ns
+            self._follow(goal)
 
     def _query_state(self, request: Message) -> Message:
         if self.state is not State.RUNNING:
             raise Refused("Can't sample trajectory. Controller is not running.")
-        offset_ns = _duration(from_stamp(request["time"]) - self._time_ns)
-        time_s = to_seconds(_time(self._uptime_ns + offset_ns))
-        if any(time_s < segments[0].start_s for segments in self._trajectory):
+        offset_ns = _duration(from_stamp(request["time"]) - self.time_ns)
+        time_s = to_seconds(_time(self.uptime_ns + offset_ns))
+        if any(time_s < rows[0, START] for rows in self._trajectory):
             raise Refused("Requested sample time precedes trajectory start time.")
-        samples = [segments[find_segment(segments, time_s)].sample(time_s) for segments in self._trajectory]
+        samples = [segments.sample_at(rows, time_s) for rows in self._trajectory]
         positions, velocities, accelerations = map(list, zip(*samples, strict=True))
         return {"name": self._names, "position": positions, "velocity": velocities, "acceleration": accelerations}
 
     # Trajectories.
 
-    def _hold(self, goal: MonitoredGoal | None = None) -> None:
+    def _hold(self, goal_number: int = 0) -> None:
         """From now on come to rest: at the measured positions, or from the desired motion in the time for that."""
-        now_s = to_seconds(self._uptime_ns)
-        self._trajectory = []
-        for k, joint in enumerate(self._joints):
-            if self._stop_duration_s == 0.0:
-                state = PointState(joint.position, 0.0, 0.0)
-                segment = Segment(now_s, state, now_s, state)
-            else:
-                # Half-way of a motion to the same place with the opposite velocity, the velocity is 0.
-                end_s = now_s + self._stop_duration_s
-                state = PointState(self.desired.positions[k], self.desired.velocities[k], 0.0)
-                back = PointState(state.position, -self.desired.velocities[k], 0.0)
-                half = Segment(now_s, state, now_s + 2.0 * self._stop_duration_s, back)
-                segment = Segment(now_s, state, end_s, PointState(*half.sample(end_s)))
-            segment.goal = goal
-            self._trajectory.append([segment])
+        now_s, duration_s = to_seconds(self.uptime_ns), self._stop_duration_s
+        begin_s = [now_s] * len(self._motions)
+        if duration_s == 0.0:
+            begins = ends = segments.states([(joint.position, 0.0, 0.0) for joint in self._joints])
+        else:
+            # Half-way of a motion to the same place with the opposite velocity, the velocity is 0.
+            begins = segments.states([(motion.position, motion.velocity, 0.0) for motion in self._motions])
+            back = segments.states([(motion.position, -motion.velocity, 0.0) for motion in self._motions])
+            double = segments.between(begin_s, begins, [now_s + 2.0 * duration_s] * len(begin_s), back)
+            ends = segments.states([sample(row.tolist(), now_s + duration_s) for row in double])
+        rows = segments.between(begin_s, begins, [now_s + duration_s] * len(begin_s), ends)
+        rows[:, GOAL] = goal_number
+        self._take_trajectory([rows[k : k + 1] for k in range(len(rows))])
+
+    def _take_trajectory(self, trajectory: list[segments.Rows]) -> None:
+        """Follow these segments of each joint."""
+        self._trajectory = trajectory
+        self._numbers = segments.joined(trajectory)
+        first = 0
+        for motion, rows in zip(self._motions, trajectory, strict=True):
+            motion.place(first, first + len(rows) - 1)
+            first += len(rows)
 
     def _order_of(self, wanted: Sequence[str]) -> list[int] | None:
         """The positions of a message's joints among ours; None when it has not all of them, or others."""
@@ -510,7 +606,7 @@ class JointTrajectoryController(Controller[Any]):
             return None
         return [self._names.index(name) for name in wanted]
 
-    def _replace(self, message: Message, goal: MonitoredGoal | None) -> None:
+    def _replace(self, message: Message, goal: GoalHandle | None) -> None:
         """Follow a trajectory_msgs/JointTrajectory from its start on, and what is there until then.
 
         Raises:
@@ -518,11 +614,12 @@ class JointTrajectoryController(Controller[Any]):
         """
         if self.state is not State.RUNNING:
             raise Refused("Can't accept new commands. Controller is not running.")
+        goal_number = 0 if goal is None else self._goals
         points: list[Message] = message["points"]
         if not points:
-            self._hold(goal)
+            self._hold(goal_number)
             return
-        next_ns, next_uptime_ns = self._time_ns + self._period_ns, self._uptime_ns + self._period_ns
+        next_ns, next_uptime_ns = self.time_ns + self.period_ns, self.uptime_ns + self.period_ns
         offsets_ns = [from_stamp(point["time_from_start"]) for point in points]
         if any(one >= other for one, other in pairwise(offsets_ns)):
             raise Refused("Trajectory message contains waypoints that are not strictly increasing in time.")
@@ -531,32 +628,30 @@ class JointTrajectoryController(Controller[Any]):
         order = self._order_of(message["joint_names"])
         if order is None:
             raise Refused("Cannot create trajectory from message. It does not contain the expected joints.")
-        tolerances = self._tolerances if goal is None else self._goal_tolerances(goal.handle.goal)
         first = self._first_point(message, offsets_ns, start_ns, next_ns)
         points, offsets_ns = points[first:], offsets_ns[first:]
-        _check_points(points, len(order))
-        times_s = [to_seconds(_time(start_uptime_ns + offset_ns)) for offset_ns in offsets_ns]
+        states = segments.states_of(points, len(order))
+        _time(start_uptime_ns + offsets_ns[-1])
+        times_s = segments.seconds(offsets_ns, start_uptime_ns)
+        from_start_s = segments.seconds(offsets_ns)
         next_s, start_s = to_seconds(next_uptime_ns), to_seconds(start_uptime_ns)
-        changed: dict[int, list[Segment]] = {}
+        begin_s = max(start_s, next_s)
+        tolerances = None if goal is None else self._goal_tolerances(goal.goal)
+        trajectory = [_for_goal(rows, next_s, goal_number) for rows in self._trajectory]
+        begins = segments.states([segments.sample_at(self._trajectory[k], begin_s) for k in order])
         for column, k in enumerate(order):
+            first_position = float(states[0, 0, column])
+            offset = wraparound_offset(float(begins[0, column]), first_position) if self._turns[k] else 0.0
+            states[0, :, column] += offset
+        made = segments.through(begin_s, begins, start_s + from_start_s[0], times_s, states, from_start_s)
+        for k, new in zip(order, made, strict=True):
             old = self._trajectory[k]
-            begin_s = max(start_s, next_s)
-            begin = PointState(*old[find_segment(old, begin_s)].sample(begin_s))
-            offset = wraparound_offset(begin.position, points[0]["positions"][column]) if self._turns[k] else 0.0
-            states = [
-                _state(point, column, offset, offset_ns) for point, offset_ns in zip(points, offsets_ns, strict=True)
-            ]
-            new = [Segment(begin_s, begin, start_s + to_seconds(offsets_ns[0]), states[0])]
-            ends = zip(pairwise(times_s), pairwise(states), strict=True)
-            new += [Segment(from_s, start, to_s, end) for (from_s, to_s), (start, end) in ends]
-            for segment in new:
-                segment.goal = goal
-                segment.tolerances = UNCHECKED if goal is None else tolerances[k]
-            changed[k] = old[find_segment(old, next_s) : find_segment(old, begin_s) + 1] + new
-        self._trajectory = [
-            changed[k] if k in changed else _for_goal(segments, next_s, goal)
-            for k, segments in enumerate(self._trajectory)
-        ]
+            new[:, GOAL] = goal_number
+            if tolerances is not None:
+                new[:, TOLERANCES] = tolerances[k].numbers()
+            kept = old[segments.find(old, next_s) : segments.find(old, begin_s) + 1]
+            trajectory[k] = segments.following(kept, new)
+        self._take_trajectory(trajectory)
 
     def _first_point(self, message: Message, offsets_ns: list[int], start_ns: int, next_ns: int) -> int:
         """The index of the first point that is not over yet; the others are dropped, which is said.
@@ -599,38 +694,11 @@ class JointTrajectoryController(Controller[Any]):
         return found
 
 
-def _for_goal(segments: list[Segment], next_s: float, goal: MonitoredGoal | None) -> list[Segment]:
-    """The segments of a joint that a partial trajectory does not name: those to come count for the new goal."""
-    active = find_segment(segments, next_s)
-    return segments[:active] + [segment.for_goal(goal) for segment in segments[active:]]
-
-
-def _check_points(points: list[Message], joints: int) -> None:
-    """Raises Refused: the sizes of a point's lists differ, or a number is not finite.
-
-    Upstream takes nan, reads past the end of lists that are too short, and ignores positions that are too many.
-    """
-    for k, point in enumerate(points):
-        size = len(point["positions"])
-        if any(point[name] and len(point[name]) != size for name in ("velocities", "accelerations")):
-            raise Refused("Size mismatch in trajectory point position, velocity or acceleration data.")
-        if size == 0:
-            raise Refused(
-                "Can't construct segment from ROS message: Start/end points data size mismatch."
-                if k
-                else "Size mismatch between trajectory point and vector specifying whether joints wrap around."
-            )
-        if size < joints:
-            raise Refused(f"a trajectory point has {size} positions for {joints} joints")
-        if not all(map(isfinite, (*point["positions"], *point["velocities"], *point["accelerations"]))):
-            raise Refused("a trajectory point has nan or infinity: it must have finite numbers")
-
-
-def _state(point: Message, column: int, offset: float, time_ns: int) -> PointState:
-    """One joint's part of a trajectory_msgs/JointTrajectoryPoint, its position with an offset."""
-    velocity = point["velocities"][column] if point["velocities"] else None
-    acceleration = point["accelerations"][column] if point["accelerations"] else None
-    return PointState(point["positions"][column] + offset, velocity, acceleration, to_seconds(time_ns))
+def _for_goal(rows: segments.Rows, next_s: float, goal_number: int) -> segments.Rows:
+    """The segments of a joint that a trajectory does not name: those to come count for the new goal."""
+    rows = rows.copy()
+    rows[segments.find(rows, next_s) :, GOAL] = goal_number
+    return rows
 
 
 def _time(time_ns: int) -> int:
@@ -657,6 +725,7 @@ class PositionJointTrajectoryController(JointTrajectoryController):
     """The commands are the desired positions."""
 
     interface_type = PositionJointInterface
+    compiled = Compiled(follow_by_positions, FOLLOWER, Motion.columns, instead_of="_command")
     _joints: tuple[JointHandle, ...]
 
     def _start_commands(self) -> None:
@@ -664,8 +733,8 @@ class PositionJointTrajectoryController(JointTrajectoryController):
             joint.command = joint.position
 
     def _command(self, period_s: float) -> None:  # noqa: ARG002
-        for joint, position in zip(self._joints, self.desired.positions, strict=True):
-            joint.command = position
+        for joint, motion in zip(self._joints, self._motions, strict=True):
+            joint.command = motion.position
 
 
 class PidJointTrajectoryController(JointTrajectoryController):
@@ -676,13 +745,15 @@ class PidJointTrajectoryController(JointTrajectoryController):
         *within("gains/<joint>", GAINS),
         Parameter("velocity_ff/<joint>", NUMBER, "command per desired velocity, without any error", default=0.0),
     )
+    compiled = Compiled(follow_by_pids, FOLLOWER, Motion.columns, instead_of="_command")
     _joints: tuple[JointHandle, ...]
 
     def _get_commands(self, node: NodeHandle) -> None:
         for place in ("gains", "velocity_ff"):
             warn_of_other_joints(node, place, self._names)
         self._pids = [ReconfigurablePid(node.child(f"gains/{name}")).pid for name in self._names]
-        self._velocity_ff = [params.number(node, f"velocity_ff/{name}") or 0.0 for name in self._names]
+        for motion, name in zip(self._motions, self._names, strict=True):
+            motion.velocity_ff = params.number(node, f"velocity_ff/{name}") or 0.0
 
     def _start_commands(self) -> None:
         for joint, pid in zip(self._joints, self._pids, strict=True):
@@ -690,12 +761,10 @@ class PidJointTrajectoryController(JointTrajectoryController):
             joint.command = 0.0
 
     def _command(self, period_s: float) -> None:
-        for k, (joint, pid) in enumerate(zip(self._joints, self._pids, strict=True)):
-            error = self.error.positions[k]
-            correction = next_command_from(pid, error, self.error.velocities[k], period_s)
-            joint.command = self.desired.velocities[k] * self._velocity_ff[k] + correction
+        for motion, pid, joint in zip(self._motions, self._pids, self._joints, strict=True):
+            correct(motion, pid, joint, period_s)
             if pid.observer is not None:
-                pid.tell(error, period_s)
+                pid.tell(motion.position_error, period_s)
 
 
 @controller("effort_controllers/JointTrajectoryController")
@@ -720,9 +789,8 @@ class PosVelJointTrajectoryController(JointTrajectoryController):
     _joints: tuple[PosVelJointHandle, ...]
 
     def _command(self, period_s: float) -> None:  # noqa: ARG002
-        for k, joint in enumerate(self._joints):
-            joint.command_position = self.desired.positions[k]
-            joint.command_velocity = self.desired.velocities[k]
+        for motion, joint in zip(self._motions, self._joints, strict=True):
+            joint.command_position, joint.command_velocity = motion.position, motion.velocity
 
 
 @controller("pos_vel_acc_controllers/JointTrajectoryController")
@@ -734,5 +802,5 @@ class PosVelAccJointTrajectoryController(PosVelJointTrajectoryController):
 
     def _command(self, period_s: float) -> None:
         super()._command(period_s)
-        for joint, acceleration in zip(self._joints, self.desired.accelerations, strict=True):
-            joint.command_acceleration = acceleration
+        for motion, joint in zip(self._motions, self._joints, strict=True):
+            joint.command_acceleration = motion.acceleration

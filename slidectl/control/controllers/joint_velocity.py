@@ -12,7 +12,7 @@ from slidectl.control import params
 from slidectl.control.controller_interface import Compiled
 from slidectl.control.hardware_interface import EffortJointInterface, JointCommandInterface, JointHandle
 from slidectl.control.joint_controller import PidController, state_is_due
-from slidectl.control.laws import Columns, law
+from slidectl.control.laws import Columns, LawTables, law
 from slidectl.control.node_handle import NodeHandle
 from slidectl.control.params import JOINT
 from slidectl.control.pid import Pid, next_command
@@ -27,9 +27,9 @@ def track_velocity(goal: JointVelocityController, pid: Pid, joint: JointHandle, 
 
 
 @law
-def update_velocity(goal: Any, joints: Any, pids: Any, time_ns: int, period_s: float) -> bool:  # noqa: ARG001
+def update_velocity(goal: Any, tables: LawTables, time_ns: int, period_s: float) -> bool:  # noqa: ARG001
     """The update on rows."""
-    track_velocity(goal, pids[goal.pid], joints[goal.joint], period_s)
+    track_velocity(goal, tables.pids[goal.pid], tables.joints[goal.joint], period_s)
     return state_is_due(goal) and goal.wanted != 0
 
 
@@ -40,12 +40,7 @@ class JointVelocityController(PidController):
     interface_type = EffortJointInterface
     compiled = Compiled(
         update_velocity,
-        Columns(
-            changing="error updates_to_state states",
-            fixed="set_point",
-            places="pid joint wanted",
-            whole="updates_to_state states pid joint wanted",
-        ),
+        Columns(changing="error updates_to_state states", fixed="set_point", whole="updates_to_state states"),
     )
 
     def init(self, interface: JointCommandInterface, node: NodeHandle) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 from slidectl import description, names, rotations
 from slidectl.description import sdf, source_note
 from slidectl.description.packages import Packages, is_file, shown
-from slidectl.description.parser import STARTS_OUTSIDE, place_of_limit
+from slidectl.description.parser import is_put_inside
 from slidectl.description.report import needs_telling
 from slidectl.errors import BadFile, BadName, NotThere, Refused
 from slidectl.launch.plan import LaunchPlan, Leaf, Node
@@ -82,12 +82,13 @@ class SpawnModel(Task):
         """The namespace in which the robot will be, in a launch of these tasks.
 
         A plugin that names none gets the node's own from spawn_model, and else the model's name. Which of them is
-        meant is seen from the nodes that speak to a controller manager.
+        meant is seen from the nodes that speak to a controller manager. Without controllers it is the node's own.
         """
         if self.asked_namespace is not None:
             return self.asked_namespace
         is_open = robot.plugin is not None and robot.plugin.robot_namespace is None
-        if is_open and self._is_spoken_to(tasks):
+        is_free = robot.plugin is None and not robot.transmissions and bool(robot.drives or robot.sensors)
+        if is_free or (is_open and self._is_spoken_to(tasks)):
             return self.node.namespace
         return description.namespace_of(robot, self.model)
 
@@ -193,9 +194,7 @@ class SpawnModel(Task):
         document = self._document(run)
         if run.options.strict:
             description.parse(document.xml, document.file, strict=True)
-        namespace = self.asked_namespace or ""  # empty where the plugin says it, or the robot's name does
-        if not namespace and self._is_spoken_to(run.tasks):
-            namespace = self.home(description.parse(document.xml), run.tasks)
+        namespace = self.home(description.parse(document.xml), run.tasks)
         return {**self._request(self.model, document.xml, self.pose), "robot_namespace": namespace}
 
     def _request(self, name: str, xml: str, pose: rotations.Pose) -> dict[str, Any]:
@@ -262,14 +261,8 @@ class SpawnModel(Task):
                 run.call("/gazebo/unpause_physics")
 
     def _set_joints(self, run: Run) -> None:
-        request = {
-            "model_name": self.model,
-            "urdf_param_name": "robot_description",
-            "joint_names": list(self.joints),
-            "joint_positions": list(self.joints.values()),
-        }
         try:
-            _act(run, "/gazebo/set_model_configuration", request)
+            run.client.start_joints(self.model, self.joints)
         except Refused:
             for name in self.parts:
                 run.call("/gazebo/delete_model", {"model_name": name})
@@ -279,12 +272,11 @@ class SpawnModel(Task):
         """Where it is, and what became of its tags: what needs telling in full, the others counted unless `-v`."""
         run.new_warnings()  # the same is said here
         [robot] = run.call("/slidectl/list_robots", {"name": self.model})["robots"]
-        # What -J put elsewhere is between its limits: set_model_configuration refuses all else.
-        put = {place_of_limit(joint.rpartition("::")[2]) for joint in self.joints}
+        put = [joint.rpartition("::")[2] for joint in self.joints]
         ignored = 0
         for notice in robot["report"]:
             where = f"{notice['file']}:{notice['line']}" if notice["line"] else notice["file"]
-            if notice["text"].startswith(STARTS_OUTSIDE) and notice["subject"] in put:
+            if is_put_inside(notice["subject"], notice["text"], put):
                 continue
             if needs_telling(notice["verdict"], notice["subject"]) or run.console.verbose:
                 run.console.warn(f"{where}: {notice['verdict']}: {notice['subject']}: {notice['text']}")

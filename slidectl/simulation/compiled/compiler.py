@@ -1,6 +1,7 @@
 """Makes machine code of the cycle: numba compiles it, LLVM writes an object file. Runs in a process of its own.
 
-`python -m slidectl.simulation.compiled.compiler` writes the file that is looked for, into a folder that is there.
+`python -m slidectl.simulation.compiled.compiler` writes the file that is looked for, into a folder that is there; with
+the name of another file that of the law that is described on its standard input.
 Only here is numba imported.
 No fast-math and no fused operations, so that the code computes the same bits as the interpreter.
 """
@@ -13,7 +14,8 @@ import math
 import os
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -21,24 +23,34 @@ import numba
 import numpy as np
 from numba.extending import overload, register_jitable
 
-from slidectl.control.laws import LAWS, Columns
-from slidectl.simulation.compiled import guard, kernel, object_file
+from slidectl.control.laws import LAWS, Columns, LawTables
+from slidectl.control.pid import Pid
+from slidectl.control.registry import compiled_forms
+from slidectl.errors import Refused
+from slidectl.simulation.compiled import guard, kernel, object_file, own_laws
 from slidectl.simulation.compiled.object_file import machine
-from slidectl.simulation.compiled.tables import ARRAYS, CYCLE_TABLES, FORMS, TABLES, Progress, form_table
+from slidectl.simulation.compiled.tables import ARRAYS, CONTROLLER, JOINT, RAISED, TABLES, Progress
 
 types: Any = numba.types
 carray: Any = numba.carray  # type: ignore[attr-defined]
 
 _MODESTY = 10
 """How much the simulations that run meanwhile go first (nice)."""
+_MOST_LINES = 6
+"""Of what numba says about a law."""
 _ROOM = 1 << 30
 """Rows that a table may have; no memory is taken for them."""
 
 
 def column_type(columns: Columns) -> Any:
     """The rows as a numpy type."""
-    formats = [("i8" if kind == "q" else "f8") for kind in columns.kinds]
-    return np.dtype(list(zip(columns.names, formats, strict=True)))
+    return record_type(columns.names, columns.kinds)
+
+
+def record_type(names: Sequence[str], kinds: str) -> Any:
+    """Columns of whole numbers (`q`) and floats as a numpy type."""
+    formats = [("i8" if kind == "q" else "f8") for kind in kinds]
+    return np.dtype(list(zip(names, formats, strict=True)))
 
 
 def teach_laws() -> None:
@@ -55,6 +67,7 @@ def teach_laws() -> None:
 
 def compile_cycle() -> bytes:
     """The object file."""
+    forms = list(enumerate(compiled_forms().values()))  # imports all controllers, and so their laws
     teach_laws()
     step = types.ExternalFunction(guard.STEP, types.int64(*4 * [types.int64]))
 
@@ -62,9 +75,11 @@ def compile_cycle() -> bytes:
     def _physics_step(step_: Any, model: Any, data: Any, error_hook: Any) -> Any:  # noqa: ARG001
         return lambda step_, model, data, error_hook: step(step_, model, data, error_hook)
 
+    update = types.ExternalFunction(guard.UPDATE, types.int64(*4 * [types.int64], types.float64))
+
     @overload(kernel.update_controller, strict=False)
-    def _update_controller(kind: Any, row: Any, tables: Any, time_ns: Any, period_s: Any) -> Any:  # noqa: ARG001
-        return _dispatch()
+    def _update_controller(controller: Any, joints: Any, pids: Any, time_ns: Any, period_s: Any) -> Any:  # noqa: ARG001
+        return lambda controller, joints, pids, time_ns, period_s: update(controller, joints, pids, time_ns, period_s)
 
     get = types.ExternalFunction(guard.GET, types.float64(types.int64, types.int64))
     put = types.ExternalFunction(guard.PUT, types.void(types.int64, types.int64, types.float64))
@@ -78,22 +93,57 @@ def compile_cycle() -> bytes:
         return lambda variable, index, value: put(variable, index, value)
 
     # numba links what it compiled at once, though it is never called here.
-    for name in (guard.STEP, guard.GET, guard.PUT):
+    for name in (guard.STEP, guard.UPDATE, guard.GET, guard.PUT):
         llvm.add_symbol(name, ctypes.cast(ctypes.CDLL(None).abort, ctypes.c_void_p).value)
-    function = numba.cfunc(types.int64(*_arguments()))(_on_pointers())
-    return _object_file(function.inspect_llvm(), function.native_name.removeprefix("cfunc."))
-
-
-def _dispatch() -> Callable[..., bool]:
-    """`kernel.update_controller`: one branch for each registered form. numba wants the branches written out."""
-    forms = tuple(FORMS.values())
-    lines = [
-        f"    if kind == {kind}:\n"
-        f"        return law{kind}(tables.forms[{kind}][row], tables.joints, tables.pids, time_ns, period_s)\n"
-        for kind in range(len(forms))
+    code = [
+        _made_of(types.int64(*_arguments()), _on_pointers(), guard.CYCLE),
+        *(
+            law_code(form.update, column_type(form.row), column_type(form.members), guard.law(number))
+            for number, form in forms
+        ),
     ]
-    source = f"def update_controller(kind, row, tables, time_ns, period_s):\n{''.join(lines)}    return False\n"
-    return _made(source, "update_controller", {f"law{kind}": form.update for kind, form in enumerate(forms)})
+    laws = [guard.law(number) for number, _ in forms]
+    entries = [guard.entry(len(_arguments())), *(guard.law_entry(law, CONTROLLER.names, RAISED) for law in laws)]
+    return _object_file([*code, guard.CODE, *entries], {guard.ENTRY, guard.ERROR_TEXT, *laws})
+
+
+def compile_law(content: bytes) -> bytes:
+    """The object file of a user's law, from its description. Indices are checked in it. Raises as `_object_file`."""
+    columns, law, functions = own_laws.rebuild(content)
+    compiled_forms()
+    teach_laws()
+    for function in functions:
+        register_jitable(boundscheck=True)(function)
+    row, member = (record_type(names, kinds) for names, kinds in columns)
+    name = guard.law(0)
+    code = [law_code(law, row, member, name, boundscheck=True), guard.law_entry(name, CONTROLLER.names, RAISED)]
+    return _object_file(code, {name})
+
+
+def law_code(law: Callable[..., int], row_type: Any, member_type: Any, name: str, **options: Any) -> str:
+    """What numba makes of the law of a controller with such rows, for `guard.law_entry`."""
+    row, member, joint, pid = (
+        types.CPointer(numba.from_dtype(record))
+        for record in (row_type, member_type, column_type(JOINT), column_type(Pid.columns))
+    )
+
+    def body(
+        row: Any, members: Any, count: Any, joints: Any, pids: Any, numbers: Any, size: Any, time_ns: Any, period_s: Any
+    ) -> Any:
+        tables = LawTables(carray(joints, _ROOM), carray(pids, _ROOM), carray(members, count), carray(numbers, size))
+        return law(carray(row, 1)[0], tables, time_ns, period_s)
+
+    double = types.CPointer(types.float64)
+    signature = types.int64(row, member, types.int64, joint, pid, double, types.int64, types.int64, types.float64)
+    return _made_of(signature, body, f"{name}_body", **options)
+
+
+def _made_of(signature: Any, function: Callable[..., Any], name: str, **options: Any) -> str:
+    """The function as code, under that name, without numba's own entry to it."""
+    made = numba.cfunc(signature, **options)(function)
+    module = llvm.parse_assembly(made.inspect_llvm())
+    module.get_function(made.native_name.removeprefix("cfunc.")).name = name
+    return str(module)
 
 
 def _arguments() -> list[Any]:
@@ -106,34 +156,31 @@ def _arguments() -> list[Any]:
 def _on_pointers() -> Callable[..., int]:
     """`kernel.run` on addresses of tables. One argument after the other: numba wants them written out."""
     names = ("progress", *TABLES, *ARRAYS)
-    table = {name: f"carray({name}, room)" for name in names[1:]}
-    cycle = ", ".join(table[name] for name in CYCLE_TABLES)
-    forms = "".join(table[form_table(kind)] + ", " for kind in range(len(FORMS)))
-    arrays = ", ".join(table[name] for name in ARRAYS)
-    source = (
-        f"def cycle({', '.join(names)}):\n"
-        f"    return run(carray(progress, 1)[0], CycleTables({cycle}, ({forms}), {arrays}))\n"
-    )
-    space = {"run": register_jitable(kernel.run), "CycleTables": kernel.CycleTables, "carray": carray, "room": _ROOM}
-    return _made(source, "cycle", space)
-
-
-def _made(source: str, name: str, space: dict[str, Any]) -> Callable[..., Any]:
-    """The function of that name that the source defines, which sees what is in `space`."""
+    tables = ", ".join(f"carray({name}, room)" for name in names[1:])
+    source = f"def cycle({', '.join(names)}):\n    return run(carray(progress, 1)[0], CycleTables({tables}))\n"
+    space: dict[str, Any] = {
+        "run": register_jitable(kernel.run),
+        "CycleTables": kernel.CycleTables,
+        "carray": carray,
+        "room": _ROOM,
+    }
     exec(source, space)
-    function: Callable[..., Any] = space[name]
-    return function
+    cycle: Callable[..., int] = space["cycle"]
+    return cycle
 
 
-def _object_file(code: str, entry: str) -> bytes:
-    """Code, guard and entry as one module in which only the entry can be called from outside."""
+def _object_file(code: list[str], entries: set[str]) -> bytes:
+    """All code as one module in which only the entries can be called from outside.
+
+    Raises:
+        Refused: it calls what is not there without numba.
+    """
     target = machine()
-    module = llvm.parse_assembly(code)
-    module.get_function(entry).name = guard.CYCLE
-    for other in (guard.CODE, guard.entry(len(_arguments()))):
+    module = llvm.parse_assembly(code[0])
+    for other in code[1:]:
         module.link_in(llvm.parse_assembly(other))
     for function in module.functions:
-        if not function.is_declaration and function.name not in (guard.ENTRY, guard.ERROR_TEXT):
+        if not function.is_declaration and function.name not in entries:
             function.linkage = "internal"
     for variable in module.global_variables:
         if not variable.is_declaration:
@@ -141,6 +188,10 @@ def _object_file(code: str, entry: str) -> bytes:
     tuning = llvm.create_pipeline_tuning_options(speed_level=3)
     passes = llvm.create_pass_builder(target, tuning)
     passes.getModulePassManager().run(module, passes)
+    for function in module.functions:
+        is_known = function.name.startswith("llvm.") or hasattr(ctypes.CDLL(None), function.name)
+        if function.is_declaration and not is_known:
+            raise Refused(f"it makes objects ({function.name}), and a law works on numbers alone")
     made: bytes = target.emit_object(module)
     return made
 
@@ -148,6 +199,8 @@ def _object_file(code: str, entry: str) -> bytes:
 def main() -> int:
     """Several of these at once wait for the first one and find its work done. What goes wrong is in the report."""
     os.nice(_MODESTY)
+    if len(sys.argv) > 1:
+        return _compile_law(object_file.folder() / sys.argv[1])
     try:
         turn = object_file.report().open("a", encoding="utf-8")
     except OSError:  # the folder has gone: whoever wanted the code has, too
@@ -158,12 +211,24 @@ def main() -> int:
             return 0
         turn.truncate(0)
         try:
-            object_file.write(compile_cycle())
+            object_file.write(object_file.place(), compile_cycle())
             object_file.tidy()
         except Exception:
             turn.write(traceback.format_exc())
             return 1
         return 0
+
+
+def _compile_law(place: Path) -> int:
+    """That which is described on the standard input. What goes wrong is said in a line."""
+    try:
+        object_file.write(place, compile_law(sys.stdin.buffer.read()))
+        object_file.tidy()
+    except Exception as trouble:
+        lines = [line.strip() for line in str(trouble).splitlines() if line.strip()]
+        print(": ".join(lines[:_MOST_LINES]) or type(trouble).__name__, file=sys.stderr)
+        return 1
+    return 0
 
 
 if __name__ == "__main__":

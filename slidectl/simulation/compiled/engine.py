@@ -75,7 +75,8 @@ class Engine:
                 self._give_up(refusal.message)
 
     def complete(self) -> None:
-        """Compile, if need be, and load, now. Raises Refused when that fails."""
+        """Compile, if need be, and load, now, also the laws of users' controllers that run. Raises Refused when that
+        fails."""
         _check_possible()
         self._trouble = ""
         while self.compiled is None:
@@ -86,6 +87,7 @@ class Engine:
             self._load()  # removes what is damaged
             if self._trouble:
                 raise Refused(self._trouble)
+        self.compiled.look_for_laws(wait=True)
 
     def _load(self) -> None:
         from slidectl.simulation.compiled.runner import CompiledRunner

@@ -1,12 +1,16 @@
-"""What numba cannot say, in LLVM's language: mj_step with its fatal errors caught, and the entry to the cycle.
+"""What numba cannot say, in LLVM's language: mj_step with its fatal errors caught, and the entries to cycle and laws.
 
 MuJoCo ends the process on an error unless a hook leaves the step by `longjmp`. The hook is in place during the step
 only. Nothing here is Python but the text.
 """
 
+from collections.abc import Sequence
+
 CYCLE = "slidectl_cycle"
 """What numba made: where the result goes, where it would tell of an exception (it has none here), and the tables."""
 STEP = "slidectl_physics_step"
+UPDATE = "slidectl_update"
+"""Calls the law of the controller whose row is at an address."""
 GET, PUT = "slidectl_get", "slidectl_put"
 """An element of the array that a variable of MuJoCo points to: it moves from step to step."""
 ERROR_TEXT = "slidectl_error_text"
@@ -54,6 +58,15 @@ bare:
   ret i64 0
 }
 
+define i64 @slidectl_update(i64 %controller, i64 %joints, i64 %pids, i64 %time, double %period) {
+  %place = inttoptr i64 %controller to ptr
+  %law = load ptr, ptr %place
+  %joints_ = inttoptr i64 %joints to ptr
+  %pids_ = inttoptr i64 %pids to ptr
+  %turn = call i64 %law(ptr %place, ptr %joints_, ptr %pids_, i64 %time, double %period)
+  ret i64 %turn
+}
+
 define double @slidectl_get(i64 %variable, i64 %index) {
   %place = inttoptr i64 %variable to ptr
   %array = load ptr, ptr %place
@@ -76,6 +89,11 @@ attributes #2 = { noinline }
 """
 
 
+def law(number: int) -> str:
+    """The name of the entry to the law of one of our forms."""
+    return f"slidectl_law{number}"
+
+
 def entry(tables: int) -> str:
     """Code of the entry for so many tables."""
     loads = "".join(
@@ -90,6 +108,30 @@ define i64 @{ENTRY}(ptr %tables) {{
   %result = alloca i64
 {loads}  %status = call i32 @{CYCLE}(ptr %result, ptr null{arguments})
   %turn = load i64, ptr %result
+  ret i64 %turn
+}}
+"""
+
+
+def law_entry(law: str, columns: Sequence[str], raised: int) -> str:
+    """Code of the entry `law`, for a row of a controller with these columns: it calls what numba made, `law` and
+    `_body`. An exception makes it return `raised`."""
+    loads = "".join(
+        f"  %{name}_ = getelementptr i64, ptr %controller, i64 {k}\n  %{name} = load {kind}, ptr %{name}_\n"
+        for k, name in enumerate(columns)
+        for kind in ["i64" if name in ("count", "size") else "ptr"]
+    )
+    return f"""
+declare i32 @{law}_body(ptr, ptr, ptr, ptr, i64, ptr, ptr, ptr, i64, i64, double)
+
+define i64 @{law}(ptr %controller, ptr %joints, ptr %pids, i64 %time, double %period) {{
+  %result = alloca i64
+  %exception = alloca ptr
+{loads}  %status = call i32 @{law}_body(ptr %result, ptr %exception, ptr %row, ptr %members, i64 %count, ptr %joints,
+                                ptr %pids, ptr %numbers, i64 %size, i64 %time, double %period)
+  %good = icmp eq i32 %status, 0
+  %returned = load i64, ptr %result
+  %turn = select i1 %good, i64 %returned, i64 {raised}
   ret i64 %turn
 }}
 """

@@ -1,6 +1,6 @@
 """The compiled cycle: what `Loop` and `ControlCycle` do with objects, done with rows, by the same laws.
 
-`run` is compiled by `compiler.py`, which makes `physics_step` and `update_controller` for it. It stops wherever the
+`run` is compiled by `compiler.py`; `guard.py` has `physics_step` and `update_controller`. It stops wherever the
 interpreter has its turn and goes on from there when it is called again. Nothing here is called by the interpreter.
 """
 
@@ -37,12 +37,12 @@ from slidectl.physics.robot_hw import VELOCITY_MOTOR, drive_effort, motor_veloci
 from slidectl.physics.world import HUGE
 from slidectl.simulation.compiled.tables import (
     CONTROLLER_IN_PYTHON,
+    CONTROLLER_SIZE,
     DIVERGED,
     DONE,
     FAILED,
     INTERPRETED,
     NEW_CYCLE,
-    PUBLICATION,
     ROBOT_IN_PYTHON,
     STEP_IN_PYTHON,
 )
@@ -52,7 +52,7 @@ Table = Any
 
 
 class CycleTables(NamedTuple):
-    """The tables of `tables.CYCLE_TABLES`, those of the controllers' forms, and MuJoCo's arrays."""
+    """The tables of `tables.TABLES`, and MuJoCo's arrays."""
 
     robots: Table
     joints: Table
@@ -60,7 +60,6 @@ class CycleTables(NamedTuple):
     limits: Table
     drives: Table
     pids: Table
-    forms: tuple[Table, ...]
     qpos: Any
     qvel: Any
     forces: Any
@@ -76,8 +75,8 @@ def physics_step(step: int, model: int, data: int, error_hook: int) -> int:
     raise NotImplementedError
 
 
-def update_controller(kind: int, row: int, tables: CycleTables, time_ns: int, period_s: float) -> bool:
-    """The law of a compiled form on its row: True when `publish` is due. One branch a registered form."""
+def update_controller(controller: int, joints: int, pids: int, time_ns: int, period_s: float) -> int:
+    """The law of the controller whose row is at this address: DONE, PUBLICATION, LEFT or RAISED. Machine code."""
     raise NotImplementedError
 
 
@@ -204,12 +203,14 @@ def run(progress: Any, tables: CycleTables) -> int:
                 else:
                     progress.controller = robot.controllers
             while progress.controller < robot.controllers:
-                place = tables.controllers[robot.first_controller + progress.controller]
+                number = robot.first_controller + progress.controller
                 progress.controller += 1
-                if place.kind == INTERPRETED:
+                if tables.controllers[number].law == INTERPRETED:
                     return CONTROLLER_IN_PYTHON
-                if update_controller(place.kind, place.row, tables, time_ns, robot.period_s):
-                    return PUBLICATION
+                address = progress.controllers + number * CONTROLLER_SIZE
+                turn = update_controller(address, progress.joints, progress.pids, time_ns, robot.period_s)
+                if turn != DONE:
+                    return turn
             period_s = begin_to_write(robot, time_ns)
             write(robot, period_s, tables)
             progress.controller = 0

@@ -23,11 +23,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import slidectl
+from slidectl.control.registry import compiled_forms
 from slidectl.simulation.compiled import guard
 from slidectl.writing import replace
 
-KEPT = 8
-"""Files that stay: those that were used last. Each version of anything that the code is made from has its own."""
+KEPT, KEPT_LAWS = 8, 64
+"""Files of cycles and of users' laws that stay: those that were used last. Each version of anything that the code is
+made from has its own."""
 _SEAL_BYTES = 32
 _SOURCES = (
     "control",
@@ -85,6 +87,11 @@ def place() -> Path:
     return folder() / f"cycle-{made_from.hexdigest()[:24]}.o"
 
 
+def law_place(content: bytes) -> Path:
+    """The file of the code of a user's law that is described so, whether it is there or not."""
+    return folder() / f"law-{hashlib.sha256(place().name.encode() + content).hexdigest()[:24]}.o"
+
+
 def report() -> Path:
     """The file in which a failed compilation says why; whoever compiles has it locked."""
     return folder() / "compiling.log"
@@ -103,9 +110,9 @@ def is_there() -> bool:
     return place().exists()
 
 
-def write(content: bytes) -> None:
-    """Put the code in its place, at once or not at all. Raises OSError, also when the folder has gone meanwhile."""
-    replace(place(), hashlib.sha256(content).digest() + content, 0o600)
+def write(path: Path, content: bytes) -> None:
+    """Put code in its place, at once or not at all. Raises OSError, also when the folder has gone meanwhile."""
+    replace(path, hashlib.sha256(content).digest() + content, 0o600)
 
 
 def tidy() -> None:
@@ -115,14 +122,14 @@ def tidy() -> None:
     """
     for draft in folder().glob("*.o.*"):
         draft.unlink(missing_ok=True)
-    by_use = sorted(folder().glob("*.o"), key=lambda path: path.stat().st_mtime, reverse=True)
-    for old in by_use[KEPT:]:
-        old.unlink(missing_ok=True)
+    for pattern, kept in (("cycle-*.o", KEPT), ("law-*.o", KEPT_LAWS)):
+        by_use = sorted(folder().glob(pattern), key=lambda path: path.stat().st_mtime, reverse=True)
+        for old in by_use[kept:]:
+            old.unlink(missing_ok=True)
 
 
-def _read() -> bytes:
+def _read(path: Path) -> bytes:
     """The code; it counts as used now. Raises OSError: not there, or damaged, which removes it; NotOurs."""
-    path = place()
     with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC), "rb") as file:
         _check_ours(path, os.fstat(file.fileno()))
         _check_ours(path.parent, path.parent.stat())
@@ -155,22 +162,34 @@ class Cycle(NamedTuple):
 
     run: Callable[[int], int]
     error_text: Callable[[], bytes]
+    laws: list[int]
+    """The addresses of the code of our forms, in their order."""
     engine: Any
     """Owns the memory that the code is in."""
 
 
 @functools.cache
 def load() -> Cycle:
-    """Bring the code into this process, once. Raises OSError (not there, or not ours), RuntimeError (no good)."""
-    import llvmlite.binding as llvm
-
-    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine())
-    engine.add_object_file(llvm.ObjectFileRef.from_data(_read()))
-    engine.finalize_object()
-    addresses = [engine.get_function_address(name) for name in (guard.ENTRY, guard.ERROR_TEXT)]
-    if not all(addresses):
-        raise RuntimeError(f"{place()} is not what it should be; delete it")
+    """Bring the code of the cycle into this process, once. Raises as `loaded`."""
+    names = [guard.ENTRY, guard.ERROR_TEXT, *map(guard.law, range(len(compiled_forms())))]
+    engine, addresses = loaded(place(), names)
     # The interpreter's lock is kept: there is one thread, and MuJoCo's warnings come back through Python.
     run = ctypes.PYFUNCTYPE(ctypes.c_int64, ctypes.c_void_p)(addresses[0])
     text = ctypes.PYFUNCTYPE(ctypes.c_char_p)(addresses[1])
-    return Cycle(run, text, engine)
+    return Cycle(run, text, addresses[2:], engine)
+
+
+def loaded(path: Path, names: list[str]) -> tuple[Any, list[int]]:
+    """Bring code into this process: what owns its memory, and the addresses of these functions.
+
+    Raises OSError (not there, or not ours), RuntimeError (no good).
+    """
+    import llvmlite.binding as llvm
+
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine())
+    engine.add_object_file(llvm.ObjectFileRef.from_data(_read(path)))
+    engine.finalize_object()
+    addresses = [engine.get_function_address(name) for name in names]
+    if not all(addresses):
+        raise RuntimeError(f"{path} is not what it should be; delete it")
+    return engine, addresses

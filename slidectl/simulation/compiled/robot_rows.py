@@ -7,28 +7,28 @@ not looked at. Nothing runs here.
 from __future__ import annotations
 
 import itertools
+from array import array
 from collections.abc import Callable
 from functools import partial
 from struct import Struct
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
-from slidectl.control.controller_interface import ControllerBase, Parts
+from slidectl.control.controller_interface import Compiled, ControllerBase, Member, Parts
 from slidectl.control.hardware_interface import JointStateHandle
-from slidectl.control.laws import Columns
 from slidectl.control.pid import Pid
 from slidectl.physics import MujocoRobotHW
 from slidectl.physics.robot_hw import Drive
+from slidectl.simulation.compiled.own_laws import LawCode
 from slidectl.simulation.compiled.tables import (
     CONSTANT,
-    FORMS,
+    CONTROLLER,
     INTERPRETED,
     JOINT,
-    KINDS,
     RANGES,
     ROBOT,
     TABLES,
     Tables,
-    form_table,
+    address_of,
 )
 
 if TYPE_CHECKING:
@@ -47,14 +47,14 @@ _PLAIN_OFFSET = 8 * ROBOT.names.index("is_plain")
 class RobotRows:
     """The rows of one robot. `is_loaded`: they are the truth."""
 
-    def __init__(self, robot: SpawnedRobot, number: int, tables: Tables) -> None:
+    def __init__(self, robot: SpawnedRobot, number: int, tables: Tables, laws: LawCode) -> None:
         """Reserve rows for everything that the robot consists of, or one alone that says that it is plain."""
         self.robot = robot
         self.parts = robot.parts
         self.number = number
-        self.updates: tuple[Update, ...] = self.parts.manager.updates
+        self.running = self.parts.manager.running
         self.is_loaded = False
-        self.publications: dict[int, RowPublisher] = {}
+        self.publications: dict[int, CompiledController] = {}
         """By the controller's position in the order of updates."""
         self.interpreted: dict[int, InterpretedUpdate] = {}
         """The controllers without a row, by the same position."""
@@ -68,6 +68,8 @@ class RobotRows:
         """Fill the rows of what never changes."""
         self._handles: list[tuple[Any, int]] = []
         """Each handle with the offset of its row."""
+        self._laws = laws
+        self._law_changes = laws.changes
         self._is_possible = self._reserve(tables)
 
     def fits(self) -> bool:
@@ -77,12 +79,19 @@ class RobotRows:
         return self._is_possible and not special and not self.is_outdated()
 
     def is_outdated(self) -> bool:
-        """Do other controllers run now than those that have rows, or has the robot moved in MuJoCo's arrays?"""
-        return self.parts.manager.updates is not self.updates or self.has_moved()
+        """Do other controllers run now than those that have rows, have laws got their code, or has the robot moved in
+        MuJoCo's arrays?"""
+        have_laws_changed = self._law_changes != self._laws.changes
+        return have_laws_changed or self.parts.manager.running is not self.running or self.has_moved()
 
     def has_moved(self) -> bool:
         """Has the robot other places in MuJoCo's arrays than its rows say?"""
         return self.robot.body.joints is not self._places
+
+    def compiled_controllers(self) -> frozenset[str]:
+        """The names of those that have rows."""
+        places = range(len(self.running)) if self._is_possible else ()
+        return frozenset(self.running[place].name for place in places if place not in self.interpreted)
 
     def load(self) -> None:
         """From now on the rows are the truth."""
@@ -127,7 +136,7 @@ class RobotRows:
         """True when the robot can run compiled."""
         starts = [tables.count(name) for name in RANGES]
         limits, drives = self.parts.hardware.limits(), self.parts.hardware.drives
-        controllers = [_compiled(update) for update in self.updates]
+        controllers = [_compiled(entry.controller, self._laws) for entry in self.running]
         is_possible = (
             type(self.parts.hardware) is MujocoRobotHW
             and self.parts.hardware.has_compiled_form
@@ -163,30 +172,18 @@ class RobotRows:
         self, tables: Tables, position: int, compiled: CompiledController | None, places: dict[int, int]
     ) -> None:
         if compiled is None or any(id(handle) not in places for handle in compiled.parts.handles()):
-            self._reserve_row(tables, "controllers", None, INTERPRETED, 0)
-            update = self.updates[position]
-            owner = getattr(update, "__self__", None)
-            claims = owner.claimed_resources if isinstance(owner, ControllerBase) else ()
-            names = {name for claim in claims for name in claim.resources}
+            self._reserve_row(tables, "controllers", None, INTERPRETED, 0, 0, 0, 0, 0)
+            entry = self.running[position]
+            names = {name for claim in entry.controller.claimed_resources for name in claim.resources}
             claimed = [(handle, offset) for handle, offset in self._handles if handle.name in names]
-            self.interpreted[position] = InterpretedUpdate(self, update, self._tables["joints"], claimed)
+            self.interpreted[position] = InterpretedUpdate(self, entry.update, self._tables["joints"], claimed)
             return
-        controller, kind, parts = compiled
-        own: list[float] = []
-        if parts.pid is not None:
-            own.append(self._reserve_pid(tables, parts.pid))
-        if parts.joint is not None:
-            own.append(places[id(parts.joint)])
-        if parts.publisher is not None:
-            own.append(False)
-        form = form_table(kind)
-        self._reserve_row(tables, "controllers", None, kind, tables.count(form))
-        row = self._reserve_row(tables, form, controller, *own)
-        if parts.publisher is not None:
-            shown = [(handle, places[id(handle)] * JOINT.size) for handle in parts.shown]
-            self.publications[position] = RowPublisher(
-                controller, parts.publisher, tables.content[form], TABLES[form], row, shown
-            )
+        compiled.make_rows(places, lambda pid: self._reserve_pid(tables, pid))
+        number = tables.add("controllers")
+        self._fill.append(lambda: compiled.fill(self._tables["controllers"], number))
+        self._give.append(compiled.give)
+        if compiled.parts.publishers:
+            self.publications[position] = compiled
 
     def _reserve_pid(self, tables: Tables, pid: Pid | None) -> int:
         """Its row number; 0, which nobody looks at, without one."""
@@ -202,38 +199,6 @@ class RobotRows:
         if columns.changing:
             self._give.append(partial(columns.give, rows, number, source))
         return number
-
-
-class RowPublisher:
-    """A compiled controller that publishes: its flag `wanted`, the last column, and what `publish` looks at."""
-
-    __slots__ = ("_flag", "_give", "_publisher", "_shown", "_table", "controller")
-
-    def __init__(
-        self,
-        controller: ControllerBase,
-        publisher: Any,
-        table: bytearray,
-        columns: Columns,
-        row: int,
-        shown: list[tuple[JointStateHandle, int]],
-    ) -> None:
-        self.controller = controller
-        self._publisher = publisher
-        self._table = table
-        self._give = partial(columns.give, table, row, controller)
-        self._flag = (row + 1) * columns.size - _FLAG.size
-        self._shown = shown
-
-    def update_wanted(self) -> None:
-        """Put into the row whether somebody listens."""
-        _FLAG.pack_into(self._table, self._flag, self._publisher.wanted)
-
-    def show(self, joints: bytearray) -> None:
-        """Let the controller and its joints' handles be as they are in the rows, as far as `publish` looks at them."""
-        self._give()
-        for handle, offset in self._shown:
-            _show(joints, offset, handle)
 
 
 class InterpretedUpdate:
@@ -264,29 +229,80 @@ def _is_compiled(drive: Drive) -> bool:
     return type(drive) is Drive and (drive.pid is None or drive.pid.observer is None)
 
 
-class CompiledController(NamedTuple):
-    """A controller that runs compiled."""
+class CompiledController:
+    """A controller that runs compiled, and its rows, in memory of their own that stays where it is."""
 
-    controller: ControllerBase
-    kind: int
-    parts: Parts
+    def __init__(self, controller: ControllerBase, form: Compiled, law: int, parts: Parts) -> None:
+        """`law` is the address of the law's code."""
+        self.controller = controller
+        self.parts = parts
+        self._form = form
+        self._law = law
+        self._row = bytearray(form.row.size)
+        self._members = bytearray(form.members.size * len(parts.members))
+        self._numbers: Any = None
+        """Kept while its address is in use."""
+        self._places: list[tuple[int, int]] = []
+        """Row numbers of PID and joint: those of the controller, then those of each member."""
+        self._shown: list[tuple[JointStateHandle, int]] = []
+
+    def make_rows(self, joints: dict[int, int], reserve_pid: Callable[[Pid | None], int]) -> None:
+        """Find the joints' rows, by the identity of their handles, and reserve those of the PIDs."""
+        own = Member(None, self.parts.joint, self.parts.pid)
+        for _, joint, pid in (own, *self.parts.members):
+            self._places.append((reserve_pid(pid), 0 if joint is None else joints[id(joint)]))
+        self._shown = [(handle, joints[id(handle)] * JOINT.size) for handle in self.parts.shown]
+
+    def fill(self, controllers: bytearray, number: int) -> None:
+        """Write its rows and members' rows, and in the table of controllers where these are."""
+        own, *others = self._places
+        self._form.row.fill(self._row, 0, self.controller, *own, self._is_wanted)
+        for k, (member, places) in enumerate(zip(self.parts.members, others, strict=True)):
+            self._form.members.fill(self._members, k, member.source, *places)
+        parts = self.controller.parts()  # its numbers may be others by now
+        self._numbers = array("d") if parts is None or parts.numbers is None else parts.numbers
+        memory = (address_of(self._row), address_of(self._members), len(others))
+        CONTROLLER.fill(controllers, number, None, self._law, *memory, address_of(self._numbers), len(self._numbers))
+
+    def give(self) -> None:
+        """Let the controller and its members be as the rows are."""
+        self._form.row.give(self._row, 0, self.controller)
+        if self._form.members.changing:
+            for k, member in enumerate(self.parts.members):
+                self._form.members.give(self._members, k, member.source)
+
+    @property
+    def _is_wanted(self) -> bool:
+        return any(publisher.wanted for publisher in self.parts.publishers)
+
+    def update_wanted(self) -> None:
+        """Put into the row whether somebody listens."""
+        _FLAG.pack_into(self._row, self._form.row.size - _FLAG.size, self._is_wanted)
+
+    def show(self, joints: bytearray) -> None:
+        """Let the controller and its joints' handles be as they are in the rows, as far as `publish` looks at them."""
+        self.give()
+        for handle, offset in self._shown:
+            _show(joints, offset, handle)
 
 
-def _compiled(update: Update) -> CompiledController | None:
-    """The controller behind an `update`, when it runs compiled.
+def _compiled(controller: ControllerBase, laws: LawCode) -> CompiledController | None:
+    """The controller, when it runs compiled: not while a PID of it publishes each step.
 
     A class or an instance that has an `update`, a `publish` or a column of its own, say as a property, means it: what
     its parent declares does not hold for it.
     """
-    controller = getattr(update, "__self__", None)
-    if not isinstance(controller, ControllerBase):
+    form = controller.compiled
+    if form is None:
         return None
-    owner: Any = next(cls for cls in type(controller).__mro__ if "update" in vars(cls))
-    if owner not in KINDS:
-        return None
-    own_names = {"update", "publish", *FORMS[owner].columns.names}
-    heirs = itertools.takewhile(lambda cls: cls is not owner, type(controller).__mro__)
-    if not {"update", "publish"}.isdisjoint(vars(controller)) or any(own_names & vars(heir).keys() for heir in heirs):
+    classes = type(controller).__mro__
+    owner = next(cls for cls in classes if "compiled" in vars(cls))
+    heirs = itertools.takewhile(lambda cls: cls is not owner, classes)
+    own = {"update", "publish"} & vars(controller).keys()
+    if own or any(name in vars(heir) for heir in heirs for name in form.instead_of):
         return None
     parts = controller.parts()
-    return None if parts is None else CompiledController(controller, KINDS[owner], parts)
+    if parts is None or any(pid.observer is not None for pid in parts.pids()):
+        return None
+    law = laws.address(form)
+    return CompiledController(controller, form, law, parts) if law else None

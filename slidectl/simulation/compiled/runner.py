@@ -9,15 +9,18 @@ from __future__ import annotations
 
 import ctypes
 from array import array
+from functools import partial
 from typing import TYPE_CHECKING
 
 from slidectl.physics import EngineError
 from slidectl.physics.mujoco_library import address_of, error_hook_address
 from slidectl.simulation.compiled import tables as turns
 from slidectl.simulation.compiled.object_file import Cycle
+from slidectl.simulation.compiled.own_laws import LawCode
 from slidectl.simulation.compiled.robot_rows import InterpretedUpdate, RobotRows
 from slidectl.simulation.compiled.tables import NEW_CYCLE, Progress, Tables
 from slidectl.simulation.cycle import CHECK_EVERY, Runner
+from slidectl.simulation.graph import WORLD_NODE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -44,6 +47,7 @@ class CompiledRunner(Runner):
         self._progress = Progress(robot=NEW_CYCLE, error_hook=error_hook_address())
         self._step_address = address_of("mj_step")
         self._tables = Tables()
+        self._laws = LawCode(code.laws, partial(loop.graph.log, "warn", WORLD_NODE))
         self._robots: Sequence[SpawnedRobot] = ()
         self._rows: list[RobotRows] = []
         """In the order of the robots."""
@@ -91,6 +95,11 @@ class CompiledRunner(Runner):
         if rows is not None:
             self._unload(rows)
 
+    def compiled_controllers(self, robot: SpawnedRobot) -> frozenset[str]:
+        """The names of the robot's running controllers that have rows."""
+        rows = self._rows_of.get(robot)
+        return frozenset() if rows is None or rows.is_outdated() else rows.compiled_controllers()
+
     def give_back_all(self) -> None:
         """All robots are as if the interpreter had run their cycles."""
         for rows in self._rows:
@@ -102,6 +111,15 @@ class CompiledRunner(Runner):
                 self._acting.take_commands()
             self._given_back.append(rows)
             rows.unload()
+
+    def look_for_laws(self, wait: bool = False) -> None:
+        """Take the code of users' laws that has been compiled meanwhile, or `wait` for all of it."""
+        if wait:
+            self._prepare()  # names the laws
+        changes = self._laws.changes
+        self._laws.look(wait)
+        if self._laws.changes != changes:
+            self.give_back_all()
 
     def _prepare(self) -> None:
         if self._is_new or any(rows.is_outdated() for rows in self._given_back):
@@ -120,10 +138,10 @@ class CompiledRunner(Runner):
         outdated = [rows for rows in self._given_back if rows.is_outdated()]
         for rows in outdated:
             self._left_over += rows.count
-            self._rows[rows.number] = RobotRows(rows.robot, rows.number, self._tables)
+            self._rows[rows.number] = RobotRows(rows.robot, rows.number, self._tables, self._laws)
         self._given_back = [self._rows[rows.number] for rows in self._given_back]
         for robot in self._robots[len(self._rows) :]:
-            self._rows.append(RobotRows(robot, self._tables.add("robots"), self._tables))
+            self._rows.append(RobotRows(robot, self._tables.add("robots"), self._tables, self._laws))
             self._given_back.append(self._rows[-1])
         self._rows_of = {rows.robot: rows for rows in self._rows}
         self._find_memory()
@@ -135,7 +153,10 @@ class CompiledRunner(Runner):
         progress.robots = len(self._rows)
         progress.model, progress.data = memory.model, memory.data
         progress.positions, progress.dofs = memory.positions, memory.dofs
-        self._addresses = array("Q", [ctypes.addressof(progress), *self._tables.addresses(), *memory.arrays])
+        addresses = self._tables.addresses()
+        progress.controllers = addresses["controllers"]
+        progress.joints, progress.pids = addresses["joints"], addresses["pids"]
+        self._addresses = array("Q", [ctypes.addressof(progress), *addresses.values(), *memory.arrays])
 
     def _look_for_listeners(self) -> None:
         """Which publishers are wanted now?"""
@@ -158,6 +179,8 @@ class CompiledRunner(Runner):
         before = clock.cycles
         progress.time_ns, progress.step_ns, progress.cycles = clock.time_ns, loop.step_ns, before
         # At real time this is called for every cycle, with cold caches: what has not changed is not looked at again.
+        if self._laws.compiling:
+            self.look_for_laws()
         if self._is_new or self._given_back or self._topic_changes != self._graph.topics.changes:
             self._prepare()
         if self._step is not world.step or self._progress.has_outside != world.loads.has_efforts:
@@ -255,6 +278,11 @@ class CompiledRunner(Runner):
             self._run_robot(self._rows[progress.robot])
         elif turn == turns.PUBLICATION:
             self._publish(self._rows[progress.robot], progress.controller - 1)
+        elif turn == turns.LEFT:
+            self._end_in_python(self._rows[progress.robot], progress.controller - 1)
+        elif turn == turns.RAISED:
+            failure = ArithmeticError("its compiled law failed: a division by zero, or an index beyond the end")
+            self._end_in_python(self._rows[progress.robot], progress.controller, failure)
         else:
             self._update(self._rows[progress.robot], progress.controller - 1)
 
@@ -289,17 +317,22 @@ class CompiledRunner(Runner):
 
     def _try(self, rows: RobotRows, position: int, action: Callable[[int, float], None]) -> None:
         """Act for one controller. If that fails, or somebody looks at the robot, the interpreter ends its cycle."""
-        time_ns, period_s = self._progress.time_ns, rows.period_s()
         failure: Exception | None = None
         try:
-            action(time_ns, period_s)
+            action(self._progress.time_ns, rows.period_s())
         except Exception as raised:
             failure = raised
             self._unload(rows)
         finally:
             self._acting = None
         if not rows.is_loaded:
-            rows.parts.manager.finish_update(position + 1, time_ns, period_s, failure)
-            rows.parts.cycle.write(time_ns)
-            self._progress.controller = 0
-            self._progress.robot += 1
+            self._end_in_python(rows, position + 1, failure)
+
+    def _end_in_python(self, rows: RobotRows, done: int, failure: Exception | None = None) -> None:
+        """The interpreter ends the robot's cycle, in which so many controllers had their turn."""
+        self._unload(rows)
+        time_ns = self._progress.time_ns
+        rows.parts.manager.finish_update(done, time_ns, rows.period_s(), failure)
+        rows.parts.cycle.write(time_ns)
+        self._progress.controller = 0
+        self._progress.robot += 1

@@ -1,17 +1,17 @@
 """The tables of the compiled cycle: their columns and their memory, and the numbers by which it tells how far it is.
 
-Controllers, PIDs, limits and drives declare their own columns beside their laws; here are those of the cycle itself.
-Nothing runs here.
+PIDs, limits and drives declare their own columns beside their laws; here are those of the cycle itself. The rows of
+controllers are in memory of their own. Nothing runs here.
 """
 
 from __future__ import annotations
 
 import ctypes
+from typing import Any
 
 from slidectl.control.laws import Columns
 from slidectl.control.limits import LimitHandle
 from slidectl.control.pid import Pid
-from slidectl.control.registry import compiled_forms
 from slidectl.physics.robot_hw import Drive
 
 JOINT = Columns(
@@ -31,23 +31,16 @@ ROBOT = Columns(
 )
 """A ControlCycle, and where the robot's rows are in the other tables. `is_plain`: the interpreter has the robot."""
 
-CONTROLLER = Columns(places="kind row", whole="kind row")
-"""The controllers of all robots in their order: `kind` is a place in FORMS, and `row` a row of that form's table."""
+_PLACES = "law row members count numbers size"
+CONTROLLER = Columns(places=_PLACES, whole=_PLACES)
+"""The controllers of all robots in their order: the addresses of the law's code, of the controller's own row, of its
+`count` members' rows, and of its `size` numbers."""
+CONTROLLER_SIZE = CONTROLLER.size
 
-INTERPRETED = -1
-"""The kind of a controller that runs in the interpreter."""
+INTERPRETED = 0
+"""The law of a controller that runs in the interpreter."""
 
-FORMS = compiled_forms()
-"""Controller class -> its compiled form; the position in it is the kind."""
-KINDS = {cls: kind for kind, cls in enumerate(FORMS)}
-
-
-def form_table(kind: int) -> str:
-    """The name of the table of a compiled form."""
-    return f"form{kind}"
-
-
-CYCLE_TABLES: dict[str, Columns] = {
+TABLES: dict[str, Columns] = {
     "robots": ROBOT,
     "joints": JOINT,
     "controllers": CONTROLLER,
@@ -55,17 +48,17 @@ CYCLE_TABLES: dict[str, Columns] = {
     "drives": Drive.columns,
     "pids": Pid.columns,
 }
-TABLES = CYCLE_TABLES | {form_table(kind): form.columns for kind, form in enumerate(FORMS.values())}
 """All tables, in the order of the cycle's arguments; MuJoCo's arrays follow."""
-CONSTANT = {"controllers", "drives"}
+CONSTANT = {"drives"}
 """Tables of what never changes while it exists."""
 RANGES = ("joints", "controllers", "limits", "drives")
 """Tables of which each robot has a range of rows, as ROBOT has it."""
 ARRAYS = ("qpos", "qvel", "forces", "outside", "velocities", "motors", "bounds", "weights")
 """Of numbers: those of `slidectl.physics.world.Memory`."""
 
-DONE, ROBOT_IN_PYTHON, CONTROLLER_IN_PYTHON, PUBLICATION, STEP_IN_PYTHON, DIVERGED, FAILED = range(7)
-"""What the compiled cycle returns for: all cycles are done, the interpreter has its turn, or there is trouble."""
+DONE, PUBLICATION, LEFT, RAISED, ROBOT_IN_PYTHON, CONTROLLER_IN_PYTHON, STEP_IN_PYTHON, DIVERGED, FAILED = range(9)
+"""What the compiled cycle returns for: all cycles are done, the interpreter has its turn, or there is trouble. The
+first four are what a law returned: nothing, PUBLISH, LEAVE, or an exception."""
 
 NEW_CYCLE = -1
 
@@ -89,6 +82,10 @@ class Progress(ctypes.Structure):
     data: int
     error_hook: int
     """Address of MuJoCo's variable `mju_user_error`, or 0."""
+    controllers: int
+    joints: int
+    pids: int
+    """Addresses of these tables."""
 
 
 Progress._fields_ = [(name, ctypes.c_int64) for name in Progress.__annotations__]
@@ -118,6 +115,11 @@ class Tables:
             self.content[table].extend(bytes(TABLES[table].size))
         return number
 
-    def addresses(self) -> list[int]:
+    def addresses(self) -> dict[str, int]:
         """Where each table lies, in order; they stay there until a row is added."""
-        return [ctypes.addressof(ctypes.c_char.from_buffer(table)) for table in self.content.values()]
+        return {name: address_of(table) for name, table in self.content.items()}
+
+
+def address_of(memory: Any) -> int:
+    """Where a writable buffer lies; 0 when it is empty."""
+    return ctypes.addressof(ctypes.c_char.from_buffer(memory)) if len(memory) else 0

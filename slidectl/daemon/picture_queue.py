@@ -1,0 +1,73 @@
+"""Pictures that cameras wait for: one is painted at a time, while the world goes on.
+
+What paints them is a process, see physics/painting.py. Nothing here knows topics.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+from slidectl.daemon.event_loop import READ, EventLoop
+from slidectl.description.robot import Camera
+from slidectl.errors import Refused
+from slidectl.physics import World
+from slidectl.physics.painting import Painter, PictureRequest
+from slidectl.rotations import Pose
+from slidectl.simulation.pending import Pending
+
+
+class PictureQueue:
+    """Asks a painter for one picture after the other, and hears of them by `loop`."""
+
+    def __init__(self, loop: EventLoop, world: World) -> None:
+        self._loop = loop
+        self._world = world
+        self._painter = Painter()
+        self._waiting: deque[tuple[Pending, PictureRequest]] = deque()
+        self._current: Pending | None = None
+        self._descriptor = -1
+
+    def paint(self, camera: Camera, pose: Pose, seed: int) -> Pending:
+        """Resolved with the pixels (base64) of what is there now."""
+        pending = Pending()
+        self._waiting.append((pending, self._painter.look(self._world, camera, pose, seed)))
+        self._next()
+        return pending
+
+    def close(self) -> None:
+        """End the process; nobody gets a picture any more."""
+        self._waiting.clear()
+        self._forget()
+        self._painter.close()
+
+    def _next(self) -> None:
+        while self._waiting and self._current is None:
+            pending, frame = self._waiting.popleft()
+            try:
+                self._descriptor = self._painter.ask(frame)
+            except Refused as error:
+                pending.reject(error)
+                continue
+            self._current = pending
+            self._loop.watch(self._descriptor, READ, self._take)
+
+    def _take(self, _: int) -> None:
+        pending, error, picture = self._current, None, None
+        assert pending is not None
+        try:
+            picture = self._painter.take()
+        except Refused as raised:
+            error = raised
+        if picture is None and error is None:
+            return
+        self._forget()
+        if error is not None:
+            pending.reject(error)
+        else:
+            pending.resolve(picture)
+        self._next()
+
+    def _forget(self) -> None:
+        if self._current is not None:
+            self._loop.forget(self._descriptor)
+            self._current = None

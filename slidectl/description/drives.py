@@ -1,0 +1,153 @@
+"""Reads the plugins of a model that move it: gazebo_ros' drives of bases, and joints that follow others.
+
+Tags and defaults are those of gazebo_ros_pkgs (noetic) and roboticsgroup_gazebo_plugins. What drives a base is in
+simulation/base_drives.py; a joint that follows is held by the world like one with a `<mimic>`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any
+
+from slidectl import names
+from slidectl.description.element_values import child_number, child_text
+from slidectl.description.report import Report
+from slidectl.description.robot import BaseDrive, Mimic, PlanarMove, WheelDrive
+from slidectl.description.xml_tree import Element
+
+DIFF, SKID, PLANAR = "libgazebo_ros_diff_drive", "libgazebo_ros_skid_steer_drive", "libgazebo_ros_planar_move"
+MIMIC = (
+    "libroboticsgroup_gazebo_mimic_joint_plugin", "libroboticsgroup_upatras_gazebo_mimic_joint_plugin",
+    "libgazebo_mimic_joint_plugin",
+)  # fmt: skip
+DRIVES = (DIFF, SKID, PLANAR)
+_OF_ALL = {"robotNamespace", "commandTopic", "odometryTopic", "odometryFrame", "robotBaseFrame"}
+_OF_WHEELS = {"wheelSeparation", "wheelDiameter", "updateRate"}
+_OF_DIFF = {
+    "publishWheelTF", "publishOdomTF", "publishWheelJointState", "wheelAcceleration", "wheelTorque", "odometrySource",
+    "leftJoint", "rightJoint", "legacyMode", "publishTf",
+}  # fmt: skip
+_SIDES = {"left": ("leftFrontJoint", "leftRearJoint"), "right": ("rightFrontJoint", "rightRearJoint")}
+_COVARIANCES = (("covariance_x", 0.0001), ("covariance_y", 0.0001), ("covariance_yaw", 0.01))
+_OF_SKID = {"torque", "broadcastTF", *dict(_COVARIANCES), *_SIDES["left"], *_SIDES["right"]}
+_OF_PLANAR = {"odometryRate", "cmdTimeout"}
+_OF_MIMIC = {"joint", "mimicJoint", "multiplier", "offset"}
+_DONE_BY_CONSTRAINT = ("hasPID", "maxEffort", "sensitiveness")
+_HARMLESS = ("alwaysOn", "rosDebugLevel")
+_VARIANCES = (0.00001, 0.00001, 0.001)
+
+
+class DriveReader:
+    """Reads such plugins of one robot."""
+
+    def __init__(self, report: Report, joints: Collection[str]) -> None:
+        self.report = report
+        self.joints = joints
+        self.drives: list[BaseDrive] = []
+        self.mimics: dict[str, tuple[Mimic, Element]] = {}
+        """By the joint that follows, with the plugin that says so."""
+
+    def read_drive(self, plugin: Element, library: str, place: str) -> None:
+        """Take in a plugin of `DRIVES`. Raises BadFile: a malformed number, or a length of a wheel that is none."""
+        own = _OF_PLANAR if library == PLANAR else _OF_WHEELS | (_OF_DIFF if library == DIFF else _OF_SKID)
+        self._tell_unknown(plugin, _OF_ALL | own, place)
+        namespace = plugin.find("robotNamespace")
+        common: dict[str, Any] = {
+            "name": plugin.get("name") or library,
+            "namespace": None if namespace is None else names.join("/", namespace.first_text).rstrip("/") or "/",
+            "command_topic": child_text(plugin, "commandTopic", "cmd_vel"),
+            "odometry_topic": child_text(plugin, "odometryTopic", "odom"),
+            "odometry_frame": child_text(plugin, "odometryFrame", "odom"),
+            "base_frame": child_text(plugin, "robotBaseFrame", "base_footprint"),
+            "pose_variances": _VARIANCES,
+            "twist_variances": None,
+        }
+        if library == PLANAR:
+            rate = child_number(plugin, "odometryRate", 20.0, place)
+            timeout_s = child_number(plugin, "cmdTimeout", -1.0, place)
+            common |= dict.fromkeys(("has_odometry", "has_odometry_tf"), rate > 0.0)
+            drive = PlanarMove(**common, tells_height=False, odometry_rate_hz=rate, timeout_s=timeout_s)
+            self.drives.append(drive)
+            return
+        read = self._diff if library == DIFF else self._skid
+        wheels = read(plugin, place)
+        for tag, default in (("wheelSeparation", wheels.pop("default_separation")), ("wheelDiameter", 0.15)):
+            wheels[tag.removeprefix("wheel").lower()] = length = child_number(plugin, tag, default, place)
+            if not 0.0 < length < float("inf"):
+                raise (plugin.find(tag) or plugin).error(f"{place}: <{tag}> is {length:g} m; it must be above 0")
+        unknown = [joint for joint in (*wheels["left"], *wheels["right"]) if joint not in self.joints]
+        if unknown:
+            self.report.wrong(plugin, f"there is no joint {unknown[0]!r}; the plugin has no effect", place)
+            return
+        rate = child_number(plugin, "updateRate", 100.0, place)
+        self.drives.append(WheelDrive(**{**common, **wheels, "odometry_rate_hz": rate, "update_rate_hz": rate}))
+
+    def _diff(self, plugin: Element, place: str) -> dict[str, Any]:
+        sides = [(child_text(plugin, f"{side}Joint", f"{side}_joint"),) for side in ("left", "right")]
+        if self._flag(plugin, "legacyMode", True, place):
+            sides.reverse()
+            if plugin.find("legacyMode") is None:
+                text = "left and right change places without <legacyMode>false</legacyMode>, as in Gazebo"
+                self.report.wrong(plugin, text, place)
+        self._flag(plugin, "publishWheelTF", False, place)  # all joints are on /tf in any case
+        source = child_text(plugin, "odometrySource", "world").lower()
+        if source not in ("encoder", "world"):
+            self.report.wrong(plugin, f"<odometrySource> {source!r} is neither encoder nor world; it is world", place)
+        has_odometry = self._flag(plugin, "publishTf", True, place)
+        return {
+            "default_separation": 0.34,
+            "left": sides[0],
+            "right": sides[1],
+            "torque": child_number(plugin, "wheelTorque", 5.0, place),
+            "acceleration": child_number(plugin, "wheelAcceleration", 0.0, place),
+            "measures_wheels": source == "encoder",
+            "has_odometry": has_odometry,
+            "has_odometry_tf": self._flag(plugin, "publishOdomTF", True, place) and has_odometry,
+            "tells_height": True,
+            "has_joint_states": self._flag(plugin, "publishWheelJointState", False, place),
+        }
+
+    def _skid(self, plugin: Element, place: str) -> dict[str, Any]:
+        joints = {
+            side: (child_text(plugin, front, f"{side}_front_joint"), child_text(plugin, rear, f"{side}_rear_joint"))
+            for side, (front, rear) in _SIDES.items()
+        }
+        variances = tuple(child_number(plugin, tag, default, place) for tag, default in _COVARIANCES)
+        return {
+            "default_separation": 0.4,
+            **joints,
+            "torque": child_number(plugin, "torque", 5.0, place),
+            "has_odometry": True,
+            "has_odometry_tf": self._flag(plugin, "broadcastTF", False, place),
+            "tells_height": False,
+            "pose_variances": variances,
+            "twist_variances": variances,
+        }
+
+    def read_mimic(self, plugin: Element, place: str) -> None:
+        """Take in a plugin of `MIMIC`. Raises BadFile: a malformed number."""
+        self._tell_unknown(plugin, {"robotNamespace", *_OF_MIMIC, *_DONE_BY_CONSTRAINT}, place)
+        for tag in _DONE_BY_CONSTRAINT:
+            if (child := plugin.find(tag)) is not None:
+                self.report.ignored(child, "has no effect: a constraint holds the joint", f"{place}/<{tag}>")
+        leader, follower = child_text(plugin, "joint", ""), child_text(plugin, "mimicJoint", "")
+        for joint in (leader, follower):
+            if joint not in self.joints:
+                self.report.wrong(plugin, f"there is no joint {joint!r}; the plugin has no effect", place)
+                return
+        multiplier = child_number(plugin, "multiplier", 1.0, place)
+        offset = child_number(plugin, "offset", 0.0, place)
+        self.mimics[follower] = Mimic(leader, multiplier, offset), plugin
+
+    def _tell_unknown(self, plugin: Element, tags: Collection[str], place: str) -> None:
+        self.report.unknown(plugin, {"name", "filename"}, {*tags, *_HARMLESS}, place)
+        for tag in _HARMLESS:
+            if (child := plugin.find(tag)) is not None:
+                self.report.ignored(child, "has no effect", f"{place}/<{tag}>")
+
+    def _flag(self, plugin: Element, tag: str, default: bool, place: str) -> bool:
+        text = child_text(plugin, tag, str(default)).lower()
+        if text not in ("true", "false", "1", "0"):
+            self.report.wrong(plugin.find(tag) or plugin, f"{text!r} is neither true nor false", f"{place}/<{tag}>")
+            return default
+        return text in ("true", "1")

@@ -1,0 +1,250 @@
+"""Pictures of the world as cameras on links see it, painted by MuJoCo in a process of its own.
+
+A picture takes some milliseconds with a graphics card, and a quarter of a second without: no cycle waits for one. The
+process gets the model once and the places of all shapes with each frame. It needs OpenGL by EGL or OSMesa, and ends
+with the one that has started it. What is painted are the shapes that collide, in the colours of their links.
+"""
+
+from __future__ import annotations
+
+import base64
+import ctypes
+import os
+import pickle
+import struct
+import subprocess
+import sys
+from contextlib import suppress
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from slidectl.errors import Refused
+from slidectl.physics.body import Array
+from slidectl.physics.touching import link_of
+from slidectl.rotations import Pose, rotate
+
+if TYPE_CHECKING:
+    from slidectl.description.robot import Camera, Link
+    from slidectl.physics.world import World
+
+INSTALL = "install OpenGL for programs without a screen: apt install libegl1 (with a driver: libgl1-mesa-dri)"
+_LIBRARIES = {"egl": ("libEGL.so.1",), "osmesa": ("libOSMesa.so.8", "libOSMesa.so.6")}
+_ANSWER = struct.Struct("<?I")
+"""Whether a picture follows, or the reason why there is none; and its length."""
+_PIECE = 1 << 20
+_PLAIN = (0.7, 0.7, 0.7, 1.0)
+_AMBIENT = 0.4
+"""Of the light that is everywhere; that of Gazebo's worlds."""
+_GAZEBO = {
+    "Red": (1.0, 0.0, 0.0), "Green": (0.0, 1.0, 0.0), "Blue": (0.0, 0.0, 1.0), "Yellow": (1.0, 1.0, 0.0),
+    "Orange": (1.0, 0.5088, 0.0468), "Purple": (1.0, 0.0, 1.0), "Turquoise": (0.0, 1.0, 1.0), "White": (1.0, 1.0, 1.0),
+    "Black": (0.0, 0.0, 0.0), "DarkGrey": (0.175, 0.175, 0.175), "FlatBlack": (0.1, 0.1, 0.1), "Grey": (0.7, 0.7, 0.7),
+}  # fmt: skip
+"""Colours of Gazebo's materials."""
+
+
+class PictureRequest(NamedTuple):
+    """What a picture is made of."""
+
+    model: Any
+    """The world's; on the way to the process in MuJoCo's binary form, or None: the same as before."""
+    colours: Array
+    positions: Array
+    """Of all shapes, m, shape (n, 3)."""
+    matrices: Array
+    """Their attitudes, shape (n, 9)."""
+    camera: Camera
+    pose: Pose
+    seed: int
+    """Of the noise."""
+
+
+def gl_backend() -> str:
+    """The kind of OpenGL that is there, as MuJoCo calls it; empty for none."""
+    for backend, files in _LIBRARIES.items():
+        for file in files:
+            with suppress(OSError):
+                ctypes.CDLL(file)
+                return backend
+    return ""
+
+
+class Painter:
+    """The process, and what it has to do. It is started by the first frame, and paints one at a time."""
+
+    def __init__(self) -> None:
+        self._process: subprocess.Popen[bytes] | None = None
+        self._model: Any = None
+        """That the process has."""
+        self._looked_at: Any = None
+        self._colours: Array = np.zeros(0)
+        self._said = bytearray()
+
+    def look(self, world: World, camera: Camera, pose: Pose, seed: int) -> PictureRequest:
+        """What the camera sees now, to be painted later."""
+        if self._looked_at is not world.model:
+            self._looked_at, self._colours = world.model, _colours(world)
+        data = world.present()
+        return PictureRequest(
+            world.model, self._colours, data.geom_xpos.copy(), data.geom_xmat.copy(), camera, pose, seed
+        )
+
+    def ask(self, frame: PictureRequest) -> int:
+        """Begin a picture. Returns the descriptor on which it comes. Raises Refused: there is no such process."""
+        try:
+            process = self._process or self._start()
+            assert process.stdin is not None
+            assert process.stdout is not None
+            is_same, self._model = self._model is frame.model, frame.model
+            pickle.dump(frame._replace(model=None if is_same else _binary(frame.model)), process.stdin)
+            process.stdin.flush()
+        except OSError as error:
+            self.close()
+            raise Refused(f"the process that paints pictures cannot be used: {error.strerror}") from None
+        return process.stdout.fileno()
+
+    def take(self) -> str | None:
+        """The pixels, in base64 as messages have them, when all of them have come. Waits for something to come.
+
+        Raises:
+            Refused: there is no picture.
+        """
+        assert self._process is not None
+        assert self._process.stdout is not None
+        piece = os.read(self._process.stdout.fileno(), _PIECE)
+        self._said += piece
+        if not piece:
+            self.close()
+            raise Refused("the process that paints pictures has ended", INSTALL)
+        if len(self._said) < _ANSWER.size:
+            return None
+        is_picture, length = _ANSWER.unpack_from(self._said)
+        if len(self._said) < _ANSWER.size + length:
+            return None
+        content = self._said[_ANSWER.size :].decode("utf-8", "replace")
+        self._said.clear()
+        if not is_picture:
+            raise Refused(f"no picture: {content}", INSTALL)
+        return content
+
+    def close(self) -> None:
+        """End the process."""
+        process, self._process, self._model = self._process, None, None
+        self._said.clear()
+        if process is not None:
+            process.kill()
+            with process:  # waits for it, and closes its pipes
+                pass
+
+    def _start(self) -> subprocess.Popen[bytes]:
+        environment = {**os.environ, "MUJOCO_GL": gl_backend() or "egl"}
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "slidectl.physics.painting"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env=environment,
+            start_new_session=True,
+        )
+        return self._process
+
+
+def _binary(model: Any) -> bytes:
+    buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, buffer)
+    return buffer.tobytes()
+
+
+def _colours(world: World) -> Array:
+    """Red, green, blue and alpha of each shape, by its link."""
+    model = world.model
+    robots = {world.body(name).root_id: world.body(name) for name in world.names()}
+    colours = np.tile(np.array(_PLAIN), (model.ngeom, 1))
+    for geom in range(model.ngeom):
+        body = robots.get(int(model.body_rootid[model.geom_bodyid[geom]]))
+        link = body.robot.links.get(link_of(model, geom, body.name)) if body is not None else None
+        if link is not None:
+            colours[geom] = _colour(link)
+    return colours
+
+
+def _colour(link: Link) -> tuple[float, ...]:
+    named = _GAZEBO.get((link.surface.material or "").removeprefix("Gazebo/"))
+    materials = [shape.material for shape in link.visuals if shape.material is not None]
+    return (*named, 1.0) if named else next((one.rgba for one in materials if one.rgba is not None), _PLAIN)
+
+
+# --- the process ------------------------------------------------------------------------------------------------------
+
+
+class _Canvas:
+    """What the process has: the model that it paints, and a renderer for each size."""
+
+    def __init__(self) -> None:
+        self._model: Any = None
+        self._data: Any = None
+        self._renderers: dict[tuple[int, int], Any] = {}
+
+    def paint(self, frame: PictureRequest) -> bytes:
+        """The pixels, row by row from the top."""
+        if frame.model is not None:
+            self._take_model(frame)
+        camera, data = frame.camera, self._data
+        data.geom_xpos[:], data.geom_xmat[:] = frame.positions, frame.matrices
+        size = (camera.height, camera.width)
+        if size not in self._renderers:
+            self._renderers[size] = mujoco.Renderer(self._model, *size)
+        renderer = self._renderers[size]
+        renderer.update_scene(data)
+        top = camera.near * np.tan(camera.field_of_view / 2) * camera.height / camera.width
+        ahead, up = (rotate(frame.pose[1], axis) for axis in ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
+        for light in renderer.scene.lights[: renderer.scene.nlight]:
+            if light.headlight:
+                light.pos[:], light.dir[:] = frame.pose[0], ahead
+        for view in renderer.scene.camera:
+            view.pos[:], view.forward[:], view.up[:] = frame.pose[0], ahead, up
+            view.frustum_center = view.frustum_width = 0.0
+            view.frustum_bottom, view.frustum_top = -top, top
+            view.frustum_near, view.frustum_far = camera.near, camera.far
+        pixels = renderer.render().astype(np.float64)
+        if camera.encoding == "mono8":
+            pixels = pixels @ np.array([0.299, 0.587, 0.114])
+        elif camera.encoding == "bgr8":
+            pixels = pixels[:, :, ::-1]
+        if camera.noise > 0.0 or camera.mean:
+            pixels = pixels + 255.0 * np.random.default_rng(frame.seed).normal(camera.mean, camera.noise, pixels.shape)
+        content: bytes = np.clip(np.rint(pixels), 0, 255).astype(np.uint8).tobytes()
+        return content
+
+    def _take_model(self, frame: PictureRequest) -> None:
+        for renderer in self._renderers.values():
+            renderer.close()
+        self._renderers.clear()
+        self._model = mujoco.MjModel.from_binary_path("world.mjb", {"world.mjb": frame.model})
+        self._model.geom_rgba[:] = frame.colours
+        self._model.vis.global_.offwidth = self._model.vis.global_.offheight = frame.camera.MOST_PIXELS
+        self._model.vis.headlight.ambient[:] = _AMBIENT
+        self._model.vis.headlight.specular[:] = 0.0
+        self._data = mujoco.MjData(self._model)
+        mujoco.mj_forward(self._model, self._data)
+
+
+def main(source: IO[bytes], target: IO[bytes]) -> None:
+    """Paint each frame that comes, until there are no more."""
+    canvas = _Canvas()
+    with suppress(EOFError):
+        while True:
+            frame = pickle.load(source)
+            try:
+                is_picture, answer = True, base64.b64encode(canvas.paint(frame))
+            except Exception as error:
+                is_picture, answer = False, f"{type(error).__name__}: {error}".encode()
+            target.write(_ANSWER.pack(is_picture, len(answer)) + answer)
+            target.flush()
+
+
+if __name__ == "__main__":
+    os.nice(10)  # the cycles of the world go before it
+    main(sys.stdin.buffer, sys.stdout.buffer)

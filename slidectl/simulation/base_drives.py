@@ -1,0 +1,270 @@
+"""Drives of bases that a model brings: velocities come on a topic, odometry goes out on another and on /tf.
+
+Wheels turn by motors of the world (diff_drive, skid_steer_drive); planar_move gives the robot its velocity in each
+step. Odometry without a listener costs nothing, unless it is made of the turns of the wheels.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from slidectl import names
+from slidectl.control.duration import header_of
+from slidectl.control.mobile_base import matrix_of, twist_of
+from slidectl.control.node_handle import Message
+from slidectl.description.robot import BaseDrive, PlanarMove, WheelDrive, namespace_of
+from slidectl.errors import MessageRefused
+from slidectl.rotations import Pose, Vector, from_rpy, to_rpy
+from slidectl.simulation.clock import SECOND, Timer
+from slidectl.simulation.gazebo_frames import pose_message, vector_message
+from slidectl.simulation.spawned_robots import SpawnedRobot
+from slidectl.simulation.state_publisher import tf_prefix
+from slidectl.simulation.topics import PeriodicTopic
+
+if TYPE_CHECKING:
+    from slidectl.simulation.simulation import Simulation
+
+EACH_STEP_NS = 1
+UNKNOWN = 1e12
+"""Variance of what a base that drives on a plane cannot tell."""
+REACHED = 0.01
+"""m/s. A wheel that is so near to its velocity gets it at once, whatever the acceleration."""
+
+
+class RunningDrive:
+    """One drive of one robot, until `close`. An emergency stop ends its command, as a reset does."""
+
+    def __init__(self, simulation: Simulation, robot: SpawnedRobot, drive: BaseDrive) -> None:
+        self._simulation = simulation
+        self._world = simulation.world
+        self._robot = robot
+        self._drive = drive
+        # A spawn may have sent the robot elsewhere than its control plugin says.
+        follows = drive.namespace in (None, namespace_of(robot.paper, robot.name))
+        self._namespace = robot.namespace if follows else str(drive.namespace)
+        self._wanted = (0.0, 0.0, 0.0)
+        """Forwards and to the left in m/s, about the vertical in rad/s."""
+        self._wanted_ns = 0
+        self._topics: list[PeriodicTopic] = []
+        self._timer: Timer | None = None
+        robot.node.subscribe(self._absolute(drive.command_topic), "geometry_msgs/Twist", self._receive)
+        if drive.has_odometry:
+            self._publish(drive.odometry_topic, "nav_msgs/Odometry", drive.odometry_rate_hz, self._odometry)
+        if drive.has_odometry_tf:
+            self._publish("/tf", "tf2_msgs/TFMessage", drive.odometry_rate_hz, self._transform)
+        robot.on_reset.append(self.reset)
+
+    def close(self) -> None:
+        """Take the topics back, and drive no more."""
+        if self._timer is not None:
+            self._timer.cancel()
+        for topic in self._topics:
+            topic.close()
+
+    def reset(self) -> None:
+        """Forget the command."""
+        self._wanted = (0.0, 0.0, 0.0)
+
+    def _absolute(self, topic: str) -> str:
+        return names.join(self._namespace, topic)
+
+    def _publish(self, topic: str, kind: str, rate_hz: float, build: Callable[[], Message]) -> None:
+        node, graph = names.join(self._robot.namespace, "gazebo"), self._simulation.graph
+        self._topics.append(PeriodicTopic(graph, self._absolute(topic), kind, node, _period_ns(rate_hz), build))
+
+    def _receive(self, message: Message) -> None:
+        velocities = (message["linear"]["x"], message["linear"]["y"], message["angular"]["z"])
+        if not all(map(math.isfinite, velocities)):
+            text = f"{self._robot.name} takes no command of nan or infinity: it must have finite numbers"
+            self._robot.node.log("warn", text)
+            raise MessageRefused(text)
+        if not self._robot.emergency_stop:
+            self._wanted, self._wanted_ns = velocities, self._simulation.time_ns
+
+    # Odometry.
+
+    def _place(self) -> tuple[Pose, float, float, float]:
+        """Where the base is, and its velocities forwards, to the left and about the vertical; by the world's state."""
+        name, root = self._robot.name, self._robot.paper.root
+        pose, (linear, angular) = self._world.link_pose(name, root), self._world.link_twist(name, root)
+        yaw = to_rpy(pose[1])[2]
+        forwards = math.cos(yaw) * linear[0] + math.sin(yaw) * linear[1]
+        return pose, forwards, math.cos(yaw) * linear[1] - math.sin(yaw) * linear[0], angular[2]
+
+    def _header(self) -> tuple[Message, str]:
+        """The header of odometry, and the frame of the base."""
+        prefix = tf_prefix(self._simulation, self._robot)
+        odometry, base = (
+            f"{prefix}/{frame}" if prefix else frame for frame in (self._drive.odometry_frame, self._drive.base_frame)
+        )
+        return header_of(self._simulation.time_ns, odometry), base
+
+    def _odometry(self) -> Message:
+        drive, (pose, forwards, left, turning) = self._drive, self._place()
+        header, base = self._header()
+        if not drive.tells_height:
+            pose = (pose[0][0], pose[0][1], 0.0), pose[1]
+        variances = drive.twist_variances
+        return {
+            "header": header,
+            "child_frame_id": base,
+            "pose": {"pose": pose_message(pose), "covariance": _covariance(drive.pose_variances)},
+            "twist": {
+                "twist": twist_of(forwards, left, turning),
+                "covariance": _covariance(variances) if variances else [0.0] * 36,
+            },
+        }
+
+    def _transform(self) -> Message:
+        header, base = self._header()
+        (place, turn) = self._place()[0]
+        transform = {"translation": vector_message(place), "rotation": dict(zip("xyzw", turn, strict=True))}
+        return {"transforms": [{"header": header, "child_frame_id": base, "transform": transform}]}
+
+
+class TurningWheels(RunningDrive):
+    """diff_drive and skid_steer_drive: motors turn the wheels with no more than the torque.
+
+    Commands take effect at the multiples of the plugin's period.
+    """
+
+    def __init__(self, simulation: Simulation, robot: SpawnedRobot, drive: WheelDrive) -> None:
+        self._wheels = drive
+        self._issued = [0.0, 0.0]
+        """What the wheels of each side were told last while they gather speed, m/s."""
+        self._forget_way()
+        super().__init__(simulation, robot, drive)
+        self._ways = self._measured_ways()
+        self._world.add_motors(robot.body, dict.fromkeys((*drive.left, *drive.right), drive.torque))
+        if drive.has_joint_states:
+            self._publish("joint_states", "sensor_msgs/JointState", drive.update_rate_hz, self._joint_states)
+        robot.on_emergency_stop.append(self._stop)
+        if drive.measures_wheels or drive.acceleration:
+            every = simulation.graph.timers.every
+            self._timer = every(_period_ns(drive.update_rate_hz), self._update)
+
+    def reset(self) -> None:
+        super().reset()
+        self._issued = [0.0, 0.0]
+        self._forget_way()
+        self._ways = self._measured_ways()
+
+    def _stop(self) -> None:
+        self.reset()
+        self._turn(0.0, 0.0)
+
+    def _receive(self, message: Message) -> None:
+        super()._receive(message)
+        if self._timer is None or not self._timer.active:
+            period_ns, now_ns = _period_ns(self._wheels.update_rate_hz), self._simulation.time_ns
+            due_ns = -(-(now_ns + 1) // period_ns) * period_ns
+            self._timer = self._simulation.graph.timers.at(due_ns, self._update)
+
+    def _update(self) -> None:
+        """Let the wheels follow the command, and measure what they did."""
+        wheels, (forwards, _, turning) = self._wheels, self._wanted
+        if wheels.measures_wheels:
+            self._measure()
+        speeds = [forwards - turning * wheels.separation / 2.0, forwards + turning * wheels.separation / 2.0]
+        present = [self._state(joints[0])[1] * wheels.diameter / 2.0 for joints in (wheels.left, wheels.right)]
+        gaps = [wanted - now for wanted, now in zip(speeds, present, strict=True)]
+        if wheels.acceleration and min(map(abs, gaps)) >= REACHED:
+            most = wheels.acceleration * self._period_s
+            for side, gap in enumerate(gaps):
+                self._issued[side] += max(-most, min(most, gap))
+            speeds = self._issued
+        self._turn(*speeds)
+
+    def _turn(self, left: float, right: float) -> None:
+        """Let the wheels have these velocities, m/s."""
+        velocities, body, radius = self._world.views.velocities, self._robot.body, self._wheels.diameter / 2.0
+        for joints, speed in ((self._wheels.left, left), (self._wheels.right, right)):
+            for joint in joints:
+                velocities[body.place(joint).dof] = speed / radius
+
+    @property
+    def _period_s(self) -> float:
+        """Between two updates."""
+        return max(_period_ns(self._wheels.update_rate_hz), self._simulation.timestep_ns) / SECOND
+
+    def _state(self, joint: str) -> tuple[float, float, float]:
+        return self._world.joint_state(self._robot.name, joint)
+
+    def _joint_states(self) -> Message:
+        joints = [*self._wheels.right, *self._wheels.left]
+        header = header_of(self._simulation.time_ns)
+        positions = [self._state(joint)[0] for joint in joints]
+        return {"header": header, "name": joints, "position": positions, "velocity": [], "effort": []}
+
+    # Odometry by the wheels, after Siegwart, Autonomous Mobile Robots, page 337.
+
+    def _forget_way(self) -> None:
+        self._x = self._y = self._heading = self._forwards = self._turning = 0.0
+
+    def _measured_ways(self) -> list[float]:
+        """How far the left and the right wheel have rolled, m."""
+        sides = (self._wheels.left[0], self._wheels.right[0])
+        return [self._state(joint)[0] * self._wheels.diameter / 2.0 for joint in sides]
+
+    def _measure(self) -> None:
+        before, self._ways = self._ways, self._measured_ways()
+        left, right = (now - then for now, then in zip(self._ways, before, strict=True))
+        way, turn = (left + right) / 2.0, (right - left) / self._wheels.separation
+        self._x += way * math.cos(self._heading + turn / 2.0)
+        self._y += way * math.sin(self._heading + turn / 2.0)
+        self._heading += turn
+        self._forwards, self._turning = way / self._period_s, turn / self._period_s
+
+    def _place(self) -> tuple[Pose, float, float, float]:
+        if not self._wheels.measures_wheels:
+            return super()._place()
+        pose = (self._x, self._y, 0.0), from_rpy((0.0, 0.0, self._heading))
+        return pose, self._forwards, 0.0, self._turning
+
+
+class Gliding(RunningDrive):
+    """planar_move: the root link has the commanded velocity at the beginning of each step, and no other."""
+
+    def __init__(self, simulation: Simulation, robot: SpawnedRobot, drive: PlanarMove) -> None:
+        self._timeout_s = drive.timeout_s
+        super().__init__(simulation, robot, drive)
+        robot.on_emergency_stop.append(self.reset)
+        self._timer = simulation.graph.timers.every(EACH_STEP_NS, self._update)
+
+    def _update(self) -> None:
+        if 0.0 <= self._timeout_s < (self._simulation.time_ns - self._wanted_ns) / SECOND:
+            self.reset()
+        forwards, left, turning = self._wanted
+        yaw = to_rpy(self._world.link_pose(self._robot.name, self._robot.paper.root)[1])[2]
+        x = forwards * math.cos(yaw) - left * math.sin(yaw)
+        y = left * math.cos(yaw) + forwards * math.sin(yaw)
+        self._world.set_root_twist(self._robot.name, ((x, y, 0.0), (0.0, 0.0, turning)))
+
+
+def _period_ns(rate_hz: float) -> int:
+    return max(EACH_STEP_NS, round(SECOND / rate_hz)) if rate_hz > 0.0 else EACH_STEP_NS
+
+
+def _covariance(variances: Vector) -> list[float]:
+    x, y, yaw = variances
+    return matrix_of([x, y, UNKNOWN, UNKNOWN, UNKNOWN, yaw])
+
+
+def bring_up(simulation: Simulation, robot: SpawnedRobot) -> Callable[[], None]:
+    """Let the drives of a robot run. Returns what ends them."""
+    running: list[RunningDrive] = []
+    for drive in robot.paper.drives:
+        if isinstance(drive, WheelDrive):
+            running.append(TurningWheels(simulation, robot, drive))
+        elif isinstance(drive, PlanarMove) and robot.paper.is_fixed_to_world:
+            robot.warnings.append(f"{robot.name}: it is fixed to the world; the plugin {drive.name!r} has no effect")
+        elif isinstance(drive, PlanarMove):
+            running.append(Gliding(simulation, robot, drive))
+
+    def end() -> None:
+        for one in running:
+            one.close()
+
+    return end

@@ -1,0 +1,105 @@
+"""Cameras that a model declares: what they see, and what they say of themselves."""
+
+from __future__ import annotations
+
+import base64
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from slidectl import Simulation, description
+from slidectl.errors import BadFile
+from slidectl.physics import painting
+
+LINK = """<link name="base"><inertial><mass value="2"/>
+  <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>
+  <visual><geometry><box size="1 1 1"/></geometry><material name="m"><color rgba="{0}"/></material></visual>
+  <collision><geometry><box size="{1} {1} {1}"/></geometry></collision></link>"""
+CAMERA = """<gazebo reference="base"><sensor type="camera" name="eye"><update_rate>10</update_rate>
+  <pose>0.2 0 0 0 0 0</pose><camera><horizontal_fov>1.5708</horizontal_fov>
+  <image><width>64</width><height>48</height><format>{0}</format></image><clip><near>0.05</near><far>30</far></clip>
+  {1}</camera><plugin name="c" filename="libgazebo_ros_camera.so"><cameraName>eye</cameraName>
+  <frameName>eye_link</frameName>{2}</plugin></sensor></gazebo>"""
+
+needs_gl = pytest.mark.skipif(not painting.gl_backend(), reason="there is no OpenGL on this machine")
+
+
+def robot(colour: str, more: str = "", size: float = 0.2) -> str:
+    return f'<robot name="thing">{LINK.format(colour, size)}{more}</robot>'
+
+
+def at(x: float, y: float = 0.0) -> Any:
+    return ((x, y, 1.0), (0.0, 0.0, 0.0, 1.0))
+
+
+def pictures(camera: str, cycles: int = 200) -> list[dict[str, Any]]:
+    """What a camera at the origin sees of a red cube 1 m ahead, and of a blue one to the left of it."""
+    simulation = Simulation(gravity=(0.0, 0.0, 0.0), ground=False)
+    simulation.spawn(robot("1 1 1 1", camera), "thing", pose=at(0.0))
+    simulation.spawn(robot("1 0 0 1"), "red", pose=at(1.3))
+    simulation.spawn(robot("0 0 1 1"), "blue", pose=at(1.3, 0.5))
+    heard: list[dict[str, Any]] = []
+    simulation.subscribe("/thing/eye/image_raw", heard.append)
+    simulation.step(cycles)
+    return heard
+
+
+def pixels(message: dict[str, Any]) -> Any:
+    found = np.frombuffer(base64.b64decode(message["data"]), np.uint8).astype(int)
+    return found.reshape(message["height"], message["width"], -1)
+
+
+@needs_gl
+def test_a_camera_sees_links_in_their_colours_where_they_are() -> None:
+    heard = pictures(CAMERA.format("R8G8B8", "", ""))
+    assert [message["header"]["stamp"]["nsecs"] for message in heard] == [100_000_000, 200_000_000]
+    message = heard[-1]
+    assert (message["encoding"], message["step"], message["header"]["frame_id"]) == ("rgb8", 192, "eye_link")
+    image = pixels(message)
+    assert image.shape == (48, 64, 3)
+    red, blue = image[24, 32], image[24, 16]  # 90 degrees wide: what is 0.5 m to the left at 1 m is half the way out
+    assert red[0] > 60 + 2 * max(red[1:])
+    assert blue[2] > 60 + 2 * max(blue[:2])
+    assert image[2, 60].max() < 30  # nothing is there
+
+
+@needs_gl
+def test_a_grey_picture_has_noise_that_is_the_same_in_every_run() -> None:
+    noise = "<noise><type>gaussian</type><mean>0</mean><stddev>0.05</stddev></noise>"
+    first, second = pictures(CAMERA.format("L8", noise, "")), pictures(CAMERA.format("L8", noise, ""))
+    assert first[0]["encoding"] == "mono8"
+    assert [message["data"] for message in first] == [message["data"] for message in second]
+    assert first[0]["data"] != first[1]["data"]
+    plain = pixels(pictures(CAMERA.format("L8", "", ""))[0])
+    middle = (slice(21, 28), slice(29, 36))
+    assert np.std(pixels(first[0])[middle] - plain[middle]) == pytest.approx(0.05 * 255, rel=0.4)
+
+
+def test_the_geometry_of_a_camera_needs_no_picture() -> None:
+    simulation = Simulation()
+    simulation.spawn(robot("1 1 1 1", CAMERA.format("R8G8B8", "", "<hackBaseline>0.07</hackBaseline>")), "thing")
+    heard: list[dict[str, Any]] = []
+    simulation.subscribe("/thing/eye/camera_info", heard.append)
+    simulation.step(100)
+    (message,) = heard
+    length = 64 / (2 * math.tan(1.5708 / 2))
+    assert message["K"] == pytest.approx([length, 0, 32.5, 0, length, 24.5, 0, 0, 1])
+    assert message["P"][3] == pytest.approx(-0.07 * length)
+
+
+def test_without_opengl_a_spawn_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(painting, "_LIBRARIES", {})
+    simulation = Simulation()
+    spawned = simulation.spawn(robot("1 1 1 1", CAMERA.format("R8G8B8", "", "")), "thing")
+    assert "camera eye makes no pictures, there is no OpenGL: install" in "".join(spawned.warnings)
+    simulation.subscribe("/thing/eye/image_raw", lambda _: pytest.fail("there is a picture"))
+    simulation.step(200)
+
+
+def test_a_camera_that_cannot_be_is_refused_and_another_format_is_said() -> None:
+    with pytest.raises(BadFile, match="a horizontal_fov between 0 and pi"):
+        description.parse(robot("1 1 1 1", CAMERA.format("R8G8B8", "", "").replace("1.5708", "4")))
+    report = description.parse(robot("1 1 1 1", CAMERA.format("BAYER_RGGB8", "", ""))).report
+    assert "<format> BAYER_RGGB8 is unknown here" in str(report[0])
