@@ -227,10 +227,6 @@ class _Output:
             self.bytes -= gone.stat().st_size
             gone.unlink()
 
-    def begin(self, time_ns: int) -> None:
-        """The simulated time from which on --duration counts."""
-        self._begin_ns = time_ns
-
     def write(self, topic: str, codec: Codec, latching: bool, time_ns: int, raw: bytes) -> None:
         """Raises OSError."""
         if self._ends(time_ns):
@@ -299,7 +295,6 @@ class _Recorder:
         client = self._ctx.client
         topics = client.topics()
         self._subscribe_new(topics)
-        self._out.begin(nanoseconds(client.call("/rosapi/get_time")["time"]))
         if self._length_s is not None:
             self._sleep = client.call_async("/slidectl/sleep", {"duration": self._length_s})
         for name in self._choice.named:

@@ -265,7 +265,11 @@ class Client:
             Refused: no such topic, or it has another type.
         """
         subscription = self.ask_for(topic, type, queue_length, throttle_rate, take)
-        self.call(_SYNCHRONIZE)
+        try:
+            self.call(_SYNCHRONIZE)
+        except BaseException:
+            self.unsubscribe(subscription)
+            raise
         if subscription.id in self._refusals:
             self._subscriptions[subscription.topic].remove(subscription)
             raise self._refusals.pop(subscription.id)
@@ -285,8 +289,8 @@ class Client:
         options: Message = {"queue_length": queue_length, "throttle_rate": throttle_rate, **_typed(type)}
         if take is not None:
             options["stamped"] = True
-        self._subscriptions.setdefault(topic, []).append(subscription)
         self._send(op="subscribe", id=subscription.id, topic=topic, **options)
+        self._subscriptions.setdefault(topic, []).append(subscription)
         return subscription
 
     def unsubscribe(self, subscription: Subscription) -> None:

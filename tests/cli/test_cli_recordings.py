@@ -212,7 +212,7 @@ def test_a_full_disk_ends_the_recording_and_says_so(slider: CommandLine, tmp_pat
     done = recorder.ended()
     assert done.returncode == 1
     assert f"cannot write {path}: File too large; " in done.stderr
-    kept = int(done.stderr.split("; ")[1].split(" ")[0])
+    kept = int(done.stderr.split("File too large; ")[1].split(" ")[0])
     info = slider("bag", "info", str(path), "--json")
     assert kept == (json.loads(info.stdout)["messages"] if info.returncode == 0 else 0)
     assert (f"slidectl bag reindex {path}" in done.stderr) == (kept > 0)
