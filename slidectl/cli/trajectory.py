@@ -91,9 +91,10 @@ def send(ctx: Context, controller: str, file: str, wait: bool) -> None:
 @_wait
 @click.pass_obj
 def plan(ctx: Context, controller: str, targets: tuple[str, ...], duration: float, wait: bool) -> None:
-    """Go to positions of some joints in a time; the other joints go to their desired positions of this moment.
+    """Go to positions of some joints in a time.
 
-    All come to rest at the end, by a polynomial without jumps of velocity and acceleration. JSON keys as for send.
+    The other joints go to their desired positions of this moment. All come to rest at the end, by a polynomial
+    without jumps of velocity and acceleration. JSON keys as for send.
     """
     wanted = dict(_target(text) for text in targets)
     with _action(ctx, controller) as action:
