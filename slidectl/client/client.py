@@ -162,9 +162,12 @@ class Client:
             raise self._refusals.pop(advertise_id)
 
     def _serve(self, request: Message) -> None:
+        handler = self._handlers.get(request["service"])
+        if handler is None:  # whoever advertised it by hand reads `events`
+            return
         answer: Message = {"op": "service_response", "id": request["id"], "service": request["service"]}
         try:
-            answer |= {"values": self._handlers[request["service"]](request["args"]), "result": True}
+            answer |= {"values": handler(request["args"]), "result": True}
         except Exception as error:  # the caller's, not ours
             answer |= {"values": str(error) or type(error).__name__, "result": False}
         self._send(**answer)
