@@ -21,7 +21,7 @@ from slidectl.control.node_handle import NodeHandle, Reasons
 from slidectl.control.params import UPDATE_BUDGET, Guard, value_of
 from slidectl.control.registry import ControllerLoader, RegistryLoader, UnknownType
 from slidectl.control.ros2_names import counterpart
-from slidectl.control.user_classes import HookGuard, is_of_a_user, place_of, watched
+from slidectl.control.user_classes import HookGuard, is_of_a_user, raised, watched, watched_hardware
 from slidectl.errors import BadName, Refused, SlidectlError, UnknownName, quoted
 
 _LONGEST_BUDGET_S = 1e9
@@ -156,6 +156,11 @@ class LoadedController:
         with self._watched or nullcontext():
             self.controller.update(time_ns, period_s)
 
+    def publish(self, time_ns: int, period_s: float) -> None:
+        """What its compiled law made due. Raises what the controller raises."""
+        with self._watched or nullcontext():
+            self.controller.publish(time_ns, period_s)
+
     def update_if_running(self, time_ns: int, period_s: float) -> None:
         """One cycle, unless a controller before this one has stopped it. A failure aborts it."""
         try:
@@ -195,9 +200,7 @@ def described(failure: Exception) -> str:
     """An error on one line: our own by their text, others with their class and the place."""
     if isinstance(failure, SlidectlError):
         return "; ".join(line.rstrip(".") for line in str(failure).splitlines())
-    place = place_of(failure)
-    where = f" ({place[0]}:{place[1]})" if place else ""
-    return f"{type(failure).__name__}: {failure}{where}".replace("\n", " ")
+    return raised(failure)
 
 
 class CallbackGuard(HookGuard):
@@ -325,6 +328,12 @@ class Switch:
                 entry.stop(time_ns)
         return self._start_asap(hw, time_ns) if self._asap else self._start_together(hw, time_ns)
 
+    def give_up(self, time_ns: int) -> None:
+        """The hardware failed: what should start is aborted."""
+        for entry in self._plan.start_request:
+            if not entry.is_running:
+                entry.abort(time_ns)
+
     def _start_together(self, hw: RobotHW, time_ns: int) -> bool:
         request = self._plan.start_request
         if hw.switch_result() is SwitchState.DONE:
@@ -423,7 +432,13 @@ class ControllerManager:
         if switch is None:
             return
         with self._node.answering(switch.reasons):
-            finished = switch.advance(self._hw, time_ns)
+            try:
+                with watched_hardware(self._hw):
+                    finished = switch.advance(self._hw, time_ns)
+            except Refused as failure:
+                self._node.log("fatal", described(failure))
+                switch.give_up(time_ns)
+                finished = True
         self._refresh()
         if finished:
             self._switch = None
@@ -651,7 +666,9 @@ class ControllerManager:
             for conflict in conflicts:
                 self._node.log("warn", f"resource conflict: {conflict}")
             raise Refused(f"resource conflict: {'; '.join(map(str, conflicts))}")
-        if not self._hw.prepare_switch(plan.start, plan.stop):
+        with watched_hardware(self._hw):
+            is_possible = self._hw.prepare_switch(plan.start, plan.stop)
+        if not is_possible:
             raise Refused("the hardware cannot run this combination of controllers")
         switch = Switch(plan, asap=asap, timeout_s=timeout_s, init_time_ns=self._node.now_ns(), on_done=on_done)
         switch.reasons = self._node.reasons

@@ -7,6 +7,7 @@ where it would hold up everybody else; who runs in a process that others wait fo
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import traceback
 from collections.abc import Iterator
@@ -34,6 +35,7 @@ _HOOKS: dict[str, tuple[str, ...]] = {
     "__init__": (),
 }
 """What the hooks are called with, besides `self`."""
+_RAISES_INTERRUPT = signal.default_int_handler
 
 
 class TookTooLong(BaseException):
@@ -49,16 +51,25 @@ def is_of_a_user(cls: type) -> bool:
     return not cls.__module__.startswith("slidectl.")
 
 
+def is_fault(failure: BaseException) -> bool:
+    """Is it a fault of users' code, `sys.exit()` in it as well? Ctrl-C is none, where it ends the process."""
+    return not isinstance(failure, KeyboardInterrupt) or signal.getsignal(signal.SIGINT) is not _RAISES_INTERRUPT
+
+
 class HookGuard(AbstractContextManager[None]):
-    """Inside, a hook of a user's class runs, in each cycle perhaps. Raises Refused when it took too long."""
+    """Inside, a hook of a user's class runs, in each cycle perhaps. Whatever it raises becomes an Exception."""
 
     def __enter__(self) -> None:
         limit.__enter__()
 
     def __exit__(self, kind: type[BaseException] | None, failure: BaseException | None, *trace: Any) -> None:
         limit.__exit__(kind, failure, *trace)
+        if failure is None or isinstance(failure, Exception):
+            return
         if isinstance(failure, TookTooLong):
             raise _too_long(failure) from None
+        if is_fault(failure):
+            raise Refused(raised(failure)) from None
 
 
 def watched(cls: ControllerClass) -> HookGuard | None:
@@ -76,14 +87,22 @@ def watched_for(what: str, name: str) -> Iterator[None]:
         raise
     except TookTooLong as failure:
         raise _too_long(failure) from None
-    except Exception as failure:
-        raise failed(f"{what} {name}", failure) from failure
+    except BaseException as failure:
+        if not is_fault(failure):
+            raise
+        raise Refused(f"{what} {name}: {raised(failure)}") from failure
 
 
-def failed(what: str, failure: Exception) -> Refused:
-    """The error for what code of a user raised, with the place."""
+def watched_hardware(hardware: object) -> AbstractContextManager[None]:
+    """What surrounds a hook of a robot's hardware outside of `read` and `write`: `watched_for`, if it is a user's."""
+    cls = type(hardware)
+    return watched_for("hardware", cls.__name__) if is_of_a_user(cls) else nullcontext()
+
+
+def raised(failure: BaseException) -> str:
+    """What code of a user raised: its class, its text and the place."""
     place = place_of(failure)
-    return Refused(f"{what}: {type(failure).__name__}: {failure}{f' ({place[0]}:{place[1]})' if place else ''}")
+    return f"{type(failure).__name__}: {failure}{f' ({place[0]}:{place[1]})' if place else ''}".replace("\n", " ")
 
 
 def _too_long(failure: TookTooLong) -> Refused:
@@ -162,15 +181,17 @@ def _importing(what: str) -> Iterator[None]:
     """Turn what users' code raises at its import into an error with file and line. SystemExit would end the process."""
     try:
         yield
-    except (Exception, SystemExit) as failure:
+    except TookTooLong as failure:
+        raise _too_long(failure) from None
+    except BaseException as failure:
+        if not is_fault(failure):
+            raise
         file, line = place_of(failure) or (what, 0)
         if isinstance(failure, SyntaxError) and failure.filename:
             file, line = failure.filename, failure.lineno or 0
         elif isinstance(failure, ModuleNotFoundError) and failure.name == what:
             raise BadFile(f"no module {what!r} is installed, nor is there a file {what}.py here") from None
         raise BadFile(f"{type(failure).__name__}: {failure}", file, line or None) from None
-    except TookTooLong as failure:
-        raise _too_long(failure) from None
 
 
 # -- classes -----------------------------------------------------------------------------------------------------------
