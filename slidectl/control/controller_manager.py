@@ -21,7 +21,15 @@ from slidectl.control.node_handle import NodeHandle, Reasons
 from slidectl.control.params import UPDATE_BUDGET, Guard, value_of
 from slidectl.control.registry import ControllerLoader, RegistryLoader, UnknownType
 from slidectl.control.ros2_names import counterpart
-from slidectl.control.user_classes import HookGuard, is_of_a_user, raised, watched, watched_hardware
+from slidectl.control.user_classes import (
+    HookGuard,
+    WrittenCommands,
+    file_of,
+    is_of_a_user,
+    raised,
+    watched,
+    watched_hardware,
+)
 from slidectl.errors import BadName, Refused, SlidectlError, UnknownName, quoted
 
 _LONGEST_BUDGET_S = 1e9
@@ -93,12 +101,22 @@ class LoadedController:
 
     __slots__ = ("_watched", "controller", "info", "node", "times")
 
-    def __init__(self, name: str, type_name: str, controller: ControllerBase, node: NodeHandle) -> None:
+    def __init__(
+        self,
+        name: str,
+        type_name: str,
+        controller: ControllerBase,
+        node: NodeHandle,
+        commands: WrittenCommands | None = None,
+    ) -> None:
+        """`commands` are those of a user's controller."""
         self.controller = controller
         self.node = node
         self.info = ControllerInfo(name, type_name, controller.claimed_resources)
         self.times = UpdateTimes(name, node)
         self._watched = watched(type(controller))
+        if self._watched is not None:
+            self._watched.commands = commands
         self._read_budget()
         node.watch_param(UPDATE_BUDGET.name, self._read_budget)
 
@@ -534,15 +552,19 @@ class ControllerManager:
         try:
             type_name = _understood(node, _type_of(node))
             controller = self._create(type_name)
-            if is_of_a_user(type(controller)):
-                node.guard = CallbackGuard(node)
+            guard = CallbackGuard(node) if is_of_a_user(type(controller)) else None
+            node.guard = guard
             with watched(type(controller)) or nullcontext():
                 controller.init_request(self._hw, self._node, node)
         except BaseException:
             node.shutdown()
             raise
         node.guard_params(Guard(node, controller.parameters).judge)
-        return LoadedController(name, type_name, controller, node)
+        if guard is None:
+            return LoadedController(name, type_name, controller, node)
+        written = self._hw.claimed_commands(controller.claimed_resources)
+        guard.commands = WrittenCommands(written, file_of(type(controller)))
+        return LoadedController(name, type_name, controller, node, guard.commands)
 
     def _create(self, type_name: str) -> ControllerBase:
         for loader in self._loaders:

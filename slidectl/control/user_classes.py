@@ -7,17 +7,20 @@ where it would hold up everybody else; who runs in a process that others wait fo
 from __future__ import annotations
 
 import os
+import reprlib
 import signal
 import sys
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from importlib import import_module
+from math import isfinite
 from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any
 
 from slidectl.control.controller_interface import Controller, ControllerBase, MultiInterfaceController
+from slidectl.control.hardware_interface import JointHandle
 from slidectl.errors import BadFile, Refused, SlidectlError, UnknownName, UsageError, listing
 
 ControllerClass = type[ControllerBase]
@@ -56,14 +59,61 @@ def is_fault(failure: BaseException) -> bool:
     return not isinstance(failure, KeyboardInterrupt) or signal.getsignal(signal.SIGINT) is not _RAISES_INTERRUPT
 
 
+class WrittenCommands:
+    """The commands that a user's controller writes. The hardware takes finite floats alone, and does not look."""
+
+    def __init__(self, commands: Sequence[tuple[JointHandle, str]], file: str | None) -> None:
+        """Handles, each with the name of an attribute that is a command, and the file of the class."""
+        self._commands = commands
+        self._file = file
+        self._kept = [0.0] * len(commands)
+
+    def keep(self) -> None:
+        """Remember the commands, before the controller writes others."""
+        for place, (handle, attribute) in enumerate(self._commands):
+            command = getattr(handle, attribute)
+            if type(command) is float and isfinite(command):
+                self._kept[place] = command
+
+    def mend(self) -> str:
+        """Put the command that was kept where another one is no finite number. What is wrong; empty when nothing is.
+
+        Infinity is a number where a limit of the joint cuts it.
+        """
+        wrong = ""
+        for place, (handle, attribute) in enumerate(self._commands):
+            command = getattr(handle, attribute)
+            try:
+                if isfinite(min(max(command, handle.lowest), handle.highest) if attribute == "command" else command):
+                    if type(command) is not float:  # of numpy, or a whole number
+                        setattr(handle, attribute, float(command))
+                    continue
+            except (TypeError, ValueError, OverflowError):
+                pass
+            setattr(handle, attribute, self._kept[place])
+            what = f"the {attribute.replace('_', ' ')} of joint {handle.name!r}"
+            wrong = f"it set {what} to {reprlib.repr(command)}, which is no finite number ({self._file})"
+        return wrong
+
+
 class HookGuard(AbstractContextManager[None]):
-    """Inside, a hook of a user's class runs, in each cycle perhaps. Whatever it raises becomes an Exception."""
+    """Inside, a hook of a user's class runs, in each cycle perhaps. Whatever it raises becomes an Exception.
+
+    With `commands` it raises Refused too when one of these is no number afterwards.
+    """
+
+    commands: WrittenCommands | None = None
 
     def __enter__(self) -> None:
+        if self.commands is not None:
+            self.commands.keep()
         limit.__enter__()
 
     def __exit__(self, kind: type[BaseException] | None, failure: BaseException | None, *trace: Any) -> None:
         limit.__exit__(kind, failure, *trace)
+        wrong = "" if self.commands is None else self.commands.mend()
+        if failure is None and wrong:
+            raise Refused(wrong)
         if failure is None or isinstance(failure, Exception):
             return
         if isinstance(failure, TookTooLong):
