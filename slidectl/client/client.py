@@ -626,7 +626,10 @@ class Client:
         if not self._becomes(lambda: call_id in self._answers, _PROBE_S):
             self.forget(call_id)
             return "the daemon itself does not answer; see: " + command(self.paths, "daemon logs")
-        if self.answer(call_id).get("paused"):
+        status = self.answer(call_id)
+        if status.get("paused") and status.get("trouble"):
+            return f"the simulation is paused ({status['trouble']}); first: {command(self.paths, 'sim reset')}"
+        if status.get("paused"):
             return "the simulation is paused; let it go on with: " + command(self.paths, "sim resume")
         return None
 

@@ -99,7 +99,7 @@ class UpdateTimes:
 class LoadedController:
     """One entry of a manager's list. Times are nanoseconds of simulated time."""
 
-    __slots__ = ("_watched", "controller", "info", "node", "times")
+    __slots__ = ("_watched", "controller", "failure", "info", "node", "times")
 
     def __init__(
         self,
@@ -114,6 +114,8 @@ class LoadedController:
         self.node = node
         self.info = ControllerInfo(name, type_name, controller.claimed_resources)
         self.times = UpdateTimes(name, node)
+        self.failure = ""
+        """Why it was aborted by what its code raised, since its last start."""
         self._watched = watched(type(controller))
         if self._watched is not None:
             self._watched.commands = commands
@@ -144,6 +146,7 @@ class LoadedController:
     def start(self, time_ns: int) -> None:
         """Start, or start again."""
         self.times.clear()
+        self.failure = ""
         self._request(self.controller.start_request, time_ns)
 
     def stop(self, time_ns: int) -> None:
@@ -189,7 +192,8 @@ class LoadedController:
 
     def fail(self, failure: Exception, time_ns: int) -> None:
         """Log what the controller's code raised, and abort it."""
-        self.node.log("fatal", f"controller {self.name!r} failed and is aborted: {described(failure)}")
+        self.failure = f"controller {self.name!r} failed and is aborted: {described(failure)}"
+        self.node.log("fatal", self.failure)
         try:
             with self._watched or nullcontext():
                 self.controller.abort_request(time_ns)
@@ -596,6 +600,10 @@ class ControllerManager:
             raise UnknownName("controller", name, self.names(), "to reload")
         registry.renewed(type(entry.controller))
         return entry.controller.state
+
+    def failure_of(self, name: str) -> str:
+        """Why a controller was aborted by what its code raised, since its last start; empty when it was not."""
+        return self._loaded[name].failure if name in self._loaded else ""
 
     def exchange(self, name: str) -> bool:
         """Make a stopped controller anew from what its type means now, in its place in the order.

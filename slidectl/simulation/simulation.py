@@ -185,8 +185,14 @@ class Simulation:
         self.run.pause()
 
     def resume(self) -> None:
-        """Let the world go on."""
+        """Let the world go on. Raises Diverged: it cannot before a reset."""
+        self.check_trouble()
         self.run.resume()
+
+    def check_trouble(self) -> None:
+        """Raises Diverged when the world was held for that, and is still as it was."""
+        if self.run.trouble:
+            self.world.check()
 
     def set_speed(self, factor: float) -> None:
         """Real-time factor, 0 for as fast as possible. Raises Refused for anything else."""

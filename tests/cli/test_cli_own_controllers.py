@@ -205,6 +205,24 @@ def test_an_exit_in_a_hook_aborts_its_controller_and_the_daemon_goes_on(
     assert effort(pushing) == 2.0
 
 
+def test_a_reload_of_a_law_that_fails_in_its_first_update_fails_with_the_reason(
+    pushing: CommandLine, law: Path
+) -> None:
+    text = f"failed and is aborted: ZeroDivisionError: float division by zero ({law}:18)"
+    written(law, LAW.replace("= self.push\n", "= self.push / 0\n"))
+    try:
+        pushing.ok("sim", "resume")
+        for _ in range(3):
+            done = pushing("controller", "reload", "my_law")
+            assert (done.returncode, done.stdout) == (1, "")
+            assert text in done.stderr
+    finally:
+        pushing.ok("sim", "pause")
+    done = pushing("controller", "reload", "my_law")
+    assert (done.returncode, done.stdout) == (0, "my_law: reloaded, running (was aborted)\n")
+    assert "the simulation is paused; nothing runs until it goes on: slidectl sim resume" in done.stderr
+
+
 LOOP = """while True:
             try:
                 time_ns += 1
