@@ -391,6 +391,10 @@ class Client:
             self.spawn_models([spawning.request(one, at) for one in models])
             return dict(self.call("/slidectl/list_robots", {"name": models[0].name})["robots"][0])
         document = spawning.document(model, xacro_arguments, name)
+        given = {f"{argument}:=" for argument in xacro_arguments}
+        for notice in document.report:
+            if notice.subject in given:
+                raise UsageError(f"{model}: {notice.subject} {notice.text}")
         xml = spawning.with_transmissions(document, transmissions)
         chosen, namespace = spawning.identity(xml, document, name, joints=joints or {})
         spawning.check_free(self.robots(), chosen, namespace)
