@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 _SECOND = 10**9
 _AHEAD = 1000
 """Messages that the daemon has before their time."""
-_FIRST_DELAY_NS = _SECOND // 10
-"""Simulated time from now to the first message: as rosbag's --delay, so that its time is still to come."""
+_FIRST_DELAY_NS = _SECOND // 5
+"""Simulated time from now to the first message, rosbag's --delay: its time must still be to come."""
 _MOST_TOLD = 5
 
 
@@ -71,7 +71,7 @@ def play(
     """Publish the messages of recordings again.
 
     Each is published in the cycle that is as far from the first as it was, in simulated time: a world that is paused
-    holds the playing, and on every run the same cycles see the same messages. The first comes 0.1 s after now; with
+    holds the playing, and on every run the same cycles see the same messages. The first comes 0.2 s after now; with
     --at-recorded-times each comes at the time that it was recorded at, so a recording of the commands, played into a
     world as it was at its beginning, gives the same bits. It returns when the last was published.
 
@@ -215,6 +215,8 @@ class _Player:
         seconds = 0.0 if self._first_ns is None else (self._last_ns - self._first_ns) / _SECOND
         record = {"published": self.published, "late": self.late, "topics": sorted(self._topics), "seconds": seconds}
         if self.late:
-            slower = "slow the world down (slidectl sim speed 1), or pause it until the playing has begun"
-            self._ctx.warn(f"{self.late} messages came after their time: {slower}")
-        self._ctx.done(record, f"played {self.published} messages on {len(self._topics)} topics, {seconds:.3f} s")
+            text = f"{self.late} messages came after their time, and were published at once"
+            self._ctx.warn(f"{text}; in a world that is paused when the playing begins none is late")
+        count, topics = self.published, len(self._topics)
+        messages = f"{count} message{'' if count == 1 else 's'} on {topics} topic{'' if topics == 1 else 's'}"
+        self._ctx.done(record, f"played {messages}, {seconds:.3f} s")

@@ -20,7 +20,7 @@ from slidectl.cli import completion, output
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
 from slidectl.cli.topic_streams import nanoseconds
-from slidectl.errors import NoDaemon, Refused, SlidectlError, UnknownName, UsageError
+from slidectl.errors import Refused, SlidectlError, UnknownName, UsageError
 
 if TYPE_CHECKING:
     from slidectl.client import Subscription
@@ -126,6 +126,25 @@ def _pid_file(path: str | None) -> Iterator[None]:
         Path(path).unlink(missing_ok=True)
 
 
+def _megabytes(size: int) -> str:
+    return f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{size / 1e3:.1f} kB"
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def _readable(path: Path) -> int:
+    """How many messages a file has that was not completed."""
+    from slidectl.recording.recording_files import opened
+
+    try:
+        with opened(path) as recording:
+            return recording.summary().counts.total()
+    except SlidectlError:
+        return 0
+
+
 class _Choice:
     """Which topics are recorded."""
 
@@ -208,10 +227,6 @@ class _Output:
             self.bytes -= gone.stat().st_size
             gone.unlink()
 
-    def begin(self, time_ns: int) -> None:
-        """The simulated time from which on --duration counts."""
-        self._begin_ns = time_ns
-
     def write(self, topic: str, codec: Codec, latching: bool, time_ns: int, raw: bytes) -> None:
         """Raises OSError."""
         if self._ends(time_ns):
@@ -273,17 +288,15 @@ class _Recorder:
         self._left_out: set[str] = set()
 
     def what(self) -> str:
-        count = len(self._subscriptions)
-        return f"{count} topic{'' if count == 1 else 's'}"
+        return _count(len(self._subscriptions), "topic")
 
     def begin(self) -> None:
         """Returns when everything that is there is subscribed."""
         client = self._ctx.client
-        self._out.begin(nanoseconds(client.call("/rosapi/get_time")["time"]))
-        if self._length_s is not None:
-            self._sleep = client.call_async("/slidectl/sleep", {"duration": self._length_s})
         topics = client.topics()
         self._subscribe_new(topics)
+        if self._length_s is not None:
+            self._sleep = client.call_async("/slidectl/sleep", {"duration": self._length_s})
         for name in self._choice.named:
             if name not in topics:
                 self._ctx.warn(f"nobody publishes {name} yet; it is recorded as soon as somebody does")
@@ -297,14 +310,12 @@ class _Recorder:
                     self._codecs[topic] = codec.of(kind)
                 except SlidectlError as error:
                     self._leave_out(topic, error)
-        for topic in self._codecs.keys() - self._subscriptions.keys():  # one soon after the other
-            try:
-                self._subscriptions[topic] = self._ctx.client.subscribe(topic, queue_length=_QUEUE, take=self._take)
-            except NoDaemon:
-                raise
-            except SlidectlError as error:  # it went away meanwhile
-                del self._codecs[topic]
-                self._leave_out(topic, error)
+        client = self._ctx.client
+        new = [topic for topic in self._codecs if topic not in self._subscriptions]
+        for topic in new:  # all from the same moment on
+            self._subscriptions[topic] = client.ask_for(topic, topics[topic], queue_length=_QUEUE, take=self._take)
+        if new:
+            client.flush()
 
     def _leave_out(self, topic: str, error: SlidectlError) -> None:
         self._left_out.add(topic)
@@ -383,7 +394,7 @@ class _Recorder:
     def _so_far(self) -> str:
         out = self._out
         seconds = 0.0 if out.first_ns is None else (out.last_ns - out.first_ns) / 1e9
-        return f"{out.counts.total()} messages of {len(out.counts)} topics, {seconds:.3f} s"
+        return f"{_count(out.counts.total(), 'message')} of {_count(len(out.counts), 'topic')}, {seconds:.3f} s"
 
     def end(self) -> None:
         """Complete the file and say what is in it.
@@ -404,11 +415,13 @@ class _Recorder:
             "files": [str(path) for path in out.files], "messages": out.counts.total(), "topics": len(out.counts),
             "seconds": seconds, "bytes": size, "dropped": dropped,
         }  # fmt: skip
-        self._ctx.done(record, f"{names}: {self._so_far()}, {size / 1e6:.1f} MB")
+        self._ctx.done(record, f"{names}: {self._so_far()}, {_megabytes(size)}")
         if self._failure is not None:
+            kept = _readable(out.path)
             raise Refused(
-                f"cannot write {out.path}: {self._failure.strerror or self._failure}",
-                f"what was written before can be read; complete the file with: slidectl bag reindex {out.path}",
+                f"cannot write {out.path}: {self._failure.strerror or self._failure}; "
+                f"{kept} of its messages are in it and can be read",
+                f"complete it with: slidectl bag reindex {out.path}" if kept else None,
             )
         if dropped:
             raise Refused(f"{dropped} messages were lost: they came faster than they could be written")

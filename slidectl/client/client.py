@@ -162,9 +162,12 @@ class Client:
             raise self._refusals.pop(advertise_id)
 
     def _serve(self, request: Message) -> None:
+        handler = self._handlers.get(request["service"])
+        if handler is None:  # whoever advertised it by hand reads `events`
+            return
         answer: Message = {"op": "service_response", "id": request["id"], "service": request["service"]}
         try:
-            answer |= {"values": self._handlers[request["service"]](request["args"]), "result": True}
+            answer |= {"values": handler(request["args"]), "result": True}
         except Exception as error:  # the caller's, not ours
             answer |= {"values": str(error) or type(error).__name__, "result": False}
         self._send(**answer)
@@ -264,21 +267,33 @@ class Client:
         Raises:
             Refused: no such topic, or it has another type.
         """
-        topic = self._full("topic", topic, "publishers", type)
-        subscription = Subscription(self, topic, self._next_id("subscribe"), queue_length, take)
-        options: Message = {"queue_length": queue_length, "throttle_rate": throttle_rate, **_typed(type)}
-        if take is not None:
-            options["stamped"] = True
-        self._subscriptions.setdefault(topic, []).append(subscription)
+        subscription = self.ask_for(topic, type, queue_length, throttle_rate, take)
         try:
-            self._send(op="subscribe", id=subscription.id, topic=topic, **options)
             self.call(_SYNCHRONIZE)
         except BaseException:
             self.unsubscribe(subscription)
             raise
         if subscription.id in self._refusals:
-            self._subscriptions[topic].remove(subscription)
+            self._subscriptions[subscription.topic].remove(subscription)
             raise self._refusals.pop(subscription.id)
+        return subscription
+
+    def ask_for(
+        self,
+        topic: str,
+        type: str | None = None,
+        queue_length: int = 0,
+        throttle_rate: int = 0,
+        take: Callable[[Message], None] | None = None,
+    ) -> Subscription:
+        """`subscribe` without waiting: messages may come from the next call on. `flush` raises what was refused."""
+        topic = self._full("topic", topic, "publishers", type)
+        subscription = Subscription(self, topic, self._next_id("subscribe"), queue_length, take)
+        options: Message = {"queue_length": queue_length, "throttle_rate": throttle_rate, **_typed(type)}
+        if take is not None:
+            options["stamped"] = True
+        self._send(op="subscribe", id=subscription.id, topic=topic, **options)
+        self._subscriptions.setdefault(topic, []).append(subscription)
         return subscription
 
     def unsubscribe(self, subscription: Subscription) -> None:

@@ -140,7 +140,7 @@ def test_a_recording_of_the_commands_gives_the_same_bits_again(tmp_path: Path) -
         slidectl.ok("sim", "step", "400")
         stdout, stderr = player.communicate(timeout=60)
         assert (player.returncode, stderr) == (0, "")
-        assert stdout == "played 4 messages on 1 topics, 0.399 s\n"
+        assert stdout == "played 4 messages on 1 topic, 0.399 s\n"
         assert recorder.end().returncode == 0
     assert messages(again) == messages(path)
 
@@ -211,8 +211,11 @@ def test_a_full_disk_ends_the_recording_and_says_so(slider: CommandLine, tmp_pat
     slider.ok("sim", "step", "2s")
     done = recorder.ended()
     assert done.returncode == 1
-    assert f"cannot write {path}: File too large" in done.stderr
-    assert f"slidectl bag reindex {path}" in done.stderr
+    assert f"cannot write {path}: File too large; " in done.stderr
+    kept = int(done.stderr.split("File too large; ")[1].split(" ")[0])
+    info = slider("bag", "info", str(path), "--json")
+    assert kept == (json.loads(info.stdout)["messages"] if info.returncode == 0 else 0)
+    assert (f"slidectl bag reindex {path}" in done.stderr) == (kept > 0)
 
 
 def test_a_daemon_that_ends_completes_the_recording(tmp_path: Path) -> None:
