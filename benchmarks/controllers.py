@@ -184,7 +184,7 @@ def cart_drives() -> Row:
     own = yaml.safe_load((share("config") / "cart_control.yaml").read_text(encoding="utf-8"))["cart"]
     own["base_controller"]["cmd_vel_timeout"] = 1e9
     simulation.parameters.set("/cart", own)
-    simulation.spawn(load("cart").xml, "cart", "/cart")
+    simulation.spawn(load("cart", {"drive": "controller"}).xml, "cart", "/cart")
     cycles.start(simulation, "cart", tuple(own))
     simulation.publish("/cart/base_controller/cmd_vel", {"linear": {"x": 0.4}, "angular": {"z": 0.5}})
     simulation.driven = True

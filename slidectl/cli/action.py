@@ -14,7 +14,7 @@ from slidectl.cli import completion, output, robots, values
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
 from slidectl.cli.echo import echo as echo_topic
-from slidectl.cli.topic_streams import paused
+from slidectl.cli.topic_streams import paused, way_on
 from slidectl.errors import Refused, TimedOut, UsageError
 
 if TYPE_CHECKING:
@@ -196,7 +196,7 @@ def _follow(ctx: Context, chosen: Action, goal_id: str, tell_feedback: bool, des
     status = ctx.call("/slidectl/status")
     robots.warn_stopped(ctx, status["estop"])
     if status["paused"]:
-        ctx.say(f"{paused(status)}; this waits until it goes on: slidectl sim resume, or slidectl sim step")
+        ctx.say(f"{paused(status)}; this waits until it goes on: {way_on(status)}")
     try:
         with _progress(ctx, chosen.name, wanted=not tell_feedback) as show:
             for event in chosen.follow(goal_id, ctx.wait_limit(math.inf)):

@@ -18,6 +18,7 @@ from slidectl.cli import completion, robots
 from slidectl.cli.commands import Variadic, group
 from slidectl.cli.context import Context
 from slidectl.cli.param import store
+from slidectl.cli.topic_streams import paused, way_on
 from slidectl.client.client import BEST_EFFORT, STRICT, UNLOADED, Manager, each
 from slidectl.errors import AmbiguousName, NoDaemon, Refused, TimedOut, UnknownName, UsageError, listing
 from slidectl.names import join, parent, resolve
@@ -279,7 +280,7 @@ def reload(ctx: Context, manager: str | None, names: tuple[str, ...]) -> None:
     """Put controllers of your own in their place as their files are now.
 
     Each is stopped if it runs, loaded anew, and started again if it ran or was aborted. Name, parameters and topics
-    stay. When the edited file is broken nothing changes.
+    stay. When the edited file is broken nothing changes. Fails when it is aborted by its first update.
     """
     target, local = owner(ctx, manager, names)
     for name in local:
@@ -288,6 +289,9 @@ def reload(ctx: Context, manager: str | None, names: tuple[str, ...]) -> None:
         state = target.states().get(name, UNLOADED)
         record = {"manager": target.namespace, "name": name, "state": state, "before": before}
         ctx.done(record, f"{name}: reloaded, {state}" + ("" if state == before else f" (was {before})"))
+        status = ctx.call("/slidectl/status")
+        if state == "running" and status["paused"]:
+            ctx.say(f"{paused(status)}; nothing runs until it goes on: {way_on(status)}")
 
 
 @controller.command("unload", examples=["slidectl controller unload joint1_position_controller"])

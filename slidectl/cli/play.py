@@ -15,7 +15,7 @@ from slidectl.cli import completion
 from slidectl.cli.bag import open_recording
 from slidectl.cli.commands import command, positive_seconds
 from slidectl.cli.context import Context
-from slidectl.cli.topic_streams import CLOCK, nanoseconds, paused
+from slidectl.cli.topic_streams import CLOCK, nanoseconds, paused, way_on
 from slidectl.errors import MessageRefused, UnknownName, UsageError
 
 if TYPE_CHECKING:
@@ -183,7 +183,7 @@ class _Player:
         waiting: deque[str] = deque()
         status = self._ctx.call("/slidectl/status")
         if status["paused"]:
-            self._ctx.say(f"{paused(status)}; nothing is played until it goes on: slidectl sim resume")
+            self._ctx.say(f"{paused(status)}; nothing is played until it goes on: {way_on(status)}")
         at_ns = base_ns
         for due in messages:
             at_ns = base_ns + due.at_ns

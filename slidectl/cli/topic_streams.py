@@ -205,8 +205,7 @@ class Stream:
             status, self._status = self._client.answer(self._status), None
             if status["paused"]:
                 self._doubt = math.inf
-                step = "slidectl sim resume, or slidectl sim step"
-                self._ctx.say(f"{paused(status)}; nothing comes until it goes on: {step}")
+                self._ctx.say(f"{paused(status)}; nothing comes until it goes on: {way_on(status)}")
         if now >= self._doubt:
             self._doubt = now + _ASK_AGAIN_S
             self._status = self._client.call_async("/slidectl/status")
@@ -215,6 +214,13 @@ class Stream:
 def paused(status: dict[str, Any]) -> str:
     """That the world of an answer of /slidectl/status stands still, and why, where nobody wanted it."""
     return "the simulation is paused" + (f" ({status['trouble']})" if status.get("trouble") else "")
+
+
+def way_on(status: dict[str, Any]) -> str:
+    """What to type that lets the same world go on."""
+    if status.get("trouble"):
+        return "slidectl sim reset, then slidectl sim resume"
+    return "slidectl sim resume, or slidectl sim step"
 
 
 def nanoseconds(time: dict[str, int]) -> int:

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 Message = dict[str, Any]
 
 TYPE = "control_msgs/FollowJointTrajectory"
+_FARTHEST = 1e6
+"""rad or m. Polynomials to much larger positions overflow."""
 _TIMES = ("time", "time_from_start")
 _QUANTITIES = {"position": "positions", "velocity": "velocities", "acceleration": "accelerations"}
 _DURATIONS = (("secs", "nsecs"), ("sec", "nanosec"))
@@ -97,6 +99,9 @@ def plan(ctx: Context, controller: str, targets: tuple[str, ...], duration: floa
     without jumps of velocity and acceleration. JSON keys as for send.
     """
     wanted = dict(_target(text) for text in targets)
+    cycle_s = ctx.call("/slidectl/status")["timestep"]
+    if duration < cycle_s:
+        raise UsageError(f"--duration {duration:g}: it takes at least one control cycle, {cycle_s:g} s")
     with _action(ctx, controller) as action:
         now = _desired(ctx, action)
         for joint in wanted:
@@ -288,8 +293,9 @@ def _target(text: str) -> tuple[str, float]:
         position = float(value)
     except ValueError:
         raise UsageError(f"--to {text!r}: write JOINT=POSITION, as joint1=1.5") from None
-    if not math.isfinite(position):
-        raise UsageError(f"--to {text!r}: the position must be a finite number")
+    if not abs(position) <= _FARTHEST:
+        what = "must be a finite number" if not math.isfinite(position) else f"is within ±{_FARTHEST:g} rad or m"
+        raise UsageError(f"--to {text!r}: the position {what}")
     return joint, position
 
 

@@ -13,7 +13,7 @@ import click
 from slidectl.cli import completion, output, robots
 from slidectl.cli.commands import command, simulated_seconds, wait_for_world_s
 from slidectl.cli.context import Context
-from slidectl.cli.topic_streams import PUBLISHERS, look_up, nanoseconds, paused
+from slidectl.cli.topic_streams import PUBLISHERS, look_up, nanoseconds, paused, way_on
 from slidectl.errors import Refused, SlidectlError, TimedOut, UsageError
 from slidectl.field_path import Selection
 
@@ -78,7 +78,7 @@ def wait(
     status = ctx.call("/slidectl/status")
     robots.warn_stopped(ctx, status["estop"])
     if status["paused"]:
-        ctx.say(f"{paused(status)}; this waits until it goes on: slidectl sim resume, or slidectl sim step")
+        ctx.say(f"{paused(status)}; this waits until it goes on: {way_on(status)}")
     deadline = monotonic() + limit
     try:
         if output.is_terminal(sys.stderr) and not ctx.quiet and not ctx.client.is_answered(call):

@@ -406,6 +406,10 @@ class Client:
             self.spawn_models([spawning.request(one, at) for one in models])
             return dict(self.call("/slidectl/list_robots", {"name": models[0].name})["robots"][0])
         document = spawning.document(model, xacro_arguments, name)
+        given = {f"{argument}:=" for argument in xacro_arguments}
+        for notice in document.report:
+            if notice.subject in given:
+                raise UsageError(f"{model}: {notice.subject} {notice.text}")
         xml = spawning.with_transmissions(document, transmissions)
         chosen, namespace = spawning.identity(xml, document, name, joints=joints or {})
         spawning.check_free(self.robots(), chosen, namespace)
@@ -641,7 +645,10 @@ class Client:
         if not self._becomes(lambda: call_id in self._answers, _PROBE_S):
             self.forget(call_id)
             return "the daemon itself does not answer; see: " + command(self.paths, "daemon logs")
-        if self.answer(call_id).get("paused"):
+        status = self.answer(call_id)
+        if status.get("paused") and status.get("trouble"):
+            return f"the simulation is paused ({status['trouble']}); first: {command(self.paths, 'sim reset')}"
+        if status.get("paused"):
             return "the simulation is paused; let it go on with: " + command(self.paths, "sim resume")
         return None
 

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 Tree = dict[str, Any]
 
+FARTHEST = 1e6
+"""m or rad. The physics gives up at 1e10, and models become unsteady long before."""
+
 
 def document(
     source: str,
@@ -137,6 +140,8 @@ def _pose(at: Sequence[float], what: str) -> rotations.Pose:
         raise UsageError(f"{what} takes X Y Z or X Y Z R P Y, not {given}")
     if not all(map(math.isfinite, at)):
         raise UsageError(f"{what} takes finite numbers, not {given}")
+    if any(abs(value) > FARTHEST for value in at):
+        raise UsageError(f"{what} takes numbers up to ±{FARTHEST:g} (m, rad), not {given}")
     x, y, z, roll, pitch, yaw = (*at, *[0.0] * (6 - len(at)))
     return (x, y, z), rotations.from_rpy((roll, pitch, yaw))
 

@@ -21,7 +21,15 @@ from slidectl.control.node_handle import NodeHandle, Reasons
 from slidectl.control.params import UPDATE_BUDGET, Guard, value_of
 from slidectl.control.registry import ControllerLoader, RegistryLoader, UnknownType
 from slidectl.control.ros2_names import counterpart
-from slidectl.control.user_classes import HookGuard, is_of_a_user, place_of, watched
+from slidectl.control.user_classes import (
+    HookGuard,
+    WrittenCommands,
+    file_of,
+    is_of_a_user,
+    raised,
+    watched,
+    watched_hardware,
+)
 from slidectl.errors import BadName, Refused, SlidectlError, UnknownName, quoted
 
 _LONGEST_BUDGET_S = 1e9
@@ -91,14 +99,26 @@ class UpdateTimes:
 class LoadedController:
     """One entry of a manager's list. Times are nanoseconds of simulated time."""
 
-    __slots__ = ("_watched", "controller", "info", "node", "times")
+    __slots__ = ("_watched", "controller", "failure", "info", "node", "times")
 
-    def __init__(self, name: str, type_name: str, controller: ControllerBase, node: NodeHandle) -> None:
+    def __init__(
+        self,
+        name: str,
+        type_name: str,
+        controller: ControllerBase,
+        node: NodeHandle,
+        commands: WrittenCommands | None = None,
+    ) -> None:
+        """`commands` are those of a user's controller."""
         self.controller = controller
         self.node = node
         self.info = ControllerInfo(name, type_name, controller.claimed_resources)
         self.times = UpdateTimes(name, node)
+        self.failure = ""
+        """Why it was aborted by what its code raised, since its last start."""
         self._watched = watched(type(controller))
+        if self._watched is not None:
+            self._watched.commands = commands
         self._read_budget()
         node.watch_param(UPDATE_BUDGET.name, self._read_budget)
 
@@ -126,6 +146,7 @@ class LoadedController:
     def start(self, time_ns: int) -> None:
         """Start, or start again."""
         self.times.clear()
+        self.failure = ""
         self._request(self.controller.start_request, time_ns)
 
     def stop(self, time_ns: int) -> None:
@@ -156,6 +177,11 @@ class LoadedController:
         with self._watched or nullcontext():
             self.controller.update(time_ns, period_s)
 
+    def publish(self, time_ns: int, period_s: float) -> None:
+        """What its compiled law made due. Raises what the controller raises."""
+        with self._watched or nullcontext():
+            self.controller.publish(time_ns, period_s)
+
     def update_if_running(self, time_ns: int, period_s: float) -> None:
         """One cycle, unless a controller before this one has stopped it. A failure aborts it."""
         try:
@@ -166,7 +192,8 @@ class LoadedController:
 
     def fail(self, failure: Exception, time_ns: int) -> None:
         """Log what the controller's code raised, and abort it."""
-        self.node.log("fatal", f"controller {self.name!r} failed and is aborted: {described(failure)}")
+        self.failure = f"controller {self.name!r} failed and is aborted: {described(failure)}"
+        self.node.log("fatal", self.failure)
         try:
             with self._watched or nullcontext():
                 self.controller.abort_request(time_ns)
@@ -195,9 +222,7 @@ def described(failure: Exception) -> str:
     """An error on one line: our own by their text, others with their class and the place."""
     if isinstance(failure, SlidectlError):
         return "; ".join(line.rstrip(".") for line in str(failure).splitlines())
-    place = place_of(failure)
-    where = f" ({place[0]}:{place[1]})" if place else ""
-    return f"{type(failure).__name__}: {failure}{where}".replace("\n", " ")
+    return raised(failure)
 
 
 class CallbackGuard(HookGuard):
@@ -325,6 +350,12 @@ class Switch:
                 entry.stop(time_ns)
         return self._start_asap(hw, time_ns) if self._asap else self._start_together(hw, time_ns)
 
+    def give_up(self, time_ns: int) -> None:
+        """The hardware failed: what should start is aborted."""
+        for entry in self._plan.start_request:
+            if not entry.is_running:
+                entry.abort(time_ns)
+
     def _start_together(self, hw: RobotHW, time_ns: int) -> bool:
         request = self._plan.start_request
         if hw.switch_result() is SwitchState.DONE:
@@ -423,7 +454,13 @@ class ControllerManager:
         if switch is None:
             return
         with self._node.answering(switch.reasons):
-            finished = switch.advance(self._hw, time_ns)
+            try:
+                with watched_hardware(self._hw):
+                    finished = switch.advance(self._hw, time_ns)
+            except Refused as failure:
+                self._node.log("fatal", described(failure))
+                switch.give_up(time_ns)
+                finished = True
         self._refresh()
         if finished:
             self._switch = None
@@ -519,15 +556,19 @@ class ControllerManager:
         try:
             type_name = _understood(node, _type_of(node))
             controller = self._create(type_name)
-            if is_of_a_user(type(controller)):
-                node.guard = CallbackGuard(node)
+            guard = CallbackGuard(node) if is_of_a_user(type(controller)) else None
+            node.guard = guard
             with watched(type(controller)) or nullcontext():
                 controller.init_request(self._hw, self._node, node)
         except BaseException:
             node.shutdown()
             raise
         node.guard_params(Guard(node, controller.parameters).judge)
-        return LoadedController(name, type_name, controller, node)
+        if guard is None:
+            return LoadedController(name, type_name, controller, node)
+        written = self._hw.claimed_commands(controller.claimed_resources)
+        guard.commands = WrittenCommands(written, file_of(type(controller)))
+        return LoadedController(name, type_name, controller, node, guard.commands)
 
     def _create(self, type_name: str) -> ControllerBase:
         for loader in self._loaders:
@@ -560,6 +601,10 @@ class ControllerManager:
             raise Refused(f"cannot reload controller {quoted(name)}: it is not loaded", hint)
         registry.renewed(type(entry.controller))
         return entry.controller.state
+
+    def failure_of(self, name: str) -> str:
+        """Why a controller was aborted by what its code raised, since its last start; empty when it was not."""
+        return self._loaded[name].failure if name in self._loaded else ""
 
     def exchange(self, name: str) -> bool:
         """Make a stopped controller anew from what its type means now, in its place in the order.
@@ -652,7 +697,9 @@ class ControllerManager:
             for conflict in conflicts:
                 self._node.log("warn", f"resource conflict: {conflict}")
             raise Refused(f"resource conflict: {'; '.join(map(str, conflicts))}")
-        if not self._hw.prepare_switch(plan.start, plan.stop):
+        with watched_hardware(self._hw):
+            is_possible = self._hw.prepare_switch(plan.start, plan.stop)
+        if not is_possible:
             raise Refused("the hardware cannot run this combination of controllers")
         switch = Switch(plan, asap=asap, timeout_s=timeout_s, init_time_ns=self._node.now_ns(), on_done=on_done)
         switch.reasons = self._node.reasons

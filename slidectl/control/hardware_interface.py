@@ -308,6 +308,17 @@ class RobotHW:
         interface = self._interfaces.get(interface_type.type_name)
         return interface if isinstance(interface, interface_type) else None
 
+    def claimed_commands(self, claims: Iterable[ClaimedResources]) -> list[tuple[JointHandle, str]]:
+        """The handles of claimed joints, each with the name of an attribute that is a command."""
+        found = ((self._interfaces[claim.hardware_interface], claim.resources) for claim in claims)
+        return [
+            (interface.get_handle(name), attribute)
+            for interface, names in found
+            if isinstance(interface, JointCommands)
+            for name in names
+            for attribute in ("command", *interface.declared.beside)
+        ]
+
     def interface_names(self) -> list[str]:
         """The type names of all interfaces, alphabetical."""
         return sorted(self._interfaces)

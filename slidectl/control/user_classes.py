@@ -7,16 +7,20 @@ where it would hold up everybody else; who runs in a process that others wait fo
 from __future__ import annotations
 
 import os
+import reprlib
+import signal
 import sys
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from importlib import import_module
+from math import isfinite
 from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any
 
 from slidectl.control.controller_interface import Controller, ControllerBase, MultiInterfaceController
+from slidectl.control.hardware_interface import JointHandle
 from slidectl.errors import BadFile, Refused, SlidectlError, UnknownName, UsageError, listing
 
 ControllerClass = type[ControllerBase]
@@ -34,6 +38,7 @@ _HOOKS: dict[str, tuple[str, ...]] = {
     "__init__": (),
 }
 """What the hooks are called with, besides `self`."""
+_RAISES_INTERRUPT = signal.default_int_handler
 
 
 class TookTooLong(BaseException):
@@ -49,16 +54,72 @@ def is_of_a_user(cls: type) -> bool:
     return not cls.__module__.startswith("slidectl.")
 
 
+def is_fault(failure: BaseException) -> bool:
+    """Is it a fault of users' code, `sys.exit()` in it as well? Ctrl-C is none, where it ends the process."""
+    return not isinstance(failure, KeyboardInterrupt) or signal.getsignal(signal.SIGINT) is not _RAISES_INTERRUPT
+
+
+class WrittenCommands:
+    """The commands that a user's controller writes. The hardware takes finite floats alone, and does not look."""
+
+    def __init__(self, commands: Sequence[tuple[JointHandle, str]], file: str | None) -> None:
+        """Handles, each with the name of an attribute that is a command, and the file of the class."""
+        self._commands = commands
+        self._file = file
+        self._kept = [0.0] * len(commands)
+
+    def keep(self) -> None:
+        """Remember the commands, before the controller writes others."""
+        for place, (handle, attribute) in enumerate(self._commands):
+            command = getattr(handle, attribute)
+            if type(command) is float and isfinite(command):
+                self._kept[place] = command
+
+    def mend(self) -> str:
+        """Put the command that was kept where another one is no finite number. What is wrong; empty when nothing is.
+
+        Infinity is a number where a limit of the joint cuts it.
+        """
+        wrong = ""
+        for place, (handle, attribute) in enumerate(self._commands):
+            command = getattr(handle, attribute)
+            try:
+                if isfinite(min(max(command, handle.lowest), handle.highest) if attribute == "command" else command):
+                    if type(command) is not float:  # of numpy, or a whole number
+                        setattr(handle, attribute, float(command))
+                    continue
+            except (TypeError, ValueError, OverflowError):
+                pass
+            setattr(handle, attribute, self._kept[place])
+            what = f"the {attribute.replace('_', ' ')} of joint {handle.name!r}"
+            wrong = f"it set {what} to {reprlib.repr(command)}, which is no finite number ({self._file})"
+        return wrong
+
+
 class HookGuard(AbstractContextManager[None]):
-    """Inside, a hook of a user's class runs, in each cycle perhaps. Raises Refused when it took too long."""
+    """Inside, a hook of a user's class runs, in each cycle perhaps. Whatever it raises becomes an Exception.
+
+    With `commands` it raises Refused too when one of these is no number afterwards.
+    """
+
+    commands: WrittenCommands | None = None
 
     def __enter__(self) -> None:
+        if self.commands is not None:
+            self.commands.keep()
         limit.__enter__()
 
     def __exit__(self, kind: type[BaseException] | None, failure: BaseException | None, *trace: Any) -> None:
         limit.__exit__(kind, failure, *trace)
+        wrong = "" if self.commands is None else self.commands.mend()
+        if failure is None and wrong:
+            raise Refused(wrong)
+        if failure is None or isinstance(failure, Exception):
+            return
         if isinstance(failure, TookTooLong):
             raise _too_long(failure) from None
+        if is_fault(failure):
+            raise Refused(raised(failure)) from None
 
 
 def watched(cls: ControllerClass) -> HookGuard | None:
@@ -76,14 +137,22 @@ def watched_for(what: str, name: str) -> Iterator[None]:
         raise
     except TookTooLong as failure:
         raise _too_long(failure) from None
-    except Exception as failure:
-        raise failed(f"{what} {name}", failure) from failure
+    except BaseException as failure:
+        if not is_fault(failure):
+            raise
+        raise Refused(f"{what} {name}: {raised(failure)}") from failure
 
 
-def failed(what: str, failure: Exception) -> Refused:
-    """The error for what code of a user raised, with the place."""
+def watched_hardware(hardware: object) -> AbstractContextManager[None]:
+    """What surrounds a hook of a robot's hardware outside of `read` and `write`: `watched_for`, if it is a user's."""
+    cls = type(hardware)
+    return watched_for("hardware", cls.__name__) if is_of_a_user(cls) else nullcontext()
+
+
+def raised(failure: BaseException) -> str:
+    """What code of a user raised: its class, its text and the place."""
     place = place_of(failure)
-    return Refused(f"{what}: {type(failure).__name__}: {failure}{f' ({place[0]}:{place[1]})' if place else ''}")
+    return f"{type(failure).__name__}: {failure}{f' ({place[0]}:{place[1]})' if place else ''}".replace("\n", " ")
 
 
 def _too_long(failure: TookTooLong) -> Refused:
@@ -162,15 +231,17 @@ def _importing(what: str) -> Iterator[None]:
     """Turn what users' code raises at its import into an error with file and line. SystemExit would end the process."""
     try:
         yield
-    except (Exception, SystemExit) as failure:
+    except TookTooLong as failure:
+        raise _too_long(failure) from None
+    except BaseException as failure:
+        if not is_fault(failure):
+            raise
         file, line = place_of(failure) or (what, 0)
         if isinstance(failure, SyntaxError) and failure.filename:
             file, line = failure.filename, failure.lineno or 0
         elif isinstance(failure, ModuleNotFoundError) and failure.name == what:
             raise BadFile(f"no module {what!r} is installed, nor is there a file {what}.py here") from None
         raise BadFile(f"{type(failure).__name__}: {failure}", file, line or None) from None
-    except TookTooLong as failure:
-        raise _too_long(failure) from None
 
 
 # -- classes -----------------------------------------------------------------------------------------------------------

@@ -16,14 +16,16 @@ from typing import Any
 
 from slidectl.control import controller_interface, controller_manager, user_classes
 from slidectl.control.user_classes import PACKAGE, TookTooLong
-from slidectl.simulation import graph
+from slidectl.simulation import cycle, graph
 
 LIMIT_S = 5.0
 _TICK_S = 0.1
 _AGAIN_S = 0.005
 _MOST_AGAIN = 200
 """Signals that may meet code of slidectl before that is interrupted too."""
-_ENTRIES = (controller_interface.__file__, controller_manager.__file__, graph.__file__, user_classes.__file__)
+_ENTRIES = tuple(
+    str(module.__file__) for module in (controller_interface, controller_manager, cycle, graph, user_classes)
+)
 """Files whose functions call users' code."""
 
 

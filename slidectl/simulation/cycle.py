@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from slidectl.control.duration import to_seconds
 from slidectl.control.laws import law
-from slidectl.control.user_classes import failed, is_of_a_user
+from slidectl.control.user_classes import HookGuard, is_of_a_user, raised
 from slidectl.errors import SlidectlError
 
 if TYPE_CHECKING:
@@ -59,12 +59,15 @@ def guarded(hardware: RobotHW, hook: Callable[[int, float], None]) -> Callable[[
     """The hook; that of a user's class raises HardwareFailed, with file and line, whatever it raises."""
     if not is_of_a_user(type(hardware)):
         return hook
+    guard = HookGuard()
 
     def call(time_ns: int, period_s: float) -> None:
         try:
-            hook(time_ns, period_s)
+            with guard:
+                hook(time_ns, period_s)
         except Exception as failure:
-            raise HardwareFailed(failed(f"{type(hardware).__name__}.{hook.__name__}", failure).message) from failure
+            text = failure.message if isinstance(failure, SlidectlError) else raised(failure)
+            raise HardwareFailed(f"{type(hardware).__name__}.{hook.__name__}: {text}") from failure
 
     return call
 

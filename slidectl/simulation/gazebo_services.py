@@ -32,6 +32,7 @@ from slidectl.simulation.gazebo_frames import (
     vector_message,
 )
 from slidectl.simulation.graph import WORLD_NODE
+from slidectl.simulation.loop import check_timestep
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.services import Handler
 from slidectl.simulation.spawned_robots import ParsedRobot, SpawnedRobot
@@ -47,9 +48,6 @@ WORLD_FRAMES = ("", "world", "map", "/map", "/world")
 JOINT_TYPES = {"revolute": 0, "continuous": 1, "prismatic": 2, "fixed": 3, "floating": 4, "planar": 5}
 """Of gazebo_msgs/GetJointProperties. Gazebo knows no floating joint, a ball is the nearest; nor a planar one: a
 universal."""
-SHORTEST_S = 1e-6
-LONGEST_S = 1.0
-"""Bounds of a time step, as at the daemon's start. With longer ones the clock soon leaves what a message can hold."""
 _MOST_TAGS = 100_000
 """Opening and closing tags of a URDF: some thousand links. To read more than these holds up the world."""
 _EVERY_CYCLE_NS = 1
@@ -350,8 +348,7 @@ class GazeboServices:
     def _set_physics(self, request: Message) -> Answer:
         """Time step (s), rate of cycles (1/s; 0 is as fast as possible), gravity; settings of ODE have no meaning."""
         timestep, rate = request["time_step"], request["max_update_rate"]
-        if not SHORTEST_S <= timestep <= LONGEST_S:
-            raise Refused(f"time_step is between {SHORTEST_S:g} s and {LONGEST_S:g} s, not {timestep:g}")
+        check_timestep(timestep, "time_step")
         if not (math.isfinite(rate) and rate >= 0):
             raise Refused(f"max_update_rate must be 0 or more, not {rate:g}")
         self._simulation.loop.between_cycles("set the properties of the physics")  # all or nothing

@@ -9,6 +9,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from functools import partial
+from numbers import Real
 from typing import TYPE_CHECKING
 
 from slidectl.errors import Refused, SlidectlError
@@ -23,6 +24,17 @@ if TYPE_CHECKING:
 
 FEW = 16
 """Fewer cycles than these are not worth the way into the tables and back, which is made when nobody drives."""
+
+
+SHORTEST_S = 1e-6
+LONGEST_S = 1.0
+"""Bounds of a time step, as at the daemon's start. With longer ones the clock soon leaves what a message can hold."""
+
+
+def check_timestep(seconds: float, name: str = "timestep") -> None:
+    """Raises Refused for what is no time step."""
+    if not isinstance(seconds, Real) or not SHORTEST_S <= seconds <= LONGEST_S:
+        raise Refused(f"{name} is between {SHORTEST_S:g} s and {LONGEST_S:g} s, not {seconds!r}")
 
 
 class StepRequest:

@@ -16,6 +16,7 @@ from slidectl.control.controller_interface import State
 from slidectl.control.controller_manager import STRICT
 from slidectl.control.node_handle import Message, Reasons
 from slidectl.errors import Refused, SlidectlError
+from slidectl.simulation.clock import Timer
 from slidectl.simulation.pending import Pending
 
 if TYPE_CHECKING:
@@ -42,6 +43,8 @@ class ManagerServices:
         self._loop = loop
         self._queue: deque[tuple[Act, Message, Pending, Reasons | None]] = deque()
         self._switch: Pending | None = None
+        self._after_update: dict[Callable[[], None], Timer] = {}
+        """Who waits for the first update of a controller."""
         acts: dict[str, tuple[str, Act]] = {
             "list_controllers": ("ListControllers", lambda *_: {"controller": manager.list()}),
             "list_controller_types": (
@@ -61,7 +64,9 @@ class ManagerServices:
             services.advertise_service(name, f"controller_manager_msgs/{kind}", partial(self._take, act))
 
     def settle(self) -> None:
-        """Finish an armed switch now, because the world has come to a stand."""
+        """Finish an armed switch now, because the world has come to a stand; nobody waits for an update any more."""
+        for tell in tuple(self._after_update):
+            tell()
         if self._switch is not None and self._manager.switching:
             self._look()
             self._manager.manage_switch(self._node.now_ns())
@@ -93,12 +98,12 @@ class ManagerServices:
 
         return self._take(load, {})
 
-    def reload(self, name: str) -> Pending:
+    def reload(self, name: str, control_period_ns: int) -> Pending:
         """Put what a controller's file is now in its place: stop it if it runs, load the new class, start it again.
 
         One that was aborted is started too. Name, parameters and place in the order of updates stay. Answered with
-        `ok`. Raises as `registry.renewed` and changes nothing then; when the new class refuses to be loaded the former
-        one goes on.
+        `ok` after the first update, or at once when the world stands still. Raises as `registry.renewed` and changes
+        nothing then; when the new class refuses to be loaded the former one goes on.
         """
         manager = self._manager
         if self._switch is not None:
@@ -110,8 +115,25 @@ class ManagerServices:
             acts.insert(0, (self._start_switch, {**strict, "start_controllers": [], "stop_controllers": [name]}))
         if state in (State.RUNNING, State.ABORTED):
             acts.append((self._start_switch, {**strict, "start_controllers": [name], "stop_controllers": []}))
+            acts.append((partial(self._see_update, name, control_period_ns), {}))
         answers = [self._take(act, request) for act, request in acts]
         return answers[-1].converted(lambda _: {"ok": all(answer.result()["ok"] for answer in answers)})
+
+    def _see_update(self, name: str, control_period_ns: int, _request: Message, answer: Pending) -> None:
+        """Answered with `ok` when a controller that was started had its first update: false when that aborted it."""
+        reasons = self._node.reasons
+
+        def tell() -> None:
+            timer = self._after_update.pop(tell)
+            timer.cancel()
+            failure = self._manager.failure_of(name)
+            if failure and reasons is not None and failure not in reasons:
+                reasons.append(failure)
+            answer.resolve({"ok": not failure})
+
+        self._after_update[tell] = self._loop.graph.timers.after(control_period_ns + self._loop.step_ns, tell)
+        if self._loop.stands_still:
+            tell()
 
     def _take(self, act: Act, request: Message) -> Pending:
         pending = Pending()

@@ -95,6 +95,7 @@ class OwnServices:
         if not cycles:
             self._simulation.pause()
             return Pending.of(0)
+        self._simulation.check_trouble()
         if self._simulation.driven:
             return self._simulation.run.ask_steps(cycles)
         pending = Pending()
@@ -365,7 +366,8 @@ class OwnServices:
         return robot.services.load_file(request["name"], request["file"], request["class_name"])
 
     def _reload(self, request: Message) -> Pending:
-        return self._robot(request["robot"]).services.reload(request["name"])
+        robot = self._robot(request["robot"])
+        return robot.services.reload(request["name"], robot.parts.cycle.control_period_ns)
 
 
 def _resting_claims(robot: SpawnedRobot, request: Message) -> list[Claim]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from numbers import Integral
 from typing import Any
 
 from slidectl.control import registry
@@ -22,7 +23,7 @@ from slidectl.simulation import base_drives, rosapi, waits
 from slidectl.simulation.compiled.engine import Engine
 from slidectl.simulation.gazebo_services import GazeboServices
 from slidectl.simulation.graph import Graph
-from slidectl.simulation.loop import Loop, RunState
+from slidectl.simulation.loop import Loop, RunState, check_timestep
 from slidectl.simulation.own_services import OwnServices
 from slidectl.simulation.parameters import Parameters
 from slidectl.simulation.pending import Pending
@@ -39,7 +40,7 @@ class Simulation:
     """Build it, spawn a robot, load controllers, `step(n)`, read.
 
     Args:
-        timestep: seconds of one cycle, above 0.
+        timestep: seconds of one cycle, 1e-6 to 1.
         gravity: m/s².
         ground: whether there is a floor at height 0.
         engine: who runs the cycles: `plain` (the interpreter), `compiled` (machine code; needs numba) or `auto`, which
@@ -51,7 +52,8 @@ class Simulation:
     it is in that moment. Who listens in another way, as a node of the graph, takes it from `robots` anew.
 
     Raises:
-        Refused: `compiled` without numba. BadFile: a module cannot be found, its code fails, or it has no controller.
+        Refused: no time step, or `compiled` without numba. BadFile: a module cannot be found, its code fails, or it has
+            no controller.
     """
 
     def __init__(
@@ -62,6 +64,7 @@ class Simulation:
         engine: str = "auto",
         imports: Sequence[str] = (),
     ) -> None:
+        check_timestep(timestep)
         for module in imports:
             registry.add_module(module)
         self.world = World(timestep, gravity, ground)
@@ -140,9 +143,11 @@ class Simulation:
         """Run so many cycles. Returns how many: fewer only when the physics diverges and `driven`.
 
         Raises:
-            Diverged: the state of a robot is no longer a number, and nobody drives.
+            Diverged: the state of a robot is no longer a number, and nobody drives. Refused: no number of cycles.
         """
-        return self.loop.step(cycles)
+        if not isinstance(cycles, Integral) or cycles < 0:
+            raise Refused(f"a number of cycles is a whole one of 0 or more, not {cycles!r}")
+        return self.loop.step(int(cycles))
 
     def spawn(self, xml: str, name: str, namespace: str | None = None, pose: Pose = ORIGIN) -> SpawnedRobot:
         """A robot from the text of its URDF, with its meshes read here and now; see Robots.spawn."""
@@ -185,21 +190,25 @@ class Simulation:
         self.run.pause()
 
     def resume(self) -> None:
-        """Let the world go on."""
+        """Let the world go on. Raises Diverged: it cannot before a reset."""
+        self.check_trouble()
         self.run.resume()
+
+    def check_trouble(self) -> None:
+        """Raises Diverged when the world was held for that, and is still as it was."""
+        if self.run.trouble:
+            self.world.check()
 
     def set_speed(self, factor: float) -> None:
         """Real-time factor, 0 for as fast as possible. Raises Refused for anything else."""
         self.run.set_speed(factor)
 
     def set_timestep(self, seconds: float) -> None:
-        """Another length for the cycles to come, s. Raises Refused for what is not above 0, and inside a cycle."""
+        """Another length for the cycles to come, s. Raises Refused: not 1e-6 to 1, or inside a cycle."""
         self.loop.between_cycles("change the time step")
-        step_ns = from_seconds(seconds)
-        if step_ns <= 0:
-            raise Refused(f"a time step is above 0 s, not {seconds:g}")
+        check_timestep(seconds)
         self.world.set_timestep(seconds)
-        self.loop.step_ns = step_ns
+        self.loop.step_ns = from_seconds(seconds)
 
     def _paint_here(self, camera: Camera, pose: Pose, seed: int) -> Pending:
         """Waits for the picture."""

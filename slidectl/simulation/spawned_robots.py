@@ -18,7 +18,7 @@ from slidectl.control import hardware_types
 from slidectl.control.controller_manager import ControllerManager
 from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message
-from slidectl.control.user_classes import file_of, watched_for
+from slidectl.control.user_classes import file_of, watched_for, watched_hardware
 from slidectl.description import source_note
 from slidectl.description.robot import ControlPlugin, Robot, check_position
 from slidectl.errors import BadFile, Refused, UnknownName
@@ -149,7 +149,8 @@ class SpawnedRobot:
             reset()
         if not self.is_controlled:
             return
-        self.hardware.reset()
+        with watched_hardware(self.hardware):
+            self.hardware.reset()
         self.cycle.rewind(time_ns)
         self.look()
         self.manager.restart_running(time_ns)

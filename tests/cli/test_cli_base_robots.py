@@ -11,6 +11,7 @@ import pytest
 from command_line import CommandLine
 
 from slidectl.client import spawning
+from slidectl.errors import UsageError
 
 CONTROLLERS = "config/slider_control.yaml"
 BOX = """<?xml version="1.0"?>
@@ -106,6 +107,15 @@ def test_at_takes_three_or_six_numbers(world: CommandLine, tmp_path: Path) -> No
         assert world("spawn", "slider", "--at", *words).returncode == 2
     done = world("spawn", "slider", "--at", "1", "2", "nan")
     assert (done.returncode, done.stderr) == (2, "error: --at takes finite numbers, not 1 2 nan\n")
+    done = world("spawn", "slider", "--at", "1e300", "0", "0")
+    assert (done.returncode, done.stderr) == (2, "error: --at takes numbers up to ±1e+06 (m, rad), not 1e+300 0 0\n")
+
+
+def test_a_script_that_gives_an_argument_that_the_model_has_not_is_refused(world: CommandLine) -> None:
+    with world.client() as client:
+        with pytest.raises(UsageError, match="slider: nope:= the file has no such argument"):
+            client.spawn("slider", nope="3")
+        assert client.robots() == []
 
 
 def test_a_root_is_free_unless_it_is_called_world_or_fixed(world: CommandLine, tmp_path: Path) -> None:

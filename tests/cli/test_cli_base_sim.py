@@ -68,7 +68,15 @@ def test_status_tells_of_a_pause_that_nobody_asked_for(slidectl: CommandLine) ->
     assert status(slidectl)["trouble"] == trouble
     waiting = slidectl("echo", "/gazebo/model_states", "-n", "1", "--timeout", "1.5")
     assert waiting.returncode == 4
-    assert f"the simulation is paused ({trouble}); nothing comes until it goes on" in waiting.stderr
+    assert f"the simulation is paused ({trouble}); nothing comes until it goes on: slidectl sim reset" in waiting.stderr
+    for command in (("sim", "resume"), ("sim", "step")):
+        done = slidectl(*command)
+        assert done.returncode == 1
+        assert trouble in done.stderr
+        assert "slidectl sim reset" in done.stderr
+    sleep = slidectl("service", "call", "/slidectl/sleep", "1.0", "--timeout", "0.2")
+    assert sleep.returncode == 4
+    assert f"the simulation is paused ({trouble}); first: slidectl sim reset" in sleep.stderr
     slidectl.ok("service", "call", "/gazebo/clear_joint_forces", "rrbot::joint1")
     slidectl.ok("sim", "reset")
     assert "state:       paused\n" in slidectl.ok("sim", "status")

@@ -196,6 +196,42 @@ def test_a_law_that_raises_is_aborted_with_file_and_line_and_runs_again_when_it_
     assert effort(pushing) == 2.0
 
 
+@pytest.mark.parametrize("exit_", ["__import__('sys').exit(3)", "raise KeyboardInterrupt", "raise GeneratorExit"])
+@pytest.mark.parametrize("hook", ["starting(self, time_ns)", "update(self, time_ns, period_s)"])
+def test_an_exit_in_a_hook_aborts_its_controller_and_the_daemon_goes_on(
+    pushing: CommandLine, law: Path, hook: str, exit_: str
+) -> None:
+    written(law, f"{LAW}\n    def {hook}:\n        {exit_}\n")
+    pushing("controller", "reload", "my_law")
+    pushing.ok("sim", "step", "2")
+    assert state(pushing) == "aborted"
+    line = len(LAW.splitlines()) + 3
+    assert re.search(
+        rf"'my_law' failed and is aborted: \w+: 3? ?\({law}:{line}\)", pushing.ok("daemon", "logs", "-n", "5")
+    )
+    written(law, LAW)
+    pushing.ok("controller", "reload", "my_law")
+    assert effort(pushing) == 2.0
+
+
+def test_a_reload_of_a_law_that_fails_in_its_first_update_fails_with_the_reason(
+    pushing: CommandLine, law: Path
+) -> None:
+    text = f"failed and is aborted: ZeroDivisionError: float division by zero ({law}:18)"
+    written(law, LAW.replace("= self.push\n", "= self.push / 0\n"))
+    try:
+        pushing.ok("sim", "resume")
+        for _ in range(3):
+            done = pushing("controller", "reload", "my_law")
+            assert (done.returncode, done.stdout) == (1, "")
+            assert text in done.stderr
+    finally:
+        pushing.ok("sim", "pause")
+    done = pushing("controller", "reload", "my_law")
+    assert (done.returncode, done.stdout) == (0, "my_law: reloaded, running (was aborted)\n")
+    assert "the simulation is paused; nothing runs until it goes on: slidectl sim resume" in done.stderr
+
+
 LOOP = """while True:
             try:
                 time_ns += 1
@@ -239,7 +275,7 @@ def test_a_callback_that_fails_or_does_not_end_is_an_error_of_its_caller_and_the
     hear = """
     def hear(self, message):
         while message["data"]: pass
-        raise KeyError("gain")
+        raise SystemExit(4)
 """
     subscribe = 'node.subscribe("hear", "std_msgs/Bool", self.hear)\n        self.told ='
     text = LAW.replace("self.told =", subscribe, 1) + hear
@@ -248,7 +284,7 @@ def test_a_callback_that_fails_or_does_not_end_is_an_error_of_its_caller_and_the
     first = text.splitlines().index("    def hear(self, message):") + 1
     for value, line, said in (
         ("true", first + 1, "the code ran longer than 5 s"),
-        ("false", first + 2, "KeyError: 'gain'"),
+        ("false", first + 2, "SystemExit: 4"),
     ):
         done = pushing("pub", "/slider/my_law/hear", value)
         assert done.returncode == 1

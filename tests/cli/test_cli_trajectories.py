@@ -85,6 +85,17 @@ def test_plan_brings_the_named_joints_there_and_leaves_the_others(world: Command
     assert positions(client) == pytest.approx(expected, abs=0.03)
 
 
+@pytest.mark.parametrize(
+    ("target", "duration", "said"),
+    [
+        ("joint1=100", "1e-9", "--duration 1e-09: it takes at least one control cycle, 0.001 s"),
+        ("joint1=1e308", "2", "--to 'joint1=1e308': a position is within ±1e+06 rad or m"),
+    ],
+)
+def test_a_plan_that_no_joint_can_follow_is_refused(world: CommandLine, target: str, duration: str, said: str) -> None:
+    failed(plan(world, "--to", target, "--duration", duration, "--wait"), 2, said)
+
+
 CSV = "time, joint1, joint2, joint1.velocity, joint2.velocity\n0.5, 0.2, 0.1, 0.2, 0\n\n1.5, 0.4, -0.2, 0, 0\n"
 JSON = json.dumps(
     {

@@ -21,12 +21,9 @@ JOINTS = ["joint1", "joint2", "joint3"]
 def is_compiled(simulation: Simulation, robot: str, name: str) -> bool:
     """Does machine code update that controller now?"""
     simulation.step(20)
-    cycles = simulation.engine.compiled
-    assert cycles is not None
-    rows = cycles._rows_of[simulation.robots.get(robot)]
-    updates = [update.__self__ for update in rows.updates]  # type: ignore[attr-defined]
-    position = updates.index(simulation.robots.get(robot).manager.get(name))
-    return rows.fits() and position not in rows.interpreted
+    assert simulation.engine.compiled is not None
+    times = simulation.call("/slidectl/update_times", {"robot": robot})["controllers"]
+    return next(bool(one["compiled"]) for one in times if one["name"] == name)
 
 
 def assert_same(scene: Scene) -> Simulation:

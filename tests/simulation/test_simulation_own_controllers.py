@@ -13,6 +13,7 @@ from sim_robots import STATES, cart, logged, switch
 from slidectl import description
 from slidectl.errors import SlidectlError
 from slidectl.simulation import Simulation
+from slidectl.simulation.compiled.object_file import is_possible
 
 LAW = """
 from slidectl.control import NUMBER, TEXT, Controller, EffortJointInterface, Parameter, params
@@ -238,6 +239,48 @@ def test_a_law_that_raises_is_aborted_and_runs_again_when_it_is_mended(pushing: 
     pushing.write()
     assert pushing.reload()
     assert pushing.effort() == 2.0
+
+
+@pytest.mark.parametrize(
+    ("command", "engine"),
+    [
+        *((command, "plain") for command in ("'x'", "None", "[1]", "10**400", "float('nan')")),
+        pytest.param("'x'", "compiled", marks=pytest.mark.skipif(not is_possible(), reason="numba is not installed")),
+    ],
+)
+def test_a_law_that_commands_no_number_is_aborted_and_the_last_command_stays(
+    bench: Bench, command: str, engine: str
+) -> None:
+    bench.simulation = Simulation(engine=engine)
+    bench.robot = bench.simulation.spawn(cart(), "cart")
+    if engine == "compiled":
+        bench.simulation.engine.complete()
+    bench.write("= self.push\n", f"= self.push if time_ns < 20_000_000 else {command}\n")
+    assert bench.load()
+    assert switch(bench.simulation, start=["my_law"])
+    lines = logged(bench.simulation)
+    bench.simulation.step(40)
+    assert bench.states() == {"my_law": "aborted"}
+    [(_, line)] = lines
+    assert "controller 'my_law' failed and is aborted: it set the command of joint 'joint1' to " in line
+    assert f"which is no finite number ({bench.file})" in line
+    assert bench.simulation.world.joint_state("cart", "joint1")[2] == 1.0
+
+
+def test_numbers_of_numpy_are_commands(bench: Bench) -> None:
+    bench.write("= self.push\n", "= __import__('numpy').float32(self.push)\n")
+    assert bench.load()
+    assert switch(bench.simulation, start=["my_law"])
+    assert bench.effort() == 1.0
+
+
+def test_a_callback_that_commands_no_number_is_told_and_changes_nothing(bench: Bench) -> None:
+    hear = 'node.subscribe("hear", "std_msgs/String", lambda m: setattr(self.joint, "command", m["data"]))'
+    bench.write("self.told =", f"{hear}\n        self.told =")
+    assert bench.load()
+    with pytest.raises(SlidectlError, match="it set the command of joint 'joint1' to 'x'"):
+        bench.simulation.publish("/cart/my_law/hear", {"data": "x"})
+    assert bench.simulation.step(3) == 3
 
 
 def test_a_tick_or_a_call_that_raises_is_told_with_its_line_and_the_law_runs_on(bench: Bench) -> None:

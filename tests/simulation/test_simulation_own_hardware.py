@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from importlib.metadata import EntryPoint
 from pathlib import Path
+from typing import Any
 
 import pytest
 from engine_scenes import add
-from sim_robots import cart
+from sim_robots import cart, switch
 
 from slidectl.control import hardware_types
 from slidectl.description import gazebo_tags
@@ -35,6 +37,28 @@ class Fragile(MujocoRobotHW):
         super().read(time_ns, period_s)
         if time_ns == 5_000_000:
             raise ValueError("the encoder is gone")
+
+class Leaving(MujocoRobotHW):
+    leaves = ""
+
+    def leave(self, hook):
+        if Leaving.leaves == hook:
+            raise SystemExit(3)
+
+    def write(self, time_ns, period_s):
+        super().write(time_ns, period_s)
+        self.leave("write")
+
+    def reset(self):
+        super().reset()
+        self.leave("reset")
+
+    def prepare_switch(self, start, stop):
+        self.leave("prepare_switch")
+        return True
+
+    def do_switch(self, start, stop):
+        self.leave("do_switch")
 
 class Bare(RobotHW):
     pass
@@ -113,3 +137,25 @@ def test_an_exception_in_a_cycle_holds_the_world_and_says_where(file: str, engin
     simulation.resume()
     simulation.step(20)
     assert simulation.cycles == 25
+
+
+def test_an_exit_in_a_hook_is_an_error_with_its_place_and_ends_nothing(file: str) -> None:
+    simulation = Simulation(ground=False, imports=[file])
+    robot = simulation.spawn(of("odd_hw/Leaving"), "cart")
+    kind: Any = type(robot.hardware)
+    simulation.parameters.set("/cart/push", {"type": "effort_controllers/JointEffortController", "joint": "joint1"})
+    simulation.call("/cart/controller_manager/load_controller", {"name": "push"})
+    for hook, state in (("prepare_switch", "initialized"), ("do_switch", "aborted")):
+        kind.leaves = hook
+        reasons: list[str] = []
+        with simulation.graph.log.answering(reasons):
+            switch(simulation, start=["push"])
+        assert re.search(r"hardware Leaving: SystemExit: 3 \(.*odd_hw.py:27\)", "".join(reasons))
+        assert robot.manager.list()[0]["state"] == state
+    for hook, act in (("reset", simulation.reset_world), ("write", simulation.step)):
+        kind.leaves = hook
+        with pytest.raises(SlidectlError, match=r"SystemExit: 3 \(.*odd_hw.py:27\)"):
+            act()
+    kind.leaves = ""
+    assert switch(simulation, start=["push"])
+    assert simulation.step(3) == 3

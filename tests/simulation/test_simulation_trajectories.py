@@ -120,7 +120,7 @@ def test_a_latched_command_from_before_the_load_does_no_harm() -> None:
 def test_the_cart_goes_where_its_odometry_says() -> None:
     simulation = Simulation(engine="plain")
     own = yaml.safe_load((ROOT / "config" / "cart_control.yaml").read_text(encoding="utf-8"))["cart"]
-    add(simulation, "cart", description.load("cart").xml, own)
+    add(simulation, "cart", description.load("cart", {"drive": "controller"}).xml, own)
     simulation.step(1)
     told: list[dict[str, Any]] = []
     simulation.graph.topics.subscribe("/cart/base_controller/odom", None, "/client", told.append)

@@ -305,7 +305,7 @@ class CompiledRunner(Runner):
     def _publish(self, rows: RobotRows, position: int) -> None:
         publication = rows.publications[position]
         publication.show(self._tables.content["joints"])
-        self._try(rows, position, publication.controller.publish)
+        self._try(rows, position, rows.running[position].publish)
 
     def _update(self, rows: RobotRows, position: int) -> None:
         interpreted = rows.interpreted[position]
