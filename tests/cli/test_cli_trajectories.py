@@ -89,7 +89,7 @@ def test_plan_brings_the_named_joints_there_and_leaves_the_others(world: Command
     ("target", "duration", "said"),
     [
         ("joint1=100", "1e-9", "--duration 1e-09: it takes at least one control cycle, 0.001 s"),
-        ("joint1=1e308", "2", "--to 'joint1=1e308': a position is within ±1e+06 rad or m"),
+        ("joint1=1e308", "2", "--to 'joint1=1e308': the position is within ±1e+06 rad or m"),
     ],
 )
 def test_a_plan_that_no_joint_can_follow_is_refused(world: CommandLine, target: str, duration: str, said: str) -> None:
