@@ -83,7 +83,7 @@ def test_rovers_in_two_namespaces_without_the_nodes_that_there_are_not(ros: Comm
         in done.stderr
     )
     assert "these are not there either:" in done.stderr
-    assert "node /twist_mux (twist_mux/twist_mux): no package 'twist_mux'" in done.stderr
+    assert "node /joy (joy/joy_node): no package 'joy'" in done.stderr
     assert "--skip-unknown leaves such nodes out" in done.stderr
     launched = Launched(ros, "rover_gazebo", "rover_empty_world.launch", "--skip-unknown")
     launched.until("left out:")

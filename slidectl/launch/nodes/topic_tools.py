@@ -289,7 +289,7 @@ class TwistMux(TopicTool):
         self._locks = self._read_sources(run, "locks")
         if not self._sources:
             place = names.join(self.node.full_name, "topics")
-            raise Refused(f"{place} names no topic", "it is a list of {name, topic, timeout, priority}")
+            self.warn(run, f"{place} names no topic, a list of {{name, topic, timeout, priority}}: nothing drives")
         for source in self._sources:
             self.listen(source.topic, self._taking(source), "geometry_msgs/Twist")
         for lock in self._locks:
