@@ -11,8 +11,8 @@ import select
 import signal
 import sys
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NoReturn
 
@@ -101,6 +101,22 @@ class Background:
             os.dup2(source, target)
         os.write(self._write, b"r")
         os.close(self._write)
+
+
+@contextmanager
+def pid_file(path: str | None) -> Iterator[None]:
+    """`--pid FILE`. Raises Refused when it cannot be written."""
+    if path is None:
+        yield
+        return
+    try:
+        Path(path).write_text(f"{os.getpid()}\n", encoding="ascii")
+    except OSError as error:
+        raise Refused(f"cannot write {path}: {error.strerror}") from None
+    try:
+        yield
+    finally:
+        Path(path).unlink(missing_ok=True)
 
 
 def wait(paths: InstancePaths, limit_s: float, say: Callable[[str], None]) -> None:

@@ -10,9 +10,7 @@ import select
 import signal
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from pathlib import Path
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -198,7 +196,7 @@ class LaunchDaemon:
 def _run(
     ctx: Context, plan: LaunchPlan, tasks: Sequence[Task], packages: Packages, title: str, given: dict[str, Any]
 ) -> None:
-    from slidectl.cli.detached import Background
+    from slidectl.cli.detached import Background, pid_file
     from slidectl.cli.launch_text import Terminal
     from slidectl.launch.execution import Execution
     from slidectl.launch.supervision import Interrupted, Interrupts
@@ -219,28 +217,12 @@ def _run(
         given["output_of_all"], given["required"], given["strict"], given["sigint_timeout"], given["sigterm_timeout"]
     )
     try:
-        with Interrupts() as interrupts, _pid_file(given["pid_file"]):
+        with Interrupts() as interrupts, pid_file(given["pid_file"]):
             run = Run(plan, packages, Terminal(ctx), options, interrupts, str(paths.folder / "launch"), environment)
             daemon = LaunchDaemon(ctx, child=not given["detach"], wait=given["wait"])
             _drive(Execution(run, tasks, daemon), title, given["detach"], background)
     except Interrupted as interrupted:  # before there was anything to end
         _interrupted(interrupted.number, was_up=False)
-
-
-@contextmanager
-def _pid_file(path: str | None) -> Iterator[None]:
-    """`--pid FILE`. Raises Refused when it cannot be written."""
-    if path is None:
-        yield
-        return
-    try:
-        Path(path).write_text(f"{os.getpid()}\n", encoding="ascii")
-    except OSError as error:
-        raise Refused(f"cannot write {path}: {error.strerror}") from None
-    try:
-        yield
-    finally:
-        Path(path).unlink(missing_ok=True)
 
 
 def _drive(execution: Execution, title: str, detach: bool, background: Background | None) -> None:

@@ -104,6 +104,9 @@ def play(
             due = _messages(recordings, wanted, begin_ns, start_ns, end_ns, rate)
             base_ns = player.publish(due, base_ns) + _FIRST_DELAY_NS
             if not player.published:
+                ends = [ns for one in recordings if (ns := one.summary().end_ns) is not None]
+                length_s = (max(ends, default=begin_ns) - begin_ns) / _SECOND
+                ctx.warn(f"there is no message to play in that part; the recording is {length_s:.3f} s long")
                 break
         player.tell()
 

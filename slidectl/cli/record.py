@@ -20,7 +20,7 @@ from slidectl.cli import completion, output
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
 from slidectl.cli.topic_streams import nanoseconds
-from slidectl.errors import Refused, SlidectlError, UnknownName, UsageError
+from slidectl.errors import MessageRefused, Refused, SlidectlError, UnknownName, UsageError
 
 if TYPE_CHECKING:
     from slidectl.client import Subscription
@@ -81,17 +81,16 @@ def record(ctx: Context, /, topics: tuple[str, ...], **given: Any) -> None:
     """
     choice = _Choice(ctx, topics, given)
     path = _path(given["file"])
+    from slidectl.cli.detached import Background, pid_file
     from slidectl.launch.supervision import Interrupted, Interrupts
 
     background = None
     if given["detach"]:
-        from slidectl.cli.detached import Background
-
         ctx.client.close()
         background = Background(ctx.paths, "recording")
         background.fork()
         ctx.close()
-    with suppress(Interrupted), Interrupts() as interrupts, _pid_file(given["pid_file"]), interrupts.held():
+    with suppress(Interrupted), Interrupts() as interrupts, pid_file(given["pid_file"]), interrupts.held():
         out = _Output(path, given)
         recorder = _Recorder(ctx, choice, out, given)
         try:
@@ -108,22 +107,6 @@ def record(ctx: Context, /, topics: tuple[str, ...], **given: Any) -> None:
 def _path(given: str | None) -> Path:
     path = Path(given if given is not None else time.strftime("%Y-%m-%d-%H-%M-%S"))
     return path if path.suffix else path.with_name(f"{path.name}.bag")
-
-
-@contextmanager
-def _pid_file(path: str | None) -> Iterator[None]:
-    """Raises Refused when it cannot be written."""
-    if path is None:
-        yield
-        return
-    try:
-        Path(path).write_text(f"{os.getpid()}\n", encoding="ascii")
-    except OSError as error:
-        raise Refused(f"cannot write {path}: {error.strerror}") from None
-    try:
-        yield
-    finally:
-        Path(path).unlink(missing_ok=True)
 
 
 def _megabytes(size: int) -> str:
@@ -313,9 +296,13 @@ class _Recorder:
         client = self._ctx.client
         new = [topic for topic in self._codecs if topic not in self._subscriptions]
         for topic in new:  # all from the same moment on
-            self._subscriptions[topic] = client.ask_for(topic, topics[topic], queue_length=_QUEUE, take=self._take)
+            options: dict[str, Any] = {"queue_length": _QUEUE, "take": self._take, "wait": False}
+            self._subscriptions[topic] = client.subscribe(topic, topics[topic], **options)
         if new:
-            client.flush()
+            try:
+                client.flush()
+            except MessageRefused as error:  # somebody advertised it with another type meanwhile
+                self._ctx.warn(f"not recorded: {error.message}")
 
     def _leave_out(self, topic: str, error: SlidectlError) -> None:
         self._left_out.add(topic)

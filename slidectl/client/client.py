@@ -254,6 +254,7 @@ class Client:
         queue_length: int = 0,
         throttle_rate: int = 0,
         take: Callable[[Message], None] | None = None,
+        wait: bool = True,
     ) -> Subscription:
         """Receive the topic's messages from now on.
 
@@ -263,37 +264,27 @@ class Client:
             throttle_rate: least wall milliseconds between two messages.
             take: called with each publish object (`topic`, `msg`, the simulated `time` at which it was published, and
                 `latch` where it was published before) while some call waits; nothing is kept then.
+            wait: False returns at once, to subscribe many topics from one moment on; `flush` raises what was refused.
 
         Raises:
             Refused: no such topic, or it has another type.
         """
-        subscription = self.ask_for(topic, type, queue_length, throttle_rate, take)
-        try:
-            self.call(_SYNCHRONIZE)
-        except BaseException:
-            self.unsubscribe(subscription)
-            raise
-        if subscription.id in self._refusals:
-            self._subscriptions[subscription.topic].remove(subscription)
-            raise self._refusals.pop(subscription.id)
-        return subscription
-
-    def ask_for(
-        self,
-        topic: str,
-        type: str | None = None,
-        queue_length: int = 0,
-        throttle_rate: int = 0,
-        take: Callable[[Message], None] | None = None,
-    ) -> Subscription:
-        """`subscribe` without waiting: messages may come from the next call on. `flush` raises what was refused."""
         topic = self._full("topic", topic, "publishers", type)
         subscription = Subscription(self, topic, self._next_id("subscribe"), queue_length, take)
         options: Message = {"queue_length": queue_length, "throttle_rate": throttle_rate, **_typed(type)}
         if take is not None:
             options["stamped"] = True
-        self._send(op="subscribe", id=subscription.id, topic=topic, **options)
         self._subscriptions.setdefault(topic, []).append(subscription)
+        try:
+            self._send(op="subscribe", id=subscription.id, topic=topic, **options)
+            if wait:
+                self.call(_SYNCHRONIZE)
+        except BaseException:
+            self.unsubscribe(subscription)
+            raise
+        if subscription.id in self._refusals:
+            self._subscriptions[topic].remove(subscription)
+            raise self._refusals.pop(subscription.id)
         return subscription
 
     def unsubscribe(self, subscription: Subscription) -> None:

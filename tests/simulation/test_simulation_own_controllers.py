@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from push_law import LAW
 from scipy.linalg import solve_continuous_are
 from sim_robots import STATES, cart, logged, switch
 
@@ -14,27 +15,6 @@ from slidectl import description
 from slidectl.errors import SlidectlError
 from slidectl.simulation import Simulation
 from slidectl.simulation.compiled.object_file import is_possible
-
-LAW = """
-from slidectl.control import NUMBER, TEXT, Controller, EffortJointInterface, Parameter, params
-
-JOINT = Parameter("joint", TEXT, "the joint that it pushes", default="joint1")
-PUSH = Parameter("push", NUMBER, "how hard", unit="N", default=1.0)
-
-
-class Push(Controller):
-    interface_type = EffortJointInterface
-    parameters = (JOINT, PUSH)
-
-    def init(self, interface, node):
-        self.joint = interface.get_handle(params.value_of(node, JOINT))
-        self.push = params.value_of(node, PUSH)
-        self.told = node.advertise("told", "std_msgs/Float64")
-
-    def update(self, time_ns, period_s):
-        self.joint.command = self.push
-        self.told.publish({"data": self.joint.command})
-"""
 
 
 class Bench:
