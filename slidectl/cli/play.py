@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from slidectl.recording.recording_files import Recording
 
 _SECOND = 10**9
-_AHEAD = 1000
-"""Messages that the daemon has before their time."""
+_AHEAD, _AHEAD_BYTES = 1000, 4 * 1024 * 1024
+"""Messages that the daemon has before their time, and their bytes in the recording."""
 _FIRST_DELAY_NS = _SECOND // 5
 """Simulated time from now to the first message, rosbag's --delay: its time must still be to come."""
 _MOST_TOLD = 5
@@ -37,6 +37,7 @@ class _Due(NamedTuple):
     type: str
     latch: bool
     message: Any
+    size: int
 
 
 @command(
@@ -145,7 +146,7 @@ def _messages(
         if offset_ns < 0 and not channel.latching:
             continue
         at_ns = round(max(offset_ns, 0) / rate)
-        due = _Due(at_ns, channel.topic, channel.type, channel.latching, recording.message(record))
+        due = _Due(at_ns, channel.topic, channel.type, channel.latching, recording.message(record), len(record.raw))
         if offset_ns < 0:
             latched[channel.topic] = due
             continue
@@ -162,6 +163,7 @@ class _Player:
         self._ctx = ctx
         self._renames = renames
         self._told: set[str] = set()
+        self._has_looked = False
         self.published = 0
         self.late = 0
         self._topics: set[str] = set()
@@ -183,10 +185,8 @@ class _Player:
     def publish(self, messages: Iterator[_Due], base_ns: int) -> int:
         """Until the last is published; the simulated time of that. Raises NoDaemon, Refused."""
         client = self._ctx.client
-        waiting: deque[str] = deque()
-        status = self._ctx.call("/slidectl/status")
-        if status["paused"]:
-            self._ctx.say(f"{paused(status)}; nothing is played until it goes on: {way_on(status)}")
+        waiting: deque[tuple[str, int]] = deque()
+        ahead = 0
         at_ns = base_ns
         for due in messages:
             at_ns = base_ns + due.at_ns
@@ -194,15 +194,23 @@ class _Player:
             self._topics.add(topic)
             self._first_ns = at_ns if self._first_ns is None else self._first_ns
             self._last_ns = at_ns
-            while len(waiting) >= _AHEAD:
-                self._take(waiting.popleft())
-            waiting.append(client.publish_at(topic, due.message, at_ns, due.type, due.latch))
-        while waiting:
-            self._take(waiting.popleft())
+            while waiting and (len(waiting) >= _AHEAD or ahead + due.size > _AHEAD_BYTES):
+                publish_id, size = waiting.popleft()
+                self._take(publish_id)
+                ahead -= size
+            waiting.append((client.publish_at(topic, due.message, at_ns, due.type, due.latch), due.size))
+            ahead += due.size
+        for publish_id, _ in waiting:
+            self._take(publish_id)
         return at_ns
 
     def _take(self, publish_id: str) -> None:
         client = self._ctx.client
+        if not self._has_looked:  # the answer says that the daemon has all that was sent
+            self._has_looked = True
+            status = self._ctx.call("/slidectl/status")
+            if status["paused"]:
+                self._ctx.say(f"{paused(status)}; nothing is played until it goes on: {way_on(status)}")
         try:
             self.late += not client.published(publish_id, timeout=self._ctx.wait_limit(math.inf))
         except MessageRefused as error:

@@ -7,7 +7,7 @@ import os
 import re
 import sys
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -20,7 +20,7 @@ from slidectl.cli import completion, output
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
 from slidectl.cli.topic_streams import nanoseconds
-from slidectl.errors import MessageRefused, Refused, SlidectlError, UnknownName, UsageError
+from slidectl.errors import MessageRefused, NoDaemon, Refused, SlidectlError, UnknownName, UsageError
 
 if TYPE_CHECKING:
     from slidectl.client import Subscription
@@ -326,20 +326,25 @@ class _Recorder:
         Raises:
             Refused: the file cannot be written. NoDaemon.
         """
-        client = self._ctx.client
         flush_at = monotonic() + _FLUSH_EVERY_S
-        with self._status() as tell:
-            while not is_over() and not self._is_done():
-                look_at = monotonic() + _LOOK_EVERY_S
-                while (left := look_at - monotonic()) > 0 and not is_over() and not self._is_done():
-                    next(client.events(left), None)
-                self._look_for_topics()
-                if monotonic() >= flush_at:
-                    self._flush()
-                    flush_at = monotonic() + _FLUSH_EVERY_S
-                tell()
-        if is_over():  # what was published up to now is on its way
-            client.call("/rosapi/get_time")
+        client = self._ctx.client
+        try:
+            with self._status() as tell:
+                while not is_over() and not self._is_done():
+                    look_at = monotonic() + _LOOK_EVERY_S
+                    while (left := look_at - monotonic()) > 0 and not is_over() and not self._is_done():
+                        next(client.events(left), None)
+                    self._look_for_topics()
+                    if monotonic() >= flush_at:
+                        self._flush()
+                        flush_at = monotonic() + _FLUSH_EVERY_S
+                    tell()
+            if is_over():  # what was published up to now is on its way
+                client.call("/rosapi/get_time")
+        except NoDaemon:
+            with suppress(NoDaemon):  # a daemon that ends has sent what was published
+                deque(client.events(0.0), maxlen=0)
+            raise
 
     def _look_for_topics(self) -> None:
         client = self._ctx.client

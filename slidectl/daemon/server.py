@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import resource
+import select
 import socket
 import time
 from collections.abc import Callable
@@ -34,6 +35,8 @@ _SENT_ONE, _SENT_A_TURN_S = 256 * 1024, 0.003
 _COSTLY_S, _LONGEST_PAUSE_S = 0.0003, 0.1
 _PAUSE_FACTOR = 3.0
 """Between two rounds of messages that took long, so many times that time is left to the cycles and to all else."""
+_LONGEST_STALL_S, _LONGEST_END_S = 0.5, 4.0
+"""How long the daemon's end waits for clients of which none takes anything, and for those that do."""
 _GONE: Any = object()
 
 
@@ -114,9 +117,21 @@ class Server:
         return due_s if most_s is None else min(most_s, due_s)
 
     def close(self, why: str) -> None:
-        """End all connections and let go of everything."""
+        """End all connections and let go of everything. Who goes on reading gets what waits: a recording is whole."""
         for connection in list(self.connections):
-            connection.end(why)
+            connection.warn(why)
+        end_s = time.monotonic() + _LONGEST_END_S
+        while unsent := {connection.fileno(): connection for connection in self.connections if connection.unsent}:
+            taking = select.poll()
+            for fd in unsent:
+                taking.register(fd, select.POLLOUT)
+            ready = taking.poll(1000 * max(0.0, min(_LONGEST_STALL_S, end_s - time.monotonic())))
+            for fd, _ in ready:
+                unsent[fd].resume()
+            if not ready:
+                break
+        for connection in list(self.connections):
+            connection.close()
         self._pause()
         self._listener.close()
 
@@ -298,7 +313,7 @@ class Connection:
 
     def _send_some(self) -> None:
         sent = 0
-        while (self._chunk or self.outbox) and not self._blocked and sent < _SENT_ONE:
+        while self.unsent and not self._blocked and sent < _SENT_ONE:
             chunk = self._chunk or self.outbox.take(_CHUNK)
             try:
                 count = self._socket.send(chunk)
@@ -320,7 +335,7 @@ class Connection:
     def _settle(self) -> None:
         """After anything changed: what to wait for, and whether the end is reached."""
         lines = bool(self._incoming.lines)
-        unsent = bool(self._chunk or self.outbox)
+        unsent = self.unsent
         if self._ended and not lines and not unsent and (self._deaf or not self._session.waiting):
             self.close()
         if not self.open:
@@ -344,11 +359,22 @@ class Connection:
         self._safely(self._session.closed)
         self._server.ended(self)
 
-    def end(self, why: str) -> None:
-        """Tell the client why, and close. What it does not take at once is lost."""
-        self._session.warn(why)
+    def fileno(self) -> int:
+        return self._fd
+
+    @property
+    def unsent(self) -> bool:
+        """True while something waits that the client may still take."""
+        return bool(self._chunk or self.outbox)
+
+    def warn(self, text: str) -> None:
+        """A status, after all that waits already."""
+        self._session.warn(text)
+
+    def resume(self) -> None:
+        """Send on: the kernel takes something again, or says that the client has gone."""
+        self._blocked = False
         self.flush()
-        self.close()
 
 
 def _in_turn(waiting: dict[Any, None], action: Callable[[Any], None], end_s: float) -> None:

@@ -33,7 +33,8 @@ _OPERATIONS = (
 )  # fmt: skip
 """Each is a method of the session, with an underscore before its name."""
 _MOST_OPEN_CALLS = 1000
-_MOST_LATER = 10_000
+_MOST_LATER, _MOST_LATER_BYTES = 10_000, 64 * 1024 * 1024
+"""Messages of a connection that may wait for their time, and the bytes of their lines."""
 _LONGEST_LATE, _MOST_LATE = 4096, 8 * 1024 * 1024
 """Bytes of an answer, and of what waits before it, from which on it is given up when it comes later than its call.
 
@@ -76,8 +77,9 @@ class Session:
         self._publishers: dict[str, TopicPublisher] = {}
         self._feeds: dict[str, Feed] = {}
         self._calls: set[Pending] = set()
-        self._later: set[Timer] = set()
-        """Messages that wait for their time."""
+        self._later: dict[Timer, int] = {}
+        """Messages that wait for their time, each with the bytes of its line."""
+        self._line_bytes = 0
         self._services: dict[str, Service] = {}
         self._asked: dict[str, Pending] = {}
         self._serial = 0
@@ -92,6 +94,7 @@ class Session:
     def take(self, line: bytes) -> None:
         """Carry out one line; whatever is wrong with it is told to the client."""
         message: Message = {}
+        self._line_bytes = len(line)
         try:
             try:
                 _check_size(line)
@@ -199,17 +202,19 @@ class Session:
         if due_ns <= now_ns:
             self._publish_now(message, is_late=due_ns < now_ns)
             return
-        if len(self._later) >= _MOST_LATER:
-            raise Refused(f"{_MOST_LATER} messages of this connection wait for their time", "send later ones later")
+        size = self._line_bytes
+        if len(self._later) >= _MOST_LATER or sum(self._later.values()) + size > _MOST_LATER_BYTES:
+            most = f"{_MOST_LATER} messages, or {_MOST_LATER_BYTES >> 20} MiB,"
+            raise Refused(f"{most} of this connection wait for their time", "send later ones later")
         kind = _text(message, "type", "") or self._graph.topics.type_of(topic)
         message["msg"] = msgs.check(kind, message.get("msg", {}))  # what is wrong is said now, not when it is due
 
         def publish() -> None:
-            self._later.discard(timer)
+            del self._later[timer]
             self._carry_out(self._publish_now, message)
 
         timer = self._graph.timers.at(due_ns, publish)
-        self._later.add(timer)
+        self._later[timer] = size
 
     def _publish_now(self, message: Message, is_late: bool = False) -> None:
         topic = _name(message, "topic")

@@ -12,6 +12,7 @@ import struct
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -222,32 +223,38 @@ def test_a_subscriber_that_does_not_read_keeps_the_newest_and_holds_up_nobody(co
 
 
 def test_fifty_readers_that_stop_cost_no_memory_of_their_own_and_the_others_nothing(
-    daemon: Runtime, connect: Connect
+    runtime: Runtime,
 ) -> None:
+    runtime.start(paused=True)  # of its own: what other tests have sent is not counted
     topics = ("/clock", "/gazebo/model_states", "/gazebo/link_states")
-    sleepers, reader, driver = [connect() for _ in range(50)], connect(), connect()
-    for each in (*sleepers, reader):
-        for topic in topics:
-            each.send(op="subscribe", topic=topic, queue_length=2000 if each is reader else 100)
-        each.call("/rosapi/get_time")
-    assert daemon.pid is not None
-    driver.call("/slidectl/step", cycles=1500)
-    before = resident_bytes(daemon.pid)
-    received = read_clocks(reader, driver.call("/rosapi/get_time")["values"]["time"])
-    for _ in range(4):
-        driver.call("/slidectl/step", cycles=500)
-        received += read_clocks(reader, driver.call("/rosapi/get_time")["values"]["time"])
-    assert resident_bytes(daemon.pid) - before < 8 * 2**20
-    times = [
-        message["msg"]["clock"] for message in received if message["op"] == "publish" and message["topic"] == "/clock"
-    ]
-    assert len(times) == len({(time["secs"], time["nsecs"]) for time in times}) == 3_500
-    assert not any("dropped" in message for message in received)
-    for sleeper in sleepers:
-        late = read_clocks(sleeper, driver.call("/rosapi/get_time")["values"]["time"])
-        told = sum(message["dropped"] for message in late if message.get("dropped") and message["topic"] == "/clock")
-        assert told > 0
-        assert told + sum(message["op"] == "publish" and message["topic"] == "/clock" for message in late) == 3_500
+    with ExitStack() as stack:
+        *sleepers, reader, driver = [stack.enter_context(Wire(runtime.paths.socket)) for _ in range(52)]
+        for each in (*sleepers, reader):
+            for topic in topics:
+                each.send(op="subscribe", topic=topic, queue_length=2000 if each is reader else 100)
+            each.call("/rosapi/get_time")
+        assert runtime.pid is not None
+        driver.call("/slidectl/step", cycles=1500)
+        before = resident_bytes(runtime.pid)
+        received = read_clocks(reader, driver.call("/rosapi/get_time")["values"]["time"])
+        for _ in range(4):
+            driver.call("/slidectl/step", cycles=500)
+            received += read_clocks(reader, driver.call("/rosapi/get_time")["values"]["time"])
+        assert resident_bytes(runtime.pid) - before < 8 * 2**20
+        times = [
+            message["msg"]["clock"]
+            for message in received
+            if message["op"] == "publish" and message["topic"] == "/clock"
+        ]
+        assert len(times) == len({(time["secs"], time["nsecs"]) for time in times}) == 3_500
+        assert not any("dropped" in message for message in received)
+        for sleeper in sleepers:
+            late = read_clocks(sleeper, driver.call("/rosapi/get_time")["values"]["time"])
+            told = sum(
+                message["dropped"] for message in late if message.get("dropped") and message["topic"] == "/clock"
+            )
+            assert told > 0
+            assert told + sum(message["op"] == "publish" and message["topic"] == "/clock" for message in late) == 3_500
 
 
 def read_clocks(wire: Wire, end: dict[str, int]) -> list[dict[str, Any]]:

@@ -21,6 +21,7 @@ from unittest import mock
 
 import pytest
 from daemon_fixture import Runtime
+from rosbridge_wire import Wire
 
 from slidectl import description, paths
 from slidectl.client import Client
@@ -268,6 +269,22 @@ def test_the_daemon_keeps_nothing_of_its_starter(runtime: Runtime) -> None:
     assert os.readlink(f"/proc/{pid}/fd/0") == "/dev/null"
     assert os.readlink(f"/proc/{pid}/fd/2") == str(runtime.paths.log)
     assert os.getsid(pid) == pid
+
+
+def test_the_end_waits_for_readers_who_read_and_not_for_others(runtime: Runtime) -> None:
+    pid, _ = runtime.start(paused=True)
+    with Wire(runtime.paths.socket) as reader, Wire(runtime.paths.socket) as sleeper, runtime.client() as client:
+        for wire in (reader, sleeper):
+            wire.send(op="subscribe", topic="/clock", queue_length=50_000)
+            wire.call("/rosapi/get_time")
+        client.step(cycles=20_000)
+        client.call("/slidectl/shutdown")
+        received = [reader.receive() for _ in range(20_000)]
+        assert {message["op"] for message in received} == {"publish"}
+        assert reader.receive()["msg"] == "the daemon was asked to stop"
+        with pytest.raises(EOFError):
+            reader.receive()
+        wait_for_end(pid)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])

@@ -241,3 +241,21 @@ def test_the_page_names_every_op_and_no_other(wire: Wire) -> None:
     table = PROTOCOL.read_text(encoding="utf-8").partition("| from the client")[2].partition("\n\n")[0]
     first_cells = [row.partition("|")[0] for row in table.split("\n| ")[1:]]
     assert {op for cell in first_cells for op in re.findall(r"`(\w+)`", cell)} == known
+
+
+def test_messages_are_published_at_their_time_and_too_many_of_them_are_refused(connect: Connect) -> None:
+    reader, writer = connect(), connect()
+    reader.send(op="subscribe", topic="/later", type="std_msgs/String", stamped=True)
+    now = reader.call("/rosapi/get_time")["values"]["time"]
+    due, never = ({"secs": now["secs"] + seconds, "nsecs": now["nsecs"]} for seconds in (1, 1000))
+    writer.send(op="publish", id="a", topic="/later", msg={"data": "due"}, at=due, ack=True)
+    writer.send(op="publish", id="b", topic="/later", msg={"data": 3}, at=due, ack=True)
+    status = writer.receive()
+    assert (status["id"], status["level"]) == ("b", "error")
+    for number in range(5):
+        writer.send(op="publish", id=f"large {number}", topic="/later", msg={"data": 15_000_000 * "x"}, at=never)
+    status = writer.receive()
+    assert (status["id"], "64 MiB" in status["msg"]) == ("large 4", True)
+    writer.call("/slidectl/step", seconds=1.0)
+    assert reader.receive() == {"op": "publish", "topic": "/later", "time": due, "msg": {"data": "due"}}
+    writer.close()
