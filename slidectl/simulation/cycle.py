@@ -14,6 +14,7 @@ from slidectl.control.duration import to_seconds
 from slidectl.control.laws import law
 from slidectl.control.user_classes import HookGuard, is_of_a_user, raised
 from slidectl.errors import SlidectlError
+from slidectl.simulation.history import EVERY
 
 if TYPE_CHECKING:
     from slidectl.control.controller_manager import ControllerManager
@@ -174,7 +175,7 @@ class PlainRunner(Runner):
         clock, timers, clock_topic, step_ns = loop.graph.clock, loop.graph.timers, loop.graph.clock_topic, loop.step_ns
         clock_publisher, enough = clock_topic.publisher, loop.enough
         time_ns = clock.time_ns
-        done = 0
+        keep, done, kept = loop.history.keep, 0, EVERY - clock.cycles % EVERY
         loop.in_cycle = True
         try:
             for done in range(1, min(count, CHECK_EVERY - clock.cycles % CHECK_EVERY) + 1):
@@ -185,6 +186,9 @@ class PlainRunner(Runner):
                 for robot in robots:
                     robot(time_ns)
                 world.step()
+                if done == kept:
+                    keep(time_ns)
+                    kept += EVERY
                 if time_ns >= timers.next_ns or (enough is not None and not done & _LOOK_MASK and enough()):
                     break
         finally:

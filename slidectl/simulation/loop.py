@@ -17,6 +17,7 @@ from slidectl.physics import Diverged, EngineError, World
 from slidectl.simulation.compiled.engine import Engine
 from slidectl.simulation.cycle import CHECK_EVERY, HardwareFailed, PlainRunner, Runner
 from slidectl.simulation.graph import WORLD_NODE, Graph
+from slidectl.simulation.history import History
 from slidectl.simulation.pending import Pending
 
 if TYPE_CHECKING:
@@ -149,6 +150,7 @@ class Loop:
         How long the next cycles take is not known before they have run: a robot may have come, or fallen."""
         self.in_cycle = False
         self.robots: tuple[SpawnedRobot, ...] = ()
+        self.history = History(world)
         self.plain = PlainRunner(self)
         self._data = world.data
         self.engine = Engine(self, engine)
@@ -172,6 +174,7 @@ class Loop:
     def _world_changed(self) -> None:
         if self.world.data is not self._data:
             self._data = self.world.data
+            self.history.begin()
             for runner in self._runners():
                 runner.follow_world()
 

@@ -19,7 +19,7 @@ from slidectl.physics import World, hulls
 from slidectl.physics.hulls import MeshSource
 from slidectl.physics.painting import Painter
 from slidectl.rotations import ORIGIN, Pose
-from slidectl.simulation import base_drives, rosapi, waits
+from slidectl.simulation import base_drives, joint_traces, rosapi, waits
 from slidectl.simulation.compiled.engine import Engine
 from slidectl.simulation.gazebo_services import GazeboServices
 from slidectl.simulation.graph import Graph
@@ -88,6 +88,7 @@ class Simulation:
         rosapi.advertise(self.graph)
         OwnServices(self)
         waits.advertise(self.graph)
+        joint_traces.advertise(self)
         GazeboServices(self)
         self.robots.on_spawn += [
             StatePublishers(self).bring_up,

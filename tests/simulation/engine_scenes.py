@@ -112,7 +112,7 @@ class Heard:
 
 
 def play(scene: Scene, engine: str, driven: bool = False) -> tuple[list[Any], Simulation]:
-    """What is left of a scene: the state of the physics, of the handles and PIDs, of time, and all messages."""
+    """What is left of a scene: the state of the physics, of the handles and PIDs, of time and the past, and all messages."""
     simulation = Simulation(ground=False, engine=engine)
     simulation.driven = driven
     if engine == "compiled":
@@ -124,6 +124,8 @@ def play(scene: Scene, engine: str, driven: bool = False) -> tuple[list[Any], Si
     arrays = [data.qpos, data.qvel, data.qfrc_applied, data.qacc_warmstart]
     left: list[Any] = [simulation.time_ns, simulation.cycles, [array.tobytes() for array in arrays], heard.messages]
     for robot in simulation.robots:
+        places = simulation.world.body(robot.name).joints.values()
+        left += [simulation.loop.history.of_joint(place.qpos, place.dof, 0).tobytes() for place in places]
         left += [vars_of(joint.handle) for joint in robot.hardware.driven()]
         left += [vars_of(robot.manager.get(name)) for name in robot.manager.names()]
         left.append(robot.manager.list())

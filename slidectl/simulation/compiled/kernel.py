@@ -47,12 +47,14 @@ from slidectl.simulation.compiled.tables import (
     STEP_IN_PYTHON,
 )
 from slidectl.simulation.cycle import CHECK_EVERY, begin_to_write, control_is_due
+from slidectl.simulation.history import EVERY, ROWS, TAKEN
+from slidectl.simulation.history import HEADER as FIRST_ROW
 
 Table = Any
 
 
 class CycleTables(NamedTuple):
-    """The tables of `tables.TABLES`, and MuJoCo's arrays."""
+    """The tables of `tables.TABLES`, MuJoCo's arrays, and the block of the history."""
 
     robots: Table
     joints: Table
@@ -68,6 +70,7 @@ class CycleTables(NamedTuple):
     motors: Any
     bounds: Any
     weights: Any
+    history: Any
 
 
 def physics_step(step: int, model: int, data: int, error_hook: int) -> int:
@@ -184,6 +187,23 @@ def is_sane(values: Any, count: int) -> bool:
     return True
 
 
+@law
+def keep(progress: Any, tables: CycleTables) -> None:
+    """History.keep."""
+    history, positions, dofs = tables.history, progress.positions, progress.dofs
+    at = FIRST_ROW + int(history[TAKEN] % history[ROWS]) * (1 + positions + 3 * dofs)
+    history[TAKEN] += 1.0
+    history[at] = progress.time_ns
+    at += 1
+    for k in range(positions):
+        history[at + k] = tables.qpos[k]
+    at += positions
+    for k in range(dofs):
+        history[at + k] = tables.qvel[k]
+        history[at + dofs + k] = tables.forces[k]
+        history[at + 2 * dofs + k] = tables.outside[k]
+
+
 def run(progress: Any, tables: CycleTables) -> int:
     """`progress.left` cycles, or fewer up to a turn of the interpreter. Returns for what it stopped."""
     while progress.left > 0:
@@ -225,6 +245,8 @@ def run(progress: Any, tables: CycleTables) -> int:
         progress.robot = NEW_CYCLE
         progress.left -= 1
         progress.cycles += 1
+        if progress.cycles % EVERY == 0:
+            keep(progress, tables)
         if progress.cycles % CHECK_EVERY == 0 and not (
             is_sane(tables.qpos, progress.positions) and is_sane(tables.qvel, progress.dofs)
         ):

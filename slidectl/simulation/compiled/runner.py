@@ -21,6 +21,7 @@ from slidectl.simulation.compiled.robot_rows import InterpretedUpdate, RobotRows
 from slidectl.simulation.compiled.tables import NEW_CYCLE, Progress, Tables
 from slidectl.simulation.cycle import CHECK_EVERY, Runner
 from slidectl.simulation.graph import WORLD_NODE
+from slidectl.simulation.history import EVERY
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -156,7 +157,8 @@ class CompiledRunner(Runner):
         addresses = self._tables.addresses()
         progress.controllers = addresses["controllers"]
         progress.joints, progress.pids = addresses["joints"], addresses["pids"]
-        self._addresses = array("Q", [ctypes.addressof(progress), *addresses.values(), *memory.arrays])
+        arrays = (*memory.arrays, self._loop.history.address)
+        self._addresses = array("Q", [ctypes.addressof(progress), *addresses.values(), *arrays])
 
     def _look_for_listeners(self) -> None:
         """Which publishers are wanted now?"""
@@ -292,6 +294,8 @@ class CompiledRunner(Runner):
         progress.robot = NEW_CYCLE
         progress.left -= 1
         progress.cycles += 1
+        if progress.cycles % EVERY == 0:
+            self._loop.history.keep(progress.time_ns)
         self._look_outside()
 
     def _run_robot(self, rows: RobotRows) -> None:

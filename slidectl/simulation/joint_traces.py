@@ -1,0 +1,85 @@
+"""`/slidectl/trace`: the motion of a joint over the last seconds, or over those to come."""
+
+from __future__ import annotations
+
+import struct
+from binascii import b2a_base64
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from slidectl.control.duration import from_seconds
+from slidectl.control.node_handle import Message
+from slidectl.errors import Refused, SlidectlError
+from slidectl.simulation.clock import SECOND
+from slidectl.simulation.history import EVERY
+from slidectl.simulation.own_services import LONGEST_S, NODE
+from slidectl.simulation.pending import Pending
+
+if TYPE_CHECKING:
+    from slidectl.simulation.simulation import Simulation
+
+_MOST_SAMPLES = 100_000
+"""Of a trace. A longer one has every second cycle, or every third."""
+_SAMPLE = struct.Struct("<4d")
+
+
+def advertise(simulation: Simulation) -> None:
+    """Provide the service."""
+    node = simulation.graph.node(NODE, NODE)
+    node.advertise_service("trace", "slidectl/TraceJoint", lambda request: _trace(simulation, request))
+
+
+def _trace(simulation: Simulation, request: Message) -> Pending:
+    """Raises UnknownName, Refused."""
+    last, duration = request["last"], request["duration"]
+    if not 0 <= last < LONGEST_S or not 0 <= duration < LONGEST_S or bool(last) == bool(duration):
+        raise Refused(
+            f"a trace is of the last or of the next seconds: one of two numbers above 0, not {last}, {duration}"
+        )
+    robot, joint, world = simulation.robots.get(request["robot"]), request["joint"], simulation.world
+    place = world.body(robot.name).place(joint)
+
+    def now() -> bytes:
+        return _SAMPLE.pack(simulation.time_ns / SECOND, *world.joint_state(robot.name, joint))
+
+    if duration:
+        return _TraceToCome(simulation, duration, now).pending
+    kept = simulation.loop.history.of_joint(place.qpos, place.dof, simulation.time_ns - from_seconds(last))
+    present = b"" if len(kept) and kept[-1, 0] == simulation.time_ns / SECOND else now()
+    return Pending.of(_answer(EVERY * simulation.timestep_ns, kept.astype("<f8").tobytes() + present))
+
+
+def _answer(period_ns: int, rows: bytes) -> Message:
+    return {"period": period_ns / SECOND, "samples": b2a_base64(rows, newline=False).decode("ascii")}
+
+
+class _TraceToCome:
+    """Samples from now on, one a cycle where they are not too many; answered when the time has passed."""
+
+    def __init__(self, simulation: Simulation, duration: float, sample: Callable[[], bytes]) -> None:
+        step_ns, duration_ns = simulation.timestep_ns, from_seconds(duration)
+        self._period_ns = step_ns * max(1, -(-duration_ns // (step_ns * _MOST_SAMPLES)))
+        self._sample = sample
+        self._rows = [sample()]
+        self.pending = Pending(on_cancel=self._close)
+        timers = simulation.graph.timers
+        self._timer = timers.every(self._period_ns, self._take)
+        self._end = timers.after(duration_ns, self._finish)
+
+    def _take(self) -> None:
+        try:
+            self._rows.append(self._sample())
+        except SlidectlError as error:  # the robot has gone
+            self._close()
+            self.pending.reject(error)
+
+    def _finish(self) -> None:
+        self._close()
+        end = self._sample()
+        if end != self._rows[-1]:
+            self._rows.append(end)
+        self.pending.resolve(_answer(self._period_ns, b"".join(self._rows)))
+
+    def _close(self) -> None:
+        self._timer.cancel()
+        self._end.cancel()
