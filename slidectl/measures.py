@@ -23,8 +23,8 @@ END = 0.1
 """The part of the time, at its end, of which the steady-state error is the mean."""
 SATURATED = 0.999
 """The part of its limit from which on an effort counts as saturated."""
-AT_LIMIT = 1e-3
-"""How near to a bound a joint is at it, m or rad."""
+NEAR_LIMIT = 1e-3
+"""How far a joint must have left a bound before it can hit it again, m or rad."""
 _MOVED = 1e-3
 """The part of a step by which a value leaves its beginning when the motion begins."""
 _NO_STEP = 1e-9
@@ -244,16 +244,20 @@ def contact_time(times: Any, forces: Any, threshold: float = 0.0) -> Measured:
 
 
 def limit_hits(times: Any, positions: Any, lower: float = -math.inf, upper: float = math.inf) -> Measured:
-    """How often the position came to a bound (within 1 mm or 1 mrad); the first time is its `time`.
+    """How often the position came to a bound; the first time is its `time`.
 
-    A beginning at the bound does not count. Raises NoMeasure: there is no bound.
+    A beginning at the bound does not count, and one that stays near (within 1 mm or 1 mrad) counts once. Raises
+    NoMeasure: there is no bound.
     """
     if not (lower > -math.inf or upper < math.inf):
         raise NoMeasure("limit hits need a lower or an upper bound")
     moments, numbers = samples(times, positions)
-    is_there = (numbers <= lower + AT_LIMIT) | (numbers >= upper - AT_LIMIT)
-    arrivals = np.flatnonzero(is_there[1:] & ~is_there[:-1]) + 1
-    return Measured(len(arrivals), moments[arrivals[0]] if len(arrivals) else math.nan)
+    distances = np.minimum(numbers - lower, upper - numbers)
+    states = np.where(distances <= 0, 1, np.where(distances > NEAR_LIMIT, -1, 0))
+    states[0] = states[0] or -1
+    known = np.flatnonzero(states)
+    hits = known[1:][np.diff(states[known]) == 2]
+    return Measured(len(hits), moments[hits[0]] if len(hits) else math.nan)
 
 
 def energy(times: Any, efforts: Any, velocities: Any) -> Measured:

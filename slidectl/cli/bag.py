@@ -1,4 +1,4 @@
-"""`slidectl bag`: what is in recordings, parts of them, tables of them, and files that were not closed."""
+"""`slidectl bag`: what is in recordings, where two differ, parts, tables, and files that were not closed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slidectl.cli import completion, output
-from slidectl.cli.commands import group
+from slidectl.cli.commands import Variadic, group
 from slidectl.cli.context import Context
 from slidectl.cli.topic_streams import Schema
 from slidectl.errors import Refused, UnknownName, UsageError
@@ -26,7 +26,7 @@ _SECOND = 10**9
 
 @group(examples=["slidectl bag info run.mcap", "slidectl bag export run.bag --csv run.csv"])
 def bag() -> None:
-    """Recordings: info, filter, export, reindex."""
+    """Recordings: info, diff, filter, export, reindex."""
 
 
 def open_recording(ctx: Context, file: str) -> Recording:
@@ -97,6 +97,52 @@ def _info_text(record: dict[str, Any]) -> str:
     for key, rows in (("types", types), ("topics", topics)):
         text += [f"{key + ':' if number == 0 else '':<13}{row}" for number, row in enumerate(rows)]
     return "\n".join(text)
+
+
+# --- golden traces ----------------------------------------------------------------------------------------------------
+
+
+@bag.command(
+    "diff",
+    examples=[
+        "slidectl bag diff run.bag golden.bag --fields joint_states/position --tol 1e-6",
+        "slidectl bag diff run.mcap baselines/ --update-baseline",
+    ],
+)
+@click.argument("run", shell_complete=completion.files)
+@click.argument("baseline", shell_complete=completion.files)
+@click.option("--fields", cls=Variadic, metavar="F[=TOL]...", help="Only these topics or fields, with tolerances.")
+@click.option("--tol", type=click.FloatRange(min=0), default=0.0, metavar="T", help="How far numbers may be off (0).")
+@click.option("--update-baseline", is_flag=True, help="Make the run the baseline instead.")
+@click.pass_obj
+def diff(ctx: Context, run: str, baseline: str, fields: tuple[str, ...], tol: float, update_baseline: bool) -> None:
+    """Tell where a recording first differs from a baseline.
+
+    BASELINE is a recording, or a folder with one of the same name. Compared are the messages of the baseline's topics
+    but /rosout, or of --fields, that were published at the same simulated time, exactly or within a tolerance. Exits 1
+    on a difference. JSON keys, a line a field that differs: topic, field, time, value, baseline, tolerance.
+    """
+    from slidectl.recording.comparison import compare_file
+
+    tolerances = {name: tol if text == "" else _tolerance(text) for name, _, text in (f.partition("=") for f in fields)}
+    found = compare_file(Path(run), Path(baseline), list(tolerances), tolerances if fields else tol, update_baseline)
+    if ctx.format != "text":
+        for difference in found:
+            ctx.emit(difference._asdict())
+    if found:
+        raise Refused("\n".join(map(str, found)), "to keep this run as the baseline: --update-baseline")
+    if ctx.format == "text":
+        ctx.done({}, f"{baseline}: {'updated' if update_baseline else 'no difference'}")
+
+
+def _tolerance(text: str) -> float:
+    try:
+        tolerance = float(text)
+    except ValueError:
+        tolerance = -1.0
+    if not 0 <= tolerance < math.inf:
+        raise UsageError(f"{text!r} is no tolerance: a number of 0 or more")
+    return tolerance
 
 
 # --- copies -----------------------------------------------------------------------------------------------------------

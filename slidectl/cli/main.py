@@ -13,6 +13,7 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from importlib import import_module
+from keyword import iskeyword
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
@@ -39,7 +40,7 @@ COMPLETION_VARIABLE = "_SLIDECTL_COMPLETE"
 
 
 class Entry(NamedTuple):
-    """One line of the command table. The command object has the command's name in its module.
+    """One line of the command table. The command object has the command's name in its module (`assert_`: a keyword).
 
     `help` is equal to the first sentence of the command's own help (a test compares them).
     """
@@ -64,9 +65,10 @@ COMMANDS = {
     "pub": Entry("Topics, services, parameters", "pub", "Publish a message."),
     "echo": Entry("Topics, services, parameters", "echo", "Print the messages of a topic."),
     "wait": Entry("Topics, services, parameters", "wait", "Wait until a field of a topic has a value."),
+    "assert": Entry("Topics, services, parameters", "assertion", "Tell whether conditions hold, and measure motions."),
     "record": Entry("Topics, services, parameters", "record", "Record topics into a file."),
     "play": Entry("Topics, services, parameters", "play", "Publish the messages of recordings again."),
-    "bag": Entry("Topics, services, parameters", "bag", "Recordings: info, filter, export, reindex."),
+    "bag": Entry("Topics, services, parameters", "bag", "Recordings: info, diff, filter, export, reindex."),
     "topic": Entry("Topics, services, parameters", "topic", "List, inspect and measure topics."),
     "hz": Entry("Topics, services, parameters", "topic_measure", "Measure how often messages come."),
     "service": Entry("Topics, services, parameters", "service", "List, inspect and call services."),
@@ -166,7 +168,8 @@ class Root(Group):
 
 def load(name: str, entry: Entry) -> click.Command:
     """Import the module of a command and take the command out of it."""
-    command = getattr(import_module(f"slidectl.cli.{entry.module}"), name.replace("-", "_"))
+    attribute = name.replace("-", "_") + "_" * iskeyword(name)
+    command = getattr(import_module(f"slidectl.cli.{entry.module}"), attribute)
     assert isinstance(command, click.Command)
     return command
 

@@ -39,7 +39,8 @@ class History:
         rows = max(1, min(_MOST_ROWS, _MOST_BYTES // (8 * self._width)))
         self._table = np.zeros(HEADER + rows * self._width)
         self._table[ROWS] = rows
-        self._view = memoryview(self._table)
+        view: Any = memoryview(self._table)  # type: ignore[arg-type]
+        self._view: memoryview[float] = view
 
     @property
     def address(self) -> int:

@@ -1,0 +1,388 @@
+"""How one number went over time: of a joint or of a field of a topic, live or from a recording. For slidectl.measures.
+
+A joint is named as `joint1` or `slider/joint1`, with `/velocity` or `/effort` behind it where that is meant; a field as
+`joint_states/position[0]`. A short name is the unique end of a full one. A vector counts with its length, a list of
+vectors with the length of their sum.
+"""
+
+from __future__ import annotations
+
+import math
+from binascii import a2b_base64
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from slidectl import measures, names
+from slidectl.errors import UnknownName, UsageError, listing
+from slidectl.field_path import Fields, Selection, select
+from slidectl.measures import Array, Measured, NoMeasure
+
+if TYPE_CHECKING:
+    from slidectl.client import Client
+    from slidectl.recording.recording_files import Recording
+
+QUANTITIES = ("position", "velocity", "effort")
+_JOINT_STATE = "sensor_msgs/JointState"
+_SECOND = 10**9
+_LONGEST_QUEUE = 1_000_000
+
+
+# --- a trace and its measures -----------------------------------------------------------------------------------------
+
+
+@dataclass
+class Trace:
+    """Values over simulated time (s), arrays of one length (n,). SI units."""
+
+    name: str
+    times: Array
+    values: Array
+    unit: str = ""
+    """Of the values, where it is known."""
+    velocities: Array | None = None
+    efforts: Array | None = None
+    """Of a joint."""
+    effort_unit: str = ""
+    targets: Array | None = None
+    """What the values were to be, where that was asked for as a field."""
+    lower: float = -math.inf
+    upper: float = math.inf
+    max_effort: float = math.nan
+    """Bounds of a joint, where they are known."""
+
+    def since(self, time: float) -> Trace:
+        """The samples from then on."""
+        here = self.times >= time - 1e-9
+        cut: dict[str, Any] = {name: each[here] for name, each in vars(self).items() if isinstance(each, np.ndarray)}
+        return replace(self, **cut)
+
+    def measure(
+        self, name: str, target: float | None = None, start: float | None = None, band: float = measures.BAND
+    ) -> Measured:
+        """One of MEASURES.
+
+        Args:
+            target: where the step leads to (without it its last value); what errors are from.
+            start: when the step was, s; without it when the motion began.
+            band: of the settling time, a part of the step.
+
+        Raises:
+            UnknownName: no such measure. NoMeasure: the samples do not suffice.
+        """
+        if name not in MEASURES:
+            raise UnknownName("measure", name, list(MEASURES))
+        return MEASURES[name].take(self, _Wish(target, start, band))
+
+    def unit_of(self, name: str) -> str:
+        """The unit of a measure; empty for a count, and where the unit of the values is not known."""
+        unit = MEASURES[name].unit
+        own = {"value": self.unit, "effort": self.effort_unit, "value·s": self.unit and f"{self.unit}·s"}
+        return own.get(unit, unit)
+
+
+class _Wish(NamedTuple):
+    target: float | None
+    start: float | None
+    band: float
+
+
+class Measure(NamedTuple):
+    """What is measured, in few words; in which unit; and how."""
+
+    help: str
+    unit: str
+    take: Callable[[Trace, _Wish], Measured]
+
+
+def _of_step(measure: Callable[..., Measured]) -> Callable[[Trace, _Wish], Measured]:
+    def take(trace: Trace, wish: _Wish) -> Measured:
+        if wish.target is None and trace.targets is not None and len(trace.targets):
+            wish = wish._replace(target=float(trace.targets[-1]))
+        more = {"band": wish.band} if measure is measures.settling_time else {}
+        return measure(trace.times, trace.values, wish.target, wish.start, **more)
+
+    return take
+
+
+def _of_error(measure: Callable[..., Measured]) -> Callable[[Trace, _Wish], Measured]:
+    def take(trace: Trace, wish: _Wish) -> Measured:
+        target = trace.targets if wish.target is None else wish.target
+        if target is None:
+            raise NoMeasure("an error needs what the value was to be: a target")
+        return measure(trace.times, trace.values, target)
+
+    return take
+
+
+def _of_joint(measure: Callable[[Trace, Any], Measured]) -> Callable[[Trace, _Wish], Measured]:
+    def take(trace: Trace, _: _Wish) -> Measured:
+        if trace.efforts is None:
+            raise NoMeasure(f"{trace.name} has no effort: that is measured of a joint")
+        return measure(trace, trace.efforts)
+
+    return take
+
+
+MEASURES: dict[str, Measure] = {
+    "rise": Measure("Rise time, from 10 % to 90 % of the step", "s", _of_step(measures.rise_time)),
+    "overshoot": Measure("Overshoot, in % of the step", "%", _of_step(measures.overshoot)),
+    "settling": Measure("Time until it stays within 2 % of the step", "s", _of_step(measures.settling_time)),
+    "error": Measure("Steady-state error, of the last tenth", "value", _of_error(measures.steady_state_error)),
+    "rms-error": Measure("Root of the mean square error", "value", _of_error(measures.rms)),
+    "max-error": Measure("Largest error", "value", _of_error(measures.peak)),
+    "iae": Measure("Integral of the absolute error", "value·s", _of_error(measures.integral_of_absolute_error)),
+    "effort-rms": Measure(
+        "Root of the mean square effort", "effort", _of_joint(lambda trace, efforts: measures.rms(trace.times, efforts))
+    ),
+    "effort-peak": Measure(
+        "Largest effort", "effort", _of_joint(lambda trace, efforts: measures.peak(trace.times, efforts))
+    ),
+    "saturation": Measure(
+        "Time at the effort limit",
+        "s",
+        _of_joint(lambda trace, efforts: measures.saturation_time(trace.times, efforts, trace.max_effort)),
+    ),
+    "energy": Measure(
+        "Work that the actuator did",
+        "J",
+        _of_joint(lambda trace, efforts: measures.energy(trace.times, efforts, trace.velocities)),
+    ),
+    "limit-hits": Measure(
+        "How often it came to a bound",
+        "",
+        lambda trace, _: measures.limit_hits(trace.times, trace.values, trace.lower, trace.upper),
+    ),
+    "contact": Measure(
+        "Time in contact, of a force", "s", lambda trace, _: measures.contact_time(trace.times, trace.values)
+    ),
+    "peak-force": Measure(
+        "Largest force, of a force", "value", lambda trace, _: measures.peak(trace.times, trace.values)
+    ),
+}
+
+
+# --- joints -----------------------------------------------------------------------------------------------------------
+
+
+def _find_joint(text: str, known: Sequence[str], namespace: str) -> tuple[str, str] | None:
+    """The full name of the joint that is meant and its quantity, or None where none is. Raises AmbiguousName."""
+    if "[" in text:
+        return None
+    head, _, tail = text.rpartition("/")
+    ways = [(text, "position")] + ([(head, tail)] if head and tail in QUANTITIES else [])
+    for name, quantity in ways:
+        with suppress(UnknownName):
+            return names.resolve(name, known, kind="joint", namespace=namespace), quantity
+    return None
+
+
+def _joint_trace(name: str, quantity: str, rows: Array, about: Mapping[str, Any]) -> Trace:
+    """Of rows of time, position, velocity and effort (n, 4), and what is known of the joint (slidectl/JointInfo)."""
+    length = {"prismatic": "m", "revolute": "rad", "continuous": "rad"}.get(str(about.get("type")), "")
+    effort = {"m": "N", "rad": "N·m"}.get(length, "")
+    units = {"position": length, "velocity": length and f"{length}/s", "effort": effort}
+    columns = dict(zip(QUANTITIES, rows.T[1:], strict=True))
+    is_position = quantity == "position"
+    bound: dict[str, float] = {
+        key: math.nan if (value := about.get(key)) is None else value for key in ("lower", "upper", "max_effort")
+    }
+    return Trace(
+        name if is_position else f"{name}/{quantity}", rows[:, 0], columns[quantity], units[quantity],
+        columns["velocity"], columns["effort"], effort,
+        lower=-math.inf if math.isnan(bound["lower"]) or not is_position else bound["lower"],
+        upper=math.inf if math.isnan(bound["upper"]) or not is_position else bound["upper"],
+        max_effort=bound["max_effort"],
+    )  # fmt: skip
+
+
+# --- values of messages -----------------------------------------------------------------------------------------------
+
+
+def number(value: Any) -> float:
+    """The number that a value counts as. Raises UsageError: it is none."""
+    if isinstance(value, bool | int | float):
+        return float(value)
+    if value is None:
+        return math.nan
+    if isinstance(value, dict) and value.keys() == {"secs", "nsecs"}:
+        return float(value["secs"] + value["nsecs"] / _SECOND)
+    if isinstance(value, dict) and value.keys() == {"x", "y", "z"}:
+        return math.hypot(*map(number, value.values()))
+    if isinstance(value, list) and all(isinstance(one, dict) and one.keys() == {"x", "y", "z"} for one in value):
+        return math.hypot(*(sum(number(one[axis]) for one in value) for axis in "xyz"))
+    raise UsageError(f"{str(value)[:80]} is no number", "choose an element or a field: NAME/position[0]")
+
+
+class _Samples:
+    """Messages of one topic as a trace: those of a field, and of the field of the targets if there is one."""
+
+    def __init__(self, name: str, root: str, fields_of: Fields, field: str, reference: str) -> None:
+        """Without a `field` the only one of the type counts. Raises UnknownName, UsageError."""
+        inside = [name for name, _, _ in fields_of(root)]
+        path = inside[0] if not field and len(inside) == 1 else field
+        self.name = f"{name}/{field}" if field else name
+        self._paths: list[Selection] = [select(fields_of, root, path)]
+        if reference:
+            self._paths.append(select(fields_of, root, reference))
+        self.rows: list[list[float]] = []
+
+    def take(self, time_ns: int, message: Any) -> None:
+        """Raises UsageError: no number. NoElement: its array is too short."""
+        self.rows.append([time_ns / _SECOND, *(number(path.take(message)) for path in self._paths)])
+
+    def trace(self) -> Trace:
+        rows = np.array(self.rows, dtype=np.float64).reshape(len(self.rows), 1 + len(self._paths))
+        return Trace(self.name, rows[:, 0], rows[:, 1], targets=rows[:, 2] if len(self._paths) > 1 else None)
+
+
+# --- live -------------------------------------------------------------------------------------------------------------
+
+
+def live(
+    client: Client,
+    target: str,
+    *,
+    last: float = 0.0,
+    duration: float = 0.0,
+    reference: str = "",
+    namespace: str = "/",
+    timeout: float | None = None,
+) -> Trace:
+    """A trace of the last or of the next simulated seconds; without either, of this moment alone.
+
+    A joint has a sample a cycle in the seconds to come, and one in ten cycles in those past, as far as they are kept. A
+    field has one a message; its past is not kept.
+
+    Args:
+        reference: a field of the same topic, which says what the value is to be.
+        timeout: wall seconds; the client's when not given.
+
+    Raises:
+        UnknownName, AmbiguousName, Unused: no such joint or topic. UsageError: the past of a topic, or no number.
+        NoMeasure: messages were lost, or none comes. TimedOut.
+    """
+    robots = client.robots()
+    joints = {
+        names.join(robot["namespace"], joint["name"]): (robot["name"], joint)
+        for robot in robots
+        for joint in robot["joints"]
+        if joint["position"] is not None
+    }
+    found = _find_joint(target, list(joints), namespace)
+    if found is None:
+        try:
+            topic = client.resolve("topic", target, namespace=namespace, role="publishers", with_field=True)
+        except UnknownName as error:
+            error.hint = f"{error.hint}\njoints: {listing(joints)}"
+            raise
+        if last:
+            raise UsageError(
+                f"{topic['name']} is a topic, and the past is kept of joints only",
+                "name a joint, take the seconds to come, or record it first",
+            )
+        return _of_topic(client, topic, duration, reference, timeout)
+    if reference:
+        raise UsageError(
+            f"{target} is a joint, whose target is a number", "a field can be the target of a topic's field"
+        )
+    full, quantity = found
+    robot, joint = joints[full]
+    if last or duration:
+        request = {"robot": robot, "joint": joint["name"], "last": last, "duration": duration}
+        samples = a2b_base64(client.call("/slidectl/trace", request, timeout=timeout)["samples"])
+        rows = np.frombuffer(samples, dtype="<f8").reshape(-1, 1 + len(QUANTITIES))
+    else:
+        now = client.call("/slidectl/status")["time"]
+        rows = np.array([[now, *(joint[name] for name in QUANTITIES)]], dtype=np.float64)
+    return _joint_trace(full, quantity, rows, joint)
+
+
+def _of_topic(client: Client, found: dict[str, Any], duration: float, reference: str, timeout: float | None) -> Trace:
+    """`found` is what a name of a topic means (slidectl/Resolve)."""
+    types = {
+        entry["type"]: list(zip(entry["fieldnames"], entry["fieldtypes"], entry["fieldarraylen"], strict=True))
+        for entry in found["typedefs"]
+    }
+    samples = _Samples(found["name"], found["type"], lambda name: types.get(name, ()), found["field"], reference)
+
+    def take(published: dict[str, Any]) -> None:
+        time = published["time"]
+        samples.take(time["secs"] * _SECOND + time["nsecs"], published["msg"])
+
+    sleep = client.call_async("/slidectl/sleep", {"duration": duration}) if duration else ""
+    with client.subscribe(found["name"], queue_length=_LONGEST_QUEUE, take=take) as subscription:
+        if duration:
+            client.answer(sleep, timeout=timeout)
+        else:
+            if client.call("/slidectl/status")["paused"] and not samples.rows:
+                raise NoMeasure(
+                    f"{found['name']} says nothing while the simulation is paused",
+                    "name a joint, whose state is always there, or let it go on: slidectl sim resume",
+                )
+            client.wait_until(lambda: bool(samples.rows), timeout, f"no message on {found['name']}")
+    if subscription.dropped:
+        raise NoMeasure(
+            f"{subscription.dropped} messages of {found['name']} were lost: they came faster than they were read"
+        )
+    return samples.trace()
+
+
+# --- from recordings --------------------------------------------------------------------------------------------------
+
+
+def recorded(
+    recording: Recording, target: str, *, last: float = 0.0, reference: str = "", namespace: str = "/"
+) -> Trace:
+    """A trace of a whole recording, or of its last seconds. A joint is one of its sensor_msgs/JointState messages.
+
+    Raises:
+        UnknownName, AmbiguousName: not in the recording. UsageError: no number. BadRecording.
+    """
+    joints = dict(_recorded_joints(recording))
+    found = _find_joint(target, list(joints), namespace)
+    if found is not None and not reference:
+        full, quantity = found
+        topic, joint = joints[full]
+        rows = [_joint_row(message, joint, time_ns) for time_ns, message in _messages(recording, topic)]
+        trace = _joint_trace(full, quantity, np.array(rows, dtype=np.float64).reshape(-1, 1 + len(QUANTITIES)), {})
+    else:
+        topic, field = _recorded_topic(recording, target, namespace, list(joints))
+        channel = next(channel for channel in recording.channels if channel.topic == topic)
+        types = recording.codec(channel).types
+        samples = _Samples(topic, channel.type, lambda name: types.get(name, ()), field, reference)
+        for time_ns, message in _messages(recording, topic):
+            samples.take(time_ns, message)
+        trace = samples.trace()
+    end_ns = recording.summary().end_ns
+    return trace if not last or end_ns is None else trace.since(end_ns / _SECOND - last)
+
+
+def _messages(recording: Recording, topic: str) -> Iterator[tuple[int, Any]]:
+    return ((record.time_ns, recording.message(record)) for record in recording.records({topic}))
+
+
+def _recorded_joints(recording: Recording) -> Iterator[tuple[str, tuple[str, str]]]:
+    """The full names of joints, with topic and name, as the first message of each topic has them."""
+    for topic in {channel.topic: None for channel in recording.channels if channel.type == _JOINT_STATE}:
+        for _, message in _messages(recording, topic):
+            yield from ((names.join(names.parent(topic), joint), (topic, joint)) for joint in message["name"])
+            break
+
+
+def _joint_row(message: Any, joint: str, time_ns: int) -> list[float]:
+    place = message["name"].index(joint) if joint in message["name"] else len(message["name"])
+    states = (message[quantity] for quantity in QUANTITIES)
+    return [time_ns / _SECOND, *(state[place] if place < len(state) else math.nan for state in states)]
+
+
+def _recorded_topic(recording: Recording, target: str, namespace: str, joints: list[str]) -> tuple[str, str]:
+    for name, field in names.cut_from_field(target):
+        with suppress(UnknownName):
+            return names.resolve(name, recording.topics, kind="topic", namespace=namespace), field
+    error = UnknownName("topic", target, recording.topics, f"in {recording.path}")
+    error.hint = f"{error.hint}\njoints: {listing(joints)}"
+    raise error
