@@ -35,7 +35,7 @@ _LONGEST_QUEUE = 1_000_000
 
 
 @dataclass
-class Trace:
+class Signal:
     """Values over simulated time (s), arrays of one length (n,). SI units."""
 
     name: str
@@ -54,7 +54,7 @@ class Trace:
     max_effort: float = math.nan
     """Bounds of a joint, where they are known."""
 
-    def since(self, time: float) -> Trace:
+    def since(self, time: float) -> Signal:
         """The samples from then on."""
         here = self.times >= time - 1e-9
         cut: dict[str, Any] = {name: each[here] for name, each in vars(self).items() if isinstance(each, np.ndarray)}
@@ -95,11 +95,11 @@ class Measure(NamedTuple):
 
     help: str
     unit: str
-    take: Callable[[Trace, _Wish], Measured]
+    take: Callable[[Signal, _Wish], Measured]
 
 
-def _of_step(measure: Callable[..., Measured]) -> Callable[[Trace, _Wish], Measured]:
-    def take(trace: Trace, wish: _Wish) -> Measured:
+def _of_step(measure: Callable[..., Measured]) -> Callable[[Signal, _Wish], Measured]:
+    def take(trace: Signal, wish: _Wish) -> Measured:
         if wish.target is None and trace.targets is not None and len(trace.targets):
             wish = wish._replace(target=float(trace.targets[-1]))
         more = {"band": wish.band} if measure is measures.settling_time else {}
@@ -108,8 +108,8 @@ def _of_step(measure: Callable[..., Measured]) -> Callable[[Trace, _Wish], Measu
     return take
 
 
-def _of_error(measure: Callable[..., Measured]) -> Callable[[Trace, _Wish], Measured]:
-    def take(trace: Trace, wish: _Wish) -> Measured:
+def _of_error(measure: Callable[..., Measured]) -> Callable[[Signal, _Wish], Measured]:
+    def take(trace: Signal, wish: _Wish) -> Measured:
         target = trace.targets if wish.target is None else wish.target
         if target is None:
             raise NoMeasure("an error needs what the value was to be: a target")
@@ -118,8 +118,8 @@ def _of_error(measure: Callable[..., Measured]) -> Callable[[Trace, _Wish], Meas
     return take
 
 
-def _of_joint(measure: Callable[[Trace, Any], Measured]) -> Callable[[Trace, _Wish], Measured]:
-    def take(trace: Trace, _: _Wish) -> Measured:
+def _of_joint(measure: Callable[[Signal, Any], Measured]) -> Callable[[Signal, _Wish], Measured]:
+    def take(trace: Signal, _: _Wish) -> Measured:
         if trace.efforts is None:
             raise NoMeasure(f"{trace.name} has no effort: that is measured of a joint")
         return measure(trace, trace.efforts)
@@ -180,7 +180,7 @@ def _find_joint(text: str, known: Sequence[str], namespace: str) -> tuple[str, s
     return None
 
 
-def _joint_trace(name: str, quantity: str, rows: Array, about: Mapping[str, Any]) -> Trace:
+def _joint_trace(name: str, quantity: str, rows: Array, about: Mapping[str, Any]) -> Signal:
     """Of rows of time, position, velocity and effort (n, 4), and what is known of the joint (slidectl/JointInfo)."""
     length = {"prismatic": "m", "revolute": "rad", "continuous": "rad"}.get(str(about.get("type")), "")
     effort = {"m": "N", "rad": "N·m"}.get(length, "")
@@ -190,7 +190,7 @@ def _joint_trace(name: str, quantity: str, rows: Array, about: Mapping[str, Any]
     bound: dict[str, float] = {
         key: math.nan if (value := about.get(key)) is None else value for key in ("lower", "upper", "max_effort")
     }
-    return Trace(
+    return Signal(
         name if is_position else f"{name}/{quantity}", rows[:, 0], columns[quantity], units[quantity],
         columns["velocity"], columns["effort"], effort,
         lower=-math.inf if math.isnan(bound["lower"]) or not is_position else bound["lower"],
@@ -234,9 +234,9 @@ class _Samples:
         """Raises UsageError: no number. NoElement: its array is too short."""
         self.rows.append([time_ns / _SECOND, *(number(path.take(message)) for path in self._paths)])
 
-    def trace(self) -> Trace:
+    def trace(self) -> Signal:
         rows = np.array(self.rows, dtype=np.float64).reshape(len(self.rows), 1 + len(self._paths))
-        return Trace(self.name, rows[:, 0], rows[:, 1], targets=rows[:, 2] if len(self._paths) > 1 else None)
+        return Signal(self.name, rows[:, 0], rows[:, 1], targets=rows[:, 2] if len(self._paths) > 1 else None)
 
 
 # --- live -------------------------------------------------------------------------------------------------------------
@@ -251,7 +251,7 @@ def live(
     reference: str = "",
     namespace: str = "/",
     timeout: float | None = None,
-) -> Trace:
+) -> Signal:
     """A trace of the last or of the next simulated seconds; without either, of this moment alone.
 
     A joint has a sample a cycle in the seconds to come, and one in ten cycles in those past, as far as they are kept. A
@@ -301,7 +301,7 @@ def live(
     return _joint_trace(full, quantity, rows, joint)
 
 
-def _of_topic(client: Client, found: dict[str, Any], duration: float, reference: str, timeout: float | None) -> Trace:
+def _of_topic(client: Client, found: dict[str, Any], duration: float, reference: str, timeout: float | None) -> Signal:
     """`found` is what a name of a topic means (slidectl/Resolve)."""
     types = {
         entry["type"]: list(zip(entry["fieldnames"], entry["fieldtypes"], entry["fieldarraylen"], strict=True))
@@ -336,7 +336,7 @@ def _of_topic(client: Client, found: dict[str, Any], duration: float, reference:
 
 def recorded(
     recording: Recording, target: str, *, last: float = 0.0, reference: str = "", namespace: str = "/"
-) -> Trace:
+) -> Signal:
     """A trace of a whole recording, or of its last seconds. A joint is one of its sensor_msgs/JointState messages.
 
     Raises:

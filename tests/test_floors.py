@@ -13,8 +13,9 @@ PACKAGE = Path(__file__).parent.parent / "slidectl"
 
 FLOORS = {
     "errors": 0, "names": 0, "expressions": 0, "field_path": 0, "paths": 0, "rotations": 0, "writing": 0, "msgs": 0,
+    "measures": 1,
     "description": 1, "control": 1, "client": 1, "recording": 1,
-    "physics": 2, "launch": 2,
+    "physics": 2, "launch": 2, "traces": 2,
     "simulation": 3, "check": 3,
     "daemon": 4,
     "cli": 5,
@@ -37,6 +38,8 @@ FORBIDDEN = {
     "paths": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "rotations": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "writing": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
+    "measures": {"click", "mujoco", "rosbags", "yaml", "socket"},
+    "traces": {"click", "mujoco", "rosbags", "yaml", "socket"},
     "msgs": {"click", "mujoco", "socket"},
     "description": {"click", "mujoco", "socket"},
     "control": {"click", "mujoco", "socket"},
@@ -59,6 +62,8 @@ CLI_MAY_TAKE = {
     "paths",
     "rotations",
     "writing",
+    "measures",
+    "traces",
     "msgs",
     "description",
     "recording",

@@ -22,7 +22,7 @@ from slidectl.cli.context import Context
 from slidectl.cli.topic_streams import paused, way_on
 from slidectl.errors import Refused, UsageError
 from slidectl.measures import NoMeasure
-from slidectl.traces import MEASURES, Trace
+from slidectl.traces import MEASURES, Signal
 
 _BOUND = re.compile(r"\s*(<=|>=|==|=|<|>)\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S*)\s*\Z")
 _HOLDS: dict[str, Callable[[float, float], bool]] = {
@@ -74,7 +74,7 @@ class _Verdict(NamedTuple):
     unit: str = ""
     time: float | None = None
 
-    def record(self, trace: Trace) -> dict[str, Any]:
+    def record(self, trace: Signal) -> dict[str, Any]:
         begin, end = (float(trace.times[0]), float(trace.times[-1])) if len(trace.times) else (None, None)
         about = {**self._asdict(), "message": self.text, "target": trace.name, "start": begin, "end": end}
         keys = ("target", "condition", "expected", "holds", "measured", "unit", "time", "start", "end", "message")
@@ -167,7 +167,7 @@ def _check(
         )
 
 
-def _trace(ctx: Context, name: str, last: float, duration: float, file: str | None, target: str | None) -> Trace:
+def _trace(ctx: Context, name: str, last: float, duration: float, file: str | None, target: str | None) -> Signal:
     reference = "" if target is None or _number(target) is not None else target
     if file is not None:
         with open_recording(ctx, file) as recording:
@@ -188,7 +188,7 @@ def _number(text: str | None) -> float | None:
         return None
 
 
-def _of_value(trace: Trace, kind: str, wanted: float, tolerance: float | None, whole: bool) -> _Verdict:
+def _of_value(trace: Signal, kind: str, wanted: float, tolerance: float | None, whole: bool) -> _Verdict:
     """The last value, or of all the one that is worst."""
     allowed = _DEFAULT_TOLERANCE if tolerance is None else tolerance
     expected = f"{kind} {wanted:g}" + (f" ± {allowed:g}" if kind == "near" else "")
@@ -211,7 +211,7 @@ def _of_value(trace: Trace, kind: str, wanted: float, tolerance: float | None, w
     return _Verdict(kind, expected, holds, text, value, trace.unit, time)
 
 
-def _of_measure(trace: Trace, name: str, bound: _Bound, given: dict[str, Any]) -> _Verdict:
+def _of_measure(trace: Signal, name: str, bound: _Bound, given: dict[str, Any]) -> _Verdict:
     unit = trace.unit_of(name)
     base, factor = _UNITS.get(bound.unit, (unit, 1.0))
     if base != unit and (unit or not MEASURES[name].unit):  # of a field whose unit nobody knows it is believed

@@ -112,7 +112,7 @@ class Heard:
 
 
 def play(scene: Scene, engine: str, driven: bool = False) -> tuple[list[Any], Simulation]:
-    """What is left of a scene: the state of the physics, of the handles and PIDs, of time and the past, and all messages."""
+    """What is left of a scene: the state of physics, handles and PIDs, time and the past, and all messages."""
     simulation = Simulation(ground=False, engine=engine)
     simulation.driven = driven
     if engine == "compiled":
