@@ -10,6 +10,7 @@ get_help_option_names
 format_options
 command_class
 (
+    assert_,
     list_actions,
     list_controllers,
     doctor,

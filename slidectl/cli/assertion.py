@@ -133,8 +133,8 @@ def assert_(
     trace = _trace(ctx, target_name, last or 0.0, duration or 0.0, file, given["target"])
     known = {"lower": given["lower"], "upper": given["upper"], "max_effort": given["effort_limit"]}
     trace = replace(trace, **{name: value for name, value in known.items() if value is not None})
-    if last and len(trace.times) and trace.times[0] > max(0.0, trace.times[-1] - last) + 0.1:
-        ctx.warn(f"of the last {last:g} s there is only what came after {trace.times[0]:.3f} s")
+    if last and not file and trace.times[0] > max(0.0, trace.times[-1] - last) + np.diff(trace.times).max(initial=0.0):
+        ctx.warn(f"of the last {last:g} s only those since {trace.times[0]:.3f} s are kept")
     whole = bool(last or duration)
     verdicts = [_of_value(trace, kind, wanted, given["tol"], whole) for kind, wanted in values.items()]
     verdicts += [_of_measure(trace, name, bound, given) for name, bound in bounds.items()]
