@@ -176,10 +176,10 @@ def test_a_bag_that_is_cut_off_is_no_fault_of_ours(shell: Shell, folder: Path) -
 
 def test_a_bag_whose_types_cannot_be_read_is_named(shell: Shell, folder: Path) -> None:
     whole = (folder / "run.bag").read_bytes()
-    assert b"string data" in whole
-    (folder / "types.bag").write_bytes(whole.replace(b"string data", b"\0tring data"))
+    assert b"float64 data" in whole
+    (folder / "types.bag").write_bytes(whole.replace(b"float64 data", b"\0loat64 data"))
     done = shell.run("rostopic echo -b types.bag -a", cwd=folder)
-    assert (done.returncode, "the definition of std_msgs/String cannot be read" in done.stderr) == (1, True)
+    assert (done.returncode, "the definition of std_msgs/Float64 cannot be read" in done.stderr) == (1, True)
 
 
 @pytest.mark.parametrize("name", ["run", "BZ2", "LZ4"])
