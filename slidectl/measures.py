@@ -83,18 +83,18 @@ class Step(NamedTuple):
         return self.final - self.initial
 
 
-def step(times: Any, values: Any, target: float | None = None, start: float | None = None) -> Step:
-    """The step in the samples: from the value at `start` to `target`.
+def step(times: Any, values: Any, set_point: float | None = None, start: float | None = None) -> Step:
+    """The step in the samples: from the value at `start` to `set_point`.
 
     Args:
-        target: without it, the last value.
+        set_point: without it, the last value.
         start: without it, the last sample within a thousandth of the step of the first value, before the motion.
 
     Raises:
         NoMeasure: there is none.
     """
     moments, numbers = samples(times, values)
-    final = float(numbers[-1] if target is None else target)
+    final = float(numbers[-1] if set_point is None else set_point)
     begin = 0
     if start is not None:
         begin = int(np.searchsorted(moments, start - 1e-9))
@@ -109,9 +109,9 @@ def step(times: Any, values: Any, target: float | None = None, start: float | No
     return Step(float(moments[begin] if start is None else start), initial, final)
 
 
-def _response(times: Any, values: Any, target: float | None, start: float | None) -> tuple[Step, Array, Array]:
+def _response(times: Any, values: Any, set_point: float | None, start: float | None) -> tuple[Step, Array, Array]:
     """The step, and times and values from then on, these as parts of the step: from 0 to 1."""
-    found = step(times, values, target, start)
+    found = step(times, values, set_point, start)
     moments, numbers = samples(times, values)
     here = moments >= found.start - 1e-9
     return found, moments[here], (numbers[here] - found.initial) / found.size
@@ -131,37 +131,37 @@ def _reached(times: Array, parts: Array, level: float) -> float:
     return _crossing(times, parts - level, int(there[0]) - 1) if there[0] else float(times[0])
 
 
-def rise_time(times: Any, values: Any, target: float | None = None, start: float | None = None) -> Measured:
+def rise_time(times: Any, values: Any, set_point: float | None = None, start: float | None = None) -> Measured:
     """Seconds from 10 % to 90 % of the step; inf when it did not get there. `time` is when it had risen.
 
     Raises:
         NoMeasure: there is no step.
     """
-    _, moments, parts = _response(times, values, target, start)
+    _, moments, parts = _response(times, values, set_point, start)
     end = _reached(moments, parts, HIGH)
     return Measured(end - _reached(moments, parts, LOW) if end < math.inf else math.inf, end)
 
 
-def overshoot(times: Any, values: Any, target: float | None = None, start: float | None = None) -> Measured:
+def overshoot(times: Any, values: Any, set_point: float | None = None, start: float | None = None) -> Measured:
     """How far it went beyond the end of the step, in % of the step, at the peak; 0 when it did not.
 
     Raises:
         NoMeasure: there is no step.
     """
-    _, moments, parts = _response(times, values, target, start)
+    _, moments, parts = _response(times, values, set_point, start)
     peak = int(parts.argmax())
     return Measured(max(0.0, 100.0 * float(parts[peak] - 1.0)), moments[peak])
 
 
 def settling_time(
-    times: Any, values: Any, target: float | None = None, start: float | None = None, band: float = BAND
+    times: Any, values: Any, set_point: float | None = None, start: float | None = None, band: float = BAND
 ) -> Measured:
     """Seconds from the step until it stayed within `band` (2 %) of the step around its end; inf when it does not.
 
     Raises:
         NoMeasure: there is no step.
     """
-    found, moments, parts = _response(times, values, target, start)
+    found, moments, parts = _response(times, values, set_point, start)
     distances = np.abs(parts - 1.0) - band
     outside = np.flatnonzero(distances > 0)
     if not len(outside):
@@ -182,9 +182,9 @@ def _integral_of_product(times: Array, one: Array, other: Array) -> float:
     return float(np.sum(np.diff(times) * (2.0 * a * c + a * d + b * c + 2.0 * b * d)) / 6.0)
 
 
-def steady_state_error(times: Any, values: Any, target: Any) -> Measured:
-    """How far the mean of the last tenth of the time is from the mean of the target there; never below 0."""
-    moments, numbers, wanted = samples(times, values, target)
+def steady_state_error(times: Any, values: Any, set_point: Any) -> Measured:
+    """How far the mean of the last tenth of the time is from the mean of the set point there; never below 0."""
+    moments, numbers, wanted = samples(times, values, set_point)
     since = moments[-1] - END * (moments[-1] - moments[0])
     here = moments >= since
     ends, errors = moments[here], (wanted - numbers)[here]
@@ -193,25 +193,25 @@ def steady_state_error(times: Any, values: Any, target: Any) -> Measured:
     return Measured(abs(float(mean)), ends[0])
 
 
-def rms(times: Any, values: Any, target: Any = 0.0) -> Measured:
-    """The root of the mean square of target minus value, over the time."""
-    moments, numbers, wanted = samples(times, values, target)
+def rms(times: Any, values: Any, set_point: Any = 0.0) -> Measured:
+    """The root of the mean square of set point minus value, over the time."""
+    moments, numbers, wanted = samples(times, values, set_point)
     errors, length = wanted - numbers, moments[-1] - moments[0]
     if length <= 0:
         return Measured(math.sqrt(float(np.mean(errors**2))))
     return Measured(math.sqrt(_integral_of_product(moments, errors, errors) / length))
 
 
-def peak(times: Any, values: Any, target: Any = 0.0) -> Measured:
-    """The largest size of target minus value."""
-    moments, numbers, wanted = samples(times, values, target)
+def peak(times: Any, values: Any, set_point: Any = 0.0) -> Measured:
+    """The largest size of set point minus value."""
+    moments, numbers, wanted = samples(times, values, set_point)
     errors = np.abs(wanted - numbers)
     return Measured(errors.max(), moments[errors.argmax()])
 
 
-def integral_of_absolute_error(times: Any, values: Any, target: Any = 0.0) -> Measured:
-    """The integral of the size of target minus value over the time, in its unit times s."""
-    moments, numbers, wanted = samples(times, values, target)
+def integral_of_absolute_error(times: Any, values: Any, set_point: Any = 0.0) -> Measured:
+    """The integral of the size of set point minus value over the time, in its unit times s."""
+    moments, numbers, wanted = samples(times, values, set_point)
     errors = wanted - numbers
     begin, end = np.abs(errors[:-1]), np.abs(errors[1:])
     both = begin + end

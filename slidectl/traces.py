@@ -47,7 +47,7 @@ class Signal:
     efforts: Array | None = None
     """Of a joint."""
     effort_unit: str = ""
-    targets: Array | None = None
+    set_points: Array | None = None
     """What the values were to be, where that was asked for as a field."""
     lower: float = -math.inf
     upper: float = math.inf
@@ -61,12 +61,12 @@ class Signal:
         return replace(self, **cut)
 
     def measure(
-        self, name: str, target: float | None = None, start: float | None = None, band: float = measures.BAND
+        self, name: str, set_point: float | None = None, start: float | None = None, band: float = measures.BAND
     ) -> Measured:
         """One of MEASURES.
 
         Args:
-            target: where the step leads to (without it its last value); what errors are from.
+            set_point: where the step leads to (without it its last value); what errors are from.
             start: when the step was, s; without it when the motion began.
             band: of the settling time, a part of the step.
 
@@ -75,7 +75,7 @@ class Signal:
         """
         if name not in MEASURES:
             raise UnknownName("measure", name, list(MEASURES))
-        return MEASURES[name].take(self, _Wish(target, start, band))
+        return MEASURES[name].take(self, _Wish(set_point, start, band))
 
     def unit_of(self, name: str) -> str:
         """The unit of a measure; empty for a count, and where the unit of the values is not known."""
@@ -85,7 +85,7 @@ class Signal:
 
 
 class _Wish(NamedTuple):
-    target: float | None
+    set_point: float | None
     start: float | None
     band: float
 
@@ -100,20 +100,20 @@ class Measure(NamedTuple):
 
 def _of_step(measure: Callable[..., Measured]) -> Callable[[Signal, _Wish], Measured]:
     def take(trace: Signal, wish: _Wish) -> Measured:
-        if wish.target is None and trace.targets is not None and len(trace.targets):
-            wish = wish._replace(target=float(trace.targets[-1]))
+        if wish.set_point is None and trace.set_points is not None and len(trace.set_points):
+            wish = wish._replace(set_point=float(trace.set_points[-1]))
         more = {"band": wish.band} if measure is measures.settling_time else {}
-        return measure(trace.times, trace.values, wish.target, wish.start, **more)
+        return measure(trace.times, trace.values, wish.set_point, wish.start, **more)
 
     return take
 
 
 def _of_error(measure: Callable[..., Measured]) -> Callable[[Signal, _Wish], Measured]:
     def take(trace: Signal, wish: _Wish) -> Measured:
-        target = trace.targets if wish.target is None else wish.target
-        if target is None:
-            raise NoMeasure("an error needs what the value was to be: a target")
-        return measure(trace.times, trace.values, target)
+        set_point = trace.set_points if wish.set_point is None else wish.set_point
+        if set_point is None:
+            raise NoMeasure("an error needs what the value was to be: a set point")
+        return measure(trace.times, trace.values, set_point)
 
     return take
 
@@ -218,16 +218,16 @@ def number(value: Any) -> float:
 
 
 class _Samples:
-    """Messages of one topic as a trace: those of a field, and of the field of the targets if there is one."""
+    """Messages of one topic as a trace: those of a field, and of the field of the set points if there is one."""
 
-    def __init__(self, name: str, root: str, fields_of: Fields, field: str, reference: str) -> None:
+    def __init__(self, name: str, root: str, fields_of: Fields, field: str, set_point: str) -> None:
         """Without a `field` the only one of the type counts. Raises UnknownName, UsageError."""
         inside = [name for name, _, _ in fields_of(root)]
         path = inside[0] if not field and len(inside) == 1 else field
         self.name = f"{name}/{field}" if field else name
         self._paths: list[Selection] = [select(fields_of, root, path)]
-        if reference:
-            self._paths.append(select(fields_of, root, reference))
+        if set_point:
+            self._paths.append(select(fields_of, root, set_point))
         self.rows: list[list[float]] = []
 
     def take(self, time_ns: int, message: Any) -> None:
@@ -236,7 +236,7 @@ class _Samples:
 
     def trace(self) -> Signal:
         rows = np.array(self.rows, dtype=np.float64).reshape(len(self.rows), 1 + len(self._paths))
-        return Signal(self.name, rows[:, 0], rows[:, 1], targets=rows[:, 2] if len(self._paths) > 1 else None)
+        return Signal(self.name, rows[:, 0], rows[:, 1], set_points=rows[:, 2] if len(self._paths) > 1 else None)
 
 
 # --- live -------------------------------------------------------------------------------------------------------------
@@ -248,7 +248,7 @@ def live(
     *,
     last: float = 0.0,
     duration: float = 0.0,
-    reference: str = "",
+    set_point: str = "",
     namespace: str = "/",
     timeout: float | None = None,
 ) -> Signal:
@@ -258,7 +258,7 @@ def live(
     field has one a message; its past is not kept.
 
     Args:
-        reference: a field of the same topic, which says what the value is to be.
+        set_point: a field of the same topic, which says what the value is to be.
         timeout: wall seconds; the client's when not given.
 
     Raises:
@@ -284,11 +284,9 @@ def live(
                 f"{topic['name']} is a topic, and the past is kept of joints only",
                 "name a joint, take the seconds to come, or record it first",
             )
-        return _of_topic(client, topic, duration, reference, timeout)
-    if reference:
-        raise UsageError(
-            f"{target} is a joint, whose target is a number", "a field can be the target of a topic's field"
-        )
+        return _of_topic(client, topic, duration, set_point, timeout)
+    if set_point:
+        raise UsageError(f"{target} is a joint, whose set point is a number", "a field can be the set point of a field")
     full, quantity = found
     robot, joint = joints[full]
     if last or duration:
@@ -301,13 +299,13 @@ def live(
     return _joint_trace(full, quantity, rows, joint)
 
 
-def _of_topic(client: Client, found: dict[str, Any], duration: float, reference: str, timeout: float | None) -> Signal:
+def _of_topic(client: Client, found: dict[str, Any], duration: float, set_point: str, timeout: float | None) -> Signal:
     """`found` is what a name of a topic means (slidectl/Resolve)."""
     types = {
         entry["type"]: list(zip(entry["fieldnames"], entry["fieldtypes"], entry["fieldarraylen"], strict=True))
         for entry in found["typedefs"]
     }
-    samples = _Samples(found["name"], found["type"], lambda name: types.get(name, ()), found["field"], reference)
+    samples = _Samples(found["name"], found["type"], lambda name: types.get(name, ()), found["field"], set_point)
 
     def take(published: dict[str, Any]) -> None:
         time = published["time"]
@@ -335,7 +333,7 @@ def _of_topic(client: Client, found: dict[str, Any], duration: float, reference:
 
 
 def recorded(
-    recording: Recording, target: str, *, last: float = 0.0, reference: str = "", namespace: str = "/"
+    recording: Recording, target: str, *, last: float = 0.0, set_point: str = "", namespace: str = "/"
 ) -> Signal:
     """A trace of a whole recording, or of its last seconds. A joint is one of its sensor_msgs/JointState messages.
 
@@ -344,7 +342,7 @@ def recorded(
     """
     joints = dict(_recorded_joints(recording))
     found = _find_joint(target, list(joints), namespace)
-    if found is not None and not reference:
+    if found is not None and not set_point:
         full, quantity = found
         topic, joint = joints[full]
         rows = [_joint_row(message, joint, time_ns) for time_ns, message in _messages(recording, topic)]
@@ -353,7 +351,7 @@ def recorded(
         topic, field = _recorded_topic(recording, target, namespace, list(joints))
         channel = next(channel for channel in recording.channels if channel.topic == topic)
         types = recording.codec(channel).types
-        samples = _Samples(topic, channel.type, lambda name: types.get(name, ()), field, reference)
+        samples = _Samples(topic, channel.type, lambda name: types.get(name, ()), field, set_point)
         for time_ns, message in _messages(recording, topic):
             samples.take(time_ns, message)
         trace = samples.trace()

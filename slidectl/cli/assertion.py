@@ -93,18 +93,18 @@ def _measure_options(function: Callable[..., None]) -> Callable[..., None]:
     examples=[
         "slidectl assert 'joint_states/position[0]' --near 1.0 --tol 0.02",
         "slidectl assert joint1 --overshoot '<5%' --settling '<2s' --last 10",
-        "slidectl assert joint1 --target 1.0 --error '<5mm' --effort-peak '<100N' --from run.bag",
-        "slidectl assert joint1_position_controller/state/process_value --target set_point --rms-error '<0.1' --for 5",
+        "slidectl assert joint1 --set-point 1.0 --error '<5mm' --effort-peak '<100N' --from run.bag",
+        "slidectl assert joint1_position_controller/state/process_value --set-point set_point --iae '<5' --for 5",
     ],
 )
-@click.argument("target_name", metavar="TARGET", shell_complete=completion.topics)
+@click.argument("target", shell_complete=completion.topics)
 @click.option("--near", type=float, metavar="X", help="Within --tol of X.")
 @click.option("--above", type=float, metavar="X", help="Greater than X.")
 @click.option("--below", type=float, metavar="X", help="Less than X.")
 @click.option("--equals", type=float, metavar="X", help="Exactly X.")
 @click.option("--tol", type=click.FloatRange(min=0), metavar="T", help="How far --near may be off (0.01).")
 @_measure_options
-@click.option("--target", metavar="X|FIELD", help="What the value is to be: a number, or a field of the same topic.")
+@click.option("--set-point", metavar="X|FIELD", help="What the value is to be: a number, or a field of the same topic.")
 @click.option("--since", type=float, metavar="T", help="Simulated time of the step; else when the motion began.")
 @click.option("--band", type=click.FloatRange(0, 100, min_open=True), default=2.0, metavar="PERCENT",
               help="Half the width of the band of --settling, of the step (2).")  # fmt: skip
@@ -117,7 +117,7 @@ def _measure_options(function: Callable[..., None]) -> Callable[..., None]:
 @click.option("--from", "file", metavar="FILE", shell_complete=completion.files, help="Of a recording.")
 @click.pass_obj
 def assert_(
-    ctx: Context, /, target_name: str, last: float | None, duration: float | None, file: str | None, **given: Any
+    ctx: Context, /, target: str, last: float | None, duration: float | None, file: str | None, **given: Any
 ) -> None:
     """Tell whether conditions hold, and measure motions.
 
@@ -130,7 +130,7 @@ def assert_(
     values = {kind: given[kind] for kind in ("near", "above", "below", "equals") if given[kind] is not None}
     bounds = {name: bound for name in MEASURES if (bound := given[name.replace("-", "_")]) is not None}
     _check(values, bounds, last, duration, file, given["tol"])
-    trace = _trace(ctx, target_name, last or 0.0, duration or 0.0, file, given["target"])
+    trace = _trace(ctx, target, last or 0.0, duration or 0.0, file, given["set_point"])
     known = {"lower": given["lower"], "upper": given["upper"], "max_effort": given["effort_limit"]}
     trace = replace(trace, **{name: value for name, value in known.items() if value is not None})
     if last and not file and trace.times[0] > max(0.0, trace.times[-1] - last) + np.diff(trace.times).max(initial=0.0):
@@ -167,17 +167,17 @@ def _check(
         )
 
 
-def _trace(ctx: Context, name: str, last: float, duration: float, file: str | None, target: str | None) -> Signal:
-    reference = "" if target is None or _number(target) is not None else target
+def _trace(ctx: Context, name: str, last: float, duration: float, file: str | None, set_point: str | None) -> Signal:
+    field = "" if set_point is None or _number(set_point) is not None else set_point
     if file is not None:
         with open_recording(ctx, file) as recording:
-            return traces.recorded(recording, name, last=last, reference=reference, namespace=ctx.namespace)
+            return traces.recorded(recording, name, last=last, set_point=field, namespace=ctx.namespace)
     if duration:
         status = ctx.call("/slidectl/status")
         if status["paused"]:
             ctx.say(f"{paused(status)}; this waits until it goes on: {way_on(status)}")
     limit = ctx.wait_limit(wait_for_world_s(duration) if duration else ctx.client.timeout)
-    how: dict[str, Any] = {"reference": reference, "namespace": ctx.namespace, "timeout": limit}
+    how: dict[str, Any] = {"set_point": field, "namespace": ctx.namespace, "timeout": limit}
     return traces.live(ctx.client, name, last=last, duration=duration, **how)
 
 
@@ -218,7 +218,7 @@ def _of_measure(trace: Signal, name: str, bound: _Bound, given: dict[str, Any]) 
         what = f"is in {unit}" if unit else "is a number"
         raise UsageError(f"--{name} {what}, and {bound.text!r} is not", "leave the unit out for SI units")
     try:
-        measured = trace.measure(name, _number(given["target"]), given["since"], given["band"] / 100.0)
+        measured = trace.measure(name, _number(given["set_point"]), given["since"], given["band"] / 100.0)
     except NoMeasure as error:
         return _Verdict(name, bound.text, False, f"{name} cannot be measured: {error.message}", unit=unit)
     holds = _HOLDS[bound.relation](measured, bound.number * factor)

@@ -64,7 +64,7 @@ def test_a_joint_is_measured_over_the_last_seconds_of_a_world_that_stands(run: t
     words = ("assert", "joint1", "--near", "0.8", "--tol", "0.001")
     assert slidectl.ok(*words).startswith("/slider/joint1: 0.8")
     conditions = (
-        "--overshoot <5% --settling <9s --rise >=3 --target 0.8 --error <1mm --limit-hits ==0 --saturation <1ms"
+        "--overshoot <5% --settling <9s --rise >=3 --set-point 0.8 --error <1mm --limit-hits ==0 --saturation <1ms"
     )
     efforts = "--energy >0J --effort-peak <300N"
     words = [*conditions.split(), *efforts.split(), "--last", "14.5", "--json"]
@@ -94,7 +94,7 @@ def test_what_cannot_be_measured_does_not_hold(run: tuple[CommandLine, Path]) ->
     done = slidectl("assert", "joint1", "--overshoot", "<5%", "--rms-error", "<1", "--last", "0.9", "--since", "99")
     assert done.returncode == 1
     assert "overshoot cannot be measured: the step at 99 s is after the last sample, at 15 s" in done.stderr
-    assert "rms-error cannot be measured: an error needs what the value was to be: a target" in done.stderr
+    assert "rms-error cannot be measured: an error needs what the value was to be: a set point" in done.stderr
 
 
 @pytest.mark.parametrize(
@@ -133,7 +133,17 @@ def test_a_recording_gives_the_measures_of_the_world(
     for name in ("rise", "settling"):
         assert recorded[name]["measured"] == pytest.approx(live[name]["measured"], abs=0.02)
     assert slidectl.ok("assert", "joint_states/position[0]", "--near", "0.8", "--tol", "1e-3", *source[:2])
-    words = ("assert", "state/process_value", "--target", "set_point", "--max-error", "==0.8", "--last", "14", *source)
+    words = (
+        "assert",
+        "state/process_value",
+        "--set-point",
+        "set_point",
+        "--max-error",
+        "==0.8",
+        "--last",
+        "14",
+        *source,
+    )
     assert verdicts(slidectl.ok(*words))["max-error"]["time"] == pytest.approx(1.0, abs=0.05)
     assert verdicts(slidectl.ok("assert", COMMAND, "--equals", "0.8", *source))["equals"]["holds"]
 
@@ -146,7 +156,7 @@ def test_a_world_that_runs_is_measured_over_the_time_to_come() -> None:
         slidectl.ok("pub", COMMAND, "0.8")
         assert slidectl.ok("assert", "joint_states/position[0]", "--above", "-0.1", "--for", "1")
         found = verdicts(
-            slidectl.ok("assert", "joint1", "--above", "0", "--target", "0.8", "--iae", ">0", "--for", "2", "--json")
+            slidectl.ok("assert", "joint1", "--above", "0", "--set-point", "0.8", "--iae", ">0", "--for", "2", "--json")
         )
         assert found["iae"]["end"] - found["iae"]["start"] == pytest.approx(2.0)
         with slidectl.client() as client:
