@@ -29,6 +29,8 @@ QUANTITIES = ("position", "velocity", "effort")
 _JOINT_STATE = "sensor_msgs/JointState"
 _SECOND = 10**9
 _LONGEST_QUEUE = 1_000_000
+_NOW = 1e-9
+"""The last seconds in which there is this moment alone."""
 
 
 # --- a trace and its measures -----------------------------------------------------------------------------------------
@@ -187,15 +189,12 @@ def _joint_trace(name: str, quantity: str, rows: Array, about: Mapping[str, Any]
     units = {"position": length, "velocity": length and f"{length}/s", "effort": effort}
     columns = dict(zip(QUANTITIES, rows.T[1:], strict=True))
     is_position = quantity == "position"
-    bound: dict[str, float] = {
-        key: math.nan if (value := about.get(key)) is None else value for key in ("lower", "upper", "max_effort")
-    }
+    bounds = {key: about[key] for key in ("lower", "upper") if is_position and about.get(key) is not None}
+    if about.get("max_effort") is not None:
+        bounds["max_effort"] = about["max_effort"]
     return Signal(
         name if is_position else f"{name}/{quantity}", rows[:, 0], columns[quantity], units[quantity],
-        columns["velocity"], columns["effort"], effort,
-        lower=-math.inf if math.isnan(bound["lower"]) or not is_position else bound["lower"],
-        upper=math.inf if math.isnan(bound["upper"]) or not is_position else bound["upper"],
-        max_effort=bound["max_effort"],
+        columns["velocity"], columns["effort"], effort, **bounds
     )  # fmt: skip
 
 
@@ -289,13 +288,9 @@ def live(
         raise UsageError(f"{target} is a joint, whose set point is a number", "a field can be the set point of a field")
     full, quantity = found
     robot, joint = joints[full]
-    if last or duration:
-        request = {"robot": robot, "joint": joint["name"], "last": last, "duration": duration}
-        samples = a2b_base64(client.call("/slidectl/trace", request, timeout=timeout)["samples"])
-        rows = np.frombuffer(samples, dtype="<f8").reshape(-1, 1 + len(QUANTITIES))
-    else:
-        now = client.call("/slidectl/status")["time"]
-        rows = np.array([[now, *(joint[name] for name in QUANTITIES)]], dtype=np.float64)
+    request = {"robot": robot, "joint": joint["name"], "last": last if last or duration else _NOW, "duration": duration}
+    samples = a2b_base64(client.call("/slidectl/trace", request, timeout=timeout)["samples"])
+    rows = np.frombuffer(samples, dtype="<f8").reshape(-1, 1 + len(QUANTITIES))
     return _joint_trace(full, quantity, rows, joint)
 
 
