@@ -71,12 +71,13 @@ class StuckJoint:
 class JointFriction:
     """Another dry friction (N or N·m), another damping (N·s/m or N·m·s/rad), or both; None: as it is.
 
-    Raises Refused: a motor holds the joint, and overcomes all friction.
+    Raises Refused: a motor drives the joint.
     """
 
     def __init__(self, world: World, body: Body, joint: str, friction: float | None, damping: float | None) -> None:
         if joint in world.loads.motors.of(body) and body.lasting_motors.get(joint) != math.inf:
-            raise Refused(f"{joint} is held by a motor, which overcomes all friction", "give it PID gains")
+            text = f"{joint} is driven by a motor, which takes the place of its friction"
+            raise Refused(text, "with gains in gazebo_ros_control/pid_gains it is driven by efforts")
         self._world = world
         self._body = body
         self._joint = joint
