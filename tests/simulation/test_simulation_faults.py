@@ -23,7 +23,8 @@ OPTIONS = {
     "torque": (0.1, 0.2, 0.0), "takes": 0.004,
 }  # fmt: skip
 TARGETS = {
-    "joint": "a/joint2", "moving joint": "b/joint1", "link": "a/part2", "controller": "a/two", "topic": "a/joint_states",
+    "joint": "a/joint2", "moving joint": "b/joint1", "link": "a/part2", "controller": "a/two",
+    "topic": "a/joint_states",
 }  # fmt: skip
 
 
