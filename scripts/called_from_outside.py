@@ -12,6 +12,7 @@ command_class
 (
     list_actions,
     list_controllers,
+    list_faults,
     doctor,
     reindex,
     filter_command,

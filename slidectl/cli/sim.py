@@ -50,7 +50,7 @@ def status_text(answer: dict[str, Any]) -> str:
         "lateness": f"{late}, {answer['overruns']} overruns",
         "robots": " ".join(answer["robots"]) or "none",
         **({"estop": f"on: {' '.join(answer['estop'])}"} if answer["estop"] else {}),
-        **({"faults": " ".join(answer["faults"])} if answer["faults"] else {}),
+        **({"faults": " ".join(answer["faults"])} if answer.get("faults") else {}),
         "controllers": f"{answer['controllers']} loaded, {answer['controllers_running']} running",
         "connections": str(answer["connections"]),
         "memory": f"{answer['memory'] / 2**20:.0f} MiB",

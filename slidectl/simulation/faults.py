@@ -320,8 +320,8 @@ class FaultyCycle:
         """Handles of the joints, with what was read."""
         self._busy_until_ns = 0
         """While an update takes long, which began with the last read: its end."""
-        cycle = robot.parts.cycle
-        self._updated_ns, self._written_ns = cycle.last_update_ns, cycle.last_write_ns
+        self._updated_ns = self._written_ns = 0
+        """When controllers ran, and the hardware was written, before that update."""
 
     def read(self, time_ns: int, period_s: float) -> None:
         if self._busy_until_ns:
@@ -335,15 +335,15 @@ class FaultyCycle:
             fault.after_read(time_ns, fault.holds(time_ns))
         if period_s > 0.0:  # in a cycle
             slow = (fault.holds_up_ns(time_ns) for fault in self._faults if isinstance(fault, ControllerFault))
-            longest_ns = max(slow, default=0)
-            self._busy_until_ns = time_ns + longest_ns if longest_ns else 0
+            if longest_ns := max(slow, default=0):
+                self._busy_until_ns = time_ns + longest_ns
+                cycle = self._robot.parts.cycle
+                self._updated_ns, self._written_ns = time_ns - cycle.period_ns, cycle.last_write_ns
 
     def update(self, time_ns: int, period_s: float, reset_controllers: bool = False) -> None:
-        cycle = self._robot.parts.cycle
         if time_ns < self._busy_until_ns:
-            cycle.last_update_ns = self._updated_ns
+            self._robot.parts.cycle.last_update_ns = self._updated_ns
             return
-        self._updated_ns = time_ns
         for fault in self._current(time_ns):
             fault.before_update(fault.holds(time_ns))
         self._stages.update(time_ns, period_s, reset_controllers)
@@ -352,7 +352,7 @@ class FaultyCycle:
         if time_ns < self._busy_until_ns:
             self._robot.parts.cycle.last_write_ns = self._written_ns
             return
-        self._busy_until_ns, self._written_ns = 0, time_ns
+        self._busy_until_ns = 0
         faults = self._current(time_ns)
         signals = [fault for fault in faults if isinstance(fault, SignalFault) and fault.is_of_command]
         places = [place for fault in signals for place in fault.commands()]
@@ -516,7 +516,9 @@ class Faults:
         if target_kind == "topic":
             fault = TopicFault(asked)
         else:
-            fault = self._of_robot(asked, *targets[full])
+            robot, part = targets[full]
+            robot.node.enter()  # its handles are to be what they should be
+            fault = self._of_robot(asked, robot, part)
             fault.after_read(now_ns, False)
             fault.before_write(now_ns, False)
         self._faults[asked.name] = fault
@@ -624,7 +626,7 @@ class Faults:
             return ControllerFault(asked, robot, part)
         change: Change
         if kind == "joint-stuck":
-            change = StuckJoint(world, robot.body, robot.hardware, part)
+            change = StuckJoint(world, robot.body, robot.parts.hardware, part)
         elif kind == "joint-friction":
             change = JointFriction(world, robot.body, part, options["friction"], options["damping"])
         else:

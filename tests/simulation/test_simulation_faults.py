@@ -97,6 +97,30 @@ def test_every_kind_does_the_same_to_the_bit_on_both_engines(kind: str) -> None:
         assert simulation.loop.compiled_controllers(simulation.robots.get("a")), "it is compiled when the fault is over"
 
 
+@needs_numba
+@pytest.mark.parametrize(
+    ("kind", "options"),
+    [
+        ("sensor-frozen", {}),
+        ("sensor-delay", {"delay": 0.02}),
+        ("command-loss", {"probability": 1.0}),
+        ("command-delay", {"delay": 0.02}),
+    ],
+)
+def test_a_fault_that_begins_now_knows_the_last_cycle_on_both_engines(kind: str, options: dict[str, float]) -> None:
+    def scene(simulation: Simulation) -> None:
+        add(simulation, "a", arm(), usual())
+        simulation.heard.listen("/a/joint_states")  # type: ignore[attr-defined]
+        simulation.publish("/a/two/command", {"data": 0.5})
+        simulation.step(100)
+        simulation.faults.add("a/joint2", kind, end=0.2, **options)
+        simulation.step(200)
+
+    plain, simulation = play(scene, "plain", driven=True)
+    assert simulation.faults.messages()[0]["count"] == 99
+    assert plain == play(scene, "compiled", driven=True)[0]
+
+
 def test_a_seed_decides_and_so_does_the_simulated_time() -> None:
     def noise(seed: int, then: Callable[[Simulation], None] = lambda _: None) -> list[tuple[int, float, float]]:
         simulation = pushed_cart()
@@ -471,6 +495,18 @@ def test_a_reset_of_the_world_alone_lets_the_faults_go_on() -> None:
     simulation.faults.remove("joint_stuck_1")
     simulation.step(100)
     assert state(simulation)[1] > 0.5
+
+
+def test_a_slow_controller_is_slow_again_after_a_reset_of_the_time() -> None:
+    simulation = pushed_cart()
+    simulation.faults.add("effort1", "controller-slow", 0.001, 0.1, takes=0.01)
+    simulation.step(2000)
+    simulation.reset_simulation()
+    push(simulation, 4.0)
+    simulation.step(10)
+    assert state(simulation)[2] == 0.0
+    simulation.step()
+    assert state(simulation)[2] == 4.0
 
 
 def test_a_fault_goes_with_its_robot() -> None:
