@@ -116,7 +116,7 @@ _OF_MASS = ("body_mass", "body_ipos", "body_iquat", "body_inertia", "body_gravco
 class Payload:
     """A point mass (kg) at a place of a link (m, in the link's frame).
 
-    Raises Refused: the link is all of a free robot.
+    Raises Refused: the robot is one free link.
     """
 
     def __init__(self, world: World, body: Body, link: str, mass: float, at: Vector) -> None:
@@ -131,7 +131,7 @@ class Payload:
         self._links: list[tuple[str, LinkPlace, LinkPlace]] = []
         """Of all links of the body: where they are without it, and with it."""
         if world.model.body_simple[self.body] and world.model.body_dofnum[self.body] > 1:
-            raise Refused(f"{link} is all that {body.name!r} consists of: MuJoCo keeps its mass apart, and as it is")
+            raise Refused(f"{body.name!r} is one free link, {link}: MuJoCo takes its mass as constant")
 
     @property
     def body(self) -> int:

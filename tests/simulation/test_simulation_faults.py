@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from engine_scenes import EFFORT, STATES, Scene, add, add_driven, arm, mixed, play, usual
+from engine_scenes import EFFORT, FAULT_OPTIONS, STATES, Scene, add, add_driven, arm, mixed, play, usual
 from sim_robots import cart, command, configure, logged, running_cart, state, states_of, switch
 
 from slidectl.errors import AmbiguousName, Refused, SlidectlError, UnknownName, UsageError
@@ -17,11 +17,6 @@ from slidectl.simulation.compiled import object_file
 
 needs_numba = pytest.mark.skipif(not object_file.is_possible(), reason="numba is not installed")
 
-OPTIONS = {
-    "of": "all", "sd": 0.01, "bias": 0.05, "rate": 0.5, "step": 0.02, "delay": 0.013, "probability": 0.4,
-    "limit": 1.5, "friction": 2.0, "damping": 3.0, "mass": 1.7, "at": (0.1, 0.2, -0.3), "force": (1.0, 2.0, 3.0),
-    "torque": (0.1, 0.2, 0.0), "takes": 0.004,
-}  # fmt: skip
 TARGETS = {
     "joint": "a/joint2", "moving joint": "b/joint1", "link": "a/part2", "controller": "a/two",
     "topic": "a/joint_states",
@@ -71,7 +66,7 @@ def one_fault(kind: str) -> Scene:
         add_driven(simulation, "c", "Velocity", gains=False)
         for topic in ("/a/joint_states", "/b/joint_states", "/a/one/state"):
             simulation.heard.listen(topic)  # type: ignore[attr-defined]
-        options = {name: OPTIONS[name] for name in KINDS[kind].options}
+        options = {name: FAULT_OPTIONS[name] for name in KINDS[kind].options}
         simulation.faults.add(TARGETS[KINDS[kind].target], kind, 0.05, 0.2, seed=3, **options)
         for target in (0.7, -0.4, 0.2):
             for topic in ("/a/one/command", "/a/two/command", "/a/three/command", "/c/goal1/command"):
@@ -439,7 +434,7 @@ def test_what_was_removed_left_no_trace() -> None:
     simulation.step(20)
     before, links = numbers(), dict(simulation.world.body("cart").links)
     for kind, target in (("joint-stuck", "joint1"), ("joint-friction", "joint2"), ("payload", "box1")):
-        options = {name: OPTIONS[name] for name in KINDS[kind].options}
+        options = {name: FAULT_OPTIONS[name] for name in KINDS[kind].options}
         simulation.faults.add(target, kind, **options)
     simulation.faults.add("joint1", "sensor-bias", bias=5.0)
     simulation.faults.add("box2", "push", force=(10.0, 0.0, 0.0))
