@@ -12,8 +12,8 @@ from pathlib import Path
 PACKAGE = Path(__file__).parent.parent / "slidectl"
 
 FLOORS = {
-    "errors": 0, "names": 0, "expressions": 0, "field_path": 0, "paths": 0, "rotations": 0, "writing": 0, "msgs": 0,
-    "measures": 1,
+    "errors": 0, "names": 0, "expressions": 0, "fault_kinds": 0, "field_path": 0, "paths": 0, "rotations": 0,
+    "writing": 0, "msgs": 0, "measures": 1,
     "description": 1, "control": 1, "client": 1, "recording": 1,
     "physics": 2, "launch": 2, "traces": 2,
     "simulation": 3, "check": 3,
@@ -34,6 +34,7 @@ FORBIDDEN = {
     "errors": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "names": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "expressions": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
+    "fault_kinds": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "field_path": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "paths": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "rotations": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
@@ -58,6 +59,7 @@ CLI_MAY_TAKE = {
     "errors",
     "names",
     "expressions",
+    "fault_kinds",
     "field_path",
     "paths",
     "rotations",

@@ -57,6 +57,7 @@ COMMANDS = {
     "delete": Entry("Robots", "robots", "Take robots out of the world."),
     "robots": Entry("Robots", "robots", "List the robots, or show one with its joints."),
     "estop": Entry("Robots", "robots", "Stop robots at once, or release them."),
+    "fault": Entry("Robots", "fault", "Faults on purpose, of joints, links, controllers and topics."),
     "check": Entry("Robots", "check", "Check a model, a launch file or controllers, without a daemon."),
     "urdf": Entry("Robots", "spawn", "Print the URDF that xacro makes of a model, without a daemon."),
     "controller": Entry("Robots", "controller", "Load, start, stop and list controllers."),

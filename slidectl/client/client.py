@@ -502,6 +502,45 @@ class Client:
         """The robots (slidectl/RobotInfo), by name: `name`, `namespace`, `pose`, `links`, `joints`, `controllers`."""
         return sorted(self.call("/slidectl/list_robots")["robots"], key=lambda robot: str(robot["name"]))
 
+    def add_fault(
+        self,
+        target: str,
+        kind: str,
+        start: float | None = None,
+        end: float | None = None,
+        *,
+        seed: int = 0,
+        name: str = "",
+        namespace: str = "/",
+        **options: Any,
+    ) -> Message:
+        """Let something go wrong from one simulated time (s; now) to another (until it is removed).
+
+        Returns slidectl/Fault, with its options as a dict.
+
+        Args:
+            target: a joint, link (`robot/joint`), controller or topic; the unique end of its name is enough.
+            kind: `sensor-noise`, `joint-stuck` ...; `slidectl fault kinds` lists them with their options.
+            seed: of its random numbers.
+            name: how it is listed; without one it gets one.
+            namespace: where the target is looked for first.
+
+        Raises:
+            Refused: with the daemon's reason.
+        """
+        request = {"target": target, "kind": kind, "seed": seed, "name": name, "namespace": namespace}
+        times = {field: [] if time is None else [time] for field, time in (("start", start), ("end", end))}
+        answer = self.call("/slidectl/fault/add", {**request, **times, "options": json.dumps(options)})
+        return _with_options(answer["fault"])
+
+    def faults(self) -> list[Message]:
+        """All faults, each as slidectl/Fault, with what they did so far and their options as a dict."""
+        return [_with_options(fault) for fault in self.call("/slidectl/fault/list")["faults"]]
+
+    def remove_faults(self, *names: str) -> list[str]:
+        """Take these faults back, or all there are. Returns their names. Raises Refused: one is not there."""
+        return list(self.call("/slidectl/fault/remove", {"names": names})["names"])
+
     def controllers(self, namespace: str) -> Manager:
         """The controller manager of a robot's namespace: load, start, switch, list."""
         return Manager(self, names.join("/", namespace).rstrip("/") or "/")
@@ -706,6 +745,10 @@ class Client:
                         )
         finally:
             self.close()
+
+
+def _with_options(fault: Message) -> Message:
+    return {**fault, "options": json.loads(fault["options"])}
 
 
 def _typed(type: str | None) -> Message:

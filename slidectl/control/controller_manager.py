@@ -643,6 +643,25 @@ class ControllerManager:
             self._node.log("info", f"looked anew for controllers of {loader.base_class}")
         return True
 
+    def fail(self, name: str, failure: Exception) -> bool:
+        """Abort a running controller as if its update had raised that. False: there is none of that name that runs."""
+        entry = self._loaded.get(name)
+        if entry is None or not entry.is_running:
+            return False
+        entry.fail(failure, self._node.now_ns())
+        self._refresh()
+        return True
+
+    def kill(self, name: str) -> bool:
+        """Stop a controller at once and unload it. False: it is not there, or a switch is under way."""
+        entry = self._loaded.get(name)
+        if entry is None or self._switch is not None:
+            return False
+        if entry.is_running:
+            entry.stop(self._node.now_ns())
+            self._refresh()
+        return self.unload(name)
+
     def _kill_all(self) -> bool:
         self._node.log("info", f"stopping and unloading {len(self._loaded)} controllers")
         if not self.request_switch([], self.names(), BEST_EFFORT):

@@ -383,7 +383,7 @@ class MujocoRobotHW(RobotHW):
         self._drive_of = {joint: drive_for(joint, node) for joint in self._offered if not self._is_pushed(joint)}
         self._held: list[float] | None = None
         self._estop = False
-        self._engage()
+        self.engage()
         body.on_rebound(self._bind)
         self.init(node)
 
@@ -402,7 +402,7 @@ class MujocoRobotHW(RobotHW):
         """Another effort, after `write`; on a joint without transmission it stays. Raises UnknownName."""
         self._world.views.forces[self._body.place(joint).dof] = effort
 
-    def _engage(self) -> None:
+    def engage(self) -> None:
         """Drive the joints by the interfaces that count now."""
         self._enforce = tuple(limit.enforce for limit in self.limits())
         self._drives = tuple(self._drive_of[joint] for joint in self._joints if not self._is_pushed(joint))
@@ -486,7 +486,7 @@ class MujocoRobotHW(RobotHW):
             if drive is not None and drive.pid is not None:
                 drive.pid.reset()
         self._held = None
-        self._engage()
+        self.engage()
 
     def interfaces(self) -> dict[str, str]:
         """By which interface each joint takes commands now."""
@@ -501,6 +501,11 @@ class MujocoRobotHW(RobotHW):
     def drives(self) -> tuple[Drive, ...]:
         """What drives the joints that are not simply pushed, in the order in which `write` asks them."""
         return self._drives
+
+    def handles(self, joint: str) -> list[JointHandle]:
+        """Those of a joint, one for each interface, first the one that drives it now."""
+        now = [one.handle for one in self._joints if one.name == joint]
+        return now + [one.handle for one in self._offered if one.name == joint and one not in self._joints]
 
     def driven(self) -> list[DrivenJoint]:
         """All joints that have a command, and where they are in the world until it is rebuilt."""

@@ -451,7 +451,7 @@ class World:
 
     def add_wrench(
         self, name: str, link: str, force: Vector, torque: Vector, start_ns: int = 0, duration_ns: int = -1
-    ) -> None:
+    ) -> Wrench:
         """A force (N) and torque (N·m), world's axes, on a link's centre of mass, as long as `add_joint_force` says.
 
         Raises:
@@ -459,7 +459,14 @@ class World:
         """
         body = self.body(name)
         body.link(link)
-        self.loads.wrenches.append(Wrench(body, link, finite(force), finite(torque), start_ns, duration_ns))
+        wrench = Wrench(body, link, finite(force), finite(torque), start_ns, duration_ns)
+        self.loads.wrenches.append(wrench)
+        self._loads_changed()
+        return wrench
+
+    def drop_wrench(self, wrench: Wrench) -> None:
+        """End this one, if it acts still."""
+        self.loads.keep(lambda force: force is not wrench)
         self._loads_changed()
 
     def clear_joint_forces(self, name: str, joint: str) -> None:
@@ -494,6 +501,13 @@ class World:
         self.loads.efforts[body.dofs] = 0.0
         self.loads.motors.put_of(body, most_efforts | body.lasting_motors)
         self._bind_loads()
+        self._announce()
+
+    @contextmanager
+    def changing_friction(self) -> Iterator[None]:
+        """Inside, somebody changes the friction of joints in the model: afterwards motors find their constraints."""
+        yield
+        self.loads.motors.bind(self.model, self.data)
         self._announce()
 
     def add_motors(self, body: Body, most_efforts: dict[str, float]) -> None:

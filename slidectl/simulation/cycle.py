@@ -8,7 +8,7 @@ integer nanoseconds.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from slidectl.control.duration import to_seconds
 from slidectl.control.laws import law
@@ -73,6 +73,14 @@ def guarded(hardware: RobotHW, hook: Callable[[int, float], None]) -> Callable[[
     return call
 
 
+class Stages(NamedTuple):
+    """What a robot's cycle calls, one after the other. `update` is ControllerManager.update."""
+
+    read: Callable[[int, float], None]
+    update: Callable[..., None]
+    write: Callable[[int, float], None]
+
+
 class ControlCycle:
     """Calls the hardware and the controller manager of one robot as GazeboRosControlPlugin::Update does.
 
@@ -81,11 +89,13 @@ class ControlCycle:
 
     __slots__ = (
         "_read",
+        "_stages",
         "_update",
         "_was_stopped",
         "_write",
         "control_period_ns",
         "emergency_stop",
+        "is_intercepted",
         "last_update_ns",
         "last_write_ns",
         "period_ns",
@@ -96,9 +106,8 @@ class ControlCycle:
 
     def __init__(self, hardware: RobotHW, manager: ControllerManager, control_period_ns: int, time_ns: int) -> None:
         """`time_ns` is now: counted from 0, the first period would be the whole time of the world."""
-        self._read = guarded(hardware, hardware.read)
-        self._update = manager.update
-        self._write = guarded(hardware, hardware.write)
+        self._stages = Stages(guarded(hardware, hardware.read), manager.update, guarded(hardware, hardware.write))
+        self.intercept(None)
         self.control_period_ns = control_period_ns
         self.emergency_stop = False
         self._was_stopped = False
@@ -108,6 +117,15 @@ class ControlCycle:
     def is_stopped(self) -> bool:
         """True while controllers feel an emergency stop, or its end."""
         return self.emergency_stop or self._was_stopped
+
+    def intercept(self, make: Callable[[Stages], Stages] | None) -> None:
+        """Let other stages be called, made of the cycle's own; None: those again. The interpreter runs others."""
+        self.is_intercepted = make is not None
+        self._read, self._update, self._write = self._stages if make is None else make(self._stages)
+
+    def look(self, time_ns: int) -> None:
+        """Read the joints outside of a cycle."""
+        self._read(time_ns, 0.0)
 
     def rewind(self, time_ns: int) -> None:
         """The next cycle's periods are counted from this time."""

@@ -173,7 +173,7 @@ class Loop:
         self.robots: tuple[SpawnedRobot, ...] = ()
         self.history = History(world)
         self.plain = PlainRunner(self)
-        self._data = world.data
+        self._memory = world.data, world.loads.motors.table
         self.engine = Engine(self, engine)
         world.on_rebuild(self._world_changed)
 
@@ -193,9 +193,11 @@ class Loop:
             self.engine.compiled.give_back(robot)
 
     def _world_changed(self) -> None:
-        if self.world.data is not self._data:
-            self._data = self.world.data
+        data, table = self._memory
+        if self.world.data is not data:
             self.history.begin()
+        if self.world.data is not data or self.world.loads.motors.table is not table:
+            self._memory = self.world.data, self.world.loads.motors.table
             for runner in self._runners():
                 runner.follow_world()
 

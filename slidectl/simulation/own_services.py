@@ -76,6 +76,7 @@ class OwnServices:
             "engine": str(simulation.engine),
             "robots": self._robots.names(),
             "estop": [robot.name for robot in self._robots if robot.emergency_stop],
+            "faults": [fault["name"] for fault in simulation.faults.messages() if fault["state"] != "over"],
             "controllers": sum(len(manager.names()) for manager in managers),
             "controllers_running": sum(len(manager.running) for manager in managers),
             **simulation.monitor(),

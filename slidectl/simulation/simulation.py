@@ -21,6 +21,7 @@ from slidectl.physics.painting import Painter
 from slidectl.rotations import ORIGIN, Pose
 from slidectl.simulation import base_drives, joint_traces, rosapi, waits
 from slidectl.simulation.compiled.engine import Engine
+from slidectl.simulation.faults import Faults
 from slidectl.simulation.gazebo_services import GazeboServices
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.lockstep import LockStepService
@@ -92,6 +93,7 @@ class Simulation:
         waits.advertise(self.graph)
         joint_traces.advertise(self)
         GazeboServices(self)
+        self.faults = Faults(self)
         self.robots.on_spawn += [
             StatePublishers(self).bring_up,
             partial(bring_up_sensors, self),
@@ -246,6 +248,7 @@ class Simulation:
         """
         self.loop.between_cycles("reset")
         self.run.trouble = ""
+        self.faults.restart()
         self.robots.reset()
 
 

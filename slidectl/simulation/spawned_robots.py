@@ -138,7 +138,7 @@ class SpawnedRobot:
 
     def look(self) -> None:
         """Read the joints outside of a cycle: after the world was changed, and before the first cycle."""
-        self.hardware.read(self.node.now_ns(), 0.0)
+        self.cycle.look(self.node.now_ns())
 
     def reset(self, time_ns: int) -> None:
         """As it was spawned. Controllers stay loaded and running; each is stopped and started again.
@@ -303,7 +303,7 @@ class Robots:
         loop, parts, plugin = self._loop, robot.parts, robot.paper.plugin or ControlPlugin()
         _put_description(robot, loop, undoing)
         parts.hardware = self._hardware(robot, plugin.robot_sim_type)
-        robot.look()
+        parts.hardware.read(robot.node.now_ns(), 0.0)
         parts.manager = ControllerManager(parts.hardware, robot.node)
         period_ns = _control_period(plugin, loop.step_ns, robot)
         parts.cycle = ControlCycle(parts.hardware, parts.manager, period_ns, loop.graph.clock.time_ns)

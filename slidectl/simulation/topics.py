@@ -26,6 +26,18 @@ class TypeConflict(Refused):
         super().__init__(f"{topic} has the type {known}, not {asked}", f"it is used by: {', '.join(users)}")
 
 
+def hand_on(message: Message, callbacks: Sequence[MessageCallback]) -> None:
+    """Call back all of them, and then raise what the first one said that refused the message."""
+    refusal: SlidectlError | None = None
+    for callback in callbacks:
+        try:
+            callback(message)
+        except SlidectlError as error:
+            refusal = refusal or error
+    if refusal is not None:
+        raise refusal
+
+
 class TopicPublisher:
     """One publisher of one topic. Ask `wanted` before building a message: nobody may be listening.
 
@@ -56,14 +68,7 @@ class TopicPublisher:
             self.sequence += 1
         if self.latch:
             self.last = message
-        refusal: SlidectlError | None = None
-        for callback in self.topic.callbacks:
-            try:
-                callback(message)
-            except SlidectlError as error:
-                refusal = refusal or error
-        if refusal is not None:
-            raise refusal
+        hand_on(message, self.topic.callbacks)
 
     def first_message(self) -> Message | None:
         """The message that a new subscriber gets at once: the latched one."""
@@ -187,13 +192,16 @@ class TopicSubscription:
 class Topic:
     """A name, its type, and those who use it. `callbacks` is a tuple: it may be replaced during a delivery."""
 
-    __slots__ = ("callbacks", "has_header", "name", "publishers", "subscriptions", "type")
+    __slots__ = ("callbacks", "has_header", "interceptor", "name", "publishers", "receivers", "subscriptions", "type")
 
-    def __init__(self, name: str, type_name: str) -> None:
+    def __init__(self, name: str, type_name: str, interceptor: MessageCallback | None = None) -> None:
         self.name = name
         self.type = type_name
+        self.interceptor = interceptor
+        """Takes the messages in place of the receivers."""
         self.publishers: list[TopicPublisher] = []
         self.subscriptions: list[TopicSubscription] = []
+        self.receivers: tuple[MessageCallback, ...] = ()
         self.callbacks: tuple[MessageCallback, ...] = ()
         first = msgs.fields(type_name)[:1]
         self.has_header = any(field.name == "header" and field.type == "std_msgs/Header" for field in first)
@@ -205,7 +213,8 @@ class Topic:
     def update(self) -> None:
         """After somebody came or went."""
         # A callback that many subscriptions have in common is called once for all of them.
-        self.callbacks = tuple(dict.fromkeys(subscription.callback for subscription in self.subscriptions))
+        self.receivers = tuple(dict.fromkeys(subscription.callback for subscription in self.subscriptions))
+        self.callbacks = (self.interceptor,) if self.receivers and self.interceptor is not None else self.receivers
         for publisher in self.publishers:
             publisher.wanted = publisher.latch or bool(self.callbacks)
 
@@ -217,6 +226,7 @@ class Topics:
         self._topics: dict[str, Topic] = {}
         # By node: one that goes must not cost a look at all topics, of which a client may have made many.
         self._users: dict[str, dict[TopicPublisher | TopicSubscription, None]] = {}
+        self._interceptors: dict[str, MessageCallback] = {}
         self.changes = 0
         """How often a publisher or a subscriber came or went: while it stays, so does `wanted` of every publisher."""
 
@@ -282,6 +292,21 @@ class Topics:
         own = next((publisher for publisher in known if publisher.node == node), None)
         (own or self.advertise(topic, kind, node)).publish(checked)
 
+    def intercept(self, topic: str, interceptor: MessageCallback | None) -> None:
+        """Let this take the messages of the topic, but not latched ones for who comes later. None: nobody does."""
+        if interceptor is None:
+            self._interceptors.pop(topic, None)
+        else:
+            self._interceptors[topic] = interceptor
+        if topic in self._topics:
+            self._topics[topic].interceptor = interceptor
+            self._update(self._topics[topic])
+
+    def hand_on(self, topic: str, message: Message) -> None:
+        """Give a message that was intercepted to those who subscribe now. Raises what a subscriber says."""
+        if topic in self._topics:
+            hand_on(message, self._topics[topic].receivers)
+
     def names(self) -> list[str]:
         """All topics, sorted."""
         return sorted(self._topics)
@@ -337,7 +362,7 @@ class Topics:
     def _entry(self, topic: str, type_name: str) -> Topic:
         self._agrees(topic, type_name)
         if topic not in self._topics:
-            self._topics[names.check_absolute(topic, "topic")] = Topic(topic, type_name)
+            self._topics[names.check_absolute(topic, "topic")] = Topic(topic, type_name, self._interceptors.get(topic))
         return self._topics[topic]
 
     def _forget(self, user: TopicPublisher | TopicSubscription) -> None:

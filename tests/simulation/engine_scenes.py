@@ -11,6 +11,7 @@ from typing import Any
 
 from sim_robots import STATES, cart
 
+from slidectl import fault_kinds
 from slidectl.control.controller_interface import Controller
 from slidectl.control.hardware_interface import EffortJointInterface, PositionJointInterface
 from slidectl.control.node_handle import NodeHandle
@@ -237,6 +238,9 @@ def happen(simulation: Simulation, dice: Random) -> None:
         lambda: simulation.reset_world() if dice.random() < 0.2 else None,
         lambda: simulation.reset_simulation() if dice.random() < 0.1 else None,
         lambda: _come_or_go(simulation),
+        lambda: _go_wrong(simulation, dice),
+        lambda: _go_wrong(simulation, dice),
+        lambda: simulation.faults.remove() if dice.random() < 0.3 else None,
         lambda: simulation.graph.timers.after(dice.randrange(1, 50_000_000), lambda: _bump(simulation)),
     ]
     try:
@@ -271,6 +275,29 @@ _NAMES = ("states", "one", "two", "three", "swing", "effort", "goal1", "goal2")
 
 def _bump(simulation: Simulation) -> None:
     simulation.publish("/a/one/command", {"data": 0.1}, "std_msgs/Float64")
+
+
+FAULT_OPTIONS = {
+    "of": "all", "sd": 0.01, "bias": 0.05, "rate": 0.5, "step": 0.02, "delay": 0.013, "probability": 0.4,
+    "limit": 1.5, "friction": 2.0, "damping": 3.0, "mass": 1.7, "at": (0.1, 0.2, -0.3), "force": (1.0, 2.0, 3.0),
+    "torque": (0.1, 0.2, 0.0), "takes": 0.004,
+}  # fmt: skip
+"""A value for each option of a kind of fault."""
+_FAULTY = {
+    "joint": ("a/joint1", "a/joint2", "b/joint2", "c/joint1", "d/joint1"),
+    "moving joint": ("a/joint1", "b/joint3", "c/joint1", "d/joint2"),
+    "link": ("a/part1", "b/part2", "c/box1", "d/part3"),
+    "controller": ("a/one", "a/two", "b/swing", "c/effort", "d/goal1"),
+    "topic": ("/a/joint_states", "/a/one/command", "/b/swing/told", "/clock"),
+}
+
+
+def _go_wrong(simulation: Simulation, dice: Random) -> None:
+    kind = dice.choice(sorted(fault_kinds.KINDS))
+    start = simulation.time_ns / 1e9 + dice.choice((0.0, 0.02))
+    options = {name: FAULT_OPTIONS[name] for name in fault_kinds.KINDS[kind].options}
+    target = dice.choice(_FAULTY[fault_kinds.KINDS[kind].target])
+    simulation.faults.add(target, kind, start, start + dice.uniform(0.001, 0.3), dice.randrange(9), **options)
 
 
 def _come_or_go(simulation: Simulation) -> None:

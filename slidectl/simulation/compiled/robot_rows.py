@@ -75,7 +75,7 @@ class RobotRows:
     def fits(self) -> bool:
         """Is the robot still as it was when the rows were made, and does it do nothing that rows cannot?"""
         cycle, hardware, manager = self.parts.cycle, self.parts.hardware, self.parts.manager
-        special = hardware.estop or cycle.is_stopped or manager.switching
+        special = hardware.estop or cycle.is_stopped or cycle.is_intercepted or manager.switching
         return self._is_possible and not special and not self.is_outdated()
 
     def is_outdated(self) -> bool:

@@ -1,0 +1,151 @@
+"""`slidectl fault`: faults on purpose. Calls of /slidectl/fault services, no more."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from typing import Any
+
+import click
+
+from slidectl.cli import completion
+from slidectl.cli.commands import group
+from slidectl.cli.context import Context
+from slidectl.fault_kinds import KINDS, OPTIONS, QUANTITIES
+
+_COLUMNS = ("name", "kind", "target", "from", "to", "seed", "options", "state", "count")
+
+
+def _names(context: Context) -> list[str]:
+    return [fault["name"] for fault in context.call("/slidectl/fault/list")["faults"]]
+
+
+def _targets(context: Context) -> list[str]:
+    robots = context.call("/slidectl/list_robots", {"name": ""})["robots"]
+    parts = [f"/{robot['name']}/{part}" for robot in robots for part in _parts(robot)]
+    controllers = [f"{robot['namespace'].rstrip('/')}/{name}" for robot in robots for name in robot["controllers"]]
+    return [*parts, *controllers, *context.names("topic")]
+
+
+def _parts(robot: dict[str, Any]) -> list[str]:
+    return [*(joint["name"] for joint in robot["joints"] if joint["type"] != "fixed"), *robot["links"]]
+
+
+def _kind_options(command: Callable[..., None]) -> Callable[..., None]:
+    """An option for each option of a kind."""
+    for name, option in reversed(OPTIONS.items()):
+        more: dict[str, Any] = {"type": float, "metavar": "X"}
+        if option.form == "vector":
+            more = {"type": float, "nargs": 3, "metavar": "X Y Z"}
+        elif option.form == "quantity":
+            more = {"type": click.Choice([*QUANTITIES, "all"])}
+        kinds = ", ".join(kind for kind, one in KINDS.items() if name in one.options)
+        click.option(f"--{name}", help=f"{option.text[0].upper()}{option.text[1:]} ({kinds}).", **more)(command)
+    return command
+
+
+@group(
+    examples=[
+        "slidectl fault add slider/joint1 --kind sensor-noise --sd 0.001 --seed 7 --from 2 --to 5",
+        "slidectl fault list",
+        "slidectl fault clear",
+    ]
+)
+def fault() -> None:
+    """Faults on purpose, of joints, links, controllers and topics."""
+
+
+@fault.command(
+    "add",
+    examples=[
+        "slidectl fault add slider/joint1 --kind sensor-noise --sd 0.001 --seed 7 --from 2 --to 5",
+        "slidectl fault add joint1 --kind joint-stuck",
+        "slidectl fault add link2 --kind push --force 0 0 -50 --from 3 --to 3.1",
+        "slidectl fault add joint_states --kind topic-loss --probability 0.2",
+    ],
+)
+@click.argument("target", shell_complete=completion.completer(_targets))
+@click.option("--kind", required=True, metavar="KIND", shell_complete=completion.completer(lambda _: KINDS),
+              help="What goes wrong; 'slidectl fault kinds' lists them.")  # fmt: skip
+@click.option("--from", "start", type=float, metavar="TIME", help="Simulated time of the world, s; now.")
+@click.option("--to", "end", type=float, metavar="TIME", help="The same; until it is removed.")
+@click.option("--seed", type=int, default=0, metavar="N", help="Of its random numbers (0).")
+@click.option("--name", default="", metavar="NAME", help="How it is listed; one is made of the kind.")
+@_kind_options
+@click.pass_obj
+def add(ctx: Context, /, target: str, kind: str, start: float | None, end: float | None, **given: Any) -> None:
+    """Let something go wrong from one simulated time to another.
+
+    TARGET is a joint or link (ROBOT/JOINT), a controller or a topic, as the kind needs it; the unique end of the name
+    is enough. The fault acts in the cycles with a time from --from on and before --to. JSON keys: as fault list.
+    """
+    options = {option: value for option, value in given.items() if value is not None}
+    added = ctx.client.add_fault(target, kind, start, end, namespace=ctx.namespace, **options)
+    ctx.done(_record(added), f"{added['name']}: {kind} on {added['target']} {_span(added)}")
+
+
+def _record(found: dict[str, Any]) -> dict[str, Any]:
+    """A fault with the keys that this command line promises."""
+    end = None if found["end"] == math.inf else found["end"]
+    record = {**found, "from": found["start"], "to": end}
+    return {key: record[key] for key in _COLUMNS}
+
+
+def _span(found: dict[str, Any]) -> str:
+    end = "until it is removed" if found["end"] == math.inf else f"to {found['end']:g} s"
+    return f"from {found['start']:g} s {end}"
+
+
+@fault.command("list", examples=["slidectl fault list", "slidectl fault list --json"])
+@click.pass_obj
+def list_faults(ctx: Context) -> None:
+    """List the faults with what they did so far.
+
+    STATE is waiting, active or over; COUNT are the cycles, or messages, in which the fault acted. JSON keys: name,
+    kind, target (the full name), from and to (s; null until it is removed), seed, options, state, count.
+    """
+    rows = [_record(found) for found in ctx.client.faults()]
+    if ctx.format in ("text", "csv"):
+        rows = [{**row, "options": _shown(row["options"])} for row in rows]
+    ctx.emit_rows(rows, _COLUMNS, empty="no faults; slidectl fault kinds lists what can go wrong")
+
+
+def _shown(options: dict[str, Any]) -> str:
+    return " ".join(f"{name}={json.dumps(value)}" for name, value in options.items() if value is not None)
+
+
+@fault.command("remove", examples=["slidectl fault remove sensor_noise_1"])
+@click.argument("names", nargs=-1, required=True, metavar="NAME...", shell_complete=completion.completer(_names))
+@click.pass_obj
+def remove(ctx: Context, names: tuple[str, ...]) -> None:
+    """Take faults back: what they have changed is as it was.
+
+    All of them or, with a name that is not there, none. JSON key: name.
+    """
+    for name in ctx.client.remove_faults(*names):
+        ctx.done({"name": name}, f"{name}: removed")
+
+
+@fault.command("clear", examples=["slidectl fault clear"])
+@click.pass_obj
+def clear(ctx: Context) -> None:
+    """Take all faults back.
+
+    JSON key: name.
+    """
+    for name in ctx.client.remove_faults():
+        ctx.done({"name": name}, f"{name}: removed")
+
+
+@fault.command("kinds", examples=["slidectl fault kinds", "slidectl fault kinds --json"])
+@click.pass_obj
+def kinds(ctx: Context) -> None:
+    """List the kinds of faults: on what each acts, and its options.
+
+    JSON keys: name, target, text, options (each with its default: required, or null for what stays as it is).
+    """
+    rows = [{"name": name, **kind._asdict()} for name, kind in KINDS.items()]
+    if ctx.format in ("text", "csv"):
+        rows = [{**row, "options": " ".join(f"--{option}" for option in row["options"])} for row in rows]
+    ctx.emit_rows(rows, ["name", "target", "options", "text"])

@@ -1,0 +1,125 @@
+"""The kinds of faults: on what each acts, and its options with their defaults. Standard library only."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from slidectl.errors import UnknownName, UsageError
+
+QUANTITIES = ("position", "velocity", "effort")
+"""Of a joint, as its sensor measures them."""
+REQUIRED = "required"
+
+
+class FaultOption(NamedTuple):
+    """`form` is `number`, `vector` (three numbers) or `quantity`. Numbers lie from `lowest` to `highest`."""
+
+    text: str
+    form: str = "number"
+    lowest: float = -math.inf
+    highest: float = math.inf
+
+    def read(self, name: str, value: Any) -> Any:
+        """The value as it counts: a float, a tuple of three, or a word. Raises UsageError."""
+        if self.form == "quantity":
+            if value not in (*QUANTITIES, "all"):
+                raise UsageError(f"{name} is one of {', '.join(QUANTITIES)} and all, not {value!r}")
+            return value
+        numbers = value if self.form == "vector" and isinstance(value, list | tuple) else [value]
+        if len(numbers) != (3 if self.form == "vector" else 1) or not all(map(_is_number, numbers)):
+            what = "three numbers" if self.form == "vector" else "a finite number"
+            raise UsageError(f"{name} ({self.text}) is {what}, not {value!r}")
+        if not all(self.lowest <= number <= self.highest for number in numbers):
+            bounds = f"{self.lowest:g} to {self.highest:g}" if self.highest < math.inf else f"at least {self.lowest:g}"
+            raise UsageError(f"{name} ({self.text}) is {bounds}, not {value:g}")
+        return tuple(map(float, numbers)) if self.form == "vector" else float(value)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+_SHORTEST_S = 1e-6
+_LIGHTEST_KG = 1e-9
+
+OPTIONS = {
+    "of": FaultOption("what is measured wrongly: position, velocity, effort or all", "quantity"),
+    "sd": FaultOption("standard deviation, in the unit of what is measured", lowest=0.0),
+    "bias": FaultOption("what is added, in the unit of what is measured"),
+    "rate": FaultOption("what is added for each second since the beginning"),
+    "step": FaultOption("width of a step, in the unit of what is measured", lowest=1e-300),
+    "delay": FaultOption("s of simulated time", lowest=0.0, highest=3600.0),
+    "probability": FaultOption("of each cycle, or message, by itself", lowest=0.0, highest=1.0),
+    "limit": FaultOption("largest size of a command, in its unit", lowest=0.0),
+    "friction": FaultOption("dry friction, N or N m", lowest=0.0),
+    "damping": FaultOption("N s/m or N m s/rad", lowest=0.0),
+    "mass": FaultOption("kg", lowest=_LIGHTEST_KG),
+    "at": FaultOption("place on the link, in its frame, m", "vector"),
+    "force": FaultOption("N, in the axes of the world", "vector"),
+    "torque": FaultOption("N m, in the axes of the world", "vector"),
+    "takes": FaultOption("s of simulated time that an update takes", lowest=_SHORTEST_S, highest=3600.0),
+}
+"""All options of all kinds, by name."""
+
+
+class FaultKind(NamedTuple):
+    """`target` is on what it acts: joint (with a transmission), moving joint, link, controller or topic.
+
+    `options` are the names with the defaults; REQUIRED for none, None for what stays as it is in the model.
+    """
+
+    target: str
+    text: str
+    options: Mapping[str, Any] = {}
+
+
+_POSITION = {"of": "position"}
+_ALL = {"of": "all"}
+_NOTHING = (0.0, 0.0, 0.0)
+
+KINDS = {
+    "sensor-noise": FaultKind("joint", "Gaussian noise on what is read", {"sd": REQUIRED, **_POSITION}),
+    "sensor-bias": FaultKind("joint", "what is read is too large by a constant", {"bias": REQUIRED, **_POSITION}),
+    "sensor-drift": FaultKind("joint", "what is read moves away at a rate", {"rate": REQUIRED, **_POSITION}),
+    "sensor-quantisation": FaultKind("joint", "what is read comes in steps", {"step": REQUIRED, **_POSITION}),
+    "sensor-delay": FaultKind("joint", "what is read is old", {"delay": REQUIRED, **_ALL}),
+    "sensor-dropout": FaultKind("joint", "readings fail: the last one stays", {"probability": REQUIRED, **_ALL}),
+    "sensor-frozen": FaultKind("joint", "the last reading before it stays", _ALL),
+    "command-delay": FaultKind("joint", "commands come late", {"delay": REQUIRED}),
+    "command-loss": FaultKind("joint", "commands get lost: the last one stays", {"probability": REQUIRED}),
+    "command-saturation": FaultKind("joint", "commands are cut", {"limit": REQUIRED}),
+    "command-reversed": FaultKind("joint", "commands have the other sign"),
+    "joint-stuck": FaultKind("moving joint", "it stays where it is, whatever acts on it"),
+    "joint-friction": FaultKind("moving joint", "friction is another", {"friction": None, "damping": None}),
+    "payload": FaultKind("link", "a point mass is fixed to the link", {"mass": REQUIRED, "at": _NOTHING}),
+    "push": FaultKind("link", "a wrench acts on its centre of mass", {"force": _NOTHING, "torque": _NOTHING}),
+    "controller-raise": FaultKind("controller", "its update raises, once: it is aborted"),
+    "controller-slow": FaultKind("controller", "its update holds up the robot's whole cycle", {"takes": REQUIRED}),
+    "controller-kill": FaultKind("controller", "it is stopped and unloaded, once"),
+    "topic-loss": FaultKind("topic", "messages get lost", {"probability": REQUIRED}),
+    "topic-delay": FaultKind("topic", "messages come late", {"delay": REQUIRED, "probability": 1.0}),
+}
+"""All kinds, by name."""
+
+
+def checked_options(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    """All options of a kind as they count: those that are given, and the defaults of the others.
+
+    Raises:
+        UnknownName: no such kind. UsageError: an option that the kind has not, or needs; or a wrong value.
+    """
+    if kind not in KINDS:
+        raise UnknownName("kind of fault", kind, list(KINDS))
+    own = KINDS[kind].options
+    taken = f"{kind} takes {', '.join(own) or 'no options'}"
+    if unknown := [name for name in given if name not in own]:
+        raise UsageError(f"{kind} has no option {', '.join(unknown)}", taken)
+    options = {**own, **given}
+    if missing := [name for name, value in options.items() if value == REQUIRED]:
+        raise UsageError(f"{kind} needs {', '.join(f'{name} ({OPTIONS[name].text})' for name in missing)}", taken)
+    found = {name: value if value is None else OPTIONS[name].read(name, value) for name, value in options.items()}
+    if own and all(value is None or value == _NOTHING for value in found.values()):
+        raise UsageError(f"{kind} changes nothing without {' or '.join(own)}", taken)
+    return found

@@ -1,0 +1,208 @@
+"""Changes of a robot's joints and masses that can be taken back: a stuck joint, another friction, a payload.
+
+Each is put on with `hold`, again before every step, since the model may have been rebuilt; `release` leaves no trace.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+
+from slidectl.errors import Refused
+from slidectl.rotations import IDENTITY, Vector, add, compose
+
+if TYPE_CHECKING:
+    from slidectl.physics.body import Body, LinkPlace
+    from slidectl.physics.robot_hw import MujocoRobotHW
+    from slidectl.physics.world import World
+
+
+class StuckJoint:
+    """A joint that stays where it is: a motor without bound holds it, whatever its drive asks for."""
+
+    def __init__(self, world: World, body: Body, hardware: MujocoRobotHW, joint: str) -> None:
+        self._world = world
+        self._body = body
+        self._hardware = hardware
+        self._joint = joint
+        self._position: float | None = None
+        """Where it is stuck; None while it is not."""
+        self._lasting: float | None = None
+        self._dynamics: list[Any] = []
+
+    def hold(self) -> None:
+        """Before the step, after everybody has said what the joint is to do."""
+        place, world = self._body.place(self._joint), self._world
+        if self._position is None:
+            self._position = world.data.qpos[place.qpos]
+            self._dynamics = [array[place.dof].copy() for array in self._arrays()]
+            self._lasting = self._body.lasting_motors.get(self._joint)
+        if self._body.lasting_motors.get(self._joint) != math.inf:
+            world.add_motors(self._body, {self._joint: math.inf})
+        views = world.views
+        views.qpos[place.qpos], views.qvel[place.dof], views.velocities[place.dof] = self._position, 0.0, 0.0
+
+    def release(self) -> None:
+        """The joint moves again."""
+        if self._position is None:
+            return
+        self._position = None
+        del self._body.lasting_motors[self._joint]
+        if self._lasting is not None:
+            self._body.lasting_motors[self._joint] = self._lasting
+        self._hardware.engage()
+        with self._world.changing_friction():
+            if self._joint not in self._world.loads.motors.of(self._body):
+                for array, value in zip(self._arrays(), self._dynamics, strict=True):
+                    array[self._body.place(self._joint).dof] = value
+
+    def effort(self) -> float | None:
+        """N or N·m of the hardware, without what holds the joint; None while the joint is not stuck."""
+        return None if self._position is None else self._world.views.forces[self._body.place(self._joint).dof]
+
+    def _arrays(self) -> tuple[Any, Any]:
+        return self._world.model.dof_frictionloss, self._world.model.dof_solimp
+
+
+class JointFriction:
+    """Another dry friction (N or N·m), another damping (N·s/m or N·m·s/rad), or both; None: as it is.
+
+    Raises Refused: a motor drives the joint.
+    """
+
+    def __init__(self, world: World, body: Body, joint: str, friction: float | None, damping: float | None) -> None:
+        if joint in world.loads.motors.of(body) and body.lasting_motors.get(joint) != math.inf:
+            text = f"{joint} is driven by a motor, which takes the place of its friction"
+            raise Refused(text, "with gains in gazebo_ros_control/pid_gains it is driven by efforts")
+        self._world = world
+        self._body = body
+        self._joint = joint
+        self._asked = friction, damping
+        self._before: tuple[float, float] | None = None
+
+    def hold(self) -> None:
+        """Before each step."""
+        dof = self._body.place(self._joint).dof
+        asked = [(array, value) for array, value in zip(self._arrays(), self._asked, strict=True) if value is not None]
+        if any(array[dof] != value for array, value in asked):
+            self._before = self._before or self._now(dof)
+            with self._world.changing_friction():
+                for array, value in asked:
+                    array[dof] = value
+
+    def release(self) -> None:
+        """As the model has it."""
+        if self._before is not None:
+            with self._world.changing_friction():
+                for array, value in zip(self._arrays(), self._before, strict=True):
+                    array[self._body.place(self._joint).dof] = value
+            self._before = None
+
+    def _now(self, dof: int) -> tuple[float, float]:
+        friction, damping = (float(array[dof]) for array in self._arrays())
+        return friction, damping
+
+    def _arrays(self) -> tuple[Any, Any]:
+        return self._world.model.dof_frictionloss, self._world.model.dof_damping
+
+
+_OF_MASS = ("body_mass", "body_ipos", "body_iquat", "body_inertia", "body_gravcomp", "body_sameframe")
+
+
+class Payload:
+    """A point mass (kg) at a place of a link (m, in the link's frame).
+
+    Raises Refused: the robot is one free link.
+    """
+
+    def __init__(self, world: World, body: Body, link: str, mass: float, at: Vector) -> None:
+        self._world = world
+        self._body = body
+        self._link = link
+        self._mass = mass
+        self._at = at
+        self._model: Any = None
+        """The one that holds the payload."""
+        self._before: dict[str, Any] = {}
+        self._links: list[tuple[str, LinkPlace, LinkPlace]] = []
+        """Of all links of the body: where they are without it, and with it."""
+        if world.model.body_simple[self.body] and world.model.body_dofnum[self.body] > 1:
+            raise Refused(f"{body.name!r} is one free link, {link}: MuJoCo takes its mass as constant")
+
+    @property
+    def body(self) -> int:
+        """MuJoCo's id of the body that the link is part of."""
+        return self._body.link(self._link).body
+
+    def hold(self) -> None:
+        """Before each step."""
+        model, body = self._world.model, self.body
+        if self._model is model:
+            return
+        self._model = model
+        x, y, z = compose(self._body.link(self._link).frame, (self._at, IDENTITY))[0]
+        place, mass = np.array([x, y, z]), float(model.body_mass[body])
+        self._before = {name: getattr(model, name)[body].copy() for name in _OF_MASS}
+        centre = model.body_ipos[body].copy()
+        whole = mass + self._mass
+        together = (mass * centre + self._mass * place) / whole
+        turn, values, vectors, attitude = np.zeros(9), np.zeros(3), np.zeros(9), np.zeros(4)
+        mujoco.mju_quat2Mat(turn, model.body_iquat[body])
+        axes = turn.reshape(3, 3)
+        inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
+        for one, away in ((mass, centre - together), (self._mass, place - together)):
+            inertia += one * (away @ away * np.eye(3) - np.outer(away, away))
+        mujoco.mju_eig3(values, vectors, attitude, inertia.ravel())
+        model.body_mass[body], model.body_ipos[body] = whole, together
+        model.body_iquat[body], model.body_inertia[body] = attitude, values
+        model.body_gravcomp[body] *= mass / whole  # a link without gravity carries a payload that has some
+        model.body_sameframe[body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+        self._tell(model, body, is_simple=False)
+        x, y, z = (centre - together).tolist()
+        self._put_links_back()
+        for name, link in self._body.links.items():  # wrenches act on the centres of the links' own masses
+            if link.body == body:
+                arm = add(link.arm or (0.0, 0.0, 0.0), (x, y, z))
+                self._links.append((name, link, replace(link, arm=arm)))
+        self._body.links.update({name: place for name, _, place in self._links})
+
+    def release(self) -> None:
+        """The link has its own mass again."""
+        model, body = self._world.model, self.body
+        if self._model is model:
+            for name, value in self._before.items():
+                getattr(model, name)[body] = value
+            self._tell(model, body, is_simple=bool(model.body_simple[body]))
+        self._put_links_back()
+        self._model = None
+
+    def _put_links_back(self) -> None:
+        """Those that no rebuild of the model has found anew."""
+        for name, link, place in self._links:
+            if self._body.links.get(name) is place:
+                self._body.links[name] = link
+        self._links.clear()
+
+    @staticmethod
+    def _tell(model: Any, body: int, is_simple: bool) -> None:
+        """Let MuJoCo's sums be those of the masses, and let it compute the inertia of the body's joint itself.
+
+        It takes that of a body alone on one joint as constant, by runs of such dofs.
+        """
+        model.body_subtreemass[:] = model.body_mass
+        for below in range(model.nbody - 1, 0, -1):
+            model.body_subtreemass[model.body_parentid[below]] += model.body_subtreemass[below]
+        simple = model.dof_simplenum > 0
+        start = model.body_dofadr[body]
+        simple[start : start + model.body_dofnum[body]] = is_simple
+        run = 0
+        for dof in range(model.nv - 1, -1, -1):
+            run = run + 1 if simple[dof] else 0
+            model.dof_simplenum[dof] = run
+
+
+Change = StuckJoint | JointFriction | Payload

@@ -1,0 +1,685 @@
+"""Faults on purpose, of sensors, commands, joints, loads, controllers and topics; the services `/slidectl/fault/*`.
+
+What a fault does follows from its seed and the simulated time: every run gives the same bits. The interpreter runs the
+cycle of a robot that has faults which are not over; a robot and a topic without any are left alone.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import partial
+from random import Random
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+from slidectl import names
+from slidectl.control.duration import from_seconds
+from slidectl.control.node_handle import Message
+from slidectl.errors import Refused, SlidectlError, UnknownName, UsageError
+from slidectl.fault_kinds import KINDS, OPTIONS, QUANTITIES, REQUIRED, checked_options
+from slidectl.physics import World
+from slidectl.physics.changes import Change, JointFriction, Payload, StuckJoint
+from slidectl.simulation.clock import NEVER, SECOND
+from slidectl.simulation.own_services import NODE
+
+if TYPE_CHECKING:
+    from slidectl.physics.loads import Wrench
+    from slidectl.simulation.clock import Timer
+    from slidectl.simulation.cycle import Stages
+    from slidectl.simulation.simulation import Simulation
+    from slidectl.simulation.spawned_robots import SpawnedRobot
+
+Values = list[float]
+_COMMANDS = ("command", "command_velocity", "command_acceleration")
+
+
+class Asked(NamedTuple):
+    """A fault as it was asked for, checked. It acts in cycles with a time from `start_ns` on and before `end_ns`."""
+
+    name: str
+    kind: str
+    target: str
+    """In full: /ROBOT/JOINT, /ROBOT/LINK, the controller in its namespace, or the topic."""
+    start_ns: int
+    end_ns: int
+    """NEVER: until it is removed."""
+    seed: int
+    options: dict[str, Any]
+
+
+class Fault:
+    """One fault, and what it did so far. Children say what it does."""
+
+    def __init__(self, asked: Asked) -> None:
+        self.asked = asked
+        self.count = 0
+        """Cycles, or messages, in which it acted."""
+        self.is_done = False
+        """It happens once, and has happened."""
+
+    def holds(self, time_ns: int) -> bool:
+        """Does it act at that time?"""
+        return self.asked.start_ns <= time_ns < self.asked.end_ns and not self.is_done
+
+    def is_over(self, time_ns: int) -> bool:
+        """Will it not act any more?"""
+        return time_ns >= self.asked.end_ns or self.is_done
+
+    def source(self, number: int) -> Random:
+        """Random numbers for one cycle or message: those of seed, kind, target and number."""
+        return Random(f"{self.asked.seed}/{self.asked.kind}/{self.asked.target}/{number}")
+
+    def end(self) -> None:
+        """Leave no trace, and forget the past."""
+
+    def message(self, time_ns: int) -> Message:
+        """As slidectl/Fault."""
+        asked = self.asked
+        over, held = self.is_over(time_ns), self.holds(time_ns)
+        return {
+            "name": asked.name,
+            "kind": asked.kind,
+            "target": asked.target,
+            "start": asked.start_ns / SECOND,
+            "end": math.inf if asked.end_ns == NEVER else asked.end_ns / SECOND,
+            "seed": asked.seed,
+            "options": json.dumps(asked.options),
+            "state": "over" if over else "active" if held else "waiting",
+            "count": self.count,
+        }
+
+
+# -- faults of robots --------------------------------------------------------------------------------------------------
+
+
+class RobotFault(Fault):
+    """A fault in a robot's cycle. Each stage is told whether the fault `acts` at that time."""
+
+    def __init__(self, asked: Asked, robot: SpawnedRobot, part: str) -> None:
+        """`part` is the joint, link or controller."""
+        super().__init__(asked)
+        self.robot = robot
+        self.part = part
+
+    def after_read(self, time_ns: int, acts: bool) -> None:
+        """The joints were read."""
+
+    def before_update(self, acts: bool) -> None:
+        """Controllers are about to run."""
+
+    def before_write(self, time_ns: int, acts: bool) -> None:
+        """Controllers have run."""
+
+    def after_write(self, acts: bool) -> None:
+        """The joints are driven; the step is next."""
+
+
+class SignalFault(RobotFault):
+    """What is read of a joint, or its command, is changed, by a function of itself unless a child says otherwise."""
+
+    def __init__(self, asked: Asked, robot: SpawnedRobot, part: str) -> None:
+        super().__init__(asked, robot, part)
+        self.is_of_command = asked.kind.startswith("command")
+
+    def change(self, time_ns: int, values: Values) -> Values | None:
+        """What becomes of the values; None when the fault leaves them as they are."""
+        changed = _CHANGES[self.asked.kind](self, time_ns, values)
+        return None if changed == values else changed
+
+    def note(self, time_ns: int, values: Values) -> None:
+        """The values before the fault acts."""
+
+    def commands(self) -> list[tuple[Any, str]]:
+        """The handle that drives the joint now, with each attribute that is a command."""
+        handle = self.robot.parts.hardware.handles(self.part)[0]
+        return [(handle, attribute) for attribute in _COMMANDS if hasattr(handle, attribute)]
+
+    def after_read(self, time_ns: int, acts: bool) -> None:
+        if not self.is_of_command:
+            quantities = QUANTITIES if self.asked.options["of"] == "all" else [self.asked.options["of"]]
+            handles = self.robot.parts.hardware.handles(self.part)
+            self._pass(time_ns, acts, [[(handle, quantity) for quantity in quantities] for handle in handles])
+
+    def before_write(self, time_ns: int, acts: bool) -> None:
+        if self.is_of_command:
+            self._pass(time_ns, acts, [self.commands()])
+
+    def _pass(self, time_ns: int, acts: bool, places: list[list[tuple[Any, str]]]) -> None:
+        """The values of the first places are changed; the others get the same."""
+        values = [getattr(handle, attribute) for handle, attribute in places[0]]
+        if not acts:
+            self.note(time_ns, values)
+            return
+        changed = self.change(time_ns, values)
+        if changed is not None:
+            self.count += 1
+            for like in places:
+                for (handle, attribute), value in zip(like, changed, strict=True):
+                    setattr(handle, attribute, value)
+
+
+def _noisy(fault: SignalFault, time_ns: int, values: Values) -> Values:
+    source = fault.source(time_ns)
+    return [value + source.gauss(0.0, fault.asked.options["sd"]) for value in values]
+
+
+def _drifted(fault: SignalFault, time_ns: int, values: Values) -> Values:
+    drift = fault.asked.options["rate"] * ((time_ns - fault.asked.start_ns) / SECOND)
+    return [value + drift for value in values]
+
+
+def _in_steps(fault: SignalFault, _: int, values: Values) -> Values:
+    step = fault.asked.options["step"]
+    return [step * math.floor(value / step + 0.5) for value in values]
+
+
+def _cut(fault: SignalFault, _: int, values: Values) -> Values:
+    most = fault.asked.options["limit"]
+    return [min(max(values[0], -most), most), *values[1:]]
+
+
+_CHANGES: dict[str, Callable[[SignalFault, int, Values], Values]] = {
+    "sensor-noise": _noisy,
+    "sensor-bias": lambda fault, _, values: [value + fault.asked.options["bias"] for value in values],
+    "sensor-drift": _drifted,
+    "sensor-quantisation": _in_steps,
+    "command-saturation": _cut,
+    "command-reversed": lambda _fault, _time_ns, values: [-value for value in values],
+}
+
+
+class LostSignal(SignalFault):
+    """The last values that came through stay. Without a probability nothing comes through."""
+
+    kept: Values | None = None
+
+    def note(self, time_ns: int, values: Values) -> None:  # noqa: ARG002
+        self.kept = values
+
+    def change(self, time_ns: int, values: Values) -> Values | None:
+        probability = self.asked.options.get("probability", 1.0)
+        if self.kept is None or len(self.kept) != len(values) or self.source(time_ns).random() >= probability:
+            self.kept = values
+            return None
+        return self.kept
+
+    def end(self) -> None:
+        self.kept = None
+
+
+class LateSignal(SignalFault):
+    """The values are those of some time ago, or the first that are known."""
+
+    def __init__(self, asked: Asked, robot: SpawnedRobot, part: str) -> None:
+        super().__init__(asked, robot, part)
+        self.past: deque[tuple[int, Values]] = deque()
+        """With their times; the first ones are those that count now."""
+
+    def note(self, time_ns: int, values: Values) -> None:
+        if self.past and self.past[-1][0] == time_ns:
+            self.past.pop()
+        self.past.append((time_ns, values))
+        then = time_ns - from_seconds(self.asked.options["delay"])
+        while len(self.past) > 1 and self.past[1][0] <= then:
+            self.past.popleft()
+
+    def change(self, time_ns: int, values: Values) -> Values | None:
+        if self.past and len(self.past[0][1]) != len(values):  # another interface drives the joint
+            self.past.clear()
+        self.note(time_ns, values)
+        return self.past[0][1]
+
+    def end(self) -> None:
+        self.past.clear()
+
+
+class ChangeFault(RobotFault):
+    """Something is changed in the world while it lasts."""
+
+    def __init__(self, asked: Asked, robot: SpawnedRobot, part: str, change: Change) -> None:
+        super().__init__(asked, robot, part)
+        self.change = change
+
+    def after_read(self, time_ns: int, acts: bool) -> None:  # noqa: ARG002
+        if acts and isinstance(self.change, StuckJoint) and (effort := self.change.effort()) is not None:
+            for handle in self.robot.parts.hardware.handles(self.part):
+                handle.effort = effort
+
+    def after_write(self, acts: bool) -> None:
+        if acts:
+            self.change.hold()
+            self.count += 1
+
+    def end(self) -> None:
+        self.change.release()
+
+
+class PushFault(RobotFault):
+    """A wrench on a link."""
+
+    def __init__(self, asked: Asked, robot: SpawnedRobot, part: str, world: World) -> None:
+        super().__init__(asked, robot, part)
+        self._world = world
+        self.wrench: Wrench | None = None
+
+    def after_write(self, acts: bool) -> None:
+        if not acts:
+            return
+        self.count += 1
+        world, asked = self._world, self.asked
+        if not any(wrench is self.wrench for wrench in world.loads.wrenches):  # a reset takes it away
+            duration_ns = -1 if asked.end_ns == NEVER else asked.end_ns - asked.start_ns - 1
+            acting = asked.options["force"], asked.options["torque"], asked.start_ns, duration_ns
+            self.wrench = world.add_wrench(self.robot.name, self.part, *acting)
+
+    def end(self) -> None:
+        if self.wrench is not None:
+            self._world.drop_wrench(self.wrench)
+        self.wrench = None
+
+
+class RaisedByFault(SlidectlError):
+    """What a controller raises that is to."""
+
+
+class ControllerFault(RobotFault):
+    """A controller raises, is killed, or takes long."""
+
+    def before_update(self, acts: bool) -> None:
+        manager, kind = self.robot.parts.manager, self.asked.kind
+        if acts and kind == "controller-raise":
+            self.is_done = manager.fail(self.part, RaisedByFault(f"fault {self.asked.name!r} made it raise"))
+        elif acts and kind == "controller-kill":
+            self.is_done = manager.kill(self.part)
+        self.count += self.is_done
+
+    def holds_up_ns(self, time_ns: int) -> int:
+        """How long its update takes if it begins now."""
+        is_running = any(entry.name == self.part for entry in self.robot.parts.manager.running)
+        if self.asked.kind != "controller-slow" or not is_running or not self.holds(time_ns):
+            return 0
+        self.count += 1
+        return from_seconds(self.asked.options["takes"])
+
+
+class FaultyCycle:
+    """The stages of a robot's cycle with its faults, in the order in which these were added.
+
+    Each read begins with what was truly read before, from which angles are unwrapped, and each write ends with what the
+    controllers have commanded.
+    """
+
+    def __init__(self, robot: SpawnedRobot, faults: list[RobotFault], stages: Stages) -> None:
+        self._robot = robot
+        self._faults = faults
+        self._stages = stages
+        self._true: list[tuple[Any, float, float, float]] = []
+        """Handles of the joints, with what was read."""
+        self._busy_until_ns = 0
+        """While an update takes long, which began with the last read: its end."""
+        self._updated_ns = self._written_ns = 0
+        """When controllers ran, and the hardware was written, before that update."""
+
+    def read(self, time_ns: int, period_s: float) -> None:
+        if self._busy_until_ns:
+            return
+        self.put_true()
+        self._stages.read(time_ns, period_s)
+        hardware = self._robot.parts.hardware
+        handles = [handle for joint in hardware.interfaces() for handle in hardware.handles(joint)]
+        self._true = [(handle, handle.position, handle.velocity, handle.effort) for handle in handles]
+        for fault in self._current(time_ns):
+            fault.after_read(time_ns, fault.holds(time_ns))
+        if period_s > 0.0:  # in a cycle
+            slow = (fault.holds_up_ns(time_ns) for fault in self._faults if isinstance(fault, ControllerFault))
+            if longest_ns := max(slow, default=0):
+                self._busy_until_ns = time_ns + longest_ns
+                cycle = self._robot.parts.cycle
+                self._updated_ns, self._written_ns = time_ns - cycle.period_ns, cycle.last_write_ns
+
+    def update(self, time_ns: int, period_s: float, reset_controllers: bool = False) -> None:
+        if time_ns < self._busy_until_ns:
+            self._robot.parts.cycle.last_update_ns = self._updated_ns
+            return
+        for fault in self._current(time_ns):
+            fault.before_update(fault.holds(time_ns))
+        self._stages.update(time_ns, period_s, reset_controllers)
+
+    def write(self, time_ns: int, period_s: float) -> None:
+        if time_ns < self._busy_until_ns:
+            self._robot.parts.cycle.last_write_ns = self._written_ns
+            return
+        self._busy_until_ns = 0
+        faults = self._current(time_ns)
+        signals = [fault for fault in faults if isinstance(fault, SignalFault) and fault.is_of_command]
+        places = [place for fault in signals for place in fault.commands()]
+        commands = [(handle, attribute, getattr(handle, attribute)) for handle, attribute in places]
+        for fault in faults:
+            fault.before_write(time_ns, fault.holds(time_ns))
+        self._stages.write(time_ns, period_s)
+        for handle, attribute, command in commands:
+            setattr(handle, attribute, command)
+        for fault in faults:
+            fault.after_write(fault.holds(time_ns))
+
+    def put_true(self) -> None:
+        """The handles are as they were read."""
+        for handle, position, velocity, effort in self._true:
+            handle.position, handle.velocity, handle.effort = position, velocity, effort
+        self._true = []
+
+    def _current(self, time_ns: int) -> list[RobotFault]:
+        """The faults that are not over. Those that have just ended leave no trace."""
+        over = [fault for fault in self._faults if fault.is_over(time_ns)]
+        if over:
+            for fault in over:
+                fault.end()
+            self._faults = [fault for fault in self._faults if fault not in over]
+            if not self._faults:
+                self.put_true()
+                self._robot.parts.cycle.intercept(None)
+        return self._faults
+
+
+# -- faults of topics --------------------------------------------------------------------------------------------------
+
+
+class TopicFault(Fault):
+    """Messages get lost, or come late."""
+
+    seen = 0
+    """Messages that came while it acted."""
+
+    def lateness_ns(self) -> int | None:
+        """Of one more message; None when it gets lost."""
+        self.seen += 1
+        if self.source(self.seen).random() >= self.asked.options["probability"]:
+            return 0
+        self.count += 1
+        return from_seconds(self.asked.options["delay"]) if "delay" in self.asked.options else None
+
+    def end(self) -> None:
+        self.seen = 0
+
+
+class FaultyTopic:
+    """Takes the messages of one topic, and hands on what its faults leave, in the order in which these were added."""
+
+    def __init__(self, simulation: Simulation, topic: str, faults: list[TopicFault]) -> None:
+        self._graph = simulation.graph
+        self._topic = topic
+        self._faults = faults
+        self.waiting: list[tuple[int, TopicFault, Message]] = []
+        """Late messages: when they are due, and which fault holds them."""
+        self._timer: Timer | None = None
+
+    def take(self, message: Message, behind: TopicFault | None = None) -> None:
+        """A message, or one that a fault has held."""
+        now_ns = self._graph.clock.time_ns
+        for fault in self._faults[0 if behind is None else self._faults.index(behind) + 1 :]:
+            late_ns = fault.lateness_ns() if fault.holds(now_ns) else 0
+            if late_ns is None:
+                return
+            if late_ns:
+                self.waiting.append((now_ns + late_ns, fault, message))
+                self._arm()
+                return
+        self._graph.topics.hand_on(self._topic, message)
+
+    def keep(self, faults: list[TopicFault], waiting: list[tuple[int, TopicFault, Message]]) -> None:
+        """Go on with these faults, and what they held before."""
+        self._faults = faults
+        self.waiting = [late for late in waiting if late[1] in faults]
+        self._arm()
+
+    def _arm(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+        if self.waiting:
+            self._timer = self._graph.timers.at(min(due_ns for due_ns, _, _ in self.waiting), self._deliver)
+
+    def _deliver(self) -> None:
+        now_ns = self._graph.clock.time_ns
+        due = sorted((late for late in self.waiting if late[0] <= now_ns), key=lambda late: late[0])
+        self.waiting = [late for late in self.waiting if late[0] > now_ns]
+        for _, fault, message in due:
+            with suppress(SlidectlError):  # who published it is not there to hear a refusal
+                self.take(message, fault)
+        self._arm()
+
+
+# -- all of them -------------------------------------------------------------------------------------------------------
+
+_SIGNALS: dict[str, type[SignalFault]] = {
+    **dict.fromkeys(_CHANGES, SignalFault),
+    **dict.fromkeys(("sensor-dropout", "sensor-frozen", "command-loss"), LostSignal),
+    **dict.fromkeys(("sensor-delay", "command-delay"), LateSignal),
+}
+
+
+class Faults:
+    """The faults of one simulation, by name, in the order in which they were added."""
+
+    MOST: ClassVar[int] = 1000
+
+    def __init__(self, simulation: Simulation) -> None:
+        """Advertises the services."""
+        self._simulation = simulation
+        self._graph = simulation.graph
+        self._faults: dict[str, Fault] = {}
+        self._cycles: dict[SpawnedRobot, FaultyCycle] = {}
+        self._topics: dict[str, FaultyTopic] = {}
+        simulation.robots.on_spawn.append(lambda robot: partial(self._forget_robot, robot))
+        node = simulation.graph.node(names.join(NODE, "fault"), NODE)
+        node.advertise_service("add", "slidectl/AddFault", self._serve_add)
+        node.advertise_service("remove", "slidectl/RemoveFaults", self._serve_remove)
+        node.advertise_service("list", "slidectl/ListFaults", self._serve_list)
+        node.advertise_service("kinds", "slidectl/ListFaultKinds", _serve_kinds)
+
+    def add(
+        self,
+        target: str,
+        kind: str,
+        start: float | None = None,
+        end: float | None = None,
+        seed: int = 0,
+        name: str = "",
+        namespace: str = "/",
+        **options: Any,
+    ) -> Message:
+        """A fault from one simulated time (s; now) to another (until it is removed). Returns slidectl/Fault.
+
+        Raises:
+            UnknownName, AmbiguousName: no such kind or target. UsageError: options that the kind has not. Refused: a
+            time in the past, a name that is taken, a fault that excludes this one.
+        """
+        self._simulation.loop.between_cycles("add a fault")
+        checked = checked_options(kind, options)
+        now_ns = self._graph.clock.time_ns
+        start_ns = now_ns if start is None else from_seconds(start)
+        end_ns = NEVER if end is None or end == math.inf else from_seconds(end)
+        if start_ns < now_ns:
+            hint = "leave the beginning out for now; slidectl sim reset --time begins at 0 again"
+            raise Refused(f"it is {now_ns / SECOND:g} s already: a fault cannot begin at {start_ns / SECOND:g} s", hint)
+        if end_ns <= start_ns:
+            raise Refused(f"a fault from {start_ns / SECOND:g} s to {end_ns / SECOND:g} s would never act")
+        if len(self._faults) >= self.MOST:
+            raise Refused(f"there are {self.MOST} faults, which is the most", "slidectl fault clear")
+        target_kind = KINDS[kind].target
+        targets = self._targets(target_kind)
+        full = names.resolve(target, targets, kind=target_kind, namespace=namespace)
+        asked = Asked(self._free_name(name, kind), kind, full, start_ns, end_ns, seed, checked)
+        fault: Fault
+        if target_kind == "topic":
+            fault = TopicFault(asked)
+        else:
+            robot, part = targets[full]
+            robot.node.enter()  # its handles are to be what they should be
+            fault = self._of_robot(asked, robot, part)
+            fault.after_read(now_ns, False)
+            fault.before_write(now_ns, False)
+        self._faults[asked.name] = fault
+        self._install(fault)
+        return fault.message(now_ns)
+
+    def remove(self, *wanted: str) -> list[str]:
+        """Take these faults back, all or none; without a name all there are. Their names. Raises UnknownName."""
+        self._simulation.loop.between_cycles("remove a fault")
+        for name in wanted:
+            if name not in self._faults:
+                raise UnknownName("fault", name, list(self._faults))
+        gone = list(dict.fromkeys(wanted)) or list(self._faults)
+        for name in gone:
+            fault = self._faults.pop(name)
+            fault.end()
+            self._install(fault)
+        return gone
+
+    def messages(self) -> list[Message]:
+        """All of them, each as slidectl/Fault."""
+        return [fault.message(self._graph.clock.time_ns) for fault in self._faults.values()]
+
+    def restart(self) -> None:
+        """The world is about to be as it was at the beginning, and so are the faults. Those of times to come, come."""
+        for fault in self._faults.values():
+            fault.end()
+            if self._graph.clock.time_ns < fault.asked.start_ns or not self._graph.clock.time_ns:
+                fault.count, fault.is_done = 0, False
+        for topic in self._topics.values():
+            topic.keep([], [])
+        for fault in self._faults.values():
+            self._install(fault)
+
+    def _install(self, changed: Fault) -> None:
+        """Let what a fault is on have the faults that it has now."""
+        if isinstance(changed, TopicFault):
+            topic = changed.asked.target
+            before = self._topics.pop(topic, None)
+            faults = [one for one in self._faults.values() if isinstance(one, TopicFault) and one.asked.target == topic]
+            now = self._topics[topic] = FaultyTopic(self._simulation, topic, faults)
+            now.keep(faults, before.waiting if before is not None else [])
+            if before is not None:
+                before.keep([], [])
+            if not faults:
+                del self._topics[topic]
+            self._graph.topics.intercept(topic, now.take if faults else None)
+            return
+        assert isinstance(changed, RobotFault)
+        robot, time_ns = changed.robot, self._graph.clock.time_ns
+        if robot in self._cycles:
+            self._cycles.pop(robot).put_true()
+        mine = [one for one in self._faults.values() if isinstance(one, RobotFault) and one.robot is robot]
+        current = [fault for fault in mine if not fault.is_over(time_ns)]
+
+        def stages(own: Stages) -> Stages:
+            faulty = self._cycles[robot] = FaultyCycle(robot, current, own)
+            return own._replace(read=faulty.read, update=faulty.update, write=faulty.write)
+
+        robot.cycle.intercept(stages if current else None)
+
+    def _forget_robot(self, robot: SpawnedRobot) -> None:
+        """It has left the world, with what its faults have changed."""
+        self._cycles.pop(robot, None)
+        for name, fault in list(self._faults.items()):
+            if isinstance(fault, RobotFault) and fault.robot is robot:
+                del self._faults[name]
+
+    def _targets(self, kind: str) -> dict[str, tuple[SpawnedRobot, str]]:
+        """All that a kind can be on, by full name; topics have no robot."""
+        robots = [robot for robot in self._simulation.robots if robot.is_controlled]
+        if kind == "topic":
+            return dict.fromkeys(self._graph.topics.names(), ())  # type: ignore[arg-type]
+        if kind == "controller":
+            return {
+                names.join(robot.namespace, name): (robot, name)
+                for robot in robots
+                for name in robot.parts.manager.names()
+            }
+        parts: dict[str, Callable[[SpawnedRobot], Any]] = {
+            "joint": lambda robot: robot.parts.hardware.interfaces(),
+            "moving joint": lambda robot: robot.body.joints,
+            "link": lambda robot: [link for link in robot.paper.links if link != "world"],
+        }
+        return {f"/{robot.name}/{part}": (robot, part) for robot in robots for part in parts[kind](robot)}
+
+    def _free_name(self, name: str, kind: str) -> str:
+        if name in self._faults:
+            raise Refused(f"there is a fault {name!r} already", "give another name, or remove that one first")
+        if name and not names.is_legal(name):
+            raise UsageError(f"{name!r} is no name of a fault: letters, digits and '_'")
+        stem, number = kind.replace("-", "_"), 1
+        while f"{stem}_{number}" in self._faults:
+            number += 1
+        return name or f"{stem}_{number}"
+
+    def _of_robot(self, asked: Asked, robot: SpawnedRobot, part: str) -> RobotFault:
+        """Raises Refused: another fault excludes it, or it would do nothing."""
+        kind, options, world = asked.kind, asked.options, self._simulation.world
+        if kind in _SIGNALS:
+            return _SIGNALS[kind](asked, robot, part)
+        if kind == "push":
+            return PushFault(asked, robot, part, world)
+        if kind.startswith("controller"):
+            return ControllerFault(asked, robot, part)
+        change: Change
+        if kind == "joint-stuck":
+            change = StuckJoint(world, robot.body, robot.parts.hardware, part)
+        elif kind == "joint-friction":
+            change = JointFriction(world, robot.body, part, options["friction"], options["damping"])
+        else:
+            change = Payload(world, robot.body, part, options["mass"], options["at"])
+        fault = ChangeFault(asked, robot, part, change)
+        for other in self._faults.values():
+            if isinstance(other, ChangeFault) and _exclude(fault, other):
+                text = f"{other.asked.kind} {other.asked.name!r} is on {other.asked.target} in that time"
+                raise Refused(f"{text}, and the two exclude each other", "give other times, or remove that one first")
+        return fault
+
+    def _serve_add(self, request: Message) -> Message:
+        start, end = (_at_most_one(request[field], field) for field in ("start", "end"))
+        try:
+            options = json.loads(request["options"] or "{}")
+        except ValueError:
+            options = None
+        if not isinstance(options, dict):
+            raise UsageError(f"options is a JSON object, not {request['options']!r}", 'such as {"sd": 0.001}')
+        checked_options(request["kind"], options)  # before they are keywords
+        named = request["name"], request["namespace"] or "/"
+        return {"fault": self.add(request["target"], request["kind"], start, end, request["seed"], *named, **options)}
+
+    def _serve_remove(self, request: Message) -> Message:
+        return {"names": self.remove(*request["names"])}
+
+    def _serve_list(self, _: Message) -> Message:
+        return {"faults": self.messages()}
+
+
+def _serve_kinds(_: Message) -> Message:
+    kinds = []
+    for name, kind in KINDS.items():
+        texts = [
+            f"{option} ({OPTIONS[option].text}){'' if value == REQUIRED else f' = {json.dumps(value)}'}"
+            for option, value in kind.options.items()
+        ]
+        kinds.append({"name": name, "target": kind.target, "text": kind.text, "options": texts})
+    return {"kinds": kinds}
+
+
+def _at_most_one(numbers: Sequence[float], field: str) -> float | None:
+    if len(numbers) > 1:
+        raise UsageError(f"{field} is one time, or none, not {len(numbers)}")
+    return numbers[0] if numbers else None
+
+
+def _exclude(one: ChangeFault, other: ChangeFault) -> bool:
+    """Both change the same in the model, at one time."""
+    if one.robot is not other.robot or max(one.asked.start_ns, other.asked.start_ns) >= min(
+        one.asked.end_ns, other.asked.end_ns
+    ):
+        return False
+    if isinstance(one.change, Payload):
+        return isinstance(other.change, Payload) and one.change.body == other.change.body
+    return one.part == other.part and not isinstance(other.change, Payload)
