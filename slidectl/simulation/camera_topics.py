@@ -1,6 +1,6 @@
 """Cameras of robots: pictures at their rate while somebody listens, each with the time at which it was taken.
 
-A picture comes when it is painted; while one is being painted the next ones are left out. So how many there are
+A picture comes when it is rendered; while one is being rendered the next ones are left out. So how many there are
 depends on the machine, and what is on them does not.
 """
 
@@ -14,7 +14,7 @@ from slidectl import names
 from slidectl.control.duration import header_of
 from slidectl.control.node_handle import Message
 from slidectl.description.robot import Camera
-from slidectl.physics import painting, sensing
+from slidectl.physics import rendering, sensing
 from slidectl.simulation.clock import SECOND
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.spawned_robots import SpawnedRobot
@@ -34,8 +34,8 @@ class CameraTopics:
         self._robot = robot
         self._camera = camera
         self._is_busy = self._is_broken = self._is_closed = False
-        if not painting.gl_backend():
-            text = f"{robot.name}: camera {camera.name} makes no pictures, there is no OpenGL: {painting.INSTALL}"
+        if not rendering.gl_backend():
+            text = f"{robot.name}: camera {camera.name} makes no pictures, there is no OpenGL: {rendering.INSTALL}"
             robot.warnings.append(text)
             robot.node.log("warn", text)
             self._is_broken = True
@@ -62,7 +62,7 @@ class CameraTopics:
         pose = sensing.sensor_pose(simulation.world, robot, camera)
         header, seed = self._header(), zlib.crc32(f"{robot}/{camera.name}/{simulation.time_ns}".encode())
         self._is_busy = True
-        simulation.paint(camera, pose, seed).then(lambda done: self._publish(header, done))
+        simulation.render(camera, pose, seed).then(lambda done: self._publish(header, done))
 
     def _publish(self, header: Message, done: Pending) -> None:
         self._is_busy = False

@@ -1,4 +1,4 @@
-"""Pictures of cameras in a daemon: they come beside the world, and what paints them ends with the daemon."""
+"""Pictures of cameras in a daemon: they come beside the world, and what renders them ends with the daemon."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from daemon_fixture import running_daemon
 
 from slidectl import Client
-from slidectl.physics import painting
+from slidectl.physics import rendering
 
 ROBOT = """<robot name="watcher"><link name="base"><inertial><mass value="1"/>
   <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
@@ -18,15 +18,15 @@ ROBOT = """<robot name="watcher"><link name="base"><inertial><mass value="1"/>
   <plugin name="c" filename="libgazebo_ros_camera.so"/></sensor></gazebo></robot>"""
 
 
-def paints(process: str) -> bool:
-    """Whether a process is one that paints."""
+def renders(process: str) -> bool:
+    """Whether a process is one that renders."""
     try:
-        return b"slidectl.physics.painting" in Path(f"/proc/{process}/cmdline").read_bytes()
+        return b"slidectl.physics.rendering" in Path(f"/proc/{process}/cmdline").read_bytes()
     except OSError:  # it has ended
         return False
 
 
-@pytest.mark.skipif(not painting.gl_backend(), reason="there is no OpenGL on this machine")
+@pytest.mark.skipif(not rendering.gl_backend(), reason="there is no OpenGL on this machine")
 def test_pictures_come_while_the_world_goes_on_and_after_others_have_come_to_it(tmp_path: Path) -> None:
     file = tmp_path / "watcher.urdf"
     file.write_text(ROBOT)
@@ -39,5 +39,5 @@ def test_pictures_come_while_the_world_goes_on_and_after_others_have_come_to_it(
             later = [pictures.get() for _ in range(3)]
         assert later[-1]["data"] != first["data"]
         children = Path(f"/proc/{daemon.pid}/task/{daemon.pid}/children").read_text().split()
-        (painter,) = filter(paints, children)
-    assert not paints(painter)
+        (renderer,) = filter(renders, children)
+    assert not renders(renderer)

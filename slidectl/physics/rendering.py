@@ -1,8 +1,8 @@
-"""Pictures of the world as cameras on links see it, painted by MuJoCo in a process of its own.
+"""Pictures of the world as cameras on links see it, rendered by MuJoCo in a process of its own.
 
 A picture takes some milliseconds with a graphics card, and a quarter of a second without: no cycle waits for one. The
 process gets the model once and the places of all shapes with each frame. It needs OpenGL by EGL or OSMesa, and ends
-with the one that has started it. What is painted are the shapes that collide, in the colours of their links.
+with the one that has started it. What is rendered are the shapes that collide, in the colours of their links.
 """
 
 from __future__ import annotations
@@ -71,8 +71,8 @@ def gl_backend() -> str:
     return ""
 
 
-class Painter:
-    """The process, and what it has to do. It is started by the first frame, and paints one at a time."""
+class RenderProcess:
+    """The process, and what it has to do. It is started by the first frame, and renders one at a time."""
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
@@ -83,7 +83,7 @@ class Painter:
         self._said = bytearray()
 
     def look(self, world: World, camera: Camera, pose: Pose, seed: int) -> PictureRequest:
-        """What the camera sees now, to be painted later."""
+        """What the camera sees now, to be rendered later."""
         if self._looked_at is not world.model:
             self._looked_at, self._colours = world.model, _colours(world)
         data = world.present()
@@ -102,7 +102,7 @@ class Painter:
             process.stdin.flush()
         except OSError as error:
             self.close()
-            raise Refused(f"the process that paints pictures cannot be used: {error.strerror}") from None
+            raise Refused(f"the process that renders pictures cannot be used: {error.strerror}") from None
         return process.stdout.fileno()
 
     def take(self) -> str | None:
@@ -117,7 +117,7 @@ class Painter:
         self._said += piece
         if not piece:
             self.close()
-            raise Refused("the process that paints pictures has ended", INSTALL)
+            raise Refused("the process that renders pictures has ended", INSTALL)
         if len(self._said) < _ANSWER.size:
             return None
         is_picture, length = _ANSWER.unpack_from(self._said)
@@ -141,7 +141,7 @@ class Painter:
     def _start(self) -> subprocess.Popen[bytes]:
         environment = {**os.environ, "MUJOCO_GL": gl_backend() or "egl"}
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "slidectl.physics.painting"],
+            [sys.executable, "-m", "slidectl.physics.rendering"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -179,15 +179,15 @@ def _colour(link: Link) -> tuple[float, ...]:
 # --- the process ------------------------------------------------------------------------------------------------------
 
 
-class _Canvas:
-    """What the process has: the model that it paints, and a renderer for each size."""
+class _SceneRenderer:
+    """What the process has: the model that it renders, and a renderer for each size."""
 
     def __init__(self) -> None:
         self._model: Any = None
         self._data: Any = None
         self._renderers: dict[tuple[int, int], Any] = {}
 
-    def paint(self, frame: PictureRequest) -> bytes:
+    def render(self, frame: PictureRequest) -> bytes:
         """The pixels, row by row from the top."""
         if frame.model is not None:
             self._take_model(frame)
@@ -233,12 +233,12 @@ class _Canvas:
 
 def main(source: IO[bytes], target: IO[bytes]) -> None:
     """Paint each frame that comes, until there are no more."""
-    canvas = _Canvas()
+    scenes = _SceneRenderer()
     with suppress(EOFError):
         while True:
             frame = pickle.load(source)
             try:
-                is_picture, answer = True, base64.b64encode(canvas.paint(frame))
+                is_picture, answer = True, base64.b64encode(scenes.render(frame))
             except Exception as error:
                 is_picture, answer = False, f"{type(error).__name__}: {error}".encode()
             target.write(_ANSWER.pack(is_picture, len(answer)) + answer)
