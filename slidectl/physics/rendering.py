@@ -93,6 +93,8 @@ class RenderProcess:
 
     def ask(self, frame: PictureRequest) -> int:
         """Begin a picture. Returns the descriptor on which it comes. Raises Refused: there is no such process."""
+        if self._process is not None and self._process.poll() is not None:
+            self.close()
         try:
             process = self._process or self._start()
             assert process.stdin is not None
@@ -115,8 +117,9 @@ class RenderProcess:
         assert self._process.stdout is not None
         piece = os.read(self._process.stdout.fileno(), _PIECE)
         self._said += piece
-        if not piece:
-            self.close()
+        if not piece:  # `ask` closes the pipes: somebody may still watch this one
+            self._process.kill()
+            self._process.wait()
             raise Refused("the process that renders pictures has ended", INSTALL)
         if len(self._said) < _ANSWER.size:
             return None
@@ -126,6 +129,7 @@ class RenderProcess:
         content = self._said[_ANSWER.size :].decode("utf-8", "replace")
         self._said.clear()
         if not is_picture:
+            self._model = None  # it may not have taken it
             raise Refused(f"no picture: {content}", INSTALL)
         return content
 

@@ -33,7 +33,7 @@ class CameraTopics:
         self._simulation = simulation
         self._robot = robot
         self._camera = camera
-        self._is_busy = self._is_broken = self._is_closed = False
+        self._is_busy = self._has_failed = self._is_broken = self._is_closed = False
         if not rendering.gl_backend():
             text = f"{robot.name}: camera {camera.name} makes no pictures, there is no OpenGL: {rendering.INSTALL}"
             robot.warnings.append(text)
@@ -68,10 +68,12 @@ class CameraTopics:
         self._is_busy = False
         if self._is_closed:
             return
-        if done.error is not None:
-            self._is_broken = True
-            self._robot.node.log("error", f"camera {self._camera.name}: {done.error}")
+        if done.error is not None:  # a process that was killed is started again, once
+            self._has_failed, self._is_broken = True, self._has_failed
+            last = "; it makes no more pictures" if self._is_broken else ""
+            self._robot.node.log("error", f"camera {self._camera.name}: {done.error}{last}")
             return
+        self._has_failed = False
         camera = self._camera
         self._pictures.publish(
             {

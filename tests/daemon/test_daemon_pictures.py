@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import base64
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from daemon_fixture import running_daemon
+from daemon_fixture import Runtime, running_daemon
 
 from slidectl import Client
+from slidectl.client import Subscription
 from slidectl.physics import rendering
 
 ROBOT = """<robot name="watcher"><link name="base"><inertial><mass value="1"/>
@@ -17,27 +23,63 @@ ROBOT = """<robot name="watcher"><link name="base"><inertial><mass value="1"/>
   <image><width>64</width><height>48</height></image></camera>
   <plugin name="c" filename="libgazebo_ros_camera.so"/></sensor></gazebo></robot>"""
 
+pytestmark = pytest.mark.skipif(not rendering.gl_backend(), reason="there is no OpenGL on this machine")
 
-def renders(process: str) -> bool:
-    """Whether a process is one that renders."""
+
+def renders(process: int) -> bool:
+    """Whether a process is one that renders, and runs."""
     try:
         return b"slidectl.physics.rendering" in Path(f"/proc/{process}/cmdline").read_bytes()
     except OSError:  # it has ended
         return False
 
 
-@pytest.mark.skipif(not rendering.gl_backend(), reason="there is no OpenGL on this machine")
-def test_pictures_come_while_the_world_goes_on_and_after_others_have_come_to_it(tmp_path: Path) -> None:
-    file = tmp_path / "watcher.urdf"
+def renderer_of(daemon: Runtime) -> int:
+    """The process that renders."""
+    children = Path(f"/proc/{daemon.pid}/task/{daemon.pid}/children").read_text().split()
+    (renderer,) = filter(renders, map(int, children))
+    return renderer
+
+
+def wait_until(condition: Callable[[], bool]) -> None:
+    """Wait for something that comes soon."""
+    deadline = time.monotonic() + 60.0
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+@contextmanager
+def watching(folder: Path) -> Iterator[tuple[Runtime, Client, Subscription]]:
+    """A daemon that stands still, somebody who listens to a camera there, and a first picture that has come."""
+    file = folder / "watcher.urdf"
     file.write_text(ROBOT)
-    with running_daemon() as daemon, daemon.environment(), Client(timeout=60.0) as client:
+    with running_daemon(paused=True) as daemon, daemon.environment(), Client(timeout=60.0) as client:
         client.spawn(str(file), at=(0, 0, 1))
         with client.subscribe("/watcher/image_raw") as pictures:
-            first = pictures.get()
-            assert len(base64.b64decode(first["data"])) == first["height"] * first["step"] == 48 * 64 * 3
-            client.spawn("slider", at=(3, 0, 0))  # the world is another one now
-            later = [pictures.get() for _ in range(3)]
+            client.step(50)
+            pictures.get()
+            yield daemon, client, pictures
+
+
+def test_pictures_come_while_the_world_goes_on_and_after_others_have_come_to_it(tmp_path: Path) -> None:
+    with watching(tmp_path) as (daemon, client, pictures):
+        client.call("/gazebo/unpause_physics")
+        first = pictures.get()
+        assert len(base64.b64decode(first["data"])) == first["height"] * first["step"] == 48 * 64 * 3
+        client.spawn("slider", at=(3, 0, 0))  # the world is another one now
+        later = [pictures.get() for _ in range(3)]
         assert later[-1]["data"] != first["data"]
-        children = Path(f"/proc/{daemon.pid}/task/{daemon.pid}/children").read_text().split()
-        (renderer,) = filter(renders, children)
+        renderer = renderer_of(daemon)
     assert not renders(renderer)
+
+
+def test_a_process_that_ends_during_a_picture_costs_that_picture_alone(tmp_path: Path) -> None:
+    with watching(tmp_path) as (daemon, client, pictures):
+        renderer = renderer_of(daemon)
+        os.kill(renderer, signal.SIGSTOP)
+        client.step(50)  # it has got a picture to make
+        os.kill(renderer, signal.SIGKILL)
+        wait_until(lambda: "camera eye: the process that renders pictures has ended" in daemon.log)
+        client.step(50)
+        assert pictures.get()["header"]["stamp"]["nsecs"] == 150_000_000
