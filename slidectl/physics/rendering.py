@@ -199,6 +199,8 @@ class _SceneRenderer:
         data.geom_xpos[:], data.geom_xmat[:] = frame.positions, frame.matrices
         size = (camera.height, camera.width)
         if size not in self._renderers:
+            screen = self._model.vis.global_
+            screen.offheight, screen.offwidth = size  # the renderer's memory, several times over
             self._renderers[size] = mujoco.Renderer(self._model, *size)
         renderer = self._renderers[size]
         renderer.update_scene(data)
@@ -228,7 +230,6 @@ class _SceneRenderer:
         self._renderers.clear()
         self._model = mujoco.MjModel.from_binary_path("world.mjb", {"world.mjb": frame.model})
         self._model.geom_rgba[:] = frame.colours
-        self._model.vis.global_.offwidth = self._model.vis.global_.offheight = frame.camera.MOST_PIXELS
         self._model.vis.headlight.ambient[:] = _AMBIENT
         self._model.vis.headlight.specular[:] = 0.0
         self._data = mujoco.MjData(self._model)
