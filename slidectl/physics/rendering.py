@@ -81,6 +81,9 @@ class RenderProcess:
         self._looked_at: Any = None
         self._colours: Array = np.zeros(0)
         self._said = bytearray()
+        self._request: IO[bytes] | None = None
+        """Memory that the process reads when a byte comes. A pipe holds 64 KB, and while the process starts nobody
+        reads it: who writes more waits."""
 
     def look(self, world: World, camera: Camera, pose: Pose, seed: int) -> PictureRequest:
         """What the camera sees now, to be rendered later."""
@@ -100,8 +103,12 @@ class RenderProcess:
             assert process.stdin is not None
             assert process.stdout is not None
             is_same, self._model = self._model is frame.model, frame.model
-            pickle.dump(frame._replace(model=None if is_same else _binary(frame.model)), process.stdin)
-            process.stdin.flush()
+            assert self._request is not None
+            self._request.seek(0)
+            self._request.truncate()
+            pickle.dump(frame._replace(model=None if is_same else _binary(frame.model)), self._request)
+            self._request.flush()
+            process.stdin.write(b"\n")
         except OSError as error:
             self.close()
             raise Refused(f"the process that renders pictures cannot be used: {error.strerror}") from None
@@ -144,11 +151,14 @@ class RenderProcess:
 
     def _start(self) -> subprocess.Popen[bytes]:
         environment = {**os.environ, "MUJOCO_GL": gl_backend() or "egl"}
+        self._request = self._request or open(os.memfd_create("request"), "wb")  # noqa: SIM115 - kept for the next one
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "slidectl.physics.rendering"],
+            [sys.executable, "-m", "slidectl.physics.rendering", f"/proc/self/fd/{self._request.fileno()}"],
+            bufsize=0,  # nothing is left to be written when it has ended
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
+            pass_fds=[self._request.fileno()],
             env=environment,
             start_new_session=True,
         )
@@ -236,20 +246,20 @@ class _SceneRenderer:
         mujoco.mj_forward(self._model, self._data)
 
 
-def main(source: IO[bytes], target: IO[bytes]) -> None:
-    """Paint each frame that comes, until there are no more."""
+def main(source: IO[bytes], target: IO[bytes], request: str) -> None:
+    """Render what the file of the request holds for each byte that comes, until there are no more."""
     scenes = _SceneRenderer()
-    with suppress(EOFError):
-        while True:
-            frame = pickle.load(source)
-            try:
-                is_picture, answer = True, base64.b64encode(scenes.render(frame))
-            except Exception as error:
-                is_picture, answer = False, f"{type(error).__name__}: {error}".encode()
-            target.write(_ANSWER.pack(is_picture, len(answer)) + answer)
-            target.flush()
+    while source.read(1):
+        with open(request, "rb") as file:
+            frame = pickle.load(file)
+        try:
+            is_picture, answer = True, base64.b64encode(scenes.render(frame))
+        except Exception as error:
+            is_picture, answer = False, f"{type(error).__name__}: {error}".encode()
+        target.write(_ANSWER.pack(is_picture, len(answer)) + answer)
+        target.flush()
 
 
 if __name__ == "__main__":
     os.nice(10)  # the cycles of the world go before it
-    main(sys.stdin.buffer, sys.stdout.buffer)
+    main(sys.stdin.buffer, sys.stdout.buffer, sys.argv[1])

@@ -61,8 +61,9 @@ class CameraTopics:
         simulation, camera, robot = self._simulation, self._camera, self._robot.name
         pose = sensing.sensor_pose(simulation.world, robot, camera)
         header, seed = self._header(), zlib.crc32(f"{robot}/{camera.name}/{simulation.time_ns}".encode())
+        pending = simulation.render(camera, pose, seed)
         self._is_busy = True
-        simulation.render(camera, pose, seed).then(lambda done: self._publish(header, done))
+        pending.then(lambda done: self._publish(header, done))
 
     def _publish(self, header: Message, done: Pending) -> None:
         self._is_busy = False

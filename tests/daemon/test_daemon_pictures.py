@@ -41,6 +41,12 @@ def renderer_of(daemon: Runtime) -> int:
     return renderer
 
 
+def has_ended(process: int) -> bool:
+    """With all its threads, so that nothing of it is left but its exit code."""
+    state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
+    return state == "Z" and len(os.listdir(f"/proc/{process}/task")) == 1
+
+
 def wait_until(condition: Callable[[], bool]) -> None:
     """Wait for something that comes soon."""
     deadline = time.monotonic() + 60.0
@@ -72,6 +78,35 @@ def test_pictures_come_while_the_world_goes_on_and_after_others_have_come_to_it(
         assert later[-1]["data"] != first["data"]
         renderer = renderer_of(daemon)
     assert not renders(renderer)
+
+
+def test_the_world_does_not_wait_for_a_process_that_is_told_of_a_large_world(tmp_path: Path) -> None:
+    with watching(tmp_path) as (daemon, client, pictures):
+        renderer = renderer_of(daemon)
+        os.kill(renderer, signal.SIGSTOP)
+        for place in range(5):  # a model of 100 KB and more
+            client.spawn("rrbot", name=f"rrbot{place}", at=(place, 3, 0))
+        client.step(50)
+        assert client.call("/slidectl/status")["time"] == pytest.approx(0.1)
+        os.kill(renderer, signal.SIGCONT)
+        assert pictures.get()["header"]["stamp"]["nsecs"] == 100_000_000
+
+
+def test_a_small_picture_takes_little_memory(tmp_path: Path) -> None:
+    with watching(tmp_path) as (daemon, _, _):
+        text = Path(f"/proc/{renderer_of(daemon)}/status").read_text()
+        peak_kb = int(text.partition("VmHWM:")[2].split()[0])
+    assert peak_kb < 600_000  # interpreter and libraries; a screen of 4096 x 4096 alone takes a gigabyte
+
+
+def test_a_process_that_ended_before_a_picture_is_started_again(tmp_path: Path) -> None:
+    with watching(tmp_path) as (daemon, client, pictures):
+        renderer = renderer_of(daemon)
+        os.kill(renderer, signal.SIGKILL)
+        wait_until(lambda: has_ended(renderer))
+        client.step(50)
+        assert pictures.get()["header"]["stamp"]["nsecs"] == 100_000_000
+        assert renderer_of(daemon) != renderer
 
 
 def test_a_process_that_ends_during_a_picture_costs_that_picture_alone(tmp_path: Path) -> None:
