@@ -173,3 +173,33 @@ def test_a_law_that_cannot_be_compiled_runs_in_the_interpreter_and_it_is_said(
     assert not is_compiled(simulation, "a", "springs")
     (line,) = [line for line in said if "controllers with the law update_springs run in the interpreter" in line]
     assert text in line
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        ('array("d", ', 'array("f", ', "the numbers of its parts() are no writable block of doubles"),
+        ('array("d", [0.0, 0.0, 0.0])', "[0.0, 0.0, 0.0]", "a bytes-like object is required, not 'list'"),
+        ("        return Parts(", "        raise ValueError('no parts')\n        return Parts(", "no parts"),
+        ("        return Parts(", "        1 / (self.updates < 4)\n        return Parts(", "division"),
+        ("return Parts((self.told,), members=list", "return Parts((self.told,), members=iter", "has no len()"),
+        ("self.set_point, self.error = 0.3, 0.0", "self.set_point, self.error = 0.3, None", "error"),
+    ],
+)
+def test_a_controller_whose_parts_cannot_be_used_runs_in_the_interpreter_and_it_is_said(
+    tmp_path: Path, old: str, new: str, text: str
+) -> None:
+    path = tmp_path / "springs.py"
+    path.write_text(LAW.replace(old, new, 1), encoding="utf-8")
+    said: list[str] = []
+
+    def scene(simulation: Simulation) -> None:
+        simulation.graph.log.sink = lambda *line: said.append(line[2])
+        scene_of(path)(simulation)
+
+    (plain, _), (compiled, simulation) = (play(scene, engine) for engine in ("plain", "compiled"))
+    assert compiled == plain
+    assert is_compiled(simulation, "a", "states")
+    assert not is_compiled(simulation, "a", "springs")
+    (line,) = [line for line in said if "controller 'springs' runs in the interpreter: " in line]
+    assert text in line
