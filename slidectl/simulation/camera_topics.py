@@ -15,7 +15,7 @@ from slidectl.control.duration import header_of
 from slidectl.control.node_handle import Message
 from slidectl.description.robot import Camera
 from slidectl.physics import rendering, sensing
-from slidectl.simulation.clock import SECOND
+from slidectl.simulation.clock import period_ns_of
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.spawned_robots import SpawnedRobot
 from slidectl.simulation.topics import PeriodicTopic
@@ -40,7 +40,7 @@ class CameraTopics:
             robot.node.log("warn", text)
             self._is_broken = True
         node = names.join(robot.namespace, "gazebo")
-        period_ns = max(1, round(SECOND / camera.rate_hz)) if camera.rate_hz > 0.0 else 1
+        period_ns = period_ns_of(camera.rate_hz)
         topic, info = (_inside(robot.namespace, topic) for topic in (camera.topic, camera.info_topic))
         self._pictures = PeriodicTopic(simulation.graph, topic, "sensor_msgs/Image", node, period_ns, self._take)
         self._info = PeriodicTopic(simulation.graph, info, "sensor_msgs/CameraInfo", node, period_ns, self._geometry)
