@@ -224,6 +224,10 @@ class LimitedVelocity:
 # -- odometry ----------------------------------------------------------------------------------------------------------
 
 
+LARGEST_WINDOW = 100_000
+"""Updates: 100 s at 1 kHz."""
+
+
 @law
 def rolling_mean(mean: float, value: float, past: Any, first: int, window: int, count: int) -> float:
     """The mean with one more value, computed as boost's accumulator does: the same bits. The last values, of which
@@ -258,10 +262,10 @@ def moved(x: float, y: float, heading: float, linear: float, angular: float) -> 
 
 
 def window_of(node: NodeHandle) -> int:
-    """The size of rolling means. Raises Refused: it is not above 0."""
+    """The size of rolling means. Raises Refused: it is not above 0, or too large."""
     size: int = params.value_of(node, WINDOW)
-    if size < 1:
-        raise Refused(f"parameter {node.namespace}/{WINDOW.name} must be at least 1, not {size}")
+    if not 1 <= size <= LARGEST_WINDOW:
+        raise Refused(f"parameter {node.namespace}/{WINDOW.name} must be 1 to {LARGEST_WINDOW}, not {size}")
     return size
 
 
@@ -271,7 +275,7 @@ class Odometry:
     def __init__(self, window: int) -> None:
         self.x = self.y = self.heading = self.linear = self.angular = 0.0
         self.window = window
-        self.past: Any = array("d", 2 * window * [0.0])
+        self.past: Any = array("d", bytes(2 * 8 * window))
         """The last velocities: the linear ones, then the angular ones."""
         self.start(0)
 
