@@ -64,7 +64,7 @@ class UpdateTimes:
         """Count from now on."""
         self.count = self.total_ns = self.longest_ns = self.over_budget = 0
         self.notable_ns = 0
-        """`note` is to be told of an update that took longer."""
+        """Longer updates go to `note`: they are the longest so far, or over the budget."""
 
     def set_budget(self, budget_s: float) -> None:
         """From now on; not above 0: none."""
@@ -79,7 +79,7 @@ class UpdateTimes:
             self.note(took_ns, now_ns)
 
     def note(self, took_ns: int, now_ns: int) -> None:
-        """Of an update that is the longest so far, or over the budget."""
+        """Record an update that is the longest so far or over the budget; warn of the latter."""
         self.longest_ns = max(self.longest_ns, took_ns)
         self.notable_ns = min(self.longest_ns, self.budget_ns or self.longest_ns)
         if 0 < self.budget_ns < took_ns:
