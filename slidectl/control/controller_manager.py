@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from time import perf_counter_ns
-from typing import Any
+from typing import Any, TypeVar
 
 from slidectl import names
 from slidectl.control import registry
@@ -31,6 +31,8 @@ from slidectl.control.user_classes import (
     watched_hardware,
 )
 from slidectl.errors import BadName, Refused, SlidectlError, UnknownName, quoted
+
+T = TypeVar("T")
 
 _LONGEST_BUDGET_S = 1e9
 
@@ -62,7 +64,7 @@ class UpdateTimes:
         """Count from now on."""
         self.count = self.total_ns = self.longest_ns = self.over_budget = 0
         self.notable_ns = 0
-        """`note` is to be told of an update that took longer."""
+        """Longer updates go to `note`: they are the longest so far, or over the budget."""
 
     def set_budget(self, budget_s: float) -> None:
         """From now on; not above 0: none."""
@@ -77,7 +79,7 @@ class UpdateTimes:
             self.note(took_ns, now_ns)
 
     def note(self, took_ns: int, now_ns: int) -> None:
-        """Of an update that is the longest so far, or over the budget."""
+        """Record an update that is the longest so far or over the budget; warn of the latter."""
         self.longest_ns = max(self.longest_ns, took_ns)
         self.notable_ns = min(self.longest_ns, self.budget_ns or self.longest_ns)
         if 0 < self.budget_ns < took_ns:
@@ -99,7 +101,7 @@ class UpdateTimes:
 class LoadedController:
     """One entry of a manager's list. Times are nanoseconds of simulated time."""
 
-    __slots__ = ("_watched", "controller", "failure", "info", "node", "times")
+    __slots__ = ("_watched", "controller", "failure", "info", "may_compile", "node", "times")
 
     def __init__(
         self,
@@ -116,6 +118,8 @@ class LoadedController:
         self.times = UpdateTimes(name, node)
         self.failure = ""
         """Why it was aborted by what its code raised, since its last start."""
+        self.may_compile = True
+        """False when what a user's class declares for machine code cannot be used."""
         self._watched = watched(type(controller))
         if self._watched is not None:
             self._watched.commands = commands
@@ -200,6 +204,18 @@ class LoadedController:
         except Exception as another:
             self.node.log("fatal", f"controller {self.name!r} failed while aborting: {described(another)}")
             self.controller.give_up()
+
+    def try_to_compile(self, action: Callable[[], T]) -> T | None:
+        """Call what machine code needs of the controller. If a user's class fails in that, its `update` goes on."""
+        if self._watched is None:
+            return action()
+        try:
+            with watched(type(self.controller)) or nullcontext():
+                return action()
+        except Exception as failure:
+            self.may_compile = False
+            self.node.log("warn", f"controller {self.name!r} runs in the interpreter: {described(failure)}")
+            return None
 
     def message(self) -> dict[str, Any]:
         """As controller_manager_msgs/ControllerState."""

@@ -27,8 +27,7 @@ def period_of(node: NodeHandle, rate: Parameter) -> int:
     Raises:
         Refused: it is not above 0, or no clock can count its period.
     """
-    value = params.number(node, rate.name)
-    value = rate.default if value is None else value
+    value = params.value_of(node, rate)
     try:
         period_ns = from_seconds(1.0 / value if value > 0.0 else inf)
     except BadDuration:

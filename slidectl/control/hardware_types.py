@@ -29,9 +29,12 @@ def add_all(module: ModuleType, prefix: str) -> list[str]:
     found = {
         f"{prefix}{name}": value
         for name, value in vars(module).items()
-        if isinstance(value, type) and issubclass(value, RobotHW) and value.__module__ == module.__name__
+        if isinstance(value, type)
+        and issubclass(value, RobotHW)
+        and value.__module__ == module.__name__
+        and not name.startswith("_")
     }
-    _known.update({name: cls for name, cls in found.items() if not cls.__name__.startswith("_")})
+    _known.update(found)
     return list(found)
 
 

@@ -70,7 +70,6 @@ class Columns:
         self._all = Struct("=" + self.kinds)
         self._changing = Struct("=" + self.kinds[: len(self.changing)])
         self._values = _getter(self.attributes)
-        self._changing_values = _getter(self.changing)
         self._targets = [path.rpartition(".")[::2] for path in self.changing]
 
     def with_places(self, places: str) -> Self:
@@ -82,10 +81,6 @@ class Columns:
     def fill(self, rows: bytearray, row: int, source: object, *places: float) -> None:
         """Write the whole row: the attributes of `source`, then the places."""
         self._all.pack_into(rows, row * self.size, *self._values(source), *places)
-
-    def take(self, rows: bytearray, row: int, source: object) -> None:
-        """Write the columns that laws change from the attributes of `source`."""
-        self._changing.pack_into(rows, row * self.size, *self._changing_values(source))
 
     def give(self, rows: bytearray, row: int, target: object) -> None:
         """Set the attributes of `target` that laws change to what the row holds."""

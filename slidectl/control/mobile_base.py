@@ -73,9 +73,9 @@ class CommandTopic:
         topic: str,
         type_name: str,
         numbers_of: Callable[[Message], tuple[float, ...]],
-        crowded: Callable[[], None] | None = None,
+        on_second_publisher: Callable[[], None] | None = None,
     ) -> None:
-        """`crowded` is called when more nodes than one publish; None: they may."""
+        """`on_second_publisher` is called when more nodes than one publish; None: they may."""
         self.time_ns = 0
         """When it came."""
         self._numbers: tuple[float, ...] | None = None
@@ -84,7 +84,7 @@ class CommandTopic:
         self._node = node
         self._topic = topic
         self._numbers_of = numbers_of
-        self._crowded = crowded
+        self._on_second_publisher = on_second_publisher
         node.subscribe(topic, type_name, self._receive)
 
     def forget(self) -> None:
@@ -106,8 +106,8 @@ class CommandTopic:
         if self._controller.state is not State.RUNNING:
             self._refuse("error", f"{name}: Can't accept new commands. Controller is not running.")
         publishers = self._node.count_publishers(self._topic)
-        if self._crowded is not None and publishers > 1:
-            self._crowded()
+        if self._on_second_publisher is not None and publishers > 1:
+            self._on_second_publisher()
             text = f"{name}: {self._topic} has {publishers} publishers, and 1 is allowed; the wheels brake"
             self._refuse("error", text)
         numbers = self._numbers_of(message)
@@ -122,7 +122,7 @@ class CommandTopic:
 
 
 def velocity_commands(
-    controller: ControllerBase, node: NodeHandle, crowded: Callable[[], None] | None = None
+    controller: ControllerBase, node: NodeHandle, on_second_publisher: Callable[[], None] | None = None
 ) -> CommandTopic:
     """Twists on `cmd_vel`: the velocities forwards, in m/s, and to the left, in rad/s."""
     return CommandTopic(
@@ -131,7 +131,7 @@ def velocity_commands(
         "cmd_vel",
         "geometry_msgs/Twist",
         lambda message: (message["linear"]["x"], message["angular"]["z"]),
-        crowded,
+        on_second_publisher,
     )
 
 
@@ -224,6 +224,10 @@ class LimitedVelocity:
 # -- odometry ----------------------------------------------------------------------------------------------------------
 
 
+LARGEST_WINDOW = 100_000
+"""Updates: 100 s at 1 kHz."""
+
+
 @law
 def rolling_mean(mean: float, value: float, past: Any, first: int, window: int, count: int) -> float:
     """The mean with one more value, computed as boost's accumulator does: the same bits. The last values, of which
@@ -258,10 +262,10 @@ def moved(x: float, y: float, heading: float, linear: float, angular: float) -> 
 
 
 def window_of(node: NodeHandle) -> int:
-    """The size of rolling means. Raises Refused: it is not above 0."""
+    """The size of rolling means. Raises Refused: it is not above 0, or too large."""
     size: int = params.value_of(node, WINDOW)
-    if size < 1:
-        raise Refused(f"parameter {node.namespace}/{WINDOW.name} must be at least 1, not {size}")
+    if not 1 <= size <= LARGEST_WINDOW:
+        raise Refused(f"parameter {node.namespace}/{WINDOW.name} must be 1 to {LARGEST_WINDOW}, not {size}")
     return size
 
 
@@ -271,7 +275,7 @@ class Odometry:
     def __init__(self, window: int) -> None:
         self.x = self.y = self.heading = self.linear = self.angular = 0.0
         self.window = window
-        self.past: Any = array("d", 2 * window * [0.0])
+        self.past: Any = array("d", bytes(2 * 8 * window))
         """The last velocities: the linear ones, then the angular ones."""
         self.start(0)
 
@@ -328,7 +332,7 @@ class OdometryTopics:
         )
         self.published_ns = 0
         self.messages = 0
-        """That were due, whether somebody took them or not."""
+        """Odometry messages that were due so far, published or not."""
         self._odom = node.advertise("odom", "nav_msgs/Odometry")
         self._tf = node.advertise("/tf", "tf2_msgs/TFMessage")
 
@@ -400,6 +404,20 @@ def publish(publisher: Publisher, message: Callable[[], Message]) -> None:
         publisher.publish(message())
     else:
         publisher.sequence += 1
+
+
+class Forgetful(Protocol):
+    """What has a past."""
+
+    def forget(self) -> None:
+        """Begin anew."""
+
+
+def forget_if_put_back(time_ns: int, updated_ns: int, *things: Forgetful) -> None:
+    """Forget the past of these at a start before the last update: time was put back."""
+    if time_ns < updated_ns:
+        for thing in things:
+            thing.forget()
 
 
 # -- geometry ----------------------------------------------------------------------------------------------------------

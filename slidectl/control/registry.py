@@ -82,6 +82,8 @@ def controller(*type_names: str) -> Callable[[C], C]:
     """Class decorator: register the class under these types. A type that is taken goes to the newer class."""
 
     def register(cls: C) -> C:
+        if user_classes.is_of_a_user(cls):
+            _import_shipped()
         for type_name in type_names:
             _known[type_name] = cls
         return cls
@@ -118,16 +120,8 @@ def create(type_name: str) -> ControllerBase:
 
 
 def compiled_forms() -> dict[ControllerClass, Compiled]:
-    """The classes that declare how they run compiled, with that declaration, by name: the same order in any process."""
-    _import_shipped()
-    classes = {
-        cls
-        for registered in _known.values()
-        for cls in registered.__mro__
-        if issubclass(cls, ControllerBase) and not user_classes.is_of_a_user(cls)
-    }
-    by_name = sorted(classes, key=lambda cls: f"{cls.__module__}.{cls.__qualname__}")
-    return {cls: form for cls in by_name if (form := vars(cls).get("compiled")) is not None}
+    """Our classes that declare how they run compiled, with that declaration, by name: the same order in any process."""
+    return {cls: form for cls in _import_shipped() if (form := vars(cls).get("compiled")) is not None}
 
 
 # -- users' classes ----------------------------------------------------------------------------------------------------
@@ -139,6 +133,7 @@ def add_file(file: str, class_name: str) -> str:
     An empty name means the only controller in it. All or nothing. Raises as `user_classes.run_file` and
     `user_classes.chosen_class`.
     """
+    _import_shipped()
     before = dict(_known)
     try:
         module = user_classes.run_file(file)
@@ -155,6 +150,7 @@ def add_module(name: str) -> list[str]:
 
     All or nothing. Raises as `user_classes.import_named`, and BadFile: it has none of either, or a broken controller.
     """
+    _import_shipped()
     before = dict(_known)
     try:
         module = user_classes.import_named(name)
@@ -226,7 +222,10 @@ def _entry_points() -> dict[str, EntryPoint]:
 
 
 @cache
-def _import_shipped() -> None:
+def _import_shipped() -> tuple[ControllerClass, ...]:
+    """Register our own controllers. Returns their classes and the bases of these, whatever their types mean later."""
     package = import_module("slidectl.control.controllers")
     for module in iter_modules(package.__path__):
         import_module(f"{package.__name__}.{module.name}")
+    classes = {cls for each in _known.values() for cls in each.__mro__ if issubclass(cls, ControllerBase)}
+    return tuple(sorted(classes, key=lambda cls: f"{cls.__module__}.{cls.__qualname__}"))

@@ -88,7 +88,7 @@ class WrittenCommands:
                     if type(command) is not float:  # of numpy, or a whole number
                         setattr(handle, attribute, float(command))
                     continue
-            except (TypeError, ValueError, OverflowError):
+            except Exception:  # of whatever class the command is
                 pass
             setattr(handle, attribute, self._kept[place])
             what = f"the {attribute.replace('_', ' ')} of joint {handle.name!r}"

@@ -77,7 +77,7 @@ class Daemon:
         self._mesh_reader = MeshReader(self._loop, self._unexpected)
         self.simulation.read_meshes = self._mesh_reader.read
         self._pictures = PictureQueue(self._loop, self.simulation.world)
-        self.simulation.paint = self._pictures.paint
+        self.simulation.render = self._pictures.render
         self._watch_signals()
 
     def run(self) -> None:

@@ -1,6 +1,6 @@
-"""Pictures that cameras wait for: one is painted at a time, while the world goes on.
+"""Pictures that cameras wait for: one is rendered at a time, while the world goes on.
 
-What paints them is a process, see physics/painting.py. Nothing here knows topics.
+What renders them is a process, see physics/rendering.py. Nothing here knows topics.
 """
 
 from __future__ import annotations
@@ -11,26 +11,26 @@ from slidectl.daemon.event_loop import READ, EventLoop
 from slidectl.description.robot import Camera
 from slidectl.errors import Refused
 from slidectl.physics import World
-from slidectl.physics.painting import Painter, PictureRequest
+from slidectl.physics.rendering import PictureRequest, RenderProcess
 from slidectl.rotations import Pose
 from slidectl.simulation.pending import Pending
 
 
 class PictureQueue:
-    """Asks a painter for one picture after the other, and hears of them by `loop`."""
+    """Asks a render process for one picture after the other, and hears of them by `loop`."""
 
     def __init__(self, loop: EventLoop, world: World) -> None:
         self._loop = loop
         self._world = world
-        self._painter = Painter()
+        self._renderer = RenderProcess()
         self._waiting: deque[tuple[Pending, PictureRequest]] = deque()
         self._current: Pending | None = None
         self._descriptor = -1
 
-    def paint(self, camera: Camera, pose: Pose, seed: int) -> Pending:
+    def render(self, camera: Camera, pose: Pose, seed: int) -> Pending:
         """Resolved with the pixels (base64) of what is there now."""
         pending = Pending()
-        self._waiting.append((pending, self._painter.look(self._world, camera, pose, seed)))
+        self._waiting.append((pending, self._renderer.look(self._world, camera, pose, seed)))
         self._next()
         return pending
 
@@ -38,13 +38,13 @@ class PictureQueue:
         """End the process; nobody gets a picture any more."""
         self._waiting.clear()
         self._forget()
-        self._painter.close()
+        self._renderer.close()
 
     def _next(self) -> None:
         while self._waiting and self._current is None:
             pending, frame = self._waiting.popleft()
             try:
-                self._descriptor = self._painter.ask(frame)
+                self._descriptor = self._renderer.ask(frame)
             except Refused as error:
                 pending.reject(error)
                 continue
@@ -55,7 +55,7 @@ class PictureQueue:
         pending, error, picture = self._current, None, None
         assert pending is not None
         try:
-            picture = self._painter.take()
+            picture = self._renderer.take()
         except Refused as raised:
             error = raised
         if picture is None and error is None:

@@ -10,7 +10,7 @@ from collections.abc import Collection
 from typing import Any
 
 from slidectl import names
-from slidectl.description.element_values import child_number, child_text
+from slidectl.description.element_values import child_number, child_rate, child_text
 from slidectl.description.report import Report
 from slidectl.description.robot import BaseDrive, Mimic, PlanarMove, WheelDrive
 from slidectl.description.xml_tree import Element
@@ -63,7 +63,7 @@ class DriveReader:
             "twist_variances": None,
         }
         if library == PLANAR:
-            rate = child_number(plugin, "odometryRate", 20.0, place)
+            rate = child_rate(plugin, "odometryRate", 20.0, place)
             timeout_s = child_number(plugin, "cmdTimeout", -1.0, place)
             common |= dict.fromkeys(("has_odometry", "has_odometry_tf"), rate > 0.0)
             drive = PlanarMove(**common, tells_height=False, odometry_rate_hz=rate, timeout_s=timeout_s)
@@ -79,7 +79,7 @@ class DriveReader:
         if unknown:
             self.report.wrong(plugin, f"there is no joint {unknown[0]!r}; the plugin has no effect", place)
             return
-        rate = child_number(plugin, "updateRate", 100.0, place)
+        rate = child_rate(plugin, "updateRate", 100.0, place)
         self.drives.append(WheelDrive(**{**common, **wheels, "odometry_rate_hz": rate, "update_rate_hz": rate}))
 
     def _diff(self, plugin: Element, place: str) -> dict[str, Any]:

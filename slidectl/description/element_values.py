@@ -14,6 +14,7 @@ from slidectl.description.robot import Pose, Vector
 from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile, closest, listing
 
+_LEAST_RATE_HZ = 1e-9
 _INFINITE = ("inf", "infinity")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
@@ -84,6 +85,15 @@ def child_number(element: Element | None, tag: str, default: float, place: str) 
     if child is None or not child.first_text:
         return default
     return parse_number(child.first_text, child, f"{place}/<{tag}>", finite=False)
+
+
+def child_rate(element: Element, tag: str, default: float, place: str) -> float:
+    """The rate in a child, in Hz; infinite or not above 0: as often as can be. Raises BadFile: no clock counts it."""
+    rate = child_number(element, tag, default, place)
+    if 0.0 < rate < _LEAST_RATE_HZ:
+        text = f"{place}/<{tag}> is {rate:g} Hz; it must be at least {_LEAST_RATE_HZ:g}, or 0 for each step"
+        raise (element.find(tag) or element).error(text)
+    return rate
 
 
 def numbers(element: Element, name: str, count: int, owner: str) -> tuple[float, ...]:

@@ -21,7 +21,6 @@ from slidectl.control.hardware_interface import (
     JointCommands,
     JointHandle,
     JointStateInterface,
-    PositionJointInterface,
     PosVelJointHandle,
     RobotHW,
     SensorHandle,
@@ -104,7 +103,7 @@ class HardwareJoint:
         self.reset()
 
     def reset(self) -> None:
-        """As on the first day."""
+        """The values that a handle has before the first read."""
         handle = self.handle
         handle.position, handle.velocity, handle.effort = INITIAL_POSITION, 0.0, INITIAL_EFFORT
         self.command(0.0)
@@ -553,8 +552,8 @@ class MujocoRobotHW(RobotHW):
 
     def stay(self, positions: Mapping[str, float]) -> None:
         """Command the positions of these joints where they take such commands: they were put there."""
-        for joint in self._joints:
-            if joint.interface is PositionJointInterface and joint.name in positions:
+        for joint in self._offered:
+            if joint.quantity == "position" and joint.name in positions:
                 joint.command(positions[joint.name])
 
     def reset(self) -> None:

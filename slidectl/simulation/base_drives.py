@@ -17,7 +17,7 @@ from slidectl.control.node_handle import Message
 from slidectl.description.robot import BaseDrive, PlanarMove, WheelDrive, namespace_of
 from slidectl.errors import MessageRefused
 from slidectl.rotations import Pose, Vector, from_rpy, to_rpy
-from slidectl.simulation.clock import SECOND, Timer
+from slidectl.simulation.clock import EACH_STEP_NS, SECOND, Timer, period_ns_of
 from slidectl.simulation.gazebo_frames import pose_message, vector_message
 from slidectl.simulation.spawned_robots import SpawnedRobot
 from slidectl.simulation.state_publisher import tf_prefix
@@ -26,7 +26,6 @@ from slidectl.simulation.topics import PeriodicTopic
 if TYPE_CHECKING:
     from slidectl.simulation.simulation import Simulation
 
-EACH_STEP_NS = 1
 UNKNOWN = 1e12
 """Variance of what a base that drives on a plane cannot tell."""
 REACHED = 0.01
@@ -72,7 +71,7 @@ class RunningDrive:
 
     def _publish(self, topic: str, kind: str, rate_hz: float, build: Callable[[], Message]) -> None:
         node, graph = names.join(self._robot.namespace, "gazebo"), self._simulation.graph
-        self._topics.append(PeriodicTopic(graph, self._absolute(topic), kind, node, _period_ns(rate_hz), build))
+        self._topics.append(PeriodicTopic(graph, self._absolute(topic), kind, node, period_ns_of(rate_hz), build))
 
     def _receive(self, message: Message) -> None:
         velocities = (message["linear"]["x"], message["linear"]["y"], message["angular"]["z"])
@@ -124,7 +123,7 @@ class RunningDrive:
         return {"transforms": [{"header": header, "child_frame_id": base, "transform": transform}]}
 
 
-class TurningWheels(RunningDrive):
+class WheelMotors(RunningDrive):
     """diff_drive and skid_steer_drive: motors turn the wheels with no more than the torque.
 
     Commands take effect at the multiples of the plugin's period.
@@ -143,7 +142,7 @@ class TurningWheels(RunningDrive):
         robot.on_emergency_stop.append(self._stop)
         if drive.measures_wheels or drive.acceleration:
             every = simulation.graph.timers.every
-            self._timer = every(_period_ns(drive.update_rate_hz), self._update)
+            self._timer = every(period_ns_of(drive.update_rate_hz), self._update)
 
     def reset(self) -> None:
         super().reset()
@@ -158,7 +157,7 @@ class TurningWheels(RunningDrive):
     def _receive(self, message: Message) -> None:
         super()._receive(message)
         if self._timer is None or not self._timer.active:
-            period_ns, now_ns = _period_ns(self._wheels.update_rate_hz), self._simulation.time_ns
+            period_ns, now_ns = period_ns_of(self._wheels.update_rate_hz), self._simulation.time_ns
             due_ns = -(-(now_ns + 1) // period_ns) * period_ns
             self._timer = self._simulation.graph.timers.at(due_ns, self._update)
 
@@ -187,7 +186,7 @@ class TurningWheels(RunningDrive):
     @property
     def _period_s(self) -> float:
         """Between two updates."""
-        return max(_period_ns(self._wheels.update_rate_hz), self._simulation.timestep_ns) / SECOND
+        return max(period_ns_of(self._wheels.update_rate_hz), self._simulation.timestep_ns) / SECOND
 
     def _state(self, joint: str) -> tuple[float, float, float]:
         return self._world.joint_state(self._robot.name, joint)
@@ -224,7 +223,7 @@ class TurningWheels(RunningDrive):
         return pose, self._forwards, 0.0, self._turning
 
 
-class Gliding(RunningDrive):
+class PlanarDrive(RunningDrive):
     """planar_move: the root link has the commanded velocity at the beginning of each step, and no other."""
 
     def __init__(self, simulation: Simulation, robot: SpawnedRobot, drive: PlanarMove) -> None:
@@ -243,10 +242,6 @@ class Gliding(RunningDrive):
         self._world.set_root_twist(self._robot.name, ((x, y, 0.0), (0.0, 0.0, turning)))
 
 
-def _period_ns(rate_hz: float) -> int:
-    return max(EACH_STEP_NS, round(SECOND / rate_hz)) if rate_hz > 0.0 else EACH_STEP_NS
-
-
 def _covariance(variances: Vector) -> list[float]:
     x, y, yaw = variances
     return matrix_of([x, y, UNKNOWN, UNKNOWN, UNKNOWN, yaw])
@@ -257,11 +252,11 @@ def bring_up(simulation: Simulation, robot: SpawnedRobot) -> Callable[[], None]:
     running: list[RunningDrive] = []
     for drive in robot.paper.drives:
         if isinstance(drive, WheelDrive):
-            running.append(TurningWheels(simulation, robot, drive))
+            running.append(WheelMotors(simulation, robot, drive))
         elif isinstance(drive, PlanarMove) and robot.paper.is_fixed_to_world:
             robot.warnings.append(f"{robot.name}: it is fixed to the world; the plugin {drive.name!r} has no effect")
         elif isinstance(drive, PlanarMove):
-            running.append(Gliding(simulation, robot, drive))
+            running.append(PlanarDrive(simulation, robot, drive))
 
     def end() -> None:
         for one in running:

@@ -1,6 +1,6 @@
 """Cameras of robots: pictures at their rate while somebody listens, each with the time at which it was taken.
 
-A picture comes when it is painted; while one is being painted the next ones are left out. So how many there are
+A picture comes when it is rendered; while one is being rendered the next ones are left out. So how many there are
 depends on the machine, and what is on them does not.
 """
 
@@ -14,8 +14,8 @@ from slidectl import names
 from slidectl.control.duration import header_of
 from slidectl.control.node_handle import Message
 from slidectl.description.robot import Camera
-from slidectl.physics import painting, sensing
-from slidectl.simulation.clock import SECOND
+from slidectl.physics import rendering, sensing
+from slidectl.simulation.clock import period_ns_of
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.spawned_robots import SpawnedRobot
 from slidectl.simulation.topics import PeriodicTopic
@@ -33,14 +33,14 @@ class CameraTopics:
         self._simulation = simulation
         self._robot = robot
         self._camera = camera
-        self._is_busy = self._is_broken = self._is_closed = False
-        if not painting.gl_backend():
-            text = f"{robot.name}: camera {camera.name} makes no pictures, there is no OpenGL: {painting.INSTALL}"
+        self._is_busy = self._has_failed = self._is_broken = self._is_closed = False
+        if not rendering.gl_backend():
+            text = f"{robot.name}: camera {camera.name} makes no pictures, there is no OpenGL: {rendering.INSTALL}"
             robot.warnings.append(text)
             robot.node.log("warn", text)
             self._is_broken = True
         node = names.join(robot.namespace, "gazebo")
-        period_ns = max(1, round(SECOND / camera.rate_hz)) if camera.rate_hz > 0.0 else 1
+        period_ns = period_ns_of(camera.rate_hz)
         topic, info = (_inside(robot.namespace, topic) for topic in (camera.topic, camera.info_topic))
         self._pictures = PeriodicTopic(simulation.graph, topic, "sensor_msgs/Image", node, period_ns, self._take)
         self._info = PeriodicTopic(simulation.graph, info, "sensor_msgs/CameraInfo", node, period_ns, self._geometry)
@@ -61,17 +61,20 @@ class CameraTopics:
         simulation, camera, robot = self._simulation, self._camera, self._robot.name
         pose = sensing.sensor_pose(simulation.world, robot, camera)
         header, seed = self._header(), zlib.crc32(f"{robot}/{camera.name}/{simulation.time_ns}".encode())
+        pending = simulation.render(camera, pose, seed)
         self._is_busy = True
-        simulation.paint(camera, pose, seed).then(lambda done: self._publish(header, done))
+        pending.then(lambda done: self._publish(header, done))
 
     def _publish(self, header: Message, done: Pending) -> None:
         self._is_busy = False
         if self._is_closed:
             return
-        if done.error is not None:
-            self._is_broken = True
-            self._robot.node.log("error", f"camera {self._camera.name}: {done.error}")
+        if done.error is not None:  # a process that was killed is started again, once
+            self._has_failed, self._is_broken = True, self._has_failed
+            last = "; it makes no more pictures" if self._is_broken else ""
+            self._robot.node.log("error", f"camera {self._camera.name}: {done.error}{last}")
             return
+        self._has_failed = False
         camera = self._camera
         self._pictures.publish(
             {

@@ -15,6 +15,8 @@ from slidectl.control.node_handle import Publisher
 
 SECOND = NANOSECONDS
 NEVER = 1 << 62
+EACH_STEP_NS = 1
+"""A period that is over at the end of each cycle."""
 stamp = to_stamp
 """The time as it stands on messages."""
 _FEW = 64
@@ -55,7 +57,7 @@ class ClockTopic:
     def set_frequency(self, frequency_hz: Any) -> None:
         """Anything but a positive number means every cycle."""
         number = frequency_hz if isinstance(frequency_hz, int | float) and not isinstance(frequency_hz, bool) else 0
-        self._period_ns = round(SECOND / number) if number > 0 else 0
+        self._period_ns = period_ns_of(number) if number > 0 else 0
 
     def tick(self, time_ns: int, step_ns: int) -> None:
         """A cycle has begun. Phases are multiples of the period, whoever listened before."""
@@ -154,6 +156,11 @@ class Timers:
         while self._heap and not self._heap[0][2].active:
             heapq.heappop(self._heap)
         self.next_ns = self._heap[0][0] if self._heap else NEVER
+
+
+def period_ns_of(rate_hz: float, least_ns: int = EACH_STEP_NS) -> int:
+    """The period of a rate; the least one for a rate that is not above 0, and never more than a clock can count."""
+    return max(least_ns, round(min(SECOND / rate_hz, float(NEVER)))) if 0.0 < rate_hz < SECOND else least_ns
 
 
 def _next_multiple(now_ns: int, period_ns: int) -> int:

@@ -24,7 +24,7 @@ from slidectl.description.robot import Bumper, Camera, ForceTorque, GroundTruth,
 from slidectl.physics import sensing
 from slidectl.rotations import Quaternion, Vector, add, cross, message, subtract
 from slidectl.simulation.camera_topics import CameraTopics
-from slidectl.simulation.clock import SECOND
+from slidectl.simulation.clock import period_ns_of
 from slidectl.simulation.spawned_robots import SpawnedRobot
 from slidectl.simulation.topics import PeriodicTopic
 
@@ -57,8 +57,6 @@ class SensorTopic:
             Bumper: self._contacts,
             JointStates: self._joints,
         }
-        step_ns = simulation.timestep_ns
-        period_ns = max(step_ns, round(SECOND / sensor.rate_hz)) if sensor.rate_hz > 0 else step_ns
         if isinstance(sensor, Laser):
             angles = np.linspace(sensor.min_angle, sensor.max_angle, sensor.samples)
             self._directions = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(sensor.samples)])
@@ -67,7 +65,7 @@ class SensorTopic:
             names.join(robot.namespace, sensor.topic),
             _TYPES[type(sensor)],
             names.join(robot.namespace, "gazebo") if robot.namespace != "/" else "/gazebo",
-            period_ns,
+            period_ns_of(sensor.rate_hz, simulation.timestep_ns),
             build[type(sensor)],
         )
 

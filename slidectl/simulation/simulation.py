@@ -17,7 +17,7 @@ from slidectl.description.robot import Camera
 from slidectl.errors import Refused
 from slidectl.physics import World, hulls
 from slidectl.physics.hulls import MeshSource
-from slidectl.physics.painting import Painter
+from slidectl.physics.rendering import RenderProcess
 from slidectl.rotations import ORIGIN, Pose
 from slidectl.simulation import base_drives, joint_traces, rosapi, waits
 from slidectl.simulation.compiled.engine import Engine
@@ -78,10 +78,10 @@ class Simulation:
         self.read_meshes: Callable[[Sequence[MeshSource]], Pending] = _read_here
         """How `/gazebo/spawn_urdf_model` gets the hulls (physics.hulls.Hulls) of meshes. A driver puts its own, which
         may answer later."""
-        self.paint: Callable[[Camera, Pose, int], Pending] = self._paint_here
+        self.render: Callable[[Camera, Pose, int], Pending] = self._render_here
         """How a camera at a pose gets its picture (pixels in base64), with the seed of its noise. A driver puts its
         own, which may answer later."""
-        self._painter: Painter | None = None
+        self._renderer: RenderProcess | None = None
         self.chosen: set[str] = set()
         """What a user has asked for, of `speed`, `timestep` and `gravity`: the file of a world does not change it."""
         self.world.clock = self.graph.clock.now_ns
@@ -215,12 +215,12 @@ class Simulation:
         self.world.set_timestep(seconds)
         self.loop.step_ns = from_seconds(seconds)
 
-    def _paint_here(self, camera: Camera, pose: Pose, seed: int) -> Pending:
+    def _render_here(self, camera: Camera, pose: Pose, seed: int) -> Pending:
         """Waits for the picture."""
-        self._painter = self._painter or Painter()
+        self._renderer = self._renderer or RenderProcess()
         try:
-            self._painter.ask(self._painter.look(self.world, camera, pose, seed))
-            while (picture := self._painter.take()) is None:
+            self._renderer.ask(self._renderer.look(self.world, camera, pose, seed))
+            while (picture := self._renderer.take()) is None:
                 pass
         except Refused as error:
             pending = Pending()

@@ -15,7 +15,7 @@ from slidectl import names
 from slidectl.control.node_handle import Message
 from slidectl.description.robot import Joint
 from slidectl.rotations import IDENTITY, Pose, compose, from_rpy, relative
-from slidectl.simulation.clock import SECOND, stamp
+from slidectl.simulation.clock import SECOND, period_ns_of, stamp
 from slidectl.simulation.spawned_robots import SpawnedRobot
 from slidectl.simulation.topics import NodePublisher, PeriodicTopic, TopicPublisher
 
@@ -131,7 +131,7 @@ class StatePublisher:
     def _asked_period_ns(self) -> int:
         asked = self._simulation.parameters.get(names.join(self._node, "publish_frequency"), FREQUENCY_HZ)
         if isinstance(asked, int | float) and not isinstance(asked, bool) and 0 < asked <= SECOND:
-            return max(1, round(SECOND / asked))
+            return period_ns_of(asked)
         self._robot.node.log("warn", f"{self._node}: publish_frequency is above 0 Hz, not {asked!r}; it stays at 50")
         return SECOND // FREQUENCY_HZ
 

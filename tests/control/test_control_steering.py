@@ -223,7 +223,7 @@ class TestBoth:
             ),
             ({"twist_covariance_diagonal": [1] * 6}, "twist_covariance_diagonal must be a list of six floats"),
             ({"publish_rate": 0.0}, "publish_rate must be a rate above 0"),
-            ({"velocity_rolling_window_size": 0}, "velocity_rolling_window_size must be at least 1, not 0"),
+            ({"velocity_rolling_window_size": 0}, "velocity_rolling_window_size must be 1 to 100000, not 0"),
             ({"wheel_radius": 0.0}, "the wheel_radius of /bot/base must be a length other than 0"),
         ],
     )

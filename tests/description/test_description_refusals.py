@@ -230,3 +230,18 @@ def test_a_file_that_is_not_in_utf8_is_refused_with_what_to_do() -> None:
 def test_a_file_of_parameters_that_would_take_minutes_is_refused() -> None:
     with pytest.raises(BadFile, match="is larger than 2 MiB"):
         yaml_tree.read(b"a: 1\n" * 1_000_000, "control.yaml")
+
+
+PLANAR = '<gazebo><plugin name="p" filename="libgazebo_ros_planar_move.so">\n{}</plugin></gazebo>'
+LASER = """<gazebo reference="arm"><sensor type="ray" name="l">
+{}<plugin filename="libgazebo_ros_laser.so"/></sensor></gazebo>"""
+
+
+@pytest.mark.parametrize(
+    ("text", "tag"), [(PLANAR, "odometryRate"), (LASER, "update_rate")], ids=["of a drive", "of a sensor"]
+)
+def test_a_rate_that_no_clock_can_count_is_refused_with_its_line(refuse: Refuse, text: str, tag: str) -> None:
+    xml = robot(link("arm", INERTIAL) + "\n" + text.format(f"<{tag}>1e-300</{tag}>"))
+    error = refuse(xml)
+    assert f"<{tag}> is 1e-300 Hz; it must be at least 1e-09, or 0 for each step" in str(error)
+    assert error.line == xml[: xml.index(f"<{tag}>")].count("\n") + 1

@@ -11,7 +11,7 @@ import pytest
 
 from slidectl import Simulation, description
 from slidectl.errors import BadFile
-from slidectl.physics import painting
+from slidectl.physics import rendering
 
 LINK = """<link name="base"><inertial><mass value="2"/>
   <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>
@@ -23,7 +23,7 @@ CAMERA = """<gazebo reference="base"><sensor type="camera" name="eye"><update_ra
   {1}</camera><plugin name="c" filename="libgazebo_ros_camera.so"><cameraName>eye</cameraName>
   <frameName>eye_link</frameName>{2}</plugin></sensor></gazebo>"""
 
-needs_gl = pytest.mark.skipif(not painting.gl_backend(), reason="there is no OpenGL on this machine")
+needs_gl = pytest.mark.skipif(not rendering.gl_backend(), reason="there is no OpenGL on this machine")
 
 
 def robot(colour: str, more: str = "", size: float = 0.2) -> str:
@@ -90,7 +90,7 @@ def test_the_geometry_of_a_camera_needs_no_picture() -> None:
 
 
 def test_without_opengl_a_spawn_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(painting, "_LIBRARIES", {})
+    monkeypatch.setattr(rendering, "_LIBRARIES", {})
     simulation = Simulation()
     spawned = simulation.spawn(robot("1 1 1 1", CAMERA.format("R8G8B8", "", "")), "thing")
     assert "camera eye makes no pictures, there is no OpenGL: install" in "".join(spawned.warnings)

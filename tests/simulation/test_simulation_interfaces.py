@@ -112,3 +112,14 @@ def test_soft_limits_of_parameters_go_before_those_of_the_model() -> None:
     simulation.publish("/arm/drive/command", {"data": 3.0})
     simulation.step(3000)
     assert simulation.world.joint_state("arm", "joint1")[0] == pytest.approx(0.5, abs=1e-3)
+
+
+@pytest.mark.parametrize("interface", FOLLOWERS)
+def test_a_joint_that_is_commanded_by_its_position_stays_where_it_is_put(interface: str) -> None:
+    simulation = Simulation(ground=False, engine="plain")
+    simulation.spawn(arm(interface=interface), "arm")
+    put = {"model_name": "arm", "joint_names": ["joint1", "joint2"], "joint_positions": [0.7, -0.5]}
+    assert simulation.call("/gazebo/set_model_configuration", put)["success"]
+    simulation.step(100)
+    there = [simulation.world.joint_state("arm", joint)[0] for joint in ("joint1", "joint2", "joint3")]
+    assert there == pytest.approx([0.7, -0.5, 0.0], abs=1e-6)

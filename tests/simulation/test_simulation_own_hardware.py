@@ -98,6 +98,13 @@ def test_hardware_of_an_installed_package_is_found_by_its_entry_point(
     assert type(simulation.robots.get("cart").hardware).__name__ == "Half"
 
 
+def test_a_module_with_nothing_but_a_base_for_hardware_has_none(tmp_path: Path) -> None:
+    path = tmp_path / "base_hw.py"
+    path.write_text("from slidectl.physics import MujocoRobotHW\n\nclass _Base(MujocoRobotHW):\n    pass\n")
+    with pytest.raises(SlidectlError, match="there is no controller in it, and no hardware"):
+        Simulation(imports=[str(path)])
+
+
 @pytest.mark.parametrize(
     ("kind", "why"),
     [

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
+from uuid import uuid4
 
 import pytest
-from engine_scenes import Scene, add, arm, play
+from engine_scenes import Scene, add, arm, play, usual
 from sim_robots import STATES
 from test_simulation_compiled_controllers import is_compiled
 
+from slidectl.control import registry
 from slidectl.simulation import Simulation
 from slidectl.simulation.compiled import object_file
 
@@ -173,3 +176,93 @@ def test_a_law_that_cannot_be_compiled_runs_in_the_interpreter_and_it_is_said(
     assert not is_compiled(simulation, "a", "springs")
     (line,) = [line for line in said if "controllers with the law update_springs run in the interpreter" in line]
     assert text in line
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        ('array("d", ', 'array("f", ', "the numbers of its parts() are no writable block of doubles"),
+        ('array("d", [0.0, 0.0, 0.0])', "[0.0, 0.0, 0.0]", "a bytes-like object is required, not 'list'"),
+        ("        return Parts(", "        raise ValueError('no parts')\n        return Parts(", "no parts"),
+        ("        return Parts(", "        1 / (self.updates < 4)\n        return Parts(", "division"),
+        ("return Parts((self.told,), members=list", "return Parts((self.told,), members=iter", "has no len()"),
+        ("self.set_point, self.error = 0.3, 0.0", "self.set_point, self.error = 0.3, None", "error"),
+    ],
+)
+def test_a_controller_whose_parts_cannot_be_used_runs_in_the_interpreter_and_it_is_said(
+    tmp_path: Path, old: str, new: str, text: str
+) -> None:
+    path = tmp_path / "springs.py"
+    path.write_text(LAW.replace(old, new, 1), encoding="utf-8")
+    said: list[str] = []
+
+    def scene(simulation: Simulation) -> None:
+        simulation.graph.log.sink = lambda *line: said.append(line[2])
+        scene_of(path)(simulation)
+
+    (plain, _), (compiled, simulation) = (play(scene, engine) for engine in ("plain", "compiled"))
+    assert compiled == plain
+    assert is_compiled(simulation, "a", "states")
+    assert not is_compiled(simulation, "a", "springs")
+    (line,) = [line for line in said if "controller 'springs' runs in the interpreter: " in line]
+    assert text in line
+
+
+@pytest.mark.parametrize("trouble", [FileNotFoundError("no such file"), RuntimeError("it is not what it should be")])
+def test_a_law_whose_code_is_gone_or_broken_runs_in_the_interpreter_and_it_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, trouble: Exception
+) -> None:
+    path = tmp_path / "springs.py"
+    path.write_text(LAW.replace("DAMPING = 30.0, 2.5", f"DAMPING = 30.0, {uuid4().int % 10**6 / 10**6}"))  # a new law
+    said: list[str] = []
+    loaded = object_file.loaded
+
+    def load(place: Path, names: list[str]) -> Any:
+        if place.name.startswith("law-"):
+            raise trouble
+        return loaded(place, names)
+
+    def scene(simulation: Simulation) -> None:
+        simulation.graph.log.sink = lambda *line: said.append(line[2])
+        scene_of(path)(simulation)
+
+    monkeypatch.setattr(object_file, "loaded", load)
+    plain, _ = play(scene, "plain")
+    for _ in ("when it has been compiled", "when it was compiled before"):
+        said.clear()
+        compiled, simulation = play(scene, "compiled")
+        assert compiled == plain
+        assert not is_compiled(simulation, "a", "springs")
+        assert f"controllers with the law update_springs run in the interpreter: {trouble}" in said
+
+
+def test_other_laws_are_what_they_were_when_a_file_takes_the_type_of_a_built_in_controller(tmp_path: Path) -> None:
+    path = tmp_path / "mine.py"
+    path.write_text("""
+from slidectl.control import Controller, EffortJointInterface, controller
+
+@controller("diff_drive_controller/DiffDriveController")
+class Mine(Controller):
+    interface_type = EffortJointInterface
+
+    def init(self, interface, node):
+        self.joint = interface.get_handle("joint3")
+
+    def update(self, time_ns, period_s):
+        self.joint.command = self.joint.position
+""")
+    taken = registry.find("diff_drive_controller/DiffDriveController")
+    registry.add_module(str(path))
+    try:
+
+        def scene(simulation: Simulation) -> None:
+            controllers = usual() | {"three": {"type": "diff_drive_controller/DiffDriveController"}}
+            add(simulation, "a", arm(), controllers)
+            simulation.step(100)
+
+        (plain, _), (compiled, simulation) = (play(scene, engine) for engine in ("plain", "compiled"))
+    finally:
+        registry.controller("diff_drive_controller/DiffDriveController")(taken)
+    assert compiled == plain
+    assert is_compiled(simulation, "a", "one")
+    assert not is_compiled(simulation, "a", "three")

@@ -59,6 +59,11 @@ def test_frames_come_at_most_once_a_cycle(simulation: Simulation) -> None:
     assert len(frames(simulation, "/tf", 100)) == 100
 
 
+def test_of_a_tiny_frequency_no_frame_is_due(simulation: Simulation) -> None:
+    simulation.parameters.set(FREQUENCY, 1e-300)
+    assert frames(simulation, "/tf", 100) == []
+
+
 @pytest.mark.parametrize("value", [0, -5.0, "often", True, 1e30, [1]])
 def test_a_frequency_that_is_none_is_pointed_out_and_changes_nothing(simulation: Simulation, value: Any) -> None:
     warnings: list[str] = []

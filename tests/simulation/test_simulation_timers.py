@@ -110,6 +110,9 @@ def test_the_clock_topic_is_published_at_every_cycle_or_at_its_frequency(graph: 
         graph.clock_topic.tick(k * MS, MS)
     assert heard == [10, 20, 30]
     heard.clear()
+    graph.parameters.set("/gazebo/pub_clock_frequency", 5e-324)
+    graph.clock_topic.tick(30 * MS, MS)
+    assert not heard
     graph.parameters.delete("/gazebo/pub_clock_frequency")
     graph.clock_topic.tick(31 * MS, MS)
     assert heard == [31]

@@ -36,6 +36,7 @@ from slidectl.control.mobile_base import (
     Odometry,
     OdometryTopics,
     check_lengths,
+    forget_if_put_back,
     limited,
     moved,
     publish,
@@ -294,10 +295,7 @@ class DiffDriveController(Controller[VelocityJointInterface]):
 
     def starting(self, time_ns: int) -> None:
         """Stand still. The limits go on from the last command, and so does the place, unless time was put back."""
-        if time_ns < self.updated_ns:
-            self.odometry.forget()
-            self.velocity.forget()
-            self.commands.forget()
+        forget_if_put_back(time_ns, self.updated_ns, self.odometry, self.velocity, self.commands)
         self._brake()
         self.updated_ns = time_ns
         self.topics.start(time_ns)

@@ -75,16 +75,24 @@ GRIPPER = Columns(
 )
 
 
+TOLERANCE = Parameter("goal_tolerance", NUMBER, "a goal succeeds nearer than this", "m or rad", default=0.01)
+MAX_EFFORT = Parameter("max_effort", NUMBER, "largest effort while there is no goal", "N or N·m", default=0.0)
+STALL_VELOCITY = Parameter(
+    "stall_velocity_threshold", NUMBER, "a slower joint stands still", "m/s or rad/s", default=0.001
+)
+STALL_TIMEOUT = Parameter("stall_timeout", NUMBER, "a joint that stands still longer aborts the goal", "s", default=1.0)
+
+
 class GripperActionController(ActionController[JointCommandInterface]):
     """Follows the position of the goal; how is the part of the children."""
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
         JOINT,
         MONITOR_RATE,
-        Parameter("goal_tolerance", NUMBER, "a goal succeeds nearer than this", "m or rad", default=0.01),
-        Parameter("max_effort", NUMBER, "largest effort while there is no goal", "N or N·m", default=0.0),
-        Parameter("stall_velocity_threshold", NUMBER, "a slower joint stands still", "m/s or rad/s", default=0.001),
-        Parameter("stall_timeout", NUMBER, "a joint that stands still longer aborts the goal", "s", default=1.0),
+        TOLERANCE,
+        MAX_EFFORT,
+        STALL_VELOCITY,
+        STALL_TIMEOUT,
     )
 
     _pid: Pid | None = None
@@ -96,24 +104,20 @@ class GripperActionController(ActionController[JointCommandInterface]):
         name = params.needed_text(node, JOINT.name)
         joint_on_paper(node, name)
         self._joint = interface.get_handle(name)
-        self.tolerance = abs(self._number("goal_tolerance", 0.01))
-        self._default_effort = abs(self._number("max_effort", 0.0))
-        self.stall_velocity = self._number("stall_velocity_threshold", 0.001)
-        self.stall_timeout_s = self._number("stall_timeout", 1.0)
+        self.tolerance: float = abs(params.value_of(node, TOLERANCE))
+        self._default_effort: float = abs(params.value_of(node, MAX_EFFORT))
+        self.stall_velocity: float = params.value_of(node, STALL_VELOCITY)
+        self.stall_timeout_s: float = params.value_of(node, STALL_TIMEOUT)
         self._get_commands(node)
         self.position = self._joint.position
         """Where the joint is to be."""
-        self.max_effort = self._default_effort
+        self.max_effort: float = self._default_effort
         self.command = 0.0
         """The effort of the last update: of position joints, the largest one of the goal."""
         self.moved_ns = 0
         # One result for all goals, as upstream: an ended goal has the values of the tick that sends it.
         self._result: Message = {"position": self.position, "effort": 0.0, "stalled": False, "reached_goal": False}
         self._serve(node, "gripper_cmd", "control_msgs/GripperCommand", monitor_period_ns)
-
-    def _number(self, name: str, default: float) -> float:
-        value = params.number(self._node, name)
-        return default if value is None else value
 
     def _get_commands(self, node: NodeHandle) -> None:
         """Get what the commands need besides the joint."""

@@ -61,6 +61,23 @@ SUCCESSFUL, INVALID_GOAL, INVALID_JOINTS, PATH_TOLERANCE_VIOLATED, GOAL_TOLERANC
 
 
 STATE_RATE = Parameter("state_publish_rate", NUMBER, "messages on `state` per simulated second", "1/s", default=50.0)
+STOP_DURATION = Parameter(
+    "stop_trajectory_duration",
+    NUMBER,
+    "time to come to rest in, on an empty trajectory or a cancelled goal; 0 holds the measured positions",
+    "s",
+    default=0.0,
+)
+GOAL_TIME = Parameter(
+    "constraints/goal_time", NUMBER, "time after the end to meet the goal tolerances in", "s", default=0.0
+)
+STOPPED_VELOCITY = Parameter(
+    "constraints/stopped_velocity_tolerance",
+    NUMBER,
+    "largest velocity at the end of a goal; 0 checks none",
+    "m/s or rad/s",
+    default=0.01,
+)
 
 
 class StateTolerances(NamedTuple):
@@ -308,24 +325,10 @@ class JointTrajectoryController(ActionController[Any]):
         JOINTS,
         STATE_RATE,
         MONITOR_RATE,
-        Parameter(
-            "stop_trajectory_duration",
-            NUMBER,
-            "time to come to rest in, on an empty trajectory or a cancelled goal; 0 holds the measured positions",
-            "s",
-            default=0.0,
-        ),
+        STOP_DURATION,
         Parameter("allow_partial_joints_goal", BOOLEAN, "takes trajectories of some of the joints", default=False),
-        Parameter(
-            "constraints/goal_time", NUMBER, "time after the end to meet the goal tolerances in", "s", default=0.0
-        ),
-        Parameter(
-            "constraints/stopped_velocity_tolerance",
-            NUMBER,
-            "largest velocity at the end of a goal; 0 checks none",
-            "m/s or rad/s",
-            default=0.01,
-        ),
+        GOAL_TIME,
+        STOPPED_VELOCITY,
         Parameter(
             "constraints/<joint>/trajectory",
             NUMBER,
@@ -352,7 +355,7 @@ class JointTrajectoryController(ActionController[Any]):
         self._node = node
         self.state_period_ns = period_of(node, STATE_RATE)
         monitor_period_ns = period_of(node, MONITOR_RATE)
-        self._stop_duration_s = params.number(node, "stop_trajectory_duration") or 0.0
+        self._stop_duration_s: float = params.value_of(node, STOP_DURATION)
         if not 0.0 <= self._stop_duration_s < float("inf"):
             raise Refused(f"parameter {node.namespace}/stop_trajectory_duration must not be below 0")
         self._allow_partial = params.boolean(node, "allow_partial_joints_goal") or False
@@ -388,8 +391,8 @@ class JointTrajectoryController(ActionController[Any]):
 
     def _default_tolerances(self) -> list[SegmentTolerances]:
         """Of each joint, by the parameters."""
-        stopped = self._tolerance("constraints/stopped_velocity_tolerance", 0.01)
-        goal_time_s = params.number(self._node, "constraints/goal_time") or 0.0
+        stopped = self._tolerance(STOPPED_VELOCITY.name, STOPPED_VELOCITY.default)
+        goal_time_s = params.value_of(self._node, GOAL_TIME)
         return [
             SegmentTolerances(
                 StateTolerances(self._tolerance(f"constraints/{name}/trajectory")),

@@ -41,6 +41,7 @@ from slidectl.control.mobile_base import (
     RollingMean,
     check_lengths,
     clamp,
+    forget_if_put_back,
     publish,
     velocity_commands,
     wheel_radius,
@@ -77,11 +78,7 @@ class SteeringController(MultiInterfaceController):
 
     def starting(self, time_ns: int) -> None:
         """The limits go on from the last command, and so does the place, unless time was put back."""
-        if time_ns < self._updated_ns:
-            self.odometry.forget()
-            self.velocity.forget()
-            for commands in self._commands:
-                commands.forget()
+        forget_if_put_back(time_ns, self._updated_ns, self.odometry, self.velocity, *self._commands)
         self._brake()
         self._updated_ns = time_ns
         self._topics.start(time_ns)
@@ -158,8 +155,8 @@ class AckermannSteeringController(SteeringController):
         self._wheel = _interface(hw, VelocityJointInterface).get_handle(rear_wheel)
         self._steer = _interface(hw, PositionJointInterface).get_handle(front_steer)
         self._joints = (self._wheel, self._steer)
-        crowded = None if params.value_of(node, ALLOWS_MANY) else self._brake
-        self._commands = (velocity_commands(self, node, crowded),)
+        on_second_publisher = None if params.value_of(node, ALLOWS_MANY) else self._brake
+        self._commands = (velocity_commands(self, node, on_second_publisher),)
 
     def update(self, time_ns: int, period_s: float) -> None:
         self._updated_ns = time_ns

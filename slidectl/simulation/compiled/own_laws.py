@@ -53,20 +53,22 @@ class LawCode:
                 if place.exists():
                     return self._load(form, place)
                 self.compiling.append(_begin(form, content, place))
-            except (Refused, OSError) as trouble:
-                self._give_up(form, "; ".join(str(trouble).splitlines()))
+            except (Refused, OSError, RuntimeError) as trouble:
+                self._give_up(form, trouble)
         return found
 
     def look(self, wait: bool = False) -> None:
         """Take the code of laws whose compilation has ended."""
         for one in [one for one in self.compiling if wait or one.process.poll() is not None]:
             self.compiling.remove(one)
-            if one.process.wait() == 0:
+            try:
+                if one.process.wait() != 0:
+                    one.report.seek(0)
+                    raise Refused(one.report.read().strip() or "the compiler was ended")
                 self._load(one.form, one.place)
                 self.changes += 1
-            else:
-                one.report.seek(0)
-                self._give_up(one.form, one.report.read().strip() or "the compiler was ended")
+            except (Refused, OSError, RuntimeError) as trouble:
+                self._give_up(one.form, trouble)
 
     def _load(self, form: Compiled, place: Path) -> int:
         engine, (address,) = object_file.loaded(place, [guard.law(0)])
@@ -74,7 +76,8 @@ class LawCode:
         self._addresses[form] = address
         return address
 
-    def _give_up(self, form: Compiled, reason: str) -> None:
+    def _give_up(self, form: Compiled, trouble: Exception) -> None:
+        reason = "; ".join(str(trouble).splitlines())
         self._tell(f"controllers with the law {form.update.__qualname__} run in the interpreter: {reason}")
 
 

@@ -13,9 +13,11 @@ from functools import partial
 from struct import Struct
 from typing import TYPE_CHECKING, Any
 
-from slidectl.control.controller_interface import Compiled, ControllerBase, Member, Parts
+from slidectl.control.controller_interface import Compiled, Member, Parts
+from slidectl.control.controller_manager import LoadedController
 from slidectl.control.hardware_interface import JointStateHandle
 from slidectl.control.pid import Pid
+from slidectl.errors import Refused
 from slidectl.physics import MujocoRobotHW
 from slidectl.physics.robot_hw import Drive
 from slidectl.simulation.compiled.own_laws import LawCode
@@ -66,6 +68,7 @@ class RobotRows:
         """Give objects back what laws change."""
         self._constant: list[Callable[[], None]] = []
         """Fill the rows of what never changes."""
+        self._compiled: list[CompiledController] = []
         self._handles: list[tuple[Any, int]] = []
         """Each handle with the offset of its row."""
         self._laws = laws
@@ -82,7 +85,12 @@ class RobotRows:
         """Do other controllers run now than those that have rows, have laws got their code, or has the robot moved in
         MuJoCo's arrays?"""
         have_laws_changed = self._law_changes != self._laws.changes
-        return have_laws_changed or self.parts.manager.running is not self.running or self.has_moved()
+        are_others = self.parts.manager.running is not self.running or not self._may_compile()
+        return have_laws_changed or are_others or self.has_moved()
+
+    def _may_compile(self) -> bool:
+        """False when a user's controller that has a row cannot have one."""
+        return all(compiled.entry.may_compile for compiled in self._compiled)
 
     def has_moved(self) -> bool:
         """Has the robot other places in MuJoCo's arrays than its rows say?"""
@@ -94,9 +102,13 @@ class RobotRows:
         return frozenset(self.running[place].name for place in places if place not in self.interpreted)
 
     def load(self) -> None:
-        """From now on the rows are the truth."""
+        """From now on the rows are the truth, unless a user's controller fails in that."""
         for fill in self._fill:
             fill()
+        if not self._may_compile():
+            self._mark_plain()
+            self._let_go()
+            return
         for publication in self.publications.values():
             publication.update_wanted()
         self.is_loaded = True
@@ -108,7 +120,12 @@ class RobotRows:
         for give in self._give:
             give()
         self._mark_plain()
+        self._let_go()
         self.is_loaded = False
+
+    def _let_go(self) -> None:
+        for compiled in self._compiled:
+            compiled.let_go()
 
     @property
     def count(self) -> int:
@@ -136,7 +153,7 @@ class RobotRows:
         """True when the robot can run compiled."""
         starts = [tables.count(name) for name in RANGES]
         limits, drives = self.parts.hardware.limits(), self.parts.hardware.drives
-        controllers = [_compiled(entry.controller, self._laws) for entry in self.running]
+        controllers = [entry.try_to_compile(partial(_compiled, entry, self._laws)) for entry in self.running]
         is_possible = (
             type(self.parts.hardware) is MujocoRobotHW
             and self.parts.hardware.has_compiled_form
@@ -171,7 +188,7 @@ class RobotRows:
     def _reserve_controller(
         self, tables: Tables, position: int, compiled: CompiledController | None, places: dict[int, int]
     ) -> None:
-        if compiled is None or any(id(handle) not in places for handle in compiled.parts.handles()):
+        if compiled is None or any(id(handle) not in places for handle in compiled.handles):
             self._reserve_row(tables, "controllers", None, INTERPRETED, 0, 0, 0, 0, 0)
             entry = self.running[position]
             names = {name for claim in entry.controller.claimed_resources for name in claim.resources}
@@ -180,8 +197,11 @@ class RobotRows:
             return
         compiled.make_rows(places, lambda pid: self._reserve_pid(tables, pid))
         number = tables.add("controllers")
-        self._fill.append(lambda: compiled.fill(self._tables["controllers"], number))
-        self._give.append(compiled.give)
+        self._compiled.append(compiled)
+        self._fill.append(
+            partial(compiled.entry.try_to_compile, partial(compiled.fill, self._tables["controllers"], number))
+        )
+        self._give.append(partial(compiled.entry.try_to_compile, compiled.give))
         if compiled.parts.publishers:
             self.publications[position] = compiled
 
@@ -232,16 +252,18 @@ def _is_compiled(drive: Drive) -> bool:
 class CompiledController:
     """A controller that runs compiled, and its rows, in memory of their own that stays where it is."""
 
-    def __init__(self, controller: ControllerBase, form: Compiled, law: int, parts: Parts) -> None:
+    def __init__(self, entry: LoadedController, form: Compiled, law: int, parts: Parts) -> None:
         """`law` is the address of the law's code."""
-        self.controller = controller
+        self.entry = entry
+        self.controller = entry.controller
         self.parts = parts
+        self.handles = parts.handles()
         self._form = form
         self._law = law
         self._row = bytearray(form.row.size)
         self._members = bytearray(form.members.size * len(parts.members))
-        self._numbers: Any = None
-        """Kept while its address is in use."""
+        self._numbers = memoryview(b"")
+        """Kept while its address is in use: what is looked at so cannot change its size."""
         self._places: list[tuple[int, int]] = []
         """Row numbers of PID and joint: those of the controller, then those of each member."""
         self._shown: list[tuple[JointStateHandle, int]] = []
@@ -260,9 +282,16 @@ class CompiledController:
         for k, (member, places) in enumerate(zip(self.parts.members, others, strict=True)):
             self._form.members.fill(self._members, k, member.source, *places)
         parts = self.controller.parts()  # its numbers may be others by now
-        self._numbers = array("d") if parts is None or parts.numbers is None else parts.numbers
+        self._numbers = memoryview(array("d") if parts is None or parts.numbers is None else parts.numbers)
+        numbers = self._numbers
+        if (numbers.format, numbers.ndim, numbers.c_contiguous, numbers.readonly) != ("d", 1, True, False):
+            raise Refused("the numbers of its parts() are no writable block of doubles", 'array("d", ...), say')
         memory = (address_of(self._row), address_of(self._members), len(others))
         CONTROLLER.fill(controllers, number, None, self._law, *memory, address_of(self._numbers), len(self._numbers))
+
+    def let_go(self) -> None:
+        """The address of its numbers is no longer in use."""
+        self._numbers.release()
 
     def give(self) -> None:
         """Let the controller and its members be as the rows are."""
@@ -286,14 +315,15 @@ class CompiledController:
             _show(joints, offset, handle)
 
 
-def _compiled(controller: ControllerBase, laws: LawCode) -> CompiledController | None:
+def _compiled(entry: LoadedController, laws: LawCode) -> CompiledController | None:
     """The controller, when it runs compiled: not while a PID of it publishes each step.
 
     A class or an instance that has an `update`, a `publish` or a column of its own, say as a property, means it: what
     its parent declares does not hold for it.
     """
+    controller = entry.controller
     form = controller.compiled
-    if form is None:
+    if form is None or not entry.may_compile:
         return None
     classes = type(controller).__mro__
     owner = next(cls for cls in classes if "compiled" in vars(cls))
@@ -305,4 +335,4 @@ def _compiled(controller: ControllerBase, laws: LawCode) -> CompiledController |
     if parts is None or any(pid.observer is not None for pid in parts.pids()):
         return None
     law = laws.address(form)
-    return CompiledController(controller, form, law, parts) if law else None
+    return CompiledController(entry, form, law, parts) if law else None

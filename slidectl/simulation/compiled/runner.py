@@ -304,12 +304,17 @@ class CompiledRunner(Runner):
         self._progress.robot += 1
         if rows.fits():
             rows.load()
+        if rows.is_loaded:
             self._given_back = [other for other in self._given_back if other is not rows]
 
     def _publish(self, rows: RobotRows, position: int) -> None:
         publication = rows.publications[position]
-        publication.show(self._tables.content["joints"])
-        self._try(rows, position, rows.running[position].publish)
+
+        def publish(time_ns: int, period_s: float) -> None:
+            publication.show(self._tables.content["joints"])
+            rows.running[position].publish(time_ns, period_s)
+
+        self._try(rows, position, publish)
 
     def _update(self, rows: RobotRows, position: int) -> None:
         interpreted = rows.interpreted[position]

@@ -1,8 +1,8 @@
-"""Pictures of the world as cameras on links see it, painted by MuJoCo in a process of its own.
+"""Pictures of the world as cameras on links see it, rendered by MuJoCo in a process of its own.
 
 A picture takes some milliseconds with a graphics card, and a quarter of a second without: no cycle waits for one. The
 process gets the model once and the places of all shapes with each frame. It needs OpenGL by EGL or OSMesa, and ends
-with the one that has started it. What is painted are the shapes that collide, in the colours of their links.
+with the one that has started it. What is rendered are the shapes that collide, in the colours of their links.
 """
 
 from __future__ import annotations
@@ -71,8 +71,8 @@ def gl_backend() -> str:
     return ""
 
 
-class Painter:
-    """The process, and what it has to do. It is started by the first frame, and paints one at a time."""
+class RenderProcess:
+    """The process, and what it has to do. It is started by the first frame, and renders one at a time."""
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
@@ -81,9 +81,12 @@ class Painter:
         self._looked_at: Any = None
         self._colours: Array = np.zeros(0)
         self._said = bytearray()
+        self._request: IO[bytes] | None = None
+        """Memory that the process reads when a byte comes. A pipe holds 64 KB, and while the process starts nobody
+        reads it: who writes more waits."""
 
     def look(self, world: World, camera: Camera, pose: Pose, seed: int) -> PictureRequest:
-        """What the camera sees now, to be painted later."""
+        """What the camera sees now, to be rendered later."""
         if self._looked_at is not world.model:
             self._looked_at, self._colours = world.model, _colours(world)
         data = world.present()
@@ -93,16 +96,22 @@ class Painter:
 
     def ask(self, frame: PictureRequest) -> int:
         """Begin a picture. Returns the descriptor on which it comes. Raises Refused: there is no such process."""
+        if self._process is not None and self._process.poll() is not None:
+            self.close()
         try:
             process = self._process or self._start()
             assert process.stdin is not None
             assert process.stdout is not None
             is_same, self._model = self._model is frame.model, frame.model
-            pickle.dump(frame._replace(model=None if is_same else _binary(frame.model)), process.stdin)
-            process.stdin.flush()
+            assert self._request is not None
+            self._request.seek(0)
+            self._request.truncate()
+            pickle.dump(frame._replace(model=None if is_same else _binary(frame.model)), self._request)
+            self._request.flush()
+            process.stdin.write(b"\n")
         except OSError as error:
             self.close()
-            raise Refused(f"the process that paints pictures cannot be used: {error.strerror}") from None
+            raise Refused(f"the process that renders pictures cannot be used: {error.strerror}") from None
         return process.stdout.fileno()
 
     def take(self) -> str | None:
@@ -115,9 +124,10 @@ class Painter:
         assert self._process.stdout is not None
         piece = os.read(self._process.stdout.fileno(), _PIECE)
         self._said += piece
-        if not piece:
-            self.close()
-            raise Refused("the process that paints pictures has ended", INSTALL)
+        if not piece:  # `ask` closes the pipes: somebody may still watch this one
+            self._process.kill()
+            self._process.wait()
+            raise Refused("the process that renders pictures has ended", INSTALL)
         if len(self._said) < _ANSWER.size:
             return None
         is_picture, length = _ANSWER.unpack_from(self._said)
@@ -126,6 +136,7 @@ class Painter:
         content = self._said[_ANSWER.size :].decode("utf-8", "replace")
         self._said.clear()
         if not is_picture:
+            self._model = None  # it may not have taken it
             raise Refused(f"no picture: {content}", INSTALL)
         return content
 
@@ -140,11 +151,14 @@ class Painter:
 
     def _start(self) -> subprocess.Popen[bytes]:
         environment = {**os.environ, "MUJOCO_GL": gl_backend() or "egl"}
+        self._request = self._request or open(os.memfd_create("request"), "wb")  # noqa: SIM115 - kept for the next one
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "slidectl.physics.painting"],
+            [sys.executable, "-m", "slidectl.physics.rendering", f"/proc/self/fd/{self._request.fileno()}"],
+            bufsize=0,  # nothing is left to be written when it has ended
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
+            pass_fds=[self._request.fileno()],
             env=environment,
             start_new_session=True,
         )
@@ -179,15 +193,15 @@ def _colour(link: Link) -> tuple[float, ...]:
 # --- the process ------------------------------------------------------------------------------------------------------
 
 
-class _Canvas:
-    """What the process has: the model that it paints, and a renderer for each size."""
+class _SceneRenderer:
+    """What the process has: the model that it renders, and a renderer for each size."""
 
     def __init__(self) -> None:
         self._model: Any = None
         self._data: Any = None
         self._renderers: dict[tuple[int, int], Any] = {}
 
-    def paint(self, frame: PictureRequest) -> bytes:
+    def render(self, frame: PictureRequest) -> bytes:
         """The pixels, row by row from the top."""
         if frame.model is not None:
             self._take_model(frame)
@@ -195,6 +209,8 @@ class _Canvas:
         data.geom_xpos[:], data.geom_xmat[:] = frame.positions, frame.matrices
         size = (camera.height, camera.width)
         if size not in self._renderers:
+            screen = self._model.vis.global_
+            screen.offheight, screen.offwidth = size  # the renderer's memory, several times over
             self._renderers[size] = mujoco.Renderer(self._model, *size)
         renderer = self._renderers[size]
         renderer.update_scene(data)
@@ -224,27 +240,26 @@ class _Canvas:
         self._renderers.clear()
         self._model = mujoco.MjModel.from_binary_path("world.mjb", {"world.mjb": frame.model})
         self._model.geom_rgba[:] = frame.colours
-        self._model.vis.global_.offwidth = self._model.vis.global_.offheight = frame.camera.MOST_PIXELS
         self._model.vis.headlight.ambient[:] = _AMBIENT
         self._model.vis.headlight.specular[:] = 0.0
         self._data = mujoco.MjData(self._model)
         mujoco.mj_forward(self._model, self._data)
 
 
-def main(source: IO[bytes], target: IO[bytes]) -> None:
-    """Paint each frame that comes, until there are no more."""
-    canvas = _Canvas()
-    with suppress(EOFError):
-        while True:
-            frame = pickle.load(source)
-            try:
-                is_picture, answer = True, base64.b64encode(canvas.paint(frame))
-            except Exception as error:
-                is_picture, answer = False, f"{type(error).__name__}: {error}".encode()
-            target.write(_ANSWER.pack(is_picture, len(answer)) + answer)
-            target.flush()
+def main(source: IO[bytes], target: IO[bytes], request: str) -> None:
+    """Render what the file of the request holds for each byte that comes, until there are no more."""
+    scenes = _SceneRenderer()
+    while source.read(1):
+        with open(request, "rb") as file:
+            frame = pickle.load(file)
+        try:
+            is_picture, answer = True, base64.b64encode(scenes.render(frame))
+        except Exception as error:
+            is_picture, answer = False, f"{type(error).__name__}: {error}".encode()
+        target.write(_ANSWER.pack(is_picture, len(answer)) + answer)
+        target.flush()
 
 
 if __name__ == "__main__":
     os.nice(10)  # the cycles of the world go before it
-    main(sys.stdin.buffer, sys.stdout.buffer)
+    main(sys.stdin.buffer, sys.stdout.buffer, sys.argv[1])
