@@ -71,8 +71,12 @@ class DriveReader:
             return
         read = self._diff if library == DIFF else self._skid
         wheels = read(plugin, place)
-        for tag, default in (("wheelSeparation", wheels.pop("default_separation")), ("wheelDiameter", 0.15)):
-            wheels[tag.removeprefix("wheel").lower()] = length = child_number(plugin, tag, default, place)
+        lengths = (
+            ("separation", "wheelSeparation", wheels.pop("default_separation")),
+            ("diameter", "wheelDiameter", 0.15),
+        )
+        for name, tag, default in lengths:
+            wheels[name] = length = child_number(plugin, tag, default, place)
             if not 0.0 < length < float("inf"):
                 raise (plugin.find(tag) or plugin).error(f"{place}: <{tag}> is {length:g} m; it must be above 0")
         unknown = [joint for joint in (*wheels["left"], *wheels["right"]) if joint not in self.joints]

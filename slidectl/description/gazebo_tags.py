@@ -19,7 +19,7 @@ from slidectl.description.report import Report
 from slidectl.description.robot import ControlPlugin, Surface, Transmissions
 from slidectl.description.sensors import OF_MODEL, SensorReader, library
 from slidectl.description.xml_tree import Element
-from slidectl.errors import NotThere, UnknownName, closest, listing
+from slidectl.errors import NotThere, Refused, closest, listing, quoted
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -238,16 +238,15 @@ def _namespace(plugin: Element, text: str | None) -> str | None:
 def _transmissions(plugin: Element, text: str | None) -> Transmissions | None:
     try:
         return None if text is None else transmissions_named(text)
-    except UnknownName as error:
-        raise (plugin.find("transmissions") or plugin).error(error.message, error.hint) from None
+    except Refused as error:
+        raise (plugin.find("transmissions") or plugin).error(error.message) from None
 
 
 def transmissions_named(text: str) -> Transmissions:
-    """How transmissions count. Raises UnknownName."""
-    for how in get_args(Transmissions):
-        if text == how:
-            return cast(Transmissions, how)
-    raise UnknownName("way of transmissions", text, get_args(Transmissions))
+    """How transmissions count. Raises Refused."""
+    if text not in get_args(Transmissions):
+        raise Refused(f"transmissions are {' or '.join(get_args(Transmissions))}, not {quoted(text)}")
+    return cast(Transmissions, text)
 
 
 def _period(plugin: Element, text: str | None) -> float | None:

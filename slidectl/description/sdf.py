@@ -5,7 +5,7 @@ own, as they are in Gazebo. A static model hangs on the link `world`. Pose eleme
 Shapes, masses, friction, gravity and the joints that URDF has are taken; everything else is reported with its line.
 Nothing is spawned here, and worlds' physics settings are launch's.
 
-ModelText of the frames: the SDF 1.4 to 1.9 specification (`<pose>` is x y z roll pitch yaw in the parent's frame; a
+Source of the frames: the SDF 1.4 to 1.9 specification (`<pose>` is x y z roll pitch yaw in the parent's frame; a
 joint's frame is given in its child's; `<axis>` is in the joint's frame since 1.5, in the model's before).
 """
 

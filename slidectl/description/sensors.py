@@ -1,6 +1,6 @@
 """Reads the sensors that a model declares: `<sensor>` tags of links and joints, and plugins of gazebo_ros that measure.
 
-Defaults are those of the plugins. What sensors measure is published by simulation/sensors.py.
+Defaults are those of the plugins. What sensors measure is published by simulation/sensor_topics.py.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ OF_MODEL = (
     _FORCE_PLUGIN,
 )  # fmt: skip
 """Plugins of a model that measure."""
-_DRAWN = {
+_KNOWN_TAGS = {
     "visualize", "always_on", "update_rate", "pose", "plugin", "topic", "ray", "imu", "contact", "camera",
     "force_torque",
 }  # fmt: skip
@@ -77,7 +77,7 @@ class SensorReader:
             names = " or ".join(f"{name}.so" for name in _OF_LINK[kind])
             return self.report.ignored(sensor, f"publishes nothing without a <plugin> {names}", place)
         for child in sensor.children:
-            if child.tag not in _DRAWN:
+            if child.tag not in _KNOWN_TAGS:
                 self.report.ignored(child, "has no effect in a sensor here", f"{place}/{child.title}")
         name = sensor.get("name") or kind
         text = plugin.find("pose") or sensor.find("pose")
@@ -178,7 +178,7 @@ class SensorReader:
                 text = f"{child.first_text!r} has no effect: it is {words[tag]}, or {known[1]}"
                 self.report.ignored(child, text, f"{place}/<{tag}>")
         for child in sensor.children:
-            if child.tag not in _DRAWN:
+            if child.tag not in _KNOWN_TAGS:
                 self.report.ignored(child, "has no effect in a sensor here", f"{place}/{child.title}")
         topic = child_text(plugin, "topicName", "") if plugin is not None else ""
         noise = _below(tags, "force", "x", "noise")

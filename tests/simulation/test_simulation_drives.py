@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from slidectl import Simulation, description
-from slidectl.errors import MessageRefused
+from slidectl.errors import BadFile, MessageRefused
 from slidectl.rotations import to_rpy
 
 BODY = """<link name="{0}"><inertial><mass value="{1}"/><inertia ixx="{2}" iyy="{2}" izz="{2}" ixy="0" ixz="0" iyz="0"/>
@@ -49,6 +49,11 @@ def place(simulation: Simulation, robot: str, link: str) -> tuple[float, float, 
     """x, y and heading."""
     position, turn = simulation.world.link_pose(robot, link)
     return position[0], position[1], to_rpy(turn)[2]
+
+
+def test_the_shipped_cart_has_two_kinds_of_drive_and_refuses_another_word() -> None:
+    with pytest.raises(BadFile, match=r"'controler' is not in list.*'plugin', 'controller'"):
+        cart("controler")
 
 
 def test_a_cart_drives_a_circle_and_tells_by_its_wheels_where_it_is() -> None:

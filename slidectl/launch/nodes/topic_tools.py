@@ -24,7 +24,7 @@ Take = Callable[[str, Message], None]
 _LOOK_AGAIN_S = 0.2
 _WITHOUT_EFFECT = ("lazy", "wall_clock")
 NONE = "__none"
-"""What a mux selects that passes on nothing."""
+"""The selection with which a mux passes nothing on."""
 
 
 class TopicTool(Task):
@@ -161,8 +161,8 @@ class Throttle(Relay):
 
     @property
     def text(self) -> str:
-        what = f"bytes in {self._window_s:g} s" if self._window_s else "messages a second"
-        return f"{super().text}, {self._rate:g} {what}"
+        what = f"bytes in {self._window_s:g} s" if self._window_s else "a second"
+        return f"{super().text}, at most {self._rate:g} {what}"
 
     def begin(self, run: Run) -> None:  # noqa: ARG002
         self.listen(self.input, self._take)
@@ -270,7 +270,11 @@ class Source(NamedTuple):
 
 
 class TwistMux(TopicTool):
-    """twist_mux: of the sources that speak the one with the highest priority drives, unless a lock has a higher one."""
+    """twist_mux.
+
+    Passes on the commands of the source with the highest priority among those whose time-out has not passed, unless a
+    lock has a higher one.
+    """
 
     def __init__(self, node: Node, plan: LaunchPlan) -> None:
         super().__init__(node, plan)
