@@ -10,7 +10,7 @@ from collections.abc import Collection
 from typing import Any
 
 from slidectl import names
-from slidectl.description.element_values import child_number, child_text
+from slidectl.description.element_values import child_number, child_rate, child_text
 from slidectl.description.report import Report
 from slidectl.description.robot import BaseDrive, Mimic, PlanarMove, WheelDrive
 from slidectl.description.xml_tree import Element
@@ -63,8 +63,8 @@ class DriveReader:
             "twist_variances": None,
         }
         if library == PLANAR:
-            rate = child_number(plugin, "odometryRate", 20.0, place)
-            timeout_s = child_number(plugin, "cmdTimeout", -1.0, place)
+            rate = child_rate(plugin, "odometryRate", 20.0, place)
+            timeout_s = child_number(plugin, "cmdTimeout", -1.0, place, finite=False)
             common |= dict.fromkeys(("has_odometry", "has_odometry_tf"), rate > 0.0)
             drive = PlanarMove(**common, tells_height=False, odometry_rate_hz=rate, timeout_s=timeout_s)
             self.drives.append(drive)
@@ -83,7 +83,7 @@ class DriveReader:
         if unknown:
             self.report.wrong(plugin, f"there is no joint {unknown[0]!r}; the plugin has no effect", place)
             return
-        rate = child_number(plugin, "updateRate", 100.0, place)
+        rate = child_rate(plugin, "updateRate", 100.0, place)
         self.drives.append(WheelDrive(**{**common, **wheels, "odometry_rate_hz": rate, "update_rate_hz": rate}))
 
     def _diff(self, plugin: Element, place: str) -> dict[str, Any]:
@@ -102,8 +102,8 @@ class DriveReader:
             "default_separation": 0.34,
             "left": sides[0],
             "right": sides[1],
-            "torque": child_number(plugin, "wheelTorque", 5.0, place),
-            "acceleration": child_number(plugin, "wheelAcceleration", 0.0, place),
+            "torque": child_number(plugin, "wheelTorque", 5.0, place, finite=False),
+            "acceleration": child_number(plugin, "wheelAcceleration", 0.0, place, finite=False),
             "measures_wheels": source == "encoder",
             "has_odometry": has_odometry,
             "has_odometry_tf": self._flag(plugin, "publishOdomTF", True, place) and has_odometry,
@@ -120,7 +120,7 @@ class DriveReader:
         return {
             "default_separation": 0.4,
             **joints,
-            "torque": child_number(plugin, "torque", 5.0, place),
+            "torque": child_number(plugin, "torque", 5.0, place, finite=False),
             "has_odometry": True,
             "has_odometry_tf": self._flag(plugin, "broadcastTF", False, place),
             "tells_height": False,

@@ -30,7 +30,6 @@ SIM_TYPES = (ControlPlugin.robot_sim_type, "DefaultRobotHWSim")
 HARDWARE_ENTRY_POINTS = "slidectl.robot_hw"
 """The group in which an installed package names its simulated hardware: a type, and `module:Class`."""
 _MOST_COMPARED = 1000
-_LONGEST_PERIOD = 2**31 - 1
 _PARAMETERS = {
     "robotNamespace",
     "robotParam",
@@ -256,6 +255,6 @@ def _period(plugin: Element, text: str | None) -> float | None:
     period = element_values.parse_number(text, place, "controlPeriod")
     if period <= 0:
         raise place.error(f"controlPeriod is {period:g} s; it must be above 0")
-    if period > _LONGEST_PERIOD:
-        raise place.error(f"controlPeriod is {period:g} s; durations of ROS end at {_LONGEST_PERIOD} s")
+    if period > element_values.LONGEST_PERIOD_S:
+        raise place.error(f"controlPeriod is {period:g} s; durations of ROS end at {element_values.LONGEST_PERIOD_S} s")
     return period

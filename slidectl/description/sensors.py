@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping
 
-from slidectl.description.element_values import child_number, child_text, parse_number
+from slidectl.description.element_values import child_count, child_number, child_rate, child_text, parse_number
 from slidectl.description.report import Report
 from slidectl.description.robot import (
     Bumper,
@@ -82,14 +82,14 @@ class SensorReader:
         name = sensor.get("name") or kind
         text = plugin.find("pose") or sensor.find("pose")
         origin = _pose(text, place) if text is not None else Pose()
-        rate = child_number(sensor, "update_rate", 0.0, place)
+        rate = child_rate(sensor, "update_rate", 0.0, place)
         if kind in ("ray", "gpu_ray"):
             self.sensors.append(self._laser(name, link, sensor, plugin, origin, rate, place))
         elif kind == "imu":
             self.sensors.append(
                 Imu(
                     name, link, child_text(plugin, "topicName", "imu"), child_text(plugin, "frameName", link),
-                    child_number(plugin, "updateRateHZ", rate, place), _moved(plugin, origin, place),
+                    child_rate(plugin, "updateRateHZ", rate, place), _moved(plugin, origin, place),
                     child_number(plugin, "gaussianNoise", 0.0, place),
                 )
             )  # fmt: skip
@@ -106,13 +106,13 @@ class SensorReader:
         ray = sensor.find("ray")
         scan = _below(ray, "scan", "horizontal")
         extent, noise = _below(ray, "range"), _below(ray, "noise")
-        if (vertical := _below(ray, "scan", "vertical")) is not None and child_number(
-            vertical, "samples", 1, place
-        ) > 1:
+        vertical = _below(ray, "scan", "vertical")
+        if vertical is not None and child_count(vertical, "samples", 1, place) > 1:
             self.report.ignored(vertical, "has no effect: a scan has one layer here", f"{place}/<vertical>")
-        samples = int(child_number(scan, "samples", 640, place))
+        samples = child_count(scan, "samples", 640, place)
         least, most = child_number(scan, "min_angle", 0.0, place), child_number(scan, "max_angle", 0.0, place)
-        nearest, farthest = child_number(extent, "min", 0.0, place), child_number(extent, "max", math.inf, place)
+        nearest = child_number(extent, "min", 0.0, place)
+        farthest = child_number(extent, "max", math.inf, place, finite=False)
         if samples < 1 or samples > 100_000 or most < least or nearest < 0 or farthest <= nearest:
             raise sensor.error(
                 f"{place}: a scan of {samples} samples from {least:g} to {most:g} rad, {nearest:g} to {farthest:g} m",
@@ -127,11 +127,11 @@ class SensorReader:
     def _camera(self, sensor: Element, plugin: Element, common: Sensor, place: str) -> Camera:
         camera = sensor.find("camera")
         image, clip, noise = (_below(camera, tag) for tag in ("image", "clip", "noise"))
-        width, height = (int(child_number(image, tag, size, place)) for tag, size in (("width", 320), ("height", 240)))
+        width, height = (child_count(image, tag, size, place) for tag, size in (("width", 320), ("height", 240)))
         view = child_number(camera, "horizontal_fov", 1.047, place)
         near, far = child_number(clip, "near", 0.1, place), child_number(clip, "far", 100.0, place)
         most = Camera.MOST_PIXELS
-        if not (0 < width <= most and 0 < height <= most and 0.0 < view < math.pi and 0.0 < near < far < math.inf):
+        if not (0 < width <= most and 0 < height <= most and 0.0 < view < math.pi and 0.0 < near < far):
             raise sensor.error(
                 f"{place}: a camera of {width} x {height} pixels, {view:g} rad wide, {near:g} to {far:g} m",
                 f"1 to {most} pixels either way, a horizontal_fov between 0 and pi, near above 0 and below far",
@@ -150,7 +150,7 @@ class SensorReader:
                 self.report.ignored(plugin, f"<{tag}> has no effect: pictures here have no distortion", place)
         return Camera(
             common.name, common.link, topic, child_text(plugin, "frameName", "world").lstrip("/"),
-            child_number(plugin, "updateRate", 0.0, place) or common.rate_hz, common.origin,
+            child_rate(plugin, "updateRate", 0.0, place) or common.rate_hz, common.origin,
             child_number(noise, "stddev", 0.0, place), child_number(noise, "mean", 0.0, place), info,
             width, height, view, near, far, _ENCODINGS.get(written, "rgb8"),
             child_number(plugin, "hackBaseline", 0.0, place),
@@ -183,7 +183,7 @@ class SensorReader:
         topic = child_text(plugin, "topicName", "") if plugin is not None else ""
         noise = _below(tags, "force", "x", "noise")
         self._force_torque(
-            sensor.get("name") or kind, joint, topic, child_number(sensor, "update_rate", 0.0, place),
+            sensor.get("name") or kind, joint, topic, child_rate(sensor, "update_rate", 0.0, place),
             child_number(plugin, "gaussianNoise", child_number(noise, "stddev", 0.0, place), place),
             words["frame"] == "parent", words["measure_direction"] == "parent_to_child",
         )  # fmt: skip
@@ -202,14 +202,14 @@ class SensorReader:
     def of_model(self, plugin: Element, place: str) -> None:
         """Take in a plugin of `OF_MODEL`. Raises BadFile: a malformed number."""
         kind = library(plugin)
-        name, rate = plugin.get("name") or kind, child_number(plugin, "updateRate", 0.0, place)
+        name, rate = plugin.get("name") or kind, child_rate(plugin, "updateRate", 0.0, place)
         noise = child_number(plugin, "gaussianNoise", 0.0, place)
         if kind == "libgazebo_ros_joint_state_publisher":
             names = tuple(word.strip() for word in child_text(plugin, "jointName", "").split(",") if word.strip())
             for joint in [joint for joint in names if joint not in self.joints]:
                 self.report.wrong(plugin, f"there is no joint {joint!r}; it is left out", place)
             joints = tuple(joint for joint in names if joint in self.joints)
-            rate = child_number(plugin, "updateRate", 100.0, place)
+            rate = child_rate(plugin, "updateRate", 100.0, place)
             self.sensors.append(JointStates(name, "", "joint_states", "", rate, Pose(), 0.0, 0.0, joints))
             return None
         if kind == _FORCE_PLUGIN:

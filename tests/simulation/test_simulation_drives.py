@@ -206,6 +206,17 @@ def test_a_plugin_lets_a_joint_follow_and_what_it_says_goes_before_a_mimic_tag()
     assert tail == pytest.approx(0.1 - 2.0 * lead, abs=0.01)
 
 
+def test_a_plugin_that_cannot_let_a_joint_follow_is_refused_or_has_no_effect() -> None:
+    joint = '<joint name="{0}" type="{1}"><parent link="base"/><child link="{0}_link"/></joint>'
+    links = "".join(BODY.format(f"{name}_link", 1, 0.01, "<sphere radius='0.05'/>") for name in ("lead", "tail"))
+    parts = links + joint.format("lead", "continuous")
+    with pytest.raises(BadFile, match="<multiplier> is 'inf', which is not a finite number"):
+        description.parse(box(parts + joint.format("tail", "continuous") + MIMIC.format("lead", "tail", "inf", "")))
+    paper = description.parse(box(parts + joint.format("tail", "fixed") + MIMIC.format("lead", "tail", 1, "")))
+    assert "'tail' is fixed and cannot follow; the plugin has no effect" in paper.report[-1].text
+    assert paper.joints["tail"].mimic is None
+
+
 @pytest.mark.parametrize(
     ("plugin", "words"),
     [
