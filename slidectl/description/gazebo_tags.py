@@ -208,7 +208,9 @@ def set_transmissions(root: Element, how: Transmissions) -> None:
 
 
 def _control_plugins(root: Element) -> list[Element]:
-    plugins = (plugin for gazebo in root.find_all("gazebo") for plugin in gazebo.find_all("plugin"))
+    """Those that count: not what stands in a `<gazebo>` of a link or joint."""
+    models = (gazebo for gazebo in root.find_all("gazebo") if not gazebo.get("reference"))
+    plugins = (plugin for gazebo in models for plugin in gazebo.find_all("plugin"))
     return [plugin for plugin in plugins if _is_control(plugin)]
 
 
