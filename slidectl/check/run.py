@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -100,7 +101,7 @@ def _kind(source: str, text: bytes | None) -> kinds.Kind:
         return kinds.of_text(text, source)
     if source.startswith(sdf.SCHEME):
         return "scene"
-    path = Path(source).expanduser()
+    path = Path(os.path.expanduser(source))
     if source in models.shipped():
         return "model"
     if is_file(path) or path.suffix:

@@ -43,7 +43,7 @@ def plain(tree: Tree) -> Tree:
     found: Tree = {}
     moved = False
     for path, value in _leaves(tree):
-        place = plain_path(path)
+        place = plain_path(path) or path  # one that says nothing but `ros__parameters: 5` stays
         moved = moved or place != path
         merge(found, nest(place, value))
     return found if moved else tree

@@ -86,7 +86,7 @@ def load(path: str | Path, scale: Vector = (1.0, 1.0, 1.0)) -> Triangles:
     content = _content(path)
     try:
         vertices, faces = _stl(content, path) if kind == ".stl" else _text_kind(kind, content, path)
-    except (ValueError, IndexError, OverflowError) as error:
+    except (ValueError, IndexError, ArithmeticError) as error:
         raise BadMesh(f"cannot read the mesh: {str(error).strip() or type(error).__name__}", path) from None
     except RecursionError:
         raise BadMesh("cannot read the mesh: it is nested too deep", path) from None
@@ -360,7 +360,11 @@ class _Scene:
                     self.points_read += len(vertices[-1])
                     if self.points_read > 3 * _MOST_FACES:
                         raise BadMesh(f"the mesh has more than {3 * _MOST_FACES} vertices", self.path)
-                stride = 1 + max(int(entry.get("offset") or 0) for entry in inputs)
+                offsets = [int(entry.get("offset") or 0) for entry in inputs]
+                if min(offsets) < 0:
+                    text = f"line {primitive.line} has an input of offset {min(offsets)}"
+                    raise BadMesh(f"cannot read the mesh: {text}", self.path)
+                stride = 1 + max(offsets)
                 corners = _corners(primitive, offset, stride)
                 if len(corners) and not 0 <= corners.min() <= corners.max() < total - starts[id(source)]:
                     raise BadMesh(f"cannot read the mesh: line {primitive.line} uses vertices that are none", self.path)

@@ -147,7 +147,7 @@ def is_urdf(text: str) -> bool:
 def find(source: str, packages: Packages | None = None) -> Path:
     """The file that the word means. Raises NotThere."""
     if not source.startswith(SCHEME):
-        return Path(source).expanduser()
+        return Path(os.path.expanduser(source))
     try:
         return SdfFiles(packages or Packages(start=Path.cwd()), Path.cwd()).model_file(
             source, Element("include", {}, "", 0)

@@ -155,6 +155,10 @@ def test_what_nobody_reads_is_ignored(controllers: Check) -> None:
     assert [line.split(":")[0] for line in lines.of("ignored")] == ["ignored 6 /bot/colour", "ignored 7 /other"]
 
 
+def test_parameters_of_ros_2_that_are_none_are_ignored(controllers: Check) -> None:
+    assert controllers("ros__parameters: 5").about("ignored 1 /ros__parameters", "no controller reads it")
+
+
 def test_a_broken_file_cannot_be_used(controllers: Check) -> None:
     lines = controllers("bot:\n  c: [1,\n")
     assert [error.line for error in lines.findings.broken] == [3]

@@ -121,6 +121,14 @@ def test_the_twist_with_the_highest_priority_drives_unless_it_is_silent_or_locke
     run.interrupt()
 
 
+def test_a_source_whose_topic_is_no_name_is_refused_with_what_is_expected(world: CommandLine, tmp_path: Path) -> None:
+    path = tmp_path / "mux.launch"
+    path.write_text(f"<launch>{TWIST_MUX.replace('topic: auto', 'topic: 5')}</launch>")
+    done = world("launch", str(path))
+    assert done.returncode == 1
+    assert "an entry has name, topic, timeout (s) and priority, not {'name': 'autopilot', 'topic': 5" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("kind", "args", "words"),
     [

@@ -232,3 +232,10 @@ def test_long_lists_that_many_geometries_share_are_counted(tmp_path: Path, monke
     path.write_text(text.replace("</library_geometries>", f"{more}</library_geometries>"), "utf-8")
     with pytest.raises(meshes.BadMesh, match="more than 30 vertices"):
         meshes.load(path)
+
+
+def test_an_index_that_is_counted_backwards_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.dae"
+    path.write_text(scene('<node><instance_geometry url="#g"/></node>').replace('offset="0"', 'offset="-1"'), "utf-8")
+    with pytest.raises(meshes.BadMesh, match="line 3 has an input of offset -1"):
+        meshes.load(path)

@@ -310,10 +310,12 @@ class TwistMux(TopicTool):
     def _source(self, entry: Any, place: str) -> Source:
         try:
             topic, timeout_s, priority = entry["topic"], float(entry["timeout"]), int(entry["priority"])
-        except (KeyError, TypeError, ValueError):
+            if not isinstance(topic, str):
+                raise TypeError
+        except (KeyError, TypeError, ValueError, OverflowError):
             message = f"{place}: an entry has name, topic, timeout (s) and priority, not {entry!r}"
             raise Refused(message) from None
-        if timeout_s < 0.0 or not 0 <= priority <= 255:
+        if not timeout_s >= 0.0 or not 0 <= priority <= 255:
             raise Refused(f"{place}: {topic} has timeout {timeout_s:g} s and priority {priority}; 0 up, and 0 to 255")
         return Source(self.node.resolve(topic), timeout_s, priority)
 
