@@ -92,7 +92,10 @@ def check(path: str | Path, model: Model | None, findings: Findings, text: bytes
         return False
     findings.extend(notices)
     source = ParameterFile(str(path), places, findings)
-    tree = controllers_file.plain(written)
+    replaced: list[str] = []
+    tree = controllers_file.plain(written, replaced)
+    for name in replaced:
+        source.add("wrong", name, yaml_tree.REPLACED)
     if tree is not written:
         source.add("converted", "/", f"{ROS_2} is ROS 2's; what is in it is read as directly below the controllers")
     checker = ControllerCheck(source, [model] if model is not None else [])

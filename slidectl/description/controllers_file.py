@@ -26,7 +26,13 @@ def read(path: str | Path, notices: list[Notice] | None = None) -> Tree:
     """
     from slidectl.description import yaml_tree
 
-    return plain(yaml_tree.read(read_file(Path(path), pipes=True), str(path), notices))
+    replaced: list[str] = []
+    text = read_file(Path(path), pipes=True)
+    tree = plain(yaml_tree.read(text, str(path), notices), replaced)
+    if notices is not None and replaced:
+        lines = places(text, str(path))
+        notices += [Notice("wrong", name, yaml_tree.REPLACED, *lines.get(name, (str(path), None))) for name in replaced]
+    return tree
 
 
 def places(text: bytes, file: str) -> dict[str, tuple[str, int | None]]:
@@ -36,8 +42,11 @@ def places(text: bytes, file: str) -> dict[str, tuple[str, int | None]]:
     return {plain_path(name): (file, line) for name, line in yaml_tree.places(text, file).items()}
 
 
-def plain(tree: Tree) -> Tree:
-    """The tree without ROS 2's `ros__parameters`, as `plain_path` places what is in it; else the same tree."""
+def plain(tree: Tree, replaced: list[str] | None = None) -> Tree:
+    """The tree without ROS 2's `ros__parameters`, as `plain_path` places what is in it; else the same tree.
+
+    What is a value and a namespace of values there is appended to `replaced`, by its path.
+    """
     from slidectl.description.yaml_tree import merge, nest
 
     found: Tree = {}
@@ -45,7 +54,9 @@ def plain(tree: Tree) -> Tree:
     for path, value in _leaves(tree):
         place = plain_path(path) or path  # one that says nothing but `ros__parameters: 5` stays
         moved = moved or place != path
-        merge(found, nest(place, value))
+        lost = merge(found, nest(place, value))
+        if replaced is not None:
+            replaced += lost
     return found if moved else tree
 
 

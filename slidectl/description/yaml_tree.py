@@ -25,6 +25,8 @@ MOST_VALUES = 200_000
 DEEPEST = 60
 NO_MAPPING = "expected names with values, as `name: value`"
 
+REPLACED = "is a value, and a namespace of values too: the last one counts"
+"""Of a path that `merge` returns."""
 _LOOKS_LIKE_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)[eE][+-]?\d+|[+-]?(inf|nan)", re.IGNORECASE)
 _MERGE = "tag:yaml.org,2002:merge"
 _PLAIN = ("tag:yaml.org,2002:map", "tag:yaml.org,2002:seq")
@@ -168,7 +170,8 @@ class _Reader:
             values[key] = value
         tree: Tree = {}
         for key, value in values.items():
-            merge(tree, self.nested(key, value))
+            for path in merge(tree, self.nested(key, value)):
+                self.notices.append(Notice("wrong", path.removeprefix("/"), REPLACED, self.file, seen[key]))
         return tree
 
     def nested(self, key: str, value: Any) -> Tree:
@@ -255,13 +258,21 @@ def nest(path: str, value: Any) -> Any:
     return value
 
 
-def merge(tree: Tree, more: Tree) -> None:
-    """Put `more` into `tree`: mappings are merged, anything else replaces what is there."""
+def merge(tree: Tree, more: Tree) -> list[str]:
+    """Put `more` into `tree`: mappings are merged, anything else replaces what is there.
+
+    Returns the paths, as `/a/b`, at which a mapping has replaced a value, or a value a mapping.
+    """
+    replaced = []
     for key, value in more.items():
-        if isinstance(value, dict) and isinstance(tree.get(key), dict):
-            merge(tree[key], value)
-        else:
-            tree[key] = value
+        there = tree.get(key)
+        if isinstance(value, dict) and isinstance(there, dict):
+            replaced += [f"/{key}{below}" for below in merge(there, value)]
+            continue
+        if key in tree and isinstance(value, dict) != isinstance(there, dict):
+            replaced.append(f"/{key}")
+        tree[key] = value
+    return replaced
 
 
 def _is_empty(node: yaml.Node) -> bool:
