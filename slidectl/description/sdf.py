@@ -69,6 +69,11 @@ class Scene:
     has_ground: bool = False
     notices: list[Notice] = field(default_factory=list)
 
+    @property
+    def names(self) -> list[str]:
+        """The models, by the names of their first parts."""
+        return list(dict.fromkeys(model.first for model in self.models))
+
     def named(self, name: str | None) -> list[SdfModel]:
         """The parts, with `name` for the model; further parts keep what their names have more than the first one's.
 
@@ -76,9 +81,8 @@ class Scene:
         """
         if name is None:
             return self.models
-        first = {model.first for model in self.models}
-        if len(first) != 1:
-            raise UsageError(f"a name goes with one model, and there are {len(first)}", "leave the name out")
+        if len(self.names) != 1:
+            raise UsageError(f"a name goes with one model, and there are {len(self.names)}", "leave the name out")
         return [replace(model, name=name + model.name.removeprefix(model.first), first=name) for model in self.models]
 
 
