@@ -20,6 +20,7 @@ from slidectl.check.findings import Findings
 from slidectl.check.model import Model
 from slidectl.check.tags import Tags, Trace, TracedElement, plain
 from slidectl.description import xml_tree
+from slidectl.description.gazebo_tags import TRANSMISSIONS
 from slidectl.description.models import read_file
 from slidectl.description.packages import Packages, is_file, shown
 from slidectl.description.parser import STARTS_OUTSIDE, place_of_limit
@@ -251,9 +252,14 @@ class _LaunchCheck:
             with suppress(BadFile):  # which is said when it is read
                 xml = description.load(xml, {}, self.packages, missing=self.findings.missing).xml
         own = Findings()
-        self.descriptions[name] = model.check_text(xml, file, own, self.ask_others, self.packages, self.strict)
+        self.descriptions[name] = model.check_text(
+            xml, file, own, self.ask_others, self.packages, self.strict, self._asked
+        )
         self.findings.extend(replace(notice, file=shown(notice.file)) for notice in own.sorted())
         self.findings.broken += own.broken
+
+    def _asked(self, namespace: str) -> object:
+        return self.values.get(names.join(namespace, TRANSMISSIONS))
 
     # --- nodes ----------------------------------------------------------------------------------------------------
 
@@ -317,7 +323,7 @@ class _LaunchCheck:
         if task.words.has("-file"):
             path = Path(task.words.one("-file"))
             if is_file(path):
-                return model.check(path, {}, self.packages, self.findings, strict=self.strict)
+                return model.check(path, {}, self.packages, self.findings, strict=self.strict, asked=self._asked)
             error = task.node.place.absence(
                 f"node {task.node.full_name}: there is no file {path}", thing=f"file {path}"
             )

@@ -6,13 +6,15 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from slidectl import names
 from slidectl.check import controllers, kinds, model, scenes
 from slidectl.check.findings import Findings
 from slidectl.control import registry
-from slidectl.description import models, sdf
+from slidectl.description import controllers_file, models, sdf
+from slidectl.description.gazebo_tags import TRANSMISSIONS
 from slidectl.description.missing import Missing
 from slidectl.description.packages import Packages, is_file, shown
-from slidectl.errors import UsageError
+from slidectl.errors import BadFile, UsageError
 
 
 def check(
@@ -88,11 +90,29 @@ def check(
     read = text.decode("utf-8", "replace") if text is not None else source
     if text is None and (path := models.shipped().get(source)) is not None:
         read = shown(path)  # the shortest path that leads there
-    robot = model.check(read, arguments, packages, findings, ask_others, title, strict, transmissions)
-    usable = [controllers.check(file, robot, findings) for file in parameter_files]
+    texts = {file: models.read_file(file) for file in parameter_files}
+    trees = [tree for file, content in texts.items() if (tree := _tree(content, str(file))) is not None]
+
+    def asked(namespace: str) -> object:
+        placed = (controllers_file.retarget(tree, namespace)[0] for tree in reversed(trees))
+        found = (controllers_file.at(tree, names.join(namespace, TRANSMISSIONS)) for tree in placed)
+        return next((how for how in found if how is not None), None)
+
+    robot = model.check(read, arguments, packages, findings, ask_others, title, strict, transmissions, asked)
+    usable = [controllers.check(file, robot, findings, content) for file, content in texts.items()]
     findings.is_drivable = robot is not None and (any(usable) or not usable)
     findings.tell_missing()
     return findings
+
+
+def _tree(text: bytes, file: str) -> controllers_file.Tree | None:
+    """The parameters of a file; None of one that is broken, which is told of when it is checked."""
+    from slidectl.description import yaml_tree
+
+    try:
+        return controllers_file.plain(yaml_tree.read(text, file))
+    except BadFile:
+        return None
 
 
 def _kind(source: str, text: bytes | None) -> kinds.Kind:

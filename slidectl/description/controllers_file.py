@@ -89,7 +89,7 @@ def retarget(tree: Tree, namespace: str) -> tuple[Tree, str | None]:
     from slidectl.description.yaml_tree import nest
 
     target = "/" + namespace.strip("/")
-    if not tree or (isinstance(_at(tree, target), dict) and target != "/"):
+    if not tree or (isinstance(at(tree, target), dict) and target != "/"):
         return tree, None
     if holds_controllers(tree):
         return nest(target, tree), None
@@ -108,7 +108,7 @@ def holds_controllers(tree: object) -> bool:
     return any(isinstance(child, Mapping) and isinstance(child.get("type"), str) for child in tree.values())
 
 
-def _at(tree: Tree, path: str) -> object:
+def at(tree: Tree, path: str) -> object:
     """What is at the names of `path`, or None."""
     branch: object = tree
     for name in path.strip("/").split("/"):

@@ -29,6 +29,8 @@ SIM_TYPES = (ControlPlugin.robot_sim_type, "DefaultRobotHWSim")
 """The default hardware, by its names."""
 HARDWARE_ENTRY_POINTS = "slidectl.robot_hw"
 """The group in which an installed package names its simulated hardware: a type, and `module:Class`."""
+TRANSMISSIONS = "gazebo_ros_control/transmissions"
+"""The parameter in a robot's namespace that says how transmissions count, where the model's plugin does not."""
 _MOST_COMPARED = 1000
 _PARAMETERS = {
     "robotNamespace",
