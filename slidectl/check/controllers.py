@@ -20,7 +20,7 @@ from slidectl.control import registry
 from slidectl.control.controller_interface import ControllerBase
 from slidectl.control.hardware_interface import JointStateInterface, ResourceManager
 from slidectl.control.limits import LIMITS
-from slidectl.control.params import LIST, UPDATE_BUDGET, Parameter, as_boolean, as_number, described, leaves
+from slidectl.control.params import LIST, UPDATE_BUDGET, Parameter, as_boolean, as_number, described
 from slidectl.control.reconfigurable_pid import GAINS
 from slidectl.control.ros2_names import Counterpart, NoCounterpart, counterpart
 from slidectl.control.user_classes import is_of_a_user
@@ -28,6 +28,7 @@ from slidectl.description import controllers_file, interfaces
 from slidectl.description.controllers_file import ROS_2, retarget
 from slidectl.description.gazebo_tags import TRANSMISSIONS, transmissions_named
 from slidectl.description.models import read_file
+from slidectl.description.parameter_trees import leaves, merge, nest
 from slidectl.description.robot import Notice, Robot, Verdict
 from slidectl.errors import BadFile, NotThere, Refused, closest, listing
 
@@ -465,8 +466,6 @@ class ControllerCheck:
         self.source.add("converted", f"{path}/type", found.remark)
         for name, became in found.understood.items():
             self.source.add("converted", f"{path}/{name}", became)
-        from slidectl.description.yaml_tree import merge, nest
-
         placed: Tree = {}
         rest = {name: value for name, value in leaves(tree) if name not in found.understood}
         for name, value in (rest | dict(found.values)).items():

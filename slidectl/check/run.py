@@ -14,6 +14,7 @@ from slidectl.description import controllers_file, models, sdf
 from slidectl.description.gazebo_tags import TRANSMISSIONS
 from slidectl.description.missing import Missing
 from slidectl.description.packages import Packages, is_file, shown
+from slidectl.description.parameter_trees import Tree
 from slidectl.errors import BadFile, UsageError
 
 
@@ -105,7 +106,7 @@ def check(
     return findings
 
 
-def _tree(text: bytes, file: str) -> controllers_file.Tree | None:
+def _tree(text: bytes, file: str) -> Tree | None:
     """The parameters of a file; None of one that is broken, which is told of when it is checked."""
     from slidectl.description import yaml_tree
 

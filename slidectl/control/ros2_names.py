@@ -9,7 +9,7 @@ import re
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from slidectl.control.params import leaves
+from slidectl.description.parameter_trees import leaves
 from slidectl.errors import Refused
 
 _BY_INTERFACE = {

@@ -5,14 +5,12 @@ Reading is yaml_tree's; here is what a tree of controllers looks like, and how o
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from slidectl.description.models import read_file
+from slidectl.description.parameter_trees import Tree, leaves, merge, nest
 from slidectl.description.robot import Notice
-
-Tree = dict[str, Any]
 
 ROS_2 = "ros__parameters"
 """What the parameters of a node are under in files of ROS 2."""
@@ -47,11 +45,9 @@ def plain(tree: Tree, replaced: list[str] | None = None) -> Tree:
 
     What is a value and a namespace of values there is appended to `replaced`, by its path.
     """
-    from slidectl.description.yaml_tree import merge, nest
-
     found: Tree = {}
     moved = False
-    for path, value in _leaves(tree):
+    for path, value in leaves(tree, "/"):
         place = plain_path(path) or path  # one that says nothing but `ros__parameters: 5` stays
         moved = moved or place != path
         lost = merge(found, nest(place, value))
@@ -72,22 +68,12 @@ def plain_path(path: str) -> str:
     return node.removesuffix("/controller_manager").removesuffix("/**") + name.replace(".", "/")
 
 
-def _leaves(tree: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in tree.items():
-        if isinstance(value, Mapping) and value:
-            yield from _leaves(value, f"{above}/{key}")
-        else:
-            yield f"{above}/{key}", value
-
-
 def retarget(tree: Tree, namespace: str) -> tuple[Tree, str | None]:
     """The tree to load at the root so that `namespace` has its controllers, and a notice when something was moved.
 
     A file that names the namespace is loaded as it stands. One that names another single one is moved. One that
     begins with the controllers themselves is put under the namespace.
     """
-    from slidectl.description.yaml_tree import nest
-
     target = "/" + namespace.strip("/")
     if not tree or (isinstance(at(tree, target), dict) and target != "/"):
         return tree, None

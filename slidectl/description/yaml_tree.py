@@ -12,11 +12,9 @@ from typing import Any
 import yaml
 
 from slidectl.description.angles import DEGREES, RADIANS, add_to, angle
+from slidectl.description.parameter_trees import Tree, merge, nest
 from slidectl.description.robot import Notice
 from slidectl.errors import BadFile
-
-Tree = dict[str, Any]
-"""Values are bool, int, float, str, and lists and mappings of these."""
 
 Pair = tuple[yaml.Node, yaml.Node]
 
@@ -249,30 +247,6 @@ class _Reader:
 
     def notice(self, node: yaml.Node, subject: str, text: str) -> None:
         self.notices.append(Notice("wrong", subject, text, self.file, _line(node)))
-
-
-def nest(path: str, value: Any) -> Any:
-    """`value` below the names of `path`, which slashes part; under an empty path, the value itself."""
-    for name in reversed([part for part in path.split("/") if part]):
-        value = {name: value}
-    return value
-
-
-def merge(tree: Tree, more: Tree) -> list[str]:
-    """Put `more` into `tree`: mappings are merged, anything else replaces what is there.
-
-    Returns the paths, as `/a/b`, at which a mapping has replaced a value, or a value a mapping.
-    """
-    replaced = []
-    for key, value in more.items():
-        there = tree.get(key)
-        if isinstance(value, dict) and isinstance(there, dict):
-            replaced += [f"/{key}{below}" for below in merge(there, value)]
-            continue
-        if key in tree and isinstance(value, dict) != isinstance(there, dict):
-            replaced.append(f"/{key}")
-        tree[key] = value
-    return replaced
 
 
 def _is_empty(node: yaml.Node) -> bool:
