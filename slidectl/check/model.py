@@ -37,8 +37,8 @@ _TIMESTEP_S = 0.001  # the daemon's own
 _EXPRESSION = re.compile(r"\$\{(.*?)\}", re.DOTALL)
 _WORD = re.compile(r"[A-Za-z_]\w*")
 
-Asked = Callable[[str], object]
-"""What a namespace has for the parameter TRANSMISSIONS; None: nothing."""
+Asked = Callable[[Robot], object]
+"""The value of the parameter TRANSMISSIONS in a robot's namespace; None: it is not set."""
 
 _MOVING = ("revolute", "continuous", "prismatic")
 
@@ -171,7 +171,7 @@ def _tell_transmissions(root: Element, meshes: MeshFiles, asked: Asked) -> bool:
     """Have the plugin say what the parameter does, where it says nothing itself. Whether it has been done."""
     with suppress(SlidectlError):  # what is broken is told of when it is checked
         robot = parse_tree(root, meshes, Report())
-        how = asked(description.namespace_of(robot, robot.name))
+        how = asked(robot)
         if how is not None and (robot.plugin is None or robot.plugin.transmissions is None):
             set_transmissions(root, transmissions_named(str(how)))
             return True

@@ -15,6 +15,7 @@ from slidectl.description.gazebo_tags import TRANSMISSIONS
 from slidectl.description.missing import Missing
 from slidectl.description.packages import Packages, is_file, shown
 from slidectl.description.parameter_trees import Tree
+from slidectl.description.robot import Robot, namespace_of
 from slidectl.errors import BadFile, UsageError
 
 
@@ -94,7 +95,8 @@ def check(
     texts = {file: models.read_file(file) for file in parameter_files}
     trees = [tree for file, content in texts.items() if (tree := _tree(content, str(file))) is not None]
 
-    def asked(namespace: str) -> object:
+    def asked(robot: Robot) -> object:
+        namespace = namespace_of(robot, robot.name)
         placed = (controllers_file.retarget(tree, namespace)[0] for tree in reversed(trees))
         found = (controllers_file.at(tree, names.join(namespace, TRANSMISSIONS)) for tree in placed)
         return next((how for how in found if how is not None), None)

@@ -159,8 +159,8 @@ def test_a_fault_that_real_transmissions_make_is_found_though_a_parameter_makes_
     launch = tmp_path / "bot.launch"
     launch.write_text(
         f'<launch><param name="robot_description" textfile="{robot}"/>'
-        '<param name="bot/gazebo_ros_control/transmissions" value="real"/>'
-        '<node pkg="gazebo_ros" type="spawn_model" name="s" args="-urdf -param robot_description -model bot"/></launch>'
+        '<param name="two/gazebo_ros_control/transmissions" value="real"/><node pkg="gazebo_ros" type="spawn_model"'
+        ' name="s" args="-urdf -param robot_description -model two -robot_namespace two"/></launch>'
     )
     assert "SimpelTransmission" in check([str(launch)], {}, Packages()).broken[0].message
 
