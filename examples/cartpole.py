@@ -1,4 +1,4 @@
-"""Balances a pole on a cart by a linear-quadratic regulator, whose gains come from the model's masses and lengths.
+"""Balances a pole on a cart by a linear-quadratic regulator: its parameters hold the masses and lengths that count.
 
 slidectl daemon start --import examples/cartpole.py
 slidectl spawn cartpole --controllers config/cartpole_control.yaml --start joint_state_controller lqr

@@ -20,15 +20,17 @@ from slidectl.control import registry
 from slidectl.control.controller_interface import ControllerBase
 from slidectl.control.hardware_interface import JointStateInterface, ResourceManager
 from slidectl.control.limits import LIMITS
-from slidectl.control.params import LIST, TEXT, UPDATE_BUDGET, Parameter, as_boolean, as_number, described, leaves
+from slidectl.control.params import LIST, UPDATE_BUDGET, Parameter, as_boolean, as_number, described
 from slidectl.control.reconfigurable_pid import GAINS
 from slidectl.control.ros2_names import Counterpart, NoCounterpart, counterpart
 from slidectl.control.user_classes import is_of_a_user
 from slidectl.description import controllers_file, interfaces
 from slidectl.description.controllers_file import ROS_2, retarget
+from slidectl.description.gazebo_tags import TRANSMISSIONS, transmissions_named
 from slidectl.description.models import read_file
+from slidectl.description.parameter_trees import leaves, merge, nest
 from slidectl.description.robot import Notice, Robot, Verdict
-from slidectl.errors import BadFile, NotThere, closest, listing
+from slidectl.errors import BadFile, NotThere, Refused, closest, listing
 
 Tree = dict[str, Any]
 Judgement = tuple[str, Verdict, str]
@@ -49,7 +51,6 @@ _OTHERS = {
 }
 _HARDWARE = ("joint_limits", "gazebo_ros_control")
 _GAINS = "pid_gains"
-_TRANSMISSIONS = Parameter("transmissions", TEXT, "gazebo or real: how transmissions count, read at the spawn")
 # How findings on names that nobody knows begin.
 _UNKNOWN = "is unknown to the controller and has no effect"
 _UNKNOWN_TO_HARDWARE = "simulated hardware does not read it"
@@ -92,7 +93,10 @@ def check(path: str | Path, model: Model | None, findings: Findings, text: bytes
         return False
     findings.extend(notices)
     source = ParameterFile(str(path), places, findings)
-    tree = controllers_file.plain(written)
+    replaced: list[str] = []
+    tree = controllers_file.plain(written, replaced)
+    for name in replaced:
+        source.add("wrong", name, yaml_tree.REPLACED)
     if tree is not written:
         source.add("converted", "/", f"{ROS_2} is ROS 2's; what is in it is read as directly below the controllers")
     checker = ControllerCheck(source, [model] if model is not None else [])
@@ -360,10 +364,23 @@ class ControllerCheck:
             for key, value in tree.items():
                 if key == _GAINS and isinstance(value, Mapping):
                     self._joints(f"{path}/{key}", value, Declared(GAINS), model, are_gains=True)
-                elif key == _TRANSMISSIONS.name:
-                    self.source.value(f"{path}/{key}", value, Declared([_TRANSMISSIONS]), key, _UNKNOWN_TO_HARDWARE)
+                elif f"{place}/{key}" == TRANSMISSIONS:
+                    self._transmissions(f"{path}/{key}", value, model)
                 else:
                     self.source.unread(f"{path}/{key}", _UNKNOWN_TO_HARDWARE, value)
+
+    def _transmissions(self, path: str, value: Any, model: Model | None) -> None:
+        """How transmissions count."""
+        if model is not None and model.says_transmissions:
+            text = "has no effect: <transmissions> of the model, or --transmissions, goes before it"
+            self.source.add("ignored", path, text)
+            return
+        try:
+            how = transmissions_named(str(value))
+        except Refused as error:
+            self.source.add("wrong", path, f"{error.message}; no robot can be spawned here")
+        else:
+            self.source.add("used", path, f"{how}; how transmissions count, read at the spawn")
 
     def _joints(
         self, path: str, tree: Mapping[str, Any], declared: Declared, model: Model | None, are_gains: bool = False
@@ -449,8 +466,6 @@ class ControllerCheck:
         self.source.add("converted", f"{path}/type", found.remark)
         for name, became in found.understood.items():
             self.source.add("converted", f"{path}/{name}", became)
-        from slidectl.description.yaml_tree import merge, nest
-
         placed: Tree = {}
         rest = {name: value for name, value in leaves(tree) if name not in found.understood}
         for name, value in (rest | dict(found.values)).items():

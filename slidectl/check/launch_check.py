@@ -20,10 +20,11 @@ from slidectl.check.findings import Findings
 from slidectl.check.model import Model
 from slidectl.check.tags import Tags, Trace, TracedElement, plain
 from slidectl.description import xml_tree
+from slidectl.description.gazebo_tags import TRANSMISSIONS
 from slidectl.description.models import read_file
 from slidectl.description.packages import Packages, is_file, shown
 from slidectl.description.parser import STARTS_OUTSIDE, place_of_limit
-from slidectl.description.robot import Notice, Verdict
+from slidectl.description.robot import Notice, Robot, Verdict
 from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile, NotThere, closest, listing
 from slidectl.launch import loader
@@ -176,7 +177,7 @@ class _LaunchCheck:
     # --- parameters -----------------------------------------------------------------------------------------------
 
     def read_parameters(self) -> None:
-        """Gather all parameters and read the robots among them."""
+        """Gather all parameters."""
         for setting in self.plan.settings:
             self._take(setting)
         if self.is_complete:
@@ -184,9 +185,6 @@ class _LaunchCheck:
                 self.plan.parameters(gather=True)
             except BadFile as error:
                 self.findings.fail("parameters", error)
-        for name, value in self.values.items():
-            if isinstance(value, str) and _is_robot(value):
-                self._read_robot(name, value)
 
     @property
     def tree(self) -> dict[str, Any]:
@@ -251,15 +249,31 @@ class _LaunchCheck:
             with suppress(BadFile):  # which is said when it is read
                 xml = description.load(xml, {}, self.packages, missing=self.findings.missing).xml
         own = Findings()
-        self.descriptions[name] = model.check_text(xml, file, own, self.ask_others, self.packages, self.strict)
+        self.descriptions[name] = model.check_text(
+            xml, file, own, self.ask_others, self.packages, self.strict,
+            self._asked([task for task in self._spawns if task.parameter == name]),
+        )  # fmt: skip
         self.findings.extend(replace(notice, file=shown(notice.file)) for notice in own.sorted())
         self.findings.broken += own.broken
+
+    def _asked(self, spawns: Sequence[SpawnModel]) -> model.Asked:
+        """How transmissions count by the parameter, for a robot that these nodes spawn."""
+
+        def asked(robot: Robot) -> object:
+            homes = [task.home(robot, self.tasks) for task in spawns] or [description.namespace_of(robot, robot.name)]
+            found = (self.values.get(names.join(home, TRANSMISSIONS)) for home in homes)
+            return next((how for how in found if how is not None), None)
+
+        return asked
 
     # --- nodes ----------------------------------------------------------------------------------------------------
 
     def read_nodes(self) -> None:
-        """Make the tasks, and the robots of those that spawn one."""
+        """Make the tasks, and read the robots among the parameters and those that a task spawns."""
         self.tasks = [task for node in self.plan.nodes if (task := self._task(node)) is not None]
+        for name, value in self.values.items():
+            if isinstance(value, str) and _is_robot(value):
+                self._read_robot(name, value)
         self.robots = [self._robot(task) for task in self._spawns]
         self._withdraw_starts()
         self._read_scenes()
@@ -317,7 +331,9 @@ class _LaunchCheck:
         if task.words.has("-file"):
             path = Path(task.words.one("-file"))
             if is_file(path):
-                return model.check(path, {}, self.packages, self.findings, strict=self.strict)
+                return model.check(
+                    path, {}, self.packages, self.findings, strict=self.strict, asked=self._asked([task])
+                )
             error = task.node.place.absence(
                 f"node {task.node.full_name}: there is no file {path}", thing=f"file {path}"
             )

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -21,6 +22,7 @@ from slidectl.control import hardware_types
 from slidectl.control.transmission_interface import load
 from slidectl.description import interfaces, xml_tree
 from slidectl.description.document import Written
+from slidectl.description.gazebo_tags import set_transmissions, transmissions_named
 from slidectl.description.mesh_files import MeshFiles
 from slidectl.description.packages import Packages, is_file
 from slidectl.description.parser import parse_tree
@@ -34,6 +36,9 @@ _PLUGIN = "libgazebo_ros_control.so"
 _TIMESTEP_S = 0.001  # the daemon's own
 _EXPRESSION = re.compile(r"\$\{(.*?)\}", re.DOTALL)
 _WORD = re.compile(r"[A-Za-z_]\w*")
+
+Asked = Callable[[Robot], object]
+"""The value of the parameter TRANSMISSIONS in a robot's namespace; None: it is not set."""
 
 _MOVING = ("revolute", "continuous", "prismatic")
 
@@ -60,6 +65,8 @@ class Model:
 
     robot: Robot
     namespace: str
+    says_transmissions: bool = False
+    """Whether it says itself how its transmissions count: then a parameter has no effect on that."""
 
     @cached_property
     def driven(self) -> dict[str, list[str]]:
@@ -76,12 +83,13 @@ def check(
     title: str | None = None,
     strict: bool = False,
     transmissions: str | None = None,
+    asked: Asked | None = None,
 ) -> Model | None:
     """Add what there is to say of a model (as description.load takes it); the robot, None when it cannot be read.
 
     `ask_others` asks yourdfpy too, which takes half a second. `title` is what to call a text. `strict` refuses
     impossible masses, inertias and shapes instead of mending them, as `slidectl spawn --strict` does. `transmissions`
-    says how they count, whatever the model says.
+    says how they count, whatever the model says; `asked`, what the parameter says where the model says nothing.
 
     Raises:
         BadFile: there is no such file. UnknownName: no such shipped model.
@@ -106,7 +114,7 @@ def check(
     xml = document.xml
     if transmissions is not None:
         xml = description.with_transmissions(xml, transmissions, document.file)
-    return check_text(xml, document.file, findings, ask_others, packages, strict)
+    return check_text(xml, document.file, findings, ask_others, packages, strict, asked)
 
 
 def check_text(
@@ -116,6 +124,7 @@ def check_text(
     ask_others: bool = False,
     packages: Packages | None = None,
     strict: bool = False,
+    asked: Asked | None = None,
 ) -> Model | None:
     """The same for plain URDF text; `file` is its name in findings, unless the text carries a note of its sources."""
     try:
@@ -126,6 +135,7 @@ def check_text(
     base = Path(file).absolute().parent if is_file(Path(file)) else None
     packages = packages or Packages()
     meshes = MeshFiles(packages.starting_at(base) if base is not None else packages, base)
+    is_told = asked is not None and _tell_transmissions(root, meshes, asked)
     trace = Trace()
     report = TracedReport(trace)
     traced = TracedElement(root, trace)
@@ -146,7 +156,8 @@ def check_text(
         findings.add("used", root.title, text, root.file, root.line)
         return None
     joints.tell(findings)
-    model = Model(robot, _namespace(robot, root, findings))
+    says_transmissions = robot.plugin is not None and robot.plugin.transmissions is not None and not is_told
+    model = Model(robot, _namespace(robot, root, findings), says_transmissions)
     _tell_whole(robot, root, model.namespace, findings)
     bodies.tell(robot, findings)
     if ask_others:
@@ -154,6 +165,17 @@ def check_text(
 
         second_opinion.tell(xml, robot, root, findings)
     return model
+
+
+def _tell_transmissions(root: Element, meshes: MeshFiles, asked: Asked) -> bool:
+    """Have the plugin say what the parameter does, where it says nothing itself. Whether it has been done."""
+    with suppress(SlidectlError):  # what is broken is told of when it is checked
+        robot = parse_tree(root, meshes, Report())
+        how = asked(robot)
+        if how is not None and (robot.plugin is None or robot.plugin.transmissions is None):
+            set_transmissions(root, transmissions_named(str(how)))
+            return True
+    return False
 
 
 def _namespace(robot: Robot, root: Element, findings: Findings) -> str:
@@ -222,19 +244,20 @@ class _Joints:
                 yield Notice(verdict, subject, f"{value.strip()} {unit}; {effect}", element.file, element.line)
 
     def _effect(self, joint: Joint, name: str) -> tuple[Verdict, str]:
-        """What a limit does, which is for the interface to say that the joint takes commands by."""
-        interface = next(iter(self.driven.get(joint.name, ())), None)
-        found = interfaces.find(interface or "")
-        if not interface and name in ("velocity", "effort"):
+        """What a limit does, which is for the interfaces to say that the joint takes commands by."""
+        written = self.driven.get(joint.name, [])
+        found = [interface for interface in map(interfaces.find, written) if interface is not None]
+        if not written and name in ("velocity", "effort"):
             return "used", "bounds forces from outside only, as no transmission drives the joint"
-        if not interface and name in _SOFT:
+        if not written and name in _SOFT:
             return "ignored", "has no effect, as no transmission drives the joint"
         if joint.type == "continuous" and name in _SOFT and name != "k_velocity":
             return "ignored", "has no effect without position limits, which a continuous joint has not"
-        if found is not None and found.quantity == "position" and name == "effort":
+        if found and all(interface.quantity == "position" for interface in found) and name == "effort":
             return "used", "counts only with gains in gazebo_ros_control/pid_gains"
-        if found not in (None, interfaces.EFFORT) and name == "k_velocity":
-            return "ignored", f"only an {interfaces.EFFORT.name} has a use for it, the joint's is a {interface}"
+        if found and interfaces.EFFORT not in found and name == "k_velocity":
+            own = " and a ".join(written)
+            return "ignored", f"only an {interfaces.EFFORT.name} has a use for it, the joint's is a {own}"
         return "used", _MEANINGS[name][2]
 
     def tell(self, findings: Findings) -> None:
@@ -300,11 +323,11 @@ def _is_of(tag: Element, transmission: TransmissionInfo) -> bool:
     """Whether a transmission was read from this tag: all those that a macro makes are in the same line."""
     joint = transmission.joints[0]
     own = [child for child in _inside(tag, "joint") if (plain(child).get("name") or "").strip() == joint.name]
-    interfaces = [plain(place).first_text for child in own for place in _inside(child, "hardwareInterface")]
+    written = [plain(place).first_text for child in own for place in _inside(child, "hardwareInterface")]
     return (
         (tag.file, tag.line) == (transmission.file, transmission.line)
         and (plain(tag).get("name") or "").strip() == transmission.name
-        and joint.hardware_interfaces[0] in interfaces
+        and joint.hardware_interfaces[0] in written
     )
 
 

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from slidectl import names
 from slidectl.check import controllers, kinds, model, scenes
 from slidectl.check.findings import Findings
 from slidectl.control import registry
-from slidectl.description import models, sdf
+from slidectl.description import controllers_file, models, sdf
+from slidectl.description.gazebo_tags import TRANSMISSIONS
 from slidectl.description.missing import Missing
 from slidectl.description.packages import Packages, is_file, shown
-from slidectl.errors import UsageError
+from slidectl.description.parameter_trees import Tree
+from slidectl.description.robot import Robot, namespace_of
+from slidectl.errors import BadFile, UsageError
 
 
 def check(
@@ -87,11 +92,30 @@ def check(
     read = text.decode("utf-8", "replace") if text is not None else source
     if text is None and (path := models.shipped().get(source)) is not None:
         read = shown(path)  # the shortest path that leads there
-    robot = model.check(read, arguments, packages, findings, ask_others, title, strict, transmissions)
-    usable = [controllers.check(file, robot, findings) for file in parameter_files]
+    texts = {file: models.read_file(file) for file in parameter_files}
+    trees = [tree for file, content in texts.items() if (tree := _tree(content, str(file))) is not None]
+
+    def asked(robot: Robot) -> object:
+        namespace = namespace_of(robot, robot.name)
+        placed = (controllers_file.retarget(tree, namespace)[0] for tree in reversed(trees))
+        found = (controllers_file.at(tree, names.join(namespace, TRANSMISSIONS)) for tree in placed)
+        return next((how for how in found if how is not None), None)
+
+    robot = model.check(read, arguments, packages, findings, ask_others, title, strict, transmissions, asked)
+    usable = [controllers.check(file, robot, findings, content) for file, content in texts.items()]
     findings.is_drivable = robot is not None and (any(usable) or not usable)
     findings.tell_missing()
     return findings
+
+
+def _tree(text: bytes, file: str) -> Tree | None:
+    """The parameters of a file; None of one that is broken, which is told of when it is checked."""
+    from slidectl.description import yaml_tree
+
+    try:
+        return controllers_file.plain(yaml_tree.read(text, file))
+    except BadFile:
+        return None
 
 
 def _kind(source: str, text: bytes | None) -> kinds.Kind:
@@ -100,7 +124,7 @@ def _kind(source: str, text: bytes | None) -> kinds.Kind:
         return kinds.of_text(text, source)
     if source.startswith(sdf.SCHEME):
         return "scene"
-    path = Path(source).expanduser()
+    path = Path(os.path.expanduser(source))
     if source in models.shipped():
         return "model"
     if is_file(path) or path.suffix:

@@ -20,7 +20,7 @@ def check(path: Path, packages: Packages, findings: Findings, text: bytes | None
     base = Path.cwd() if text is not None else path.absolute().parent
     try:
         scene = sdf.parse(content, shown(path), packages.starting_at(base), base, findings.missing)
-        world = gazebo.parse_world(content, shown(path)) if gazebo.has_world(content, shown(path)) else None
+        world = gazebo.parse_world(content, shown(path))
     except BadFile as error:
         findings.fail("SDF", error)
         return False

@@ -7,6 +7,7 @@ and every other command, starts without it.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -153,7 +154,7 @@ def find(file: str) -> Path:
     """The file, else the shipped one of that name, so that the tutorials' lines work in any folder."""
     from slidectl.paths import share
 
-    path = Path(file).expanduser()
+    path = Path(os.path.expanduser(file))
     shipped = share("config") / path.name
     if not path.exists() and path.parent.name in ("", "config") and shipped.exists():
         return shipped

@@ -14,6 +14,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 from slidectl import names
 from slidectl.control.node_handle import MISSING, NodeHandle, ParameterChange
+from slidectl.description.parameter_trees import leaves
 from slidectl.errors import Refused, UnknownName, listing
 
 T = TypeVar("T")
@@ -255,15 +256,6 @@ def _changed(change: ParameterChange) -> Iterator[tuple[str, Any]]:
     for name, value in leaves(change.after):
         if name not in before or type(before[name]) is not type(value) or before[name] != value:
             yield name, value
-
-
-def leaves(tree: Any, above: str = "") -> Iterator[tuple[str, Any]]:
-    """Name and value of every parameter in a tree; an empty mapping is a value."""
-    for key, value in tree.items() if isinstance(tree, dict) else ():
-        if isinstance(value, dict) and value:
-            yield from leaves(value, f"{above}{key}/")
-        else:
-            yield f"{above}{key}", value
 
 
 class Guard:

@@ -9,7 +9,7 @@ import re
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from slidectl.control.params import leaves
+from slidectl.description.parameter_trees import leaves
 from slidectl.errors import Refused
 
 _BY_INTERFACE = {
@@ -163,7 +163,7 @@ def _chosen(type_name: str, found: Ros2Type, values: Mapping[str, Any]) -> str:
     """The name by the interfaces that the parameters ask for. Raises NoCounterpart."""
     assert not isinstance(found.here, str)
     asked = values.get(found.interfaces)
-    given = {asked} if isinstance(asked, str) else set(asked) if isinstance(asked, list) else set()
+    given = {asked} if isinstance(asked, str) else set(map(str, asked)) if isinstance(asked, list) else set()
     for names, here in found.here.items():
         if given == set(names):
             return here

@@ -34,7 +34,6 @@ _NEEDED = {
 _EXTRAS = {
     "numba": ("numba", "machine code for the cycle", "pip install 'slidectl[fast]'"),
     "mcap": ("mcap", "recordings as .mcap", "pip install 'slidectl[mcap]'"),
-    "pycollada": ("collada", "meshes in .dae files", "pip install pycollada"),
 }
 _LITTLE_DISK, _NO_DISK = 200 << 20, 1 << 20
 _FEW_FILES = 256

@@ -5,14 +5,12 @@ Reading is yaml_tree's; here is what a tree of controllers looks like, and how o
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from slidectl.description.models import read_file
+from slidectl.description.parameter_trees import Tree, leaves, merge, nest
 from slidectl.description.robot import Notice
-
-Tree = dict[str, Any]
 
 ROS_2 = "ros__parameters"
 """What the parameters of a node are under in files of ROS 2."""
@@ -26,7 +24,13 @@ def read(path: str | Path, notices: list[Notice] | None = None) -> Tree:
     """
     from slidectl.description import yaml_tree
 
-    return plain(yaml_tree.read(read_file(Path(path), pipes=True), str(path), notices))
+    replaced: list[str] = []
+    text = read_file(Path(path), pipes=True)
+    tree = plain(yaml_tree.read(text, str(path), notices), replaced)
+    if notices is not None and replaced:
+        lines = places(text, str(path))
+        notices += [Notice("wrong", name, yaml_tree.REPLACED, *lines.get(name, (str(path), None))) for name in replaced]
+    return tree
 
 
 def places(text: bytes, file: str) -> dict[str, tuple[str, int | None]]:
@@ -36,16 +40,19 @@ def places(text: bytes, file: str) -> dict[str, tuple[str, int | None]]:
     return {plain_path(name): (file, line) for name, line in yaml_tree.places(text, file).items()}
 
 
-def plain(tree: Tree) -> Tree:
-    """The tree without ROS 2's `ros__parameters`, as `plain_path` places what is in it; else the same tree."""
-    from slidectl.description.yaml_tree import merge, nest
+def plain(tree: Tree, replaced: list[str] | None = None) -> Tree:
+    """The tree without ROS 2's `ros__parameters`, as `plain_path` places what is in it; else the same tree.
 
+    What is a value and a namespace of values there is appended to `replaced`, by its path.
+    """
     found: Tree = {}
     moved = False
-    for path, value in _leaves(tree):
-        place = plain_path(path)
+    for path, value in leaves(tree, "/"):
+        place = plain_path(path) or path  # one that says nothing but `ros__parameters: 5` stays
         moved = moved or place != path
-        merge(found, nest(place, value))
+        lost = merge(found, nest(place, value))
+        if replaced is not None:
+            replaced += lost
     return found if moved else tree
 
 
@@ -61,24 +68,14 @@ def plain_path(path: str) -> str:
     return node.removesuffix("/controller_manager").removesuffix("/**") + name.replace(".", "/")
 
 
-def _leaves(tree: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in tree.items():
-        if isinstance(value, Mapping) and value:
-            yield from _leaves(value, f"{above}/{key}")
-        else:
-            yield f"{above}/{key}", value
-
-
 def retarget(tree: Tree, namespace: str) -> tuple[Tree, str | None]:
     """The tree to load at the root so that `namespace` has its controllers, and a notice when something was moved.
 
     A file that names the namespace is loaded as it stands. One that names another single one is moved. One that
     begins with the controllers themselves is put under the namespace.
     """
-    from slidectl.description.yaml_tree import nest
-
     target = "/" + namespace.strip("/")
-    if not tree or (isinstance(_at(tree, target), dict) and target != "/"):
+    if not tree or (isinstance(at(tree, target), dict) and target != "/"):
         return tree, None
     if holds_controllers(tree):
         return nest(target, tree), None
@@ -97,7 +94,7 @@ def holds_controllers(tree: object) -> bool:
     return any(isinstance(child, Mapping) and isinstance(child.get("type"), str) for child in tree.values())
 
 
-def _at(tree: Tree, path: str) -> object:
+def at(tree: Tree, path: str) -> object:
     """What is at the names of `path`, or None."""
     branch: object = tree
     for name in path.strip("/").split("/"):

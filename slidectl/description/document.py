@@ -231,7 +231,7 @@ def with_root_free(xml: str, file: str = "robot_description") -> str:
 
 
 def with_transmissions(xml: str, how: str, file: str = "robot_description") -> str:
-    """The robot whose control plugin says how its transmissions count. Raises BadFile: broken XML. UnknownName."""
+    """The robot whose control plugin says how its transmissions count. Raises BadFile: broken XML. Refused."""
     robot = xml_tree.read(xml, file)
     set_transmissions(robot, transmissions_named(how))
     return xml_tree.write(robot)

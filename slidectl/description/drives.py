@@ -64,15 +64,19 @@ class DriveReader:
         }
         if library == PLANAR:
             rate = child_rate(plugin, "odometryRate", 20.0, place)
-            timeout_s = child_number(plugin, "cmdTimeout", -1.0, place)
+            timeout_s = child_number(plugin, "cmdTimeout", -1.0, place, finite=False)
             common |= dict.fromkeys(("has_odometry", "has_odometry_tf"), rate > 0.0)
             drive = PlanarMove(**common, tells_height=False, odometry_rate_hz=rate, timeout_s=timeout_s)
             self.drives.append(drive)
             return
         read = self._diff if library == DIFF else self._skid
         wheels = read(plugin, place)
-        for tag, default in (("wheelSeparation", wheels.pop("default_separation")), ("wheelDiameter", 0.15)):
-            wheels[tag.removeprefix("wheel").lower()] = length = child_number(plugin, tag, default, place)
+        lengths = (
+            ("separation", "wheelSeparation", wheels.pop("default_separation")),
+            ("diameter", "wheelDiameter", 0.15),
+        )
+        for name, tag, default in lengths:
+            wheels[name] = length = child_number(plugin, tag, default, place)
             if not 0.0 < length < float("inf"):
                 raise (plugin.find(tag) or plugin).error(f"{place}: <{tag}> is {length:g} m; it must be above 0")
         unknown = [joint for joint in (*wheels["left"], *wheels["right"]) if joint not in self.joints]
@@ -98,8 +102,8 @@ class DriveReader:
             "default_separation": 0.34,
             "left": sides[0],
             "right": sides[1],
-            "torque": child_number(plugin, "wheelTorque", 5.0, place),
-            "acceleration": child_number(plugin, "wheelAcceleration", 0.0, place),
+            "torque": child_number(plugin, "wheelTorque", 5.0, place, finite=False),
+            "acceleration": child_number(plugin, "wheelAcceleration", 0.0, place, finite=False),
             "measures_wheels": source == "encoder",
             "has_odometry": has_odometry,
             "has_odometry_tf": self._flag(plugin, "publishOdomTF", True, place) and has_odometry,
@@ -116,7 +120,7 @@ class DriveReader:
         return {
             "default_separation": 0.4,
             **joints,
-            "torque": child_number(plugin, "torque", 5.0, place),
+            "torque": child_number(plugin, "torque", 5.0, place, finite=False),
             "has_odometry": True,
             "has_odometry_tf": self._flag(plugin, "broadcastTF", False, place),
             "tells_height": False,

@@ -14,7 +14,8 @@ from slidectl.description.robot import Pose, Vector
 from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile, closest, listing
 
-_LEAST_RATE_HZ = 1e-9
+LONGEST_PERIOD_S = 2**31 - 1
+"""Where durations of ROS end."""
 _INFINITE = ("inf", "infinity")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
@@ -79,19 +80,27 @@ def child_text(element: Element, tag: str, default: str) -> str:
     return child.first_text if child is not None and child.first_text else default
 
 
-def child_number(element: Element | None, tag: str, default: float, place: str) -> float:
-    """The number in a child, infinite ones included; the default when there is no child, or it is empty."""
+def child_number(element: Element | None, tag: str, default: float, place: str, finite: bool = True) -> float:
+    """The number in a child; the default when there is no child, or it is empty."""
     child = element.find(tag) if element is not None else None
     if child is None or not child.first_text:
         return default
-    return parse_number(child.first_text, child, f"{place}/<{tag}>", finite=False)
+    return parse_number(child.first_text, child, f"{place}/<{tag}>", finite)
+
+
+def child_count(element: Element | None, tag: str, default: int, place: str) -> int:
+    """The whole number in a child, as child_number."""
+    value = child_number(element, tag, default, place)
+    if element is not None and not value.is_integer():
+        raise (element.find(tag) or element).error(f"{place}/<{tag}> is {value:g}; it must be a whole number")
+    return int(value)
 
 
 def child_rate(element: Element, tag: str, default: float, place: str) -> float:
-    """The rate in a child, in Hz; infinite or not above 0: as often as can be. Raises BadFile: no clock counts it."""
-    rate = child_number(element, tag, default, place)
-    if 0.0 < rate < _LEAST_RATE_HZ:
-        text = f"{place}/<{tag}> is {rate:g} Hz; it must be at least {_LEAST_RATE_HZ:g}, or 0 for each step"
+    """The rate in a child, Hz, as child_number; 0 and an infinite one have no period between two times."""
+    rate = child_number(element, tag, default, place, finite=False)
+    if rate < 0.0 or 0.0 < rate < 1.0 / LONGEST_PERIOD_S:
+        text = f"{place}/<{tag}> is {rate:g} Hz; it must not be negative, nor its period above {LONGEST_PERIOD_S} s"
         raise (element.find(tag) or element).error(text)
     return rate
 

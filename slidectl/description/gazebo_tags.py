@@ -19,7 +19,7 @@ from slidectl.description.report import Report
 from slidectl.description.robot import ControlPlugin, Surface, Transmissions
 from slidectl.description.sensors import OF_MODEL, SensorReader, library
 from slidectl.description.xml_tree import Element
-from slidectl.errors import NotThere, UnknownName, closest, listing
+from slidectl.errors import NotThere, Refused, closest, listing, quoted
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -29,8 +29,9 @@ SIM_TYPES = (ControlPlugin.robot_sim_type, "DefaultRobotHWSim")
 """The default hardware, by its names."""
 HARDWARE_ENTRY_POINTS = "slidectl.robot_hw"
 """The group in which an installed package names its simulated hardware: a type, and `module:Class`."""
+TRANSMISSIONS = "gazebo_ros_control/transmissions"
+"""The parameter in a robot's namespace that says how transmissions count, where the model's plugin does not."""
 _MOST_COMPARED = 1000
-_LONGEST_PERIOD = 2**31 - 1
 _PARAMETERS = {
     "robotNamespace",
     "robotParam",
@@ -209,7 +210,9 @@ def set_transmissions(root: Element, how: Transmissions) -> None:
 
 
 def _control_plugins(root: Element) -> list[Element]:
-    plugins = (plugin for gazebo in root.find_all("gazebo") for plugin in gazebo.find_all("plugin"))
+    """Those that count: not what stands in a `<gazebo>` of a link or joint."""
+    models = (gazebo for gazebo in root.find_all("gazebo") if not gazebo.get("reference"))
+    plugins = (plugin for gazebo in models for plugin in gazebo.find_all("plugin"))
     return [plugin for plugin in plugins if _is_control(plugin)]
 
 
@@ -238,16 +241,15 @@ def _namespace(plugin: Element, text: str | None) -> str | None:
 def _transmissions(plugin: Element, text: str | None) -> Transmissions | None:
     try:
         return None if text is None else transmissions_named(text)
-    except UnknownName as error:
-        raise (plugin.find("transmissions") or plugin).error(error.message, error.hint) from None
+    except Refused as error:
+        raise (plugin.find("transmissions") or plugin).error(error.message) from None
 
 
 def transmissions_named(text: str) -> Transmissions:
-    """How transmissions count. Raises UnknownName."""
-    for how in get_args(Transmissions):
-        if text == how:
-            return cast(Transmissions, how)
-    raise UnknownName("way of transmissions", text, get_args(Transmissions))
+    """How transmissions count. Raises Refused."""
+    if text not in get_args(Transmissions):
+        raise Refused(f"transmissions are {' or '.join(get_args(Transmissions))}, not {quoted(text)}")
+    return cast(Transmissions, text)
 
 
 def _period(plugin: Element, text: str | None) -> float | None:
@@ -257,6 +259,6 @@ def _period(plugin: Element, text: str | None) -> float | None:
     period = element_values.parse_number(text, place, "controlPeriod")
     if period <= 0:
         raise place.error(f"controlPeriod is {period:g} s; it must be above 0")
-    if period > _LONGEST_PERIOD:
-        raise place.error(f"controlPeriod is {period:g} s; durations of ROS end at {_LONGEST_PERIOD} s")
+    if period > element_values.LONGEST_PERIOD_S:
+        raise place.error(f"controlPeriod is {period:g} s; durations of ROS end at {element_values.LONGEST_PERIOD_S} s")
     return period

@@ -30,14 +30,14 @@ from slidectl.errors import BadFile
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-MOST_BYTES = 128 * 2**20
+_MOST_BYTES = 128 * 2**20
 """Of a file in a binary format."""
-MOST_BYTES_OF_TEXT = 64 * 2**20
+_MOST_BYTES_OF_TEXT = 64 * 2**20
 """Of a file in a text format, which takes several times its size in memory while it is read."""
-MOST_FACES = 2_000_000
-MOST_PARTS = 20_000
+_MOST_FACES = 2_000_000
+_MOST_PARTS = 20_000
 """Nodes of the scene with their transforms and instances, each counted as often as its node is instanced."""
-DEEPEST = 100
+_DEEPEST = 100
 """Nodes within nodes."""
 
 _TRANSFORMS = {"matrix": 16, "translate": 3, "rotate": 4, "scale": 3, "lookat": 9}
@@ -86,7 +86,7 @@ def load(path: str | Path, scale: Vector = (1.0, 1.0, 1.0)) -> Triangles:
     content = _content(path)
     try:
         vertices, faces = _stl(content, path) if kind == ".stl" else _text_kind(kind, content, path)
-    except (ValueError, IndexError, OverflowError) as error:
+    except (ValueError, IndexError, ArithmeticError) as error:
         raise BadMesh(f"cannot read the mesh: {str(error).strip() or type(error).__name__}", path) from None
     except RecursionError:
         raise BadMesh("cannot read the mesh: it is nested too deep", path) from None
@@ -94,8 +94,8 @@ def load(path: str | Path, scale: Vector = (1.0, 1.0, 1.0)) -> Triangles:
         raise BadMesh("cannot read the mesh: it needs more memory than there is for it", path) from None
     if not len(faces):
         raise BadMesh("the mesh has no triangle", path)
-    check_faces(len(faces), path)
-    vertices, faces = used(vertices, faces, path)
+    _check_faces(len(faces), path)
+    vertices, faces = _used(vertices, faces, path)
     with np.errstate(over="ignore", invalid="ignore"):
         vertices = vertices * np.asarray(scale)
     if not np.isfinite(vertices).all():
@@ -127,10 +127,10 @@ def is_flat(vertices: NDArray[np.float64]) -> bool:
     return bool(exact[2] <= _THINNEST * exact[0])
 
 
-def check_faces(count: int, path: str | Path) -> None:
+def _check_faces(count: int, path: str | Path) -> None:
     """Raises BadMesh when a mesh has more triangles than may be."""
-    if count > MOST_FACES:
-        raise BadMesh(f"the mesh has {count} triangles, and more than {MOST_FACES} are refused", path)
+    if count > _MOST_FACES:
+        raise BadMesh(f"the mesh has {count} triangles, and more than {_MOST_FACES} are refused", path)
 
 
 def _content(path: Path) -> bytes:
@@ -144,12 +144,12 @@ def _content(path: Path) -> bytes:
         os.close(descriptor)
         raise BadMesh("is no file: a mesh is not read from a folder, a pipe or a device", path)
     with os.fdopen(descriptor, "rb") as stream:
-        _check_size(status.st_size, MOST_BYTES, path)
+        _check_size(status.st_size, _MOST_BYTES, path)
         try:
-            content = stream.read(MOST_BYTES + 1)
+            content = stream.read(_MOST_BYTES + 1)
         except OSError as error:
             raise BadMesh(f"cannot read the mesh: {error.strerror}", path) from None
-    _check_size(len(content), MOST_BYTES, path)  # it may have grown, or lie about its size as those of /proc do
+    _check_size(len(content), _MOST_BYTES, path)  # it may have grown, or lie about its size as those of /proc do
     return content
 
 
@@ -159,7 +159,7 @@ def _check_size(size: int, most: int, path: Path) -> None:
 
 
 def _text_kind(kind: str, content: bytes, path: Path) -> Triangles:
-    _check_size(len(content), MOST_BYTES_OF_TEXT, path)
+    _check_size(len(content), _MOST_BYTES_OF_TEXT, path)
     if kind == ".obj":
         return _obj(content, path)
     return _dae(content, path)
@@ -169,15 +169,15 @@ def _stl(content: bytes, path: Path) -> Triangles:
     """Binary when the size is what the header says: the text form begins with `solid`, but so do some binary ones."""
     count = int.from_bytes(content[80:_STL_HEADER], "little") if len(content) >= _STL_HEADER else 0
     if count and len(content) == _STL_HEADER + _STL_FACET * count:
-        check_faces(count, path)
+        _check_faces(count, path)
         facet = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
         corners = np.frombuffer(content, facet, count, _STL_HEADER)["corners"].reshape(-1, 3)
         return _merged(corners.astype(np.float64))
-    _check_size(len(content), MOST_BYTES_OF_TEXT, path)
+    _check_size(len(content), _MOST_BYTES_OF_TEXT, path)
     if count and not content.lstrip()[:5].lower() == b"solid":
         raise BadMesh(f"cannot read the mesh: {len(content)} bytes are not those of {count} triangles", path)
     found = _VERTEX.findall(content)
-    check_faces(len(found) // 3, path)
+    _check_faces(len(found) // 3, path)
     corners = np.array(found, dtype=np.bytes_).astype(np.float64).reshape(-1, 3)
     return _merged(corners[: len(corners) // 3 * 3])
 
@@ -208,7 +208,7 @@ def _obj(content: bytes, path: Path) -> Triangles:
         elif words[0] == b"f":
             corners = [_obj_index(word, len(places)) for word in words[1:]]
             faces += [(corners[0], corners[k], corners[k + 1]) for k in range(1, len(corners) - 1)]
-            check_faces(len(faces), path)
+            _check_faces(len(faces), path)
     vertices = np.array(places, dtype=np.bytes_).astype(np.float64).reshape(-1, 3)
     return Triangles(vertices, np.array(faces, np.int32).reshape(-1, 3))
 
@@ -221,7 +221,7 @@ def _obj_index(word: bytes, count: int) -> int:
     return index
 
 
-def used(vertices: NDArray[np.float64], faces: NDArray[np.int32], path: Path) -> Triangles:
+def _used(vertices: NDArray[np.float64], faces: NDArray[np.int32], path: Path) -> Triangles:
     """Only the vertices that a triangle has. Raises BadMesh for triangles with others than there are."""
     if faces.min() < 0 or faces.max() >= len(vertices):
         text = f"a triangle has the vertex {max(faces.max(), -faces.min())} of {len(vertices)}"
@@ -241,7 +241,7 @@ def _dae(content: bytes, path: Path) -> Triangles:
         BadMesh: no XML, no scene, over a bound. ValueError: numbers that are none.
     """
     try:
-        root = xml_tree.read(content, str(path), MOST_BYTES_OF_TEXT)
+        root = xml_tree.read(content, str(path), _MOST_BYTES_OF_TEXT)
     except BadFile as error:
         raise BadMesh(f"cannot read the mesh: {error.reason}", path) from None
     if _kind(root) != "COLLADA":
@@ -269,7 +269,7 @@ class _Scene:
             if not len(surface.faces):
                 continue
             face_count += len(surface.faces)
-            check_faces(face_count, self.path)
+            _check_faces(face_count, self.path)
             vertices.append(surface.vertices @ placed[:3, :3].T + placed[:3, 3])
             turned = surface.faces[:, ::-1] if np.linalg.det(placed[:3, :3]) < 0 else surface.faces
             faces.append(turned + vertex_count)
@@ -294,10 +294,10 @@ class _Scene:
         while waiting:
             node, place, depth = waiting.pop()
             count += 1 + len(node.children)
-            if count > MOST_PARTS:
-                raise BadMesh(f"the scene has more than {MOST_PARTS} nodes, instances included", self.path)
-            if depth > DEEPEST:
-                raise BadMesh(f"the nodes of the scene are nested deeper than {DEEPEST}", self.path)
+            if count > _MOST_PARTS:
+                raise BadMesh(f"the scene has more than {_MOST_PARTS} nodes, instances included", self.path)
+            if depth > _DEEPEST:
+                raise BadMesh(f"the nodes of the scene are nested deeper than {_DEEPEST}", self.path)
             below: list[tuple[Element, NDArray[np.float64], int]] = []
             for child in node.children:
                 kind = _kind(child)
@@ -326,7 +326,7 @@ class _Scene:
     def _geometry(self, instance: Element) -> Element:
         """The geometry that is instanced; that of a skin or a morph as it is drawn at rest."""
         target = self._target(instance, "url")
-        for _ in range(DEEPEST):
+        for _ in range(_DEEPEST):
             if _kind(target) == "geometry":
                 return target
             skin = _child(target, "skin") or _child(target, "morph")
@@ -358,18 +358,22 @@ class _Scene:
                     total += len(vertices[-1])
                     # Many geometries may share one long list of points, and each would have a copy of it.
                     self.points_read += len(vertices[-1])
-                    if self.points_read > 3 * MOST_FACES:
-                        raise BadMesh(f"the mesh has more than {3 * MOST_FACES} vertices", self.path)
-                stride = 1 + max(int(entry.get("offset") or 0) for entry in inputs)
+                    if self.points_read > 3 * _MOST_FACES:
+                        raise BadMesh(f"the mesh has more than {3 * _MOST_FACES} vertices", self.path)
+                offsets = [int(entry.get("offset") or 0) for entry in inputs]
+                if min(offsets) < 0:
+                    text = f"line {primitive.line} has an input of offset {min(offsets)}"
+                    raise BadMesh(f"cannot read the mesh: {text}", self.path)
+                stride = 1 + max(offsets)
                 corners = _corners(primitive, offset, stride)
                 if len(corners) and not 0 <= corners.min() <= corners.max() < total - starts[id(source)]:
                     raise BadMesh(f"cannot read the mesh: line {primitive.line} uses vertices that are none", self.path)
                 faces.append(corners + starts[id(source)])
-                check_faces(sum(map(len, faces)), self.path)
+                _check_faces(sum(map(len, faces)), self.path)
         if not faces:
             return Triangles(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
         every = np.concatenate(faces).astype(np.int32)
-        return used(np.concatenate(vertices), every, self.path) if len(every) else Triangles(np.zeros((0, 3)), every)
+        return _used(np.concatenate(vertices), every, self.path) if len(every) else Triangles(np.zeros((0, 3)), every)
 
     def _positions(self, primitive: Element, inputs: list[Element]) -> tuple[Element, int]:
         """The source of the positions of a primitive's corners, and where their indices are among those of a corner."""

@@ -109,6 +109,9 @@ def parse_tree(root: Element, meshes: MeshFiles, report: Report, strict: bool = 
         gazebo.read(element)
     if is_whole:
         for follower, (mimic, plugin) in gazebo.drives.mimics.items():
+            if (kind := joints[follower].type) in _IMMOBILE:
+                report.wrong(plugin, f"joint {follower!r} is {kind} and cannot follow; the plugin has no effect")
+                continue
             if joints[follower].mimic not in (None, mimic):
                 text = f"the plugin goes before the <mimic> of joint {follower!r}, which says otherwise, as in Gazebo"
                 report.wrong(plugin, text)

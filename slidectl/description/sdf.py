@@ -5,7 +5,7 @@ own, as they are in Gazebo. A static model hangs on the link `world`. Pose eleme
 Shapes, masses, friction, gravity and the joints that URDF has are taken; everything else is reported with its line.
 Nothing is spawned here, and worlds' physics settings are launch's.
 
-ModelText of the frames: the SDF 1.4 to 1.9 specification (`<pose>` is x y z roll pitch yaw in the parent's frame; a
+Source of the frames: the SDF 1.4 to 1.9 specification (`<pose>` is x y z roll pitch yaw in the parent's frame; a
 joint's frame is given in its child's; `<axis>` is in the joint's frame since 1.5, in the model's before).
 """
 
@@ -69,6 +69,11 @@ class Scene:
     has_ground: bool = False
     notices: list[Notice] = field(default_factory=list)
 
+    @property
+    def names(self) -> list[str]:
+        """The models, by the names of their first parts."""
+        return list(dict.fromkeys(model.first for model in self.models))
+
     def named(self, name: str | None) -> list[SdfModel]:
         """The parts, with `name` for the model; further parts keep what their names have more than the first one's.
 
@@ -76,9 +81,8 @@ class Scene:
         """
         if name is None:
             return self.models
-        first = {model.first for model in self.models}
-        if len(first) != 1:
-            raise UsageError(f"a name goes with one model, and there are {len(first)}", "leave the name out")
+        if len(self.names) != 1:
+            raise UsageError(f"a name goes with one model, and there are {len(self.names)}", "leave the name out")
         return [replace(model, name=name + model.name.removeprefix(model.first), first=name) for model in self.models]
 
 
@@ -147,7 +151,7 @@ def is_urdf(text: str) -> bool:
 def find(source: str, packages: Packages | None = None) -> Path:
     """The file that the word means. Raises NotThere."""
     if not source.startswith(SCHEME):
-        return Path(source).expanduser()
+        return Path(os.path.expanduser(source))
     try:
         return SdfFiles(packages or Packages(start=Path.cwd()), Path.cwd()).model_file(
             source, Element("include", {}, "", 0)

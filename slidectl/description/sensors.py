@@ -1,6 +1,6 @@
 """Reads the sensors that a model declares: `<sensor>` tags of links and joints, and plugins of gazebo_ros that measure.
 
-Defaults are those of the plugins. What sensors measure is published by simulation/sensors.py.
+Defaults are those of the plugins. What sensors measure is published by simulation/sensor_topics.py.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping
 
-from slidectl.description.element_values import child_number, child_rate, child_text, parse_number
+from slidectl.description.element_values import child_count, child_number, child_rate, child_text, parse_number
 from slidectl.description.report import Report
 from slidectl.description.robot import (
     Bumper,
@@ -40,7 +40,7 @@ OF_MODEL = (
     _FORCE_PLUGIN,
 )  # fmt: skip
 """Plugins of a model that measure."""
-_DRAWN = {
+_KNOWN_TAGS = {
     "visualize", "always_on", "update_rate", "pose", "plugin", "topic", "ray", "imu", "contact", "camera",
     "force_torque",
 }  # fmt: skip
@@ -77,7 +77,7 @@ class SensorReader:
             names = " or ".join(f"{name}.so" for name in _OF_LINK[kind])
             return self.report.ignored(sensor, f"publishes nothing without a <plugin> {names}", place)
         for child in sensor.children:
-            if child.tag not in _DRAWN:
+            if child.tag not in _KNOWN_TAGS:
                 self.report.ignored(child, "has no effect in a sensor here", f"{place}/{child.title}")
         name = sensor.get("name") or kind
         text = plugin.find("pose") or sensor.find("pose")
@@ -106,13 +106,13 @@ class SensorReader:
         ray = sensor.find("ray")
         scan = _below(ray, "scan", "horizontal")
         extent, noise = _below(ray, "range"), _below(ray, "noise")
-        if (vertical := _below(ray, "scan", "vertical")) is not None and child_number(
-            vertical, "samples", 1, place
-        ) > 1:
+        vertical = _below(ray, "scan", "vertical")
+        if vertical is not None and child_count(vertical, "samples", 1, place) > 1:
             self.report.ignored(vertical, "has no effect: a scan has one layer here", f"{place}/<vertical>")
-        samples = int(child_number(scan, "samples", 640, place))
+        samples = child_count(scan, "samples", 640, place)
         least, most = child_number(scan, "min_angle", 0.0, place), child_number(scan, "max_angle", 0.0, place)
-        nearest, farthest = child_number(extent, "min", 0.0, place), child_number(extent, "max", math.inf, place)
+        nearest = child_number(extent, "min", 0.0, place)
+        farthest = child_number(extent, "max", math.inf, place, finite=False)
         if samples < 1 or samples > 100_000 or most < least or nearest < 0 or farthest <= nearest:
             raise sensor.error(
                 f"{place}: a scan of {samples} samples from {least:g} to {most:g} rad, {nearest:g} to {farthest:g} m",
@@ -127,11 +127,11 @@ class SensorReader:
     def _camera(self, sensor: Element, plugin: Element, common: Sensor, place: str) -> Camera:
         camera = sensor.find("camera")
         image, clip, noise = (_below(camera, tag) for tag in ("image", "clip", "noise"))
-        width, height = (int(child_number(image, tag, size, place)) for tag, size in (("width", 320), ("height", 240)))
+        width, height = (child_count(image, tag, size, place) for tag, size in (("width", 320), ("height", 240)))
         view = child_number(camera, "horizontal_fov", 1.047, place)
         near, far = child_number(clip, "near", 0.1, place), child_number(clip, "far", 100.0, place)
         most = Camera.MOST_PIXELS
-        if not (0 < width <= most and 0 < height <= most and 0.0 < view < math.pi and 0.0 < near < far < math.inf):
+        if not (0 < width <= most and 0 < height <= most and 0.0 < view < math.pi and 0.0 < near < far):
             raise sensor.error(
                 f"{place}: a camera of {width} x {height} pixels, {view:g} rad wide, {near:g} to {far:g} m",
                 f"1 to {most} pixels either way, a horizontal_fov between 0 and pi, near above 0 and below far",
@@ -178,7 +178,7 @@ class SensorReader:
                 text = f"{child.first_text!r} has no effect: it is {words[tag]}, or {known[1]}"
                 self.report.ignored(child, text, f"{place}/<{tag}>")
         for child in sensor.children:
-            if child.tag not in _DRAWN:
+            if child.tag not in _KNOWN_TAGS:
                 self.report.ignored(child, "has no effect in a sensor here", f"{place}/{child.title}")
         topic = child_text(plugin, "topicName", "") if plugin is not None else ""
         noise = _below(tags, "force", "x", "noise")

@@ -12,11 +12,9 @@ from typing import Any
 import yaml
 
 from slidectl.description.angles import DEGREES, RADIANS, add_to, angle
+from slidectl.description.parameter_trees import Tree, merge, nest
 from slidectl.description.robot import Notice
 from slidectl.errors import BadFile
-
-Tree = dict[str, Any]
-"""Values are bool, int, float, str, and lists and mappings of these."""
 
 Pair = tuple[yaml.Node, yaml.Node]
 
@@ -25,6 +23,8 @@ MOST_VALUES = 200_000
 DEEPEST = 60
 NO_MAPPING = "expected names with values, as `name: value`"
 
+REPLACED = "is a value, and a namespace of values too: the last one counts"
+"""Of a path that `merge` returns."""
 _LOOKS_LIKE_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)[eE][+-]?\d+|[+-]?(inf|nan)", re.IGNORECASE)
 _MERGE = "tag:yaml.org,2002:merge"
 _PLAIN = ("tag:yaml.org,2002:map", "tag:yaml.org,2002:seq")
@@ -168,7 +168,8 @@ class _Reader:
             values[key] = value
         tree: Tree = {}
         for key, value in values.items():
-            merge(tree, self.nested(key, value))
+            for path in merge(tree, self.nested(key, value)):
+                self.notices.append(Notice("wrong", path.removeprefix("/"), REPLACED, self.file, seen[key]))
         return tree
 
     def nested(self, key: str, value: Any) -> Tree:
@@ -246,22 +247,6 @@ class _Reader:
 
     def notice(self, node: yaml.Node, subject: str, text: str) -> None:
         self.notices.append(Notice("wrong", subject, text, self.file, _line(node)))
-
-
-def nest(path: str, value: Any) -> Any:
-    """`value` below the names of `path`, which slashes part; under an empty path, the value itself."""
-    for name in reversed([part for part in path.split("/") if part]):
-        value = {name: value}
-    return value
-
-
-def merge(tree: Tree, more: Tree) -> None:
-    """Put `more` into `tree`: mappings are merged, anything else replaces what is there."""
-    for key, value in more.items():
-        if isinstance(value, dict) and isinstance(tree.get(key), dict):
-            merge(tree[key], value)
-        else:
-            tree[key] = value
 
 
 def _is_empty(node: yaml.Node) -> bool:

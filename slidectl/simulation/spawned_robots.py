@@ -20,6 +20,7 @@ from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message
 from slidectl.control.user_classes import file_of, watched_for, watched_hardware
 from slidectl.description import source_note
+from slidectl.description.gazebo_tags import TRANSMISSIONS
 from slidectl.description.robot import ControlPlugin, Robot, check_position
 from slidectl.errors import BadFile, Refused, UnknownName
 from slidectl.physics import EngineError, Overlap, World
@@ -35,8 +36,6 @@ from slidectl.simulation.manager_services import ManagerServices
 from slidectl.simulation.topics import PeriodicTopic
 
 DESCRIPTION = "robot_description"
-TRANSMISSIONS = "gazebo_ros_control/transmissions"
-"""The parameter that says how transmissions count, where the model's plugin does not."""
 ACTUATOR_RATE_HZ = 50
 RESERVED = ("world", "map")
 """What gazebo_ros takes for the world wherever it could be a model: such a robot could not be told from it."""

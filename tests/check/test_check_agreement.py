@@ -116,6 +116,55 @@ def test_odd_models_are_spawned_or_refused_as_they_were_checked(name: str, tmp_p
     check_agreement(path)
 
 
+SAYS = PLUGIN.replace("</plugin>", "<transmissions>{}</transmissions></plugin>")
+
+
+@pytest.mark.parametrize(
+    ("own", "parameter", "option", "verdict", "is_real"),
+    [
+        (PLUGIN, "real", None, "used", True),
+        (PLUGIN, "rael", None, "wrong", None),
+        (SAYS.format("gazebo"), "real", None, "ignored", False),
+        (SAYS.format("real"), "rael", None, "ignored", True),
+        (PLUGIN, "real", "gazebo", "ignored", False),
+    ],
+)
+def test_the_parameter_of_transmissions_is_judged_as_the_spawn_takes_it(
+    tmp_path: Path, own: str, parameter: str, option: str | None, verdict: str, is_real: bool | None
+) -> None:
+    robot, control = tmp_path / "bot.urdf", tmp_path / "control.yaml"
+    robot.write_text(cart(transmission(), own))
+    control.write_text(f"bot: {{gazebo_ros_control: {{transmissions: {parameter}}}}}")
+    findings = check([str(robot)], {}, Packages(), [control], transmissions=option)
+    told = {(notice.subject, notice.verdict) for notice in findings.sorted()}
+    assert ("/bot/gazebo_ros_control/transmissions", verdict) in told
+    simulation, xml = Simulation(ground=False, engine="plain"), robot.read_text()
+    simulation.parameters.set("/bot/gazebo_ros_control/transmissions", parameter)
+    xml = xml if option is None else description.with_transmissions(xml, option)
+    if is_real is None:
+        with pytest.raises(SlidectlError, match="transmissions are gazebo or real, not 'rael'"):
+            simulation.spawn(xml, "bot")
+    else:
+        simulation.spawn(xml, "bot")
+        assert ("/bot/actuator_states" in simulation.call("/rosapi/topics")["topics"]) == is_real
+
+
+def test_a_fault_that_real_transmissions_make_is_found_though_a_parameter_makes_them_real(tmp_path: Path) -> None:
+    robot, control = tmp_path / "bot.urdf", tmp_path / "control.yaml"
+    robot.write_text(cart(transmission().replace("SimpleT", "SimpelT"), PLUGIN))
+    control.write_text("bot: {gazebo_ros_control: {transmissions: real}}")
+    assert not check([str(robot)], {}, Packages()).broken
+    (fault,) = check([str(robot)], {}, Packages(), [control]).broken
+    assert "SimpelTransmission" in fault.message
+    launch = tmp_path / "bot.launch"
+    launch.write_text(
+        f'<launch><param name="robot_description" textfile="{robot}"/>'
+        '<param name="two/gazebo_ros_control/transmissions" value="real"/><node pkg="gazebo_ros" type="spawn_model"'
+        ' name="s" args="-urdf -param robot_description -model two -robot_namespace two"/></launch>'
+    )
+    assert "SimpelTransmission" in check([str(launch)], {}, Packages()).broken[0].message
+
+
 POSITION = "type: position_controllers/JointPositionController"
 EFFORT = "type: effort_controllers/JointPositionController"
 CONTROLLERS = {

@@ -150,9 +150,18 @@ def test_a_name_that_is_written_twice_is_wrong(controllers: Check) -> None:
     assert "is there twice" in line
 
 
+def test_a_name_of_ros_2_that_is_a_value_and_a_namespace_is_wrong(controllers: Check) -> None:
+    text = "bot:\n  c:\n    ros__parameters:\n      type: a/B\n      x: 1\n      x.y: 2\n"
+    assert controllers(text).about("wrong", "/bot/c/x: is a value, and a namespace of values too: the last one counts")
+
+
 def test_what_nobody_reads_is_ignored(controllers: Check) -> None:
     lines = controllers(CONTROLLERS + "  colour: red\nother: 3\n")
     assert [line.split(":")[0] for line in lines.of("ignored")] == ["ignored 6 /bot/colour", "ignored 7 /other"]
+
+
+def test_parameters_of_ros_2_that_are_none_are_ignored(controllers: Check) -> None:
+    assert controllers("ros__parameters: 5").about("ignored 1 /ros__parameters", "no controller reads it")
 
 
 def test_a_broken_file_cannot_be_used(controllers: Check) -> None:

@@ -124,6 +124,17 @@ def test_an_interface_of_the_actuator_that_says_otherwise_is_ignored(model: Chec
     assert line.startswith("ignored 5")
 
 
+def test_a_limit_is_used_when_one_of_several_interfaces_has_a_use_for_it(model: Check) -> None:
+    kind = "<hardwareInterface>hardware_interface/{}JointInterface</hardwareInterface>"
+    safety = '<safety_controller soft_lower_limit="-0.5" soft_upper_limit="0.5" k_position="1" k_velocity="2"/>'
+    plugin = PLUGIN.replace("</robotNamespace>", "</robotNamespace><transmissions>real</transmissions>")
+    for names, verdict in ((("Position", "Effort"), "used"), (("Position", "Velocity"), "ignored")):
+        several = transmission().replace(kind.format("Effort"), "".join(map(kind.format, names)))
+        lines = model(cart(several, plugin, joint=LIMIT + safety))
+        assert lines.about("<safety_controller>, k_velocity")[0].startswith(verdict), lines.all
+        assert "bounds what pushes the joint" in lines.about("<limit>, effort")[0]
+
+
 def test_a_control_period_between_two_steps_is_rounded_up(model: Check) -> None:
     plugin = PLUGIN.replace("</plugin>", "<controlPeriod>0.0025</controlPeriod></plugin>")
     (line,) = model(cart(transmission(), plugin)).of("converted")

@@ -54,7 +54,7 @@ STATUS = {
     "speed_reached": 1.0, "timestep": 0.001, "cycle_mean": 1e-6, "cycle_p99": 1e-6, "cycle_worst": 1e-6,
     "engine": "plain",
     "lateness_p50": 1e-6, "lateness_p99": 1e-6, "overruns": 0, "robots": ["slider"], "estop": [], "controllers": 1,
-    "controllers_running": 1, "connections": 1, "memory": 1, "uptime": 1.0, "log": "",
+    "controllers_running": 1, "connections": 1, "memory": 1, "uptime": 1.0, "log": "", "lockstep": [],
 }  # fmt: skip
 CONTROLLER = {"name": "c", "state": "running", "type": "t", "claimed_resources": []}
 

@@ -141,10 +141,13 @@ WRONG_USAGE = [
     (("slidr",), 1, "Did you mean 'slider'?"),
     (("none.urdf",), 2, "none.urdf: no such file"),
     (("none.yaml",), 2, "none.yaml: no such file"),
+    (("~nosuch/none.urdf",), 2, "none.urdf: no such file"),
+    (("~nosuch/none.sdf",), 2, "none.sdf: no such file"),
     (("slider", "oops"), 2, "'oops' is not KEY:=VALUE"),
     (("config/slider_control.yaml", "a:=1"), 2, "a:= has no meaning"),
     (("config/slider_control.yaml", "--controllers", "config/slider_control.yaml"), 2, "goes with a model"),
     (("slider", "--controllers", "none.yaml"), 2, "none.yaml: no such file"),
+    (("slider", "--controllers", "~nosuch/none.yaml"), 2, "none.yaml: no such file"),
 ]
 
 

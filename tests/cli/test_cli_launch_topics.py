@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -69,6 +71,45 @@ def test_messages_are_relayed_and_throttled_by_number_and_by_bytes(world: Comman
     assert "/mirror" not in world.ok("topic", "list")
 
 
+def test_a_relay_latches_what_was_latched_and_says_when_its_output_takes_nothing(
+    world: CommandLine, tmp_path: Path
+) -> None:
+    with world.client() as client:
+        client.publish("/name", {"data": "cart"}, "std_msgs/String", latch=True)
+        client.advertise("/taken", "std_msgs/Float64")
+        client.flush()
+        run = launched(world, tmp_path, node("relay", "name again", "one") + node("relay", "name taken", "two"))
+        run.until("/two: not passed on to /taken")
+        again = client.subscribe("/again", "std_msgs/String")
+        client.publish("/name", {"data": "wagon"})
+        assert [again.get()["data"], again.get()["data"]] == ["cart", "wagon"]
+        with world.client() as late:
+            assert late.subscribe("/again").get()["data"] == "wagon"
+    run.interrupt()
+    assert run.text.count("not passed on to /taken") == 1
+
+
+def test_a_relay_outlives_a_daemon_that_is_busy_while_it_looks_for_its_topic(
+    world: CommandLine, tmp_path: Path
+) -> None:
+    path = tmp_path / "relay.launch"
+    path.write_text(f"<launch>{node('relay', 'late again')}</launch>")
+    run = Launched(world, str(path), "--timeout", "5")
+    run.up()
+    with world.client() as client:
+        os.kill(client.daemon_pid, signal.SIGSTOP)
+        try:
+            run.until("it looks for its topics again")
+        finally:
+            os.kill(client.daemon_pid, signal.SIGCONT)
+        out = client.subscribe("/again", "std_msgs/Float64")
+        client.advertise("/late", "std_msgs/Float64")
+        eventually(lambda: hears(client, "/late"), "nobody listens to /late")
+        client.deliver("/late", {"data": 2.0})
+        assert out.get()["data"] == 2.0
+    assert run.interrupt() == 130
+
+
 def test_a_mux_passes_on_the_input_that_is_selected_and_takes_more(world: CommandLine, tmp_path: Path) -> None:
     run = launched(world, tmp_path, node("mux", "out /one /two"))
     with world.client() as client:
@@ -103,22 +144,34 @@ def test_the_twist_with_the_highest_priority_drives_unless_it_is_silent_or_locke
     with world.client() as client:
         out = client.subscribe("/cart/cmd_vel", "geometry_msgs/Twist")
 
-        def drives(topic: str, velocity: float) -> bool:
+        def send(topic: str, velocity: float) -> None:
             client.deliver(topic, {"linear": {"x": velocity}}, "geometry_msgs/Twist")
-            with suppress(TimedOut):
-                return bool(out.get(0.5)["linear"]["x"] == velocity)
-            return False
 
         client.step(1000)
-        assert drives("/auto", 0.1)
-        assert drives("/pad", 0.2)
-        assert not drives("/auto", 0.3)  # the pad has spoken
+        send("/auto", 0.1)
+        send("/pad", 0.2)
+        send("/auto", -1.0)  # the pad has spoken
         client.step(600)
-        assert drives("/auto", 0.4)  # it is silent
+        send("/auto", 0.3)  # it is silent
         client.deliver("/pause", {"data": True}, "std_msgs/Bool")
-        assert not drives("/auto", 0.5)
-        assert drives("/pad", 0.6)
+        send("/auto", -1.0)
+        send("/pad", 0.4)
+        client.call("/gazebo/reset_simulation")
+        client.step(600)
+        send("/auto", 0.5)  # what came before the reset does not count
+        for count in range(6, 60):
+            client.publish("/pad", {"linear": {"x": count / 10}}, "geometry_msgs/Twist")
+            client.publish("/auto", {"linear": {"x": -1.0}}, "geometry_msgs/Twist")
+        assert [out.get(30.0)["linear"]["x"] for _ in range(59)] == [count / 10 for count in range(1, 60)]
     run.interrupt()
+
+
+def test_a_source_whose_topic_is_no_name_is_refused_with_what_is_expected(world: CommandLine, tmp_path: Path) -> None:
+    path = tmp_path / "mux.launch"
+    path.write_text(f"<launch>{TWIST_MUX.replace('topic: auto', 'topic: 5')}</launch>")
+    done = world("launch", str(path))
+    assert done.returncode == 1
+    assert "an entry has name, topic, timeout (s) and priority, not {'name': 'autopilot', 'topic': 5" in done.stderr
 
 
 @pytest.mark.parametrize(

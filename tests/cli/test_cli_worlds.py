@@ -82,3 +82,26 @@ def test_the_models_of_a_launchs_world_come_and_leave_with_it(ends: CommandLine,
     assert json.loads(ends.ok("sim", "status", "--json"))["robots"] == ["crate", "wall", "extra"]
     launched.interrupt()
     assert json.loads(ends.ok("sim", "status", "--json"))["robots"] == []
+
+
+def test_a_node_spawns_one_model_and_a_ground_plane_is_there_already(ends: CommandLine, tmp_path: Path) -> None:
+    two = CRATE.replace("</sdf>", CRATE.partition(">")[2].replace("crate", "chest"))
+    ground = '<sdf version="1.6"><include><uri>model://ground_plane</uri></include></sdf>'
+    gone = ground.replace("ground_plane", "gone")
+    path = tmp_path / "spawn.launch"
+    path.write_text(
+        '<launch><node pkg="gazebo_ros" type="spawn_model" name="s" args="-sdf -file $(dirname)/a.sdf -model gp"/>'
+        "</launch>"
+    )
+    ends.ok("daemon", "start", "--paused")
+    for content, code, text in (
+        (two, 2, f"-model names one model, and file {tmp_path}/a.sdf has 2: chest, crate"),
+        (ground, 0, f"file {tmp_path}/a.sdf is a ground plane, which is the world's own"),
+        (gone, 1, f"no model is left in file {tmp_path}/a.sdf; the node is left out"),
+    ):
+        (tmp_path / "a.sdf").write_text(content)
+        done = ends("launch", str(path), "--keep-going")
+        assert (done.returncode, text in done.stdout + done.stderr) == (code, True), done.stdout + done.stderr
+        assert json.loads(ends.ok("sim", "status", "--json"))["robots"] == []
+    (tmp_path / "a.sdf").write_text(two)
+    assert "-model names one model" in ends("check", str(path)).stderr

@@ -60,6 +60,7 @@ def test_the_same_name_with_parameters_of_ros_1_is_left_alone(name: str) -> None
     [
         (TRAJECTORY, {}, "command_interfaces is not set"),
         (TRAJECTORY, {"command_interfaces": ["position", "effort"]}, r"set command_interfaces to \['position'\] or"),
+        (TRAJECTORY, {"command_interfaces": [["position"]]}, r"command_interfaces is \[\['position'\]\]"),
         (FORWARD, {"interface_name": 7}, "set interface_name to position or velocity or effort"),
         ("tricycle_controller/TricycleController", {}, "here: ackermann_steering_controller/Ackermann"),
         (

@@ -126,6 +126,8 @@ def test_a_bomb_of_merges_costs_no_more_than_its_names() -> None:
     ("text", "reason"),
     [
         ("p: 1\np: 2", "is there twice, in line 1 too; the last one counts"),
+        ("a: 1\na/b: 2", "is a value, and a namespace of values too"),
+        ("a/b: 1\na: 2", "is a value, and a namespace of values too"),
         ("a: 1\nb: 1e-3", "is text in YAML 1.1, not a number"),
         ("a: 1\nb: inf", "is text in YAML 1.1, not a number"),
     ],

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 from description_urdf_text import cart
 
-from slidectl.description import namespace_of, parse
+from slidectl.description import namespace_of, parse, with_transmissions
 from slidectl.description.robot import ControlPlugin, Surface
 from slidectl.errors import BadFile, BadName
 
@@ -134,6 +134,14 @@ def test_a_tag_without_effect_is_reported_with_its_line(notices: Notices, text: 
     (line,) = notices(cart(text))
     assert line.startswith(f"{verdict} bot.urdf:5: ")
     assert reason in line
+
+
+def test_what_is_said_of_transmissions_is_not_said_to_a_plugin_without_effect() -> None:
+    misplaced = of_cart('<plugin name="gazebo_ros_control" filename="libgazebo_ros_control.so"/>')
+    for text in (misplaced, misplaced + plugin(), ""):
+        bot = parse(with_transmissions(cart(text), "real"))
+        assert bot.plugin is not None
+        assert bot.plugin.transmissions == "real"
 
 
 @pytest.mark.parametrize("inside", ["<mu1>slippery</mu1>", "<mu2>nan</mu2>", "<mu1/>"])

@@ -103,7 +103,7 @@ def test_an_stl_of_more_triangles_than_may_be_is_refused(tmp_path: Path, monkeyp
         path.write_bytes(exported if isinstance(exported, bytes) else exported.encode())
         assert len(meshes.load(path).faces) == 12
         with monkeypatch.context() as patch:
-            patch.setattr(meshes, "MOST_FACES", 11)
+            patch.setattr(meshes, "_MOST_FACES", 11)
             with pytest.raises(meshes.BadMesh, match=r"12 triangles, and more than 11 are refused"):
                 meshes.load(path)
 
@@ -222,7 +222,7 @@ def test_what_is_wrong_in_a_dae_is_said(tmp_path: Path, before: str, after: str,
 
 
 def test_long_lists_that_many_geometries_share_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("slidectl.description.meshes.MOST_FACES", 10)
+    monkeypatch.setattr("slidectl.description.meshes._MOST_FACES", 10)
     triangles = "<triangles>{}<p>0 2 1</p></triangles>"
     nodes = "".join(f'<node><instance_geometry url="#g{k}"/></node>' for k in range(9))
     text = scene(nodes, triangles)
@@ -231,4 +231,11 @@ def test_long_lists_that_many_geometries_share_are_counted(tmp_path: Path, monke
     path = tmp_path / "a.dae"
     path.write_text(text.replace("</library_geometries>", f"{more}</library_geometries>"), "utf-8")
     with pytest.raises(meshes.BadMesh, match="more than 30 vertices"):
+        meshes.load(path)
+
+
+def test_an_index_that_is_counted_backwards_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.dae"
+    path.write_text(scene('<node><instance_geometry url="#g"/></node>').replace('offset="0"', 'offset="-1"'), "utf-8")
+    with pytest.raises(meshes.BadMesh, match="line 3 has an input of offset -1"):
         meshes.load(path)

@@ -99,7 +99,10 @@ def test_without_opengl_a_spawn_says_what_to_install(monkeypatch: pytest.MonkeyP
 
 
 def test_a_camera_that_cannot_be_is_refused_and_another_format_is_said() -> None:
-    with pytest.raises(BadFile, match="a horizontal_fov between 0 and pi"):
-        description.parse(robot("1 1 1 1", CAMERA.format("R8G8B8", "", "").replace("1.5708", "4")))
+    for right, bad, words in (
+        ("1.5708", "4", "a horizontal_fov between 0 and pi"), ("<width>64", "<width>inf", "not a finite number"),
+    ):  # fmt: skip
+        with pytest.raises(BadFile, match=words):
+            description.parse(robot("1 1 1 1", CAMERA.format("R8G8B8", "", "").replace(right, bad)))
     report = description.parse(robot("1 1 1 1", CAMERA.format("BAYER_RGGB8", "", ""))).report
     assert "<format> BAYER_RGGB8 is unknown here" in str(report[0])

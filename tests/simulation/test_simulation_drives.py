@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from slidectl import Simulation, description
-from slidectl.errors import MessageRefused
+from slidectl.errors import BadFile, MessageRefused
 from slidectl.rotations import to_rpy
 
 BODY = """<link name="{0}"><inertial><mass value="{1}"/><inertia ixx="{2}" iyy="{2}" izz="{2}" ixy="0" ixz="0" iyz="0"/>
@@ -49,6 +49,11 @@ def place(simulation: Simulation, robot: str, link: str) -> tuple[float, float, 
     """x, y and heading."""
     position, turn = simulation.world.link_pose(robot, link)
     return position[0], position[1], to_rpy(turn)[2]
+
+
+def test_the_shipped_cart_has_two_kinds_of_drive_and_refuses_another_word() -> None:
+    with pytest.raises(BadFile, match=r"'controler' is not in list.*'plugin', 'controller'"):
+        cart("controler")
 
 
 def test_a_cart_drives_a_circle_and_tells_by_its_wheels_where_it_is() -> None:
@@ -199,6 +204,17 @@ def test_a_plugin_lets_a_joint_follow_and_what_it_says_goes_before_a_mimic_tag()
     lead, tail = (simulation.world.joint_state("box", name)[0] for name in ("lead", "tail"))
     assert lead > 0.05
     assert tail == pytest.approx(0.1 - 2.0 * lead, abs=0.01)
+
+
+def test_a_plugin_that_cannot_let_a_joint_follow_is_refused_or_has_no_effect() -> None:
+    joint = '<joint name="{0}" type="{1}"><parent link="base"/><child link="{0}_link"/></joint>'
+    links = "".join(BODY.format(f"{name}_link", 1, 0.01, "<sphere radius='0.05'/>") for name in ("lead", "tail"))
+    parts = links + joint.format("lead", "continuous")
+    with pytest.raises(BadFile, match="<multiplier> is 'inf', which is not a finite number"):
+        description.parse(box(parts + joint.format("tail", "continuous") + MIMIC.format("lead", "tail", "inf", "")))
+    paper = description.parse(box(parts + joint.format("tail", "fixed") + MIMIC.format("lead", "tail", 1, "")))
+    assert "'tail' is fixed and cannot follow; the plugin has no effect" in paper.report[-1].text
+    assert paper.joints["tail"].mimic is None
 
 
 @pytest.mark.parametrize(

@@ -171,6 +171,12 @@ def test_topics_of_sensors_go_with_their_robot() -> None:
         (LASER.format(noise="").replace("<max>10</max>", "<max>0.1</max>"), "min below max"),
         (LASER.format(noise="").replace("<samples>5</samples>", "<samples>many</samples>"), "not a number"),
         (LASER.format(noise="").replace("0 0 0.05 0 0 0", "0 0"), "six numbers"),
+        (LASER.format(noise="").replace("<samples>5</samples>", "<samples>inf</samples>"), "not a finite number"),
+        (LASER.format(noise="").replace("<samples>5</samples>", "<samples>5.5</samples>"), "must be a whole number"),
+        (LASER.format(noise="").replace("<min_angle>-1.5707963267948966", "<min_angle>-inf"), "not a finite number"),
+        (LASER.format(noise="").replace("<update_rate>20<", "<update_rate>1e-320<"), "its period above 2147483647 s"),
+        (P3D.replace("<updateRate>50<", "<updateRate>-50<"), "is -50 Hz; it must not be negative"),
+        (IMU.format(noise="inf"), "not a finite number"),
     ],
 )
 def test_a_broken_sensor_is_refused_with_its_line(more: str, text: str) -> None:

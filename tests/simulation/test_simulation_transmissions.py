@@ -173,7 +173,7 @@ def test_the_parameter_counts_where_the_model_says_nothing() -> None:
         assert state(simulation, "j1")[2] == pytest.approx(effort)
     simulation.delete("rails")
     simulation.parameters.set("/rails/gazebo_ros_control/transmissions", "reel")
-    with pytest.raises(SlidectlError, match="no way of transmissions 'reel'"):
+    with pytest.raises(SlidectlError, match="are gazebo or real, not 'reel'"):
         simulation.spawn(text, "rails")
 
 

@@ -21,7 +21,7 @@ from slidectl.description.models import read_file
 from slidectl.description.packages import Packages, is_file, shown
 from slidectl.description.robot import Notice
 from slidectl.description.xml_tree import Element
-from slidectl.errors import NotThere
+from slidectl.errors import BadFile, NotThere
 from slidectl.launch.plan import LaunchPlan, Leaf, Node
 from slidectl.launch.task import HOOK_LIMIT_S, SPAWN_LIMIT_S, Run, Task, parse
 
@@ -190,24 +190,18 @@ class WorldFile:
 
 def read_world(path: Path) -> WorldFile:
     """Raises BadFile: missing, not XML, no world in it, or numbers that are none."""
-    return parse_world(read_file(path), shown(path))
+    found = parse_world(read_file(path), shown(path))
+    if found is None:
+        raise BadFile("this is no world file: it has no <sdf> with a <world> inside", shown(path))
+    return found
 
 
-def has_world(text: bytes, file: str) -> bool:
-    """Whether a text of SDF has a world in it. Raises BadFile: not XML."""
-    return bool(_worlds(xml_tree.read(text, file)))
-
-
-def _worlds(root: Element) -> list[Element]:
-    return root.find_all("world") if root.tag in ("sdf", "gazebo") else [root] if root.tag == "world" else []
-
-
-def parse_world(text: bytes, file: str) -> WorldFile:
-    """As read_world, of a text."""
+def parse_world(text: bytes, file: str) -> WorldFile | None:
+    """As read_world, of a text; None when no world is in it."""
     root = xml_tree.read(text, file)
-    worlds = _worlds(root)
+    worlds = root.find_all("world") if root.tag in ("sdf", "gazebo") else [root] if root.tag == "world" else []
     if not worlds:
-        raise root.error("this is no world file: it has no <sdf> with a <world> inside")
+        return None
     found = WorldFile(root.file)
     for element in worlds[0].children:
         _take(element, found)

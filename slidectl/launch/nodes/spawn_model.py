@@ -12,7 +12,7 @@ from slidectl.description import sdf, source_note
 from slidectl.description.packages import Packages, is_file, shown
 from slidectl.description.parser import is_put_inside
 from slidectl.description.report import needs_telling
-from slidectl.errors import BadFile, BadName, NotThere, Refused
+from slidectl.errors import BadFile, BadName, NotThere, Refused, listing
 from slidectl.launch.plan import LaunchPlan, Leaf, Node
 from slidectl.launch.task import HOOK_LIMIT_S, SPAWN_LIMIT_S, Run, Task, Words, number, parse
 
@@ -99,11 +99,14 @@ class SpawnModel(Task):
 
     @property
     def text(self) -> str:
-        source = f"parameter {self.parameter}"
+        return f"spawn {self.model} from {self._source}"
+
+    @property
+    def _source(self) -> str:
         for option, what in (("-file", "file "), ("-database", sdf.SCHEME)):
             if self.words.has(option):
-                source = what + self.words.one(option)
-        return f"spawn {self.model} from {source}"
+                return what + self.words.one(option)
+        return f"parameter {self.parameter}"
 
     @property
     def parameter(self) -> str | None:
@@ -135,7 +138,14 @@ class SpawnModel(Task):
             plan.missing.note(error, f"{self.model} is left out")
 
     def _scene(self, source: Path | str | None, packages: Packages, plan: LaunchPlan) -> sdf.Scene:
-        """The model of a file, a text, or without either of -database. Raises BadFile."""
+        """The model of a file, a text, or without either of -database. Raises BadFile: broken, or several models."""
+        scene = self._read_scene(source, packages, plan)
+        if len(scene.names) > 1:
+            text = f"-model names one model, and {self._source} has {len(scene.names)}: {listing(scene.names)}"
+            raise self.error(text, "give each model a file of its own")
+        return scene
+
+    def _read_scene(self, source: Path | str | None, packages: Packages, plan: LaunchPlan) -> sdf.Scene:
         places = self._packages(packages)
         if isinstance(source, str):
             return sdf.parse(source, f"parameter {self.parameter}", places, None, plan.missing)
@@ -157,6 +167,9 @@ class SpawnModel(Task):
             return f"the model {awaited}"
         run.new_warnings()
         requests = self._sdf_requests(run) if self.is_sdf else [self._urdf_request(run)]
+        if not requests:
+            self.settled(run, f"{self._source} is a ground plane, which is the world's own")
+            return None
         self.parts = [request["model_name"] for request in requests]
         there = run.call("/slidectl/status")["robots"]
         added = [name for name in self.parts if name not in there]
@@ -179,7 +192,9 @@ class SpawnModel(Task):
         elif self.parameter is not None:
             source = self._text(run)[0]
         scene = self._scene(source, run.packages, run.plan)
-        parts = scene.named(self.model)
+        if not scene.models and not scene.has_ground:
+            raise Refused(f"no model is left in {self._source}")
+        parts = scene.named(self.model) if scene.models else []
         for notice in scene.notices:
             if notice.verdict == "wrong" or run.console.verbose:
                 run.console.warn(str(notice))

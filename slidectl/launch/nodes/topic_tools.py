@@ -8,23 +8,27 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 from slidectl import names
 from slidectl.client import Client
 from slidectl.client.client import Subscription
-from slidectl.errors import Refused, UnknownName
+from slidectl.errors import Refused, TimedOut, UnknownName
 from slidectl.launch.plan import LaunchPlan, Node
 from slidectl.launch.task import Run, Task, number, parse
 
 Message = dict[str, Any]
 Take = Callable[[str, Message], None]
-"""Takes the type of a message, and the message."""
+"""Takes the type of a message, and what came: `msg`, the simulated `time` of it, and `latch` if it was latched before.
+
+It makes no call: what waits for an answer takes in messages, which would come out of their order.
+"""
 
 _LOOK_AGAIN_S = 0.2
 _WITHOUT_EFFECT = ("lazy", "wall_clock")
 NONE = "__none"
-"""What a mux selects that passes on nothing."""
+"""The selection with which a mux passes nothing on."""
 
 
 class TopicTool(Task):
@@ -39,7 +43,11 @@ class TopicTool(Task):
         super().__init__(node, plan)
         self._run: Run | None = None
         self._inputs: dict[str, tuple[str | None, Take]] = {}
-        self._heard: dict[str, tuple[str, Subscription]] = {}
+        self._heard: dict[str, Subscription] = {}
+        self._is_looking = False
+        """Whether it is going to look for topics again."""
+        self._has_latched = False
+        self._has_warned = False
 
     def begin(self, run: Run) -> None:
         """Listen to topics, and offer services. Raises SlidectlError."""
@@ -71,41 +79,55 @@ class TopicTool(Task):
         """Listen no more."""
         self._inputs.pop(topic, None)
         if topic in self._heard:
-            self._heard.pop(topic)[1].close()
+            self._heard.pop(topic).close()
 
-    def publish(self, type_name: str, message: Message) -> None:
-        """Pass a message on."""
-        self.client.publish(self.output, message, type_name)
+    def pass_on(self, type_name: str, came: Message) -> None:
+        """Publish what came; once something was latched, the output is, too."""
+        self._has_latched = self._has_latched or came.get("latch", False)
+        self.client.publish(self.output, came["msg"], type_name, self._has_latched)
 
-    def now_s(self) -> float:
-        """Simulated time."""
-        return _seconds(self.client.call("/rosapi/get_time")["time"])
+    def look_later(self, run: Run, seconds: float) -> None:
+        """Look for topics that are not there yet, unless that is about to be done."""
+        if not self._is_looking:
+            self._is_looking = True
+            run.watch.later(seconds, self._look_again)
 
-    def subscribe_new(self) -> None:
+    def _look_again(self) -> None:
+        self._is_looking = False
+        if self._run is None:
+            return
+        try:
+            self._subscribe_new()
+        except TimedOut as error:
+            self.warn(self._run, f"{error.message}; it looks for its topics again")
+        self._read()
+        if len(self._heard) < len(self._inputs):
+            self.look_later(self._run, _LOOK_AGAIN_S)
+
+    def _subscribe_new(self) -> None:
         """Subscribe what is listened to and was not there before."""
         wanted = {topic: given for topic, (given, _) in self._inputs.items() if topic not in self._heard}
         there = self.client.topics() if wanted else {}
         for topic, given in wanted.items():
-            if (type_name := given or there.get(topic)) is not None:
-                self._heard[topic] = type_name, self.client.subscribe(topic, type_name)
+            if (type_name := given or there.get(topic)) is None:
+                continue
+            subscription = self.client.subscribe(topic, type_name, take=partial(self._take_in, topic, type_name))
+            if topic in self._inputs:
+                self._heard[topic] = subscription
+            else:  # a service was called meanwhile
+                subscription.close()
 
-    def _look_again(self) -> None:
-        if self._run is None:
-            return
-        self.subscribe_new()
-        self._pass_on()
-        if len(self._heard) < len(self._inputs):
-            self._run.watch.later(_LOOK_AGAIN_S, self._look_again)
+    def _take_in(self, topic: str, type_name: str, came: Message) -> None:
+        if topic in self._inputs:
+            self._inputs[topic][1](type_name, came)
 
     def _read(self) -> None:
-        for _ in self.client.events(0.0):
-            pass
-        self._pass_on()
-
-    def _pass_on(self) -> None:
-        for topic, (type_name, subscription) in tuple(self._heard.items()):
-            while len(subscription) and topic in self._inputs:
-                self._inputs[topic][1](type_name, subscription.get(0.0))
+        """Take all that has come."""
+        for message in self.client.events(0.0):
+            if message.get("op") == "status" and message.get("level") == "error" and not self._has_warned:
+                assert self._run is not None
+                self._has_warned = True
+                self.warn(self._run, f"not passed on to {self.output}: {message['msg']}")
 
 
 class Relay(TopicTool):
@@ -133,13 +155,13 @@ class Relay(TopicTool):
         return f"passes {self.input} on to {self.output}"
 
     def begin(self, run: Run) -> None:  # noqa: ARG002
-        self.listen(self.input, self.publish)
+        self.listen(self.input, self.pass_on)
 
 
 class Throttle(Relay):
     """topic_tools' throttle: so many messages a second, or so many bytes in a window of seconds.
 
-    The time of a message is the stamp in its header if it has one, else that of the world when it comes here.
+    The time of a message is the stamp in its header if it has one, else the one at which it was published.
     """
 
     suffix = "_throttle"
@@ -161,22 +183,22 @@ class Throttle(Relay):
 
     @property
     def text(self) -> str:
-        what = f"bytes in {self._window_s:g} s" if self._window_s else "messages a second"
-        return f"{super().text}, {self._rate:g} {what}"
+        what = f"bytes in {self._window_s:g} s" if self._window_s else "a second"
+        return f"{super().text}, at most {self._rate:g} {what}"
 
     def begin(self, run: Run) -> None:  # noqa: ARG002
         self.listen(self.input, self._take)
 
-    def _take(self, type_name: str, message: Message) -> None:
-        header = message.get("header")
+    def _take(self, type_name: str, came: Message) -> None:
+        header = came["msg"].get("header")
         stamped_s = _seconds(header["stamp"]) if isinstance(header, dict) and "stamp" in header else 0.0
-        now_s = stamped_s or self.now_s()
+        now_s = stamped_s or _seconds(came["time"])
         if now_s < self._last_s:  # time was set back
             self._last_s = float("-inf")
             self._sent.clear()
-        if self._fits(type_name, message, now_s):
+        if self._fits(type_name, came["msg"], now_s):
             self._last_s = now_s
-            self.publish(type_name, message)
+            self.pass_on(type_name, came)
 
     def _fits(self, type_name: str, message: Message, now_s: float) -> bool:
         if not self._window_s:
@@ -216,7 +238,7 @@ class Mux(TopicTool):
         ):  # fmt: skip
             kind = f"topic_tools/Mux{name.capitalize()}"
             self.client.advertise_service(self.node.resolve(f"mux/{name}"), kind, handler)
-        self.listen(self.selected, self.publish)
+        self.listen(self.selected, self.pass_on)
         self._tell()
 
     def _tell(self) -> None:
@@ -230,10 +252,10 @@ class Mux(TopicTool):
             self.ignore(before)
         self.selected = wanted
         if wanted != NONE:
-            self.listen(wanted, self.publish)
+            self.listen(wanted, self.pass_on)
         self._tell()
         assert self._run is not None
-        self._run.watch.later(0.0, self._look_again)
+        self.look_later(self._run, 0.0)
         return {"prev_topic": before}
 
     def _add(self, request: Message) -> Message:
@@ -270,13 +292,18 @@ class Source(NamedTuple):
 
 
 class TwistMux(TopicTool):
-    """twist_mux: of the sources that speak the one with the highest priority drives, unless a lock has a higher one."""
+    """twist_mux.
+
+    Passes on the commands of the source with the highest priority among those whose time-out has not passed, unless a
+    lock has a higher one.
+    """
 
     def __init__(self, node: Node, plan: LaunchPlan) -> None:
         super().__init__(node, plan)
         if parse(node, {}).rest:
             raise self.error("takes no arguments", "its topics and locks are parameters")
         self.output = node.resolve("cmd_vel_out")
+        self._now_s = 0.0
         self._came_s: dict[str, float] = {}
         self._locked: dict[str, bool] = {}
 
@@ -306,39 +333,50 @@ class TwistMux(TopicTool):
     def _source(self, entry: Any, place: str) -> Source:
         try:
             topic, timeout_s, priority = entry["topic"], float(entry["timeout"]), int(entry["priority"])
-        except (KeyError, TypeError, ValueError):
+            if not isinstance(topic, str):
+                raise TypeError
+        except (KeyError, TypeError, ValueError, OverflowError):
             message = f"{place}: an entry has name, topic, timeout (s) and priority, not {entry!r}"
             raise Refused(message) from None
-        if timeout_s < 0.0 or not 0 <= priority <= 255:
+        if not timeout_s >= 0.0 or not 0 <= priority <= 255:
             raise Refused(f"{place}: {topic} has timeout {timeout_s:g} s and priority {priority}; 0 up, and 0 to 255")
         return Source(self.node.resolve(topic), timeout_s, priority)
 
     def _taking(self, source: Source) -> Take:
-        def take(type_name: str, message: Message) -> None:
-            now_s = self._came_s[source.topic] = self.now_s()
-            if self._has_priority(source, now_s):
-                self.publish(type_name, message)
+        def take(type_name: str, came: Message) -> None:
+            self._note_time(source, came)
+            if self._has_priority(source):
+                self.client.publish(self.output, came["msg"], type_name)
 
         return take
 
     def _locking(self, lock: Source) -> Take:
-        def take(_: str, message: Message) -> None:
-            self._came_s[lock.topic], self._locked[lock.topic] = self.now_s(), message["data"]
+        def take(_: str, came: Message) -> None:
+            self._note_time(lock, came)
+            self._locked[lock.topic] = came["msg"]["data"]
 
         return take
 
-    def _has_priority(self, source: Source, now_s: float) -> bool:
+    def _note_time(self, source: Source, came: Message) -> None:
+        """A message of the source has come. When time was put back, nothing that came before it counts."""
+        now_s = _seconds(came["time"])
+        if now_s < self._now_s:
+            self._came_s.clear()
+            self._locked.clear()
+        self._now_s = self._came_s[source.topic] = now_s
+
+    def _has_priority(self, source: Source) -> bool:
         """A lock whose time-out has passed counts as locked, as it does before its first message."""
-        locked = [one.priority for one in self._locks if self._locked.get(one.topic) or self._is_silent(one, now_s)]
+        locked = [one.priority for one in self._locks if self._locked.get(one.topic) or self._is_silent(one)]
         least, best = max(locked, default=0), None
         for one in self._sources:
-            speaks = not self._is_silent(one, now_s) and one.priority >= least
+            speaks = not self._is_silent(one) and one.priority >= least
             if speaks and one.priority > (best.priority if best else 0):
                 best = one
         return best == source
 
-    def _is_silent(self, source: Source, now_s: float) -> bool:
-        return source.timeout_s > 0.0 and now_s - self._came_s.get(source.topic, 0.0) > source.timeout_s
+    def _is_silent(self, source: Source) -> bool:
+        return source.timeout_s > 0.0 and self._now_s - self._came_s.get(source.topic, 0.0) > source.timeout_s
 
 
 def _seconds(time: Message) -> float:
