@@ -102,38 +102,13 @@ def _info_text(record: dict[str, Any]) -> str:
 # --- copies -----------------------------------------------------------------------------------------------------------
 
 
-def _copy(records: Iterator[Record], recording: Recording, target: Path, compression: str) -> int:
-    """Write the records into a new recording, which appears when it is complete; how many there were.
-
-    Raises:
-        Refused: it cannot be written.
-    """
-    from slidectl.recording.recording_files import create
-
-    part = target.with_name(f".{target.stem}.part{target.suffix}")
-    part.unlink(missing_ok=True)
-    count = 0
-    try:
-        with ExitStack() as stack:
-            stack.callback(part.unlink, missing_ok=True)
-            writer = create(part, compression)
-            topics: dict[int, Any] = {}
-            for channel, time_ns, raw in records:
-                if channel.number not in topics:
-                    topics[channel.number] = writer.add(channel.topic, recording.codec(channel), channel.latching)
-                writer.write(topics[channel.number], time_ns, raw)
-                count += 1
-            writer.close()
-            part.replace(target)
-            return count
-    except OSError as error:
-        raise Refused(f"cannot write {target}: {error.strerror or error}") from None
-
-
 def _check_target(target: str, force: bool) -> Path:
+    """Raises Refused: the file is there."""
+    from slidectl.recording.recording_files import refuse_existing
+
     path = Path(target)
-    if path.exists() and not force:
-        raise Refused(f"{path} is there already", "give another name, or --force to write over it")
+    if not force:
+        refuse_existing(path)
     return path
 
 
@@ -146,7 +121,7 @@ def reindex(ctx: Context, file: str) -> None:
     Everything that can be read is written into a new file in its place, with an index. What was there before is kept
     as NAME.orig.bag (or .mcap). JSON keys: file, messages, kept.
     """
-    from slidectl.recording.recording_files import opened
+    from slidectl.recording.recording_files import copy, opened
 
     path = Path(file)
     with opened(path) as recording:
@@ -156,10 +131,7 @@ def reindex(ctx: Context, file: str) -> None:
         kept = path.with_name(f"{path.stem}.orig{path.suffix}")
         if kept.exists():
             raise Refused(f"{kept} is there already", f"it is from an earlier reindex; remove it, or rename {file}")
-        whole = path.with_name(f"{path.stem}.whole{path.suffix}")
-        count = _copy(recording.records(), recording, whole, recording.summary().compression)
-    path.rename(kept)
-    whole.rename(path)
+        count = copy(recording.records(), recording, path, recording.summary().compression, kept)
     ctx.done({"file": file, "messages": count, "kept": str(kept)}, f"{file}: {count} messages, what it was is {kept}")
 
 
@@ -185,13 +157,15 @@ def filter_command(
     its math module; topics whose messages lack a field that EXPR names are left out. Without EXPR everything is copied:
     from .bag to .mcap or back, or with another compression. JSON keys: file, messages, of.
     """
+    from slidectl.recording.recording_files import copy
+
     path = _check_target(target, force)
     if path.resolve() == Path(source).resolve():
         raise UsageError("the target is the source", "give another name")
     with open_recording(ctx, source) as recording:
         keep = _condition(condition, recording)
         total = recording.summary().counts.total()
-        count = _copy((one for one in recording.records() if keep(one)), recording, path, compression)
+        count = copy((one for one in recording.records() if keep(one)), recording, path, compression)
     ctx.done({"file": target, "messages": count, "of": total}, f"{target}: {count} of {total} messages")
 
 

@@ -11,8 +11,8 @@ import os
 import struct
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
@@ -55,6 +55,8 @@ class RecordedTopic:
     definition: str = field(repr=False)
     md5: str
     latching: bool = False
+    callerid: str = ""
+    """The node that published, where the recording says so."""
 
 
 class Record(NamedTuple):
@@ -86,8 +88,8 @@ class RecordingWriter(ABC):
         self.path = path
 
     @abstractmethod
-    def add(self, topic: str, codec: Codec, latching: bool) -> Any:
-        """A new topic; what `write` wants for it."""
+    def add(self, topic: str, codec: Codec, latching: bool, callerid: str = "") -> Any:
+        """A new topic, or one more publisher of a topic; what `write` wants for it."""
 
     @abstractmethod
     def write(self, topic: Any, time_ns: int, raw: bytes) -> None:
@@ -118,12 +120,17 @@ def create(path: Path, compression: str = "none") -> RecordingWriter:
         raise UsageError(f"{path} is neither a .bag nor a .mcap file", "the suffix says which kind it is to be")
     if compression not in known:
         raise UsageError(f"{path.suffix} files have no compression {compression!r}", f"there is: {', '.join(known)}")
-    if path.exists():
-        raise Refused(f"{path} is there already", "give another name, or --force to write over it")
+    refuse_existing(path)
     try:
         return _BagWriter(path, compression) if path.suffix == ".bag" else _McapWriter(path, compression)
     except OSError as error:
         raise Refused(f"cannot write {path}: {error.strerror or error}") from None
+
+
+def refuse_existing(path: Path) -> None:
+    """Raises Refused: the file is there."""
+    if path.exists():
+        raise Refused(f"{path} is there already", "give another name, or --force to write over it")
 
 
 class _BagWriter(RecordingWriter):
@@ -143,10 +150,11 @@ class _BagWriter(RecordingWriter):
             )
         self._writer.open()
 
-    def add(self, topic: str, codec: Codec, latching: bool) -> Any:
-        kind = codec.type.replace("/", "/msg/")
-        more: dict[str, Any] = {"latching": 1} if latching else {}
-        return self._writer.add_connection(topic, kind, msgdef=codec.definition, md5sum=codec.md5, **more)
+    def add(self, topic: str, codec: Codec, latching: bool, callerid: str = "") -> Any:
+        kind, more = codec.type.replace("/", "/msg/"), {"latching": 1 if latching else None}
+        return self._writer.add_connection(
+            topic, kind, msgdef=codec.definition, md5sum=codec.md5, callerid=callerid or None, **more
+        )
 
     def write(self, topic: Any, time_ns: int, raw: bytes) -> None:
         before = len(self._writer.chunks)
@@ -189,10 +197,11 @@ class _McapWriter(RecordingWriter):
         self._schemas: dict[str, int] = {}
         self._counts: Counter[int] = Counter()
 
-    def add(self, topic: str, codec: Codec, latching: bool) -> Any:
+    def add(self, topic: str, codec: Codec, latching: bool, callerid: str = "") -> Any:
         if codec.type not in self._schemas:
             self._schemas[codec.type] = self._writer.register_schema(codec.type, "ros1msg", codec.definition.encode())
-        about = {"md5sum": codec.md5, **({"latching": "1"} if latching else {})}
+        about = {"md5sum": codec.md5, "latching": "1" if latching else "", "callerid": callerid}
+        about = {key: value for key, value in about.items() if value}
         return self._writer.register_channel(topic, "ros1", self._schemas[codec.type], about)
 
     def write(self, topic: Any, time_ns: int, raw: bytes) -> None:
@@ -301,7 +310,10 @@ def _open_bag(path: Path, file: BinaryIO) -> Recording:
     index = header.get_uint64("index_pos")
     size = os.fstat(file.fileno()).st_size
     if 0 < index < size or (index == size and not header.get_uint32("chunk_count")):
-        return _BagRecording(path, file)
+        try:
+            return _BagRecording(path, file)
+        except Exception:  # the library raises many classes
+            return _CutBag(path, file, "its index is damaged")
     return _CutBag(path, file, "it was not closed" if not index else "it is cut off")
 
 
@@ -320,9 +332,9 @@ class _BagRecording(Recording):
         self._reader.open()
         self._connections = {connection.id: connection for connection in self._reader.connections}
         for one in self._reader.connections:
-            latching = bool(getattr(one.ext, "latching", 0))
-            kind = one.msgtype.replace("/msg/", "/")
-            self.channels.append(RecordedTopic(one.id, one.topic, kind, str(one.msgdef.data), one.digest, latching))
+            latching, callerid = bool(getattr(one.ext, "latching", 0)), getattr(one.ext, "callerid", None) or ""
+            kind, text = one.msgtype.replace("/msg/", "/"), str(one.msgdef.data)
+            self.channels.append(RecordedTopic(one.id, one.topic, kind, text, one.digest, latching, callerid))
 
     def records(self, topics: set[str] | None = None) -> Iterator[Record]:
         by_id = {channel.number: channel for channel in self.channels if topics is None or channel.topic in topics}
@@ -423,9 +435,8 @@ class _CutBag(_Scanned):
                 about = reader.Header.read(io.BytesIO(struct.pack("<L", len(data)) + data))
                 latching = about.get("latching", b"0") == b"1"
                 texts = [about.get_string(name) for name in ("type", "message_definition", "md5sum")]
-                self._known[number] = RecordedTopic(
-                    number, header.get_string("topic"), texts[0], texts[1], texts[2], latching
-                )
+                callerid = about.get("callerid", b"").decode("utf-8", "replace")
+                self._known[number] = RecordedTopic(number, header.get_string("topic"), *texts, latching, callerid)
 
 
 class _McapRecording(_Scanned):
@@ -464,9 +475,51 @@ class _McapRecording(_Scanned):
                         text, about = schema.data.decode("utf-8", "replace"), one.metadata
                         latching = about.get("latching") == "1"
                         self._known[one.id] = RecordedTopic(
-                            one.id, one.topic, schema.name, text, about.get("md5sum", ""), latching
-                        )
+                            one.id, one.topic, schema.name, text, about.get("md5sum", ""), latching,
+                            about.get("callerid", ""),
+                        )  # fmt: skip
                     elif isinstance(one, records.Message):
                         yield Record(self._known[one.channel_id], one.log_time, one.data)
                     elif isinstance(one, records.Footer):
                         self.damage = ""
+
+
+# --- copying ----------------------------------------------------------------------------------------------------------
+
+
+def copy(
+    records: Iterable[Record], recording: Recording, target: Path, compression: str = "none", kept: Path | None = None
+) -> int:
+    """Write records of a recording into a new one, which appears when it is complete; how many there were.
+
+    Args:
+        target: where it appears; a file that is there is written over.
+        kept: where that file is kept instead.
+
+    Raises:
+        UsageError, Refused: it cannot be written.
+    """
+    part = target.with_name(f".{target.stem}.{os.getpid()}{target.suffix}")
+    count = 0
+    try:
+        with ExitStack() as stack:
+            writer = create(part, compression)
+            stack.callback(part.unlink, missing_ok=True)
+            added: dict[Any, Any] = {}
+            numbers: dict[int, Any] = {}
+            for channel, time_ns, raw in records:
+                if channel.number not in numbers:
+                    codec = recording.codec(channel)
+                    key = channel.topic, codec.type, codec.md5, channel.latching, channel.callerid
+                    if key not in added:  # a publisher that came twice has two connections in rosbag's files
+                        added[key] = writer.add(channel.topic, codec, channel.latching, channel.callerid)
+                    numbers[channel.number] = added[key]
+                writer.write(numbers[channel.number], time_ns, raw)
+                count += 1
+            writer.close()
+            if kept is not None:
+                target.rename(kept)
+            part.replace(target)
+            return count
+    except OSError as error:
+        raise Refused(f"cannot write {target}: {error.strerror or error}") from None

@@ -17,7 +17,11 @@ from typing import Any
 import pytest
 from command_line import CommandLine
 from daemon_fixture import running_daemon
+from mcap.writer import Writer as McapWriter
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_typestore
 
+from slidectl import msgs
 from slidectl.recording.recording_files import BadRecording, opened
 
 COMMAND = "/slider/joint1_position_controller/command"
@@ -282,8 +286,8 @@ def test_copies_and_tables(slider: CommandLine, tmp_path: Path) -> None:
         assert sorted(map(repr, messages(tmp_path / target))) == sorted(map(repr, messages(tmp_path / "run.bag")))
         assert json.loads(slider.ok("bag", "info", words[1], "--json"))["compression"] == compression
     words = (str(tmp_path / "run.bag"), str(tmp_path / "part.bag"))
-    begin = messages(tmp_path / "run.bag")[0][1] / 1e9
-    expression = f"topic == '{STATES}' and t - {begin} < 0.2 and m.position[0] >= 0"
+    begin = next(time_ns for topic, time_ns, _ in messages(tmp_path / "run.bag") if topic == STATES) / 1e9
+    expression = f"topic == '{STATES}' and t - {begin} < 0.19 and m.position[0] >= 0"
     assert f"10 of {count} messages" in slider.ok("bag", "filter", *words, expression)
     assert "is there already" in slider("bag", "filter", *words, expression).stderr
     refused = slider("bag", "filter", *words, "m.nothing > 0", "--force")
@@ -296,6 +300,49 @@ def test_copies_and_tables(slider: CommandLine, tmp_path: Path) -> None:
         message["position"][0] for topic, _, message in messages(tmp_path / "run.bag") if topic == STATES
     ]
     assert {"time", "topic", "header.stamp", "name[0]", "effort[0]"} <= rows[0].keys()
+
+
+def two_publishers(path: Path) -> None:
+    """A bag as rosbag makes it of a topic with two publishers, one of which came twice."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    with Writer(path) as bag:
+        for time_ns, callerid in ((1, "/a"), (2, "/b")):
+            connection = bag.add_connection(
+                "/talk", "std_msgs/msg/String", typestore=store, callerid=callerid, latching=1
+            )
+            text = store.types["std_msgs/msg/String"](callerid)
+            bag.write(connection, time_ns * 10**9, store.serialize_ros1(text, "std_msgs/msg/String"))
+
+
+def test_copies_keep_the_publishers_of_a_topic_apart(slider: CommandLine, tmp_path: Path) -> None:
+    two_publishers(tmp_path / "run.bag")
+    path = tmp_path / "run.bag"
+    for copy in ("c.bag", "c.mcap", "d.bag"):
+        slider.ok("bag", "filter", str(path), str(tmp_path / copy))
+        path = tmp_path / copy
+        assert messages(path) == messages(tmp_path / "run.bag")
+        with opened(path) as recording:
+            assert [(one.callerid, one.latching) for one in recording.channels] == [("/a", True), ("/b", True)]
+    path.write_bytes(path.read_bytes()[:-20])  # inside the index
+    assert "its index is damaged; it is read as far as it goes" in slider("bag", "info", str(path)).stderr
+    slider.ok("bag", "reindex", str(path))
+    assert messages(path) == messages(tmp_path / "run.bag")
+
+
+def test_an_mcap_without_md5_sums_is_copied_into_a_bag(slider: CommandLine, tmp_path: Path) -> None:
+    with (tmp_path / "run.mcap").open("wb") as file:
+        writer = McapWriter(file)
+        writer.start("ros1")
+        definition = f"Header header\nfloat64 x\n{'=' * 80}\nMSG: std_msgs/Header\n{msgs.definition('std_msgs/Header')}"
+        for type_name, text in (("std_msgs/Float64", "float64 data"), ("my_pkg/Stamped", definition)):
+            schema = writer.register_schema(type_name, "ros1msg", text.encode())
+            channel = writer.register_channel(f"/{type_name}", "ros1", schema)
+            writer.add_message(channel, 10**9, bytes(8 if text[0] == "f" else 24), 10**9)
+        writer.finish()
+    slider.ok("bag", "filter", str(tmp_path / "run.mcap"), str(tmp_path / "run.bag"))
+    assert messages(tmp_path / "run.bag") == messages(tmp_path / "run.mcap")
+    types = json.loads(slider.ok("bag", "info", str(tmp_path / "run.bag"), "--json"))["types"]
+    assert {"type": "std_msgs/Float64", "md5sum": msgs.md5("std_msgs/Float64")} in types
 
 
 BAD = [
