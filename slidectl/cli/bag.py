@@ -128,6 +128,7 @@ def reindex(ctx: Context, file: str) -> None:
         if not recording.damage:
             ctx.done({"file": file, "messages": recording.summary().counts.total(), "kept": None}, f"{file}: complete")
             return
+        recording.refuse_written()
         kept = path.with_name(f"{path.stem}.orig{path.suffix}")
         if kept.exists():
             raise Refused(f"{kept} is there already", f"it is from an earlier reindex; remove it, or rename {file}")

@@ -6,6 +6,7 @@ left has no index then; it is read from the beginning to where it ends, and says
 
 from __future__ import annotations
 
+import fcntl
 import io
 import os
 import struct
@@ -84,6 +85,8 @@ class Summary:
 class RecordingWriter(ABC):
     """A file that messages are written into. What the disk refuses is an OSError; `close` completes the file."""
 
+    file: BinaryIO
+
     def __init__(self, path: Path) -> None:
         self.path = path
 
@@ -122,9 +125,22 @@ def create(path: Path, compression: str = "none") -> RecordingWriter:
         raise UsageError(f"{path.suffix} files have no compression {compression!r}", f"there is: {', '.join(known)}")
     refuse_existing(path)
     try:
-        return _BagWriter(path, compression) if path.suffix == ".bag" else _McapWriter(path, compression)
+        writer = _BagWriter(path, compression) if path.suffix == ".bag" else _McapWriter(path, compression)
+        _lock(writer.file)
+        return writer
     except OSError as error:
         raise Refused(f"cannot write {path}: {error.strerror or error}") from None
+
+
+def _lock(file: BinaryIO) -> bool:
+    """Take the lock that a recording has while it is written; False when somebody else has it."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # a file system without locks
+        pass
+    return True
 
 
 def refuse_existing(path: Path) -> None:
@@ -149,11 +165,13 @@ class _BagWriter(RecordingWriter):
                 chunk, 0, block_linked=False, content_checksum=True, store_size=False
             )
         self._writer.open()
+        assert self._writer.bio is not None
+        self.file = self._writer.bio
 
     def add(self, topic: str, codec: Codec, latching: bool, callerid: str = "") -> Any:
-        kind, more = codec.type.replace("/", "/msg/"), {"latching": 1 if latching else None}
+        kind, node = codec.type.replace("/", "/msg/"), callerid or None
         return self._writer.add_connection(
-            topic, kind, msgdef=codec.definition, md5sum=codec.md5, callerid=callerid or None, **more
+            topic, kind, msgdef=codec.definition, md5sum=codec.md5, callerid=node, latching=1 if latching else None
         )
 
     def write(self, topic: Any, time_ns: int, raw: bytes) -> None:
@@ -165,8 +183,7 @@ class _BagWriter(RecordingWriter):
     def flush(self) -> None:
         self._writer.write_chunk(self._writer.chunks[-1])
         self._forget_index()
-        assert self._writer.bio is not None
-        self._writer.bio.flush()
+        self.file.flush()
 
     def _forget_index(self) -> None:
         """Of a chunk that is in the file the library wants no more than how many messages each topic has in it."""
@@ -190,9 +207,9 @@ class _McapWriter(RecordingWriter):
             from mcap.writer import CompressionType, Writer
         except ImportError:
             raise NoMcap from None
-        self._file = path.open("xb")
+        self.file = path.open("xb")
         kind = CompressionType[compression.upper()]
-        self._writer = Writer(self._file, chunk_size=CHUNK, compression=kind)
+        self._writer = Writer(self.file, chunk_size=CHUNK, compression=kind)
         self._writer.start("ros1", "slidectl")
         self._schemas: dict[str, int] = {}
         self._counts: Counter[int] = Counter()
@@ -215,7 +232,7 @@ class _McapWriter(RecordingWriter):
         try:
             self._writer.finish()  # type: ignore[no-untyped-call]
         finally:
-            self._file.close()
+            self.file.close()
 
 
 # --- reading ----------------------------------------------------------------------------------------------------------
@@ -256,6 +273,11 @@ class Recording(ABC):
         codec = self.codec(record.channel)
         with _understood(self.path):
             return codec.decode(record.raw)
+
+    def refuse_written(self) -> None:
+        """Raises Refused: the recording is being written, here or in another process."""
+        if not _lock(self._file):
+            raise Refused(f"{self.path} is being recorded", "end that first: Ctrl-C, or kill PID with --detach")
 
     def close(self) -> None:
         self._file.close()
@@ -434,9 +456,10 @@ class _CutBag(_Scanned):
             elif number not in self._known:
                 about = reader.Header.read(io.BytesIO(struct.pack("<L", len(data)) + data))
                 latching = about.get("latching", b"0") == b"1"
-                texts = [about.get_string(name) for name in ("type", "message_definition", "md5sum")]
+                kind, text, md5 = (about.get_string(name) for name in ("type", "message_definition", "md5sum"))
                 callerid = about.get("callerid", b"").decode("utf-8", "replace")
-                self._known[number] = RecordedTopic(number, header.get_string("topic"), *texts, latching, callerid)
+                topic = header.get_string("topic")
+                self._known[number] = RecordedTopic(number, topic, kind, text, md5, latching, callerid)
 
 
 class _McapRecording(_Scanned):

@@ -200,6 +200,8 @@ def test_a_recorder_that_is_killed_leaves_what_came_before(slider: CommandLine, 
         while len(messages_so_far(path)) < 49:  # it puts what it has into the file each second
             time.sleep(0.05)
         slider.ok("sim", "step", "20ms")
+        held = slider("bag", "reindex", str(path))
+        assert (held.returncode, f"{path} is being recorded" in held.stderr) == (1, True)
         recorder.end(signal.SIGKILL)
         done = slider("bag", "info", str(path), "--json")
         record = json.loads(done.stdout)
