@@ -80,7 +80,7 @@ def _info_text(record: dict[str, Any]) -> str:
     lines = {
         "path": record["path"],
         **times,
-        "size": f"{record['size'] / 1e6:.1f} MB" if record["size"] >= 1e5 else f"{record['size'] / 1e3:.1f} kB",
+        "size": output.megabytes(record["size"]),
         "messages": str(record["messages"]),
         "compression": f"{record['compression']} [{record['chunks']} chunks]",
     }

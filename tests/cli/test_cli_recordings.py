@@ -347,6 +347,45 @@ def test_an_mcap_without_md5_sums_is_copied_into_a_bag(slider: CommandLine, tmp_
     assert {"type": "std_msgs/Float64", "md5sum": msgs.md5("std_msgs/Float64")} in types
 
 
+def test_each_file_of_a_split_begins_with_what_is_latched_by_then(slider: CommandLine, tmp_path: Path) -> None:
+    slider.ok("sim", "reset")
+    with slider.client() as client:
+        client.deliver("/mode", {"data": "old"}, "std_msgs/String", latch=True)
+        words = ("--split", "--duration", "0.1", "--repeat-latched")
+        recorder = Recorder(slider, STATES, "/mode", "-O", str(tmp_path / "s.mcap"), *words)
+        client.step(seconds=0.05)
+        client.deliver("/mode", {"data": "new"}, "std_msgs/String", latch=True)
+        client.step(seconds=0.2)
+    assert recorder.end().returncode == 0
+    modes = [
+        [message["data"] for topic, _, message in messages(tmp_path / f"s_{number}.mcap") if topic == "/mode"]
+        for number in range(3)
+    ]
+    assert modes == [["old", "new"], ["new"], ["new"]]
+
+
+def test_a_split_that_cannot_go_on_keeps_what_it_has_and_says_why(slider: CommandLine, tmp_path: Path) -> None:
+    slider.ok("sim", "reset")
+    for suffix in (".bag", ".mcap"):
+        (tmp_path / f"s_1{suffix}").touch()
+        words = ("-O", str(tmp_path / f"s{suffix}"), "--split", "--duration", "0.1", "--json")
+        recorder = Recorder(slider, STATES, *words)
+        slider.ok("sim", "step", "300ms")
+        done = recorder.ended()
+        assert done.returncode == 1
+        assert f"s_1{suffix} is there already" in done.stderr
+        assert "Traceback" not in done.stderr
+        [file] = json.loads(done.stdout)["files"]
+        assert len(messages(Path(file))) == json.loads(done.stdout)["messages"] == 5
+
+
+def test_duration_ends_a_recording_whose_limit_is_not_reached(slider: CommandLine, tmp_path: Path) -> None:
+    slider.ok("sim", "reset")
+    recorder = Recorder(slider, "/never", "-O", str(tmp_path / "d.bag"), "--duration", "0.1s", "--limit", "3")
+    slider.ok("sim", "step", "200ms")
+    assert recorder.ended().returncode == 0
+
+
 BAD = [
     (("record",), 2, "give the topics, or -a for all"),
     (("record", "nothing"), 1, "no topic 'nothing'"),
