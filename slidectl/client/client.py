@@ -194,8 +194,8 @@ class Client:
             self._sent[topic] = self._sent.get(topic, 0) + 1
         self._published = True
 
-    def _publish(self, topic: str, message: Message, type: str | None, latch: bool, **more: Any) -> str:
-        """Returns the id."""
+    def _publish(self, topic: str, message: Message, type: str | None, latch: bool, /, **more: Any) -> str:
+        """`more` are further fields of the publish object. Returns the id."""
         if type is not None or latch:
             self.advertise(topic, type, latch)
         full, publish_id = self._full("topic", topic, "subscribers", type), self._next_id("publish")
@@ -211,7 +211,7 @@ class Client:
         time. They are not published when the client has gone.
         """
         at = {"secs": time_ns // 10**9, "nsecs": time_ns % 10**9}
-        publish_id = self._publish(topic, message, type, latch, at=at, ack=True)
+        publish_id = self._publish(topic, message, type, latch, at=at, ack=True, **_typed(type))
         self._awaited.add(publish_id)
         return publish_id
 

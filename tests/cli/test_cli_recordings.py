@@ -149,14 +149,14 @@ def test_a_recording_of_the_commands_gives_the_same_bits_again(tmp_path: Path) -
         slidectl = CommandLine(runtime.folder)
         spawn_slider(slidectl)
         recorder = Recorder(slidectl, STATES, COMMAND, "-O", str(again))
-        player = slidectl.start("play", str(path), "--topic", COMMAND, "--at-recorded-times")
-        assert player.stderr is not None
-        assert "nothing is played until it goes on" in player.stderr.readline()
+        player = slidectl("play", str(path), "--topic", COMMAND, "--at-recorded-times", "--detach")
+        assert "nothing is played until it goes on" in player.stderr
+        assert (player.returncode, player.stdout.strip().isdigit()) == (0, True)
         slidectl.ok("sim", "step", "400")
-        stdout, stderr = player.communicate(timeout=60)
-        assert (player.returncode, stderr) == (0, "")
-        assert stdout == "played 4 messages on 1 topic, 0.399 s\n"
         assert recorder.end().returncode == 0
+        slidectl.ok("daemon", "stop")  # returns when the playing has ended too
+        [log] = runtime.folder.glob("slidectl/default/playing-*.log")
+        assert log.read_text() == "played 4 messages on 1 topic, 0.399 s\n"
     assert messages(again) == messages(path)
 
 
@@ -177,10 +177,28 @@ def test_playing_keeps_the_distances_on_other_topics_and_at_other_rates(slider: 
             time.sleep(0.1)
     slider.ok("sim", "step", "300")
     stdout, _ = player.communicate(timeout=60)
-    assert json.loads(stdout) == {"published": 10, "late": 0, "topics": ["/copy"], "seconds": 0.09}
+    assert json.loads(stdout) == {"published": 10, "late": 0, "refused": 0, "topics": ["/copy"], "seconds": 0.09}
     recorder.end()
     times = [time_ns for _, time_ns, _ in messages(tmp_path / "copy.bag")]
     assert [b - a for a, b in itertools.pairwise(times)] == 9 * [10_000_000]
+
+
+def test_what_is_refused_is_counted_and_fails(slider: CommandLine, tmp_path: Path) -> None:
+    slider.ok("sim", "reset")
+    with slider.client() as client:
+        client.advertise("/narrow", "std_msgs/Float32")
+        client.flush()
+        recorded(slider, tmp_path / "run.bag", COMMAND)
+        for other in (STATES, "/narrow"):
+            player = slider.start("play", str(tmp_path / "run.bag"), f"{COMMAND}:={other}", "--loop", "--json")
+            client.step(seconds=1.0)
+            while player.poll() is None:  # the daemon may have got the message after the steps
+                client.step(seconds=0.1)
+            stdout, stderr = player.communicate(timeout=60)
+            record = json.loads(stdout)
+            assert (player.returncode, record["published"], record["refused"]) == (1, 0, 1)
+            assert "1 messages were refused" in stderr
+            assert "std_msgs/Float64" in stderr or "data" in stderr
 
 
 def test_a_part_without_messages_is_said_to_be_empty(slider: CommandLine, tmp_path: Path) -> None:
