@@ -147,13 +147,17 @@ class Client:
         self._answers.pop(call_id, None)
 
     def advertise_service(self, service: str, type: str, handler: Callable[[Message], Message]) -> None:
-        """Provide a service (its full name) until the client is closed: the handler makes the response of a request.
+        """Provide a service until the client is closed: the handler makes the response of a request.
 
-        Requests are answered while the client waits for something. What the handler raises is the caller's failure.
+        Requests are answered while the client waits for something. What the handler raises is the caller's failure. A
+        name without a leading slash is in the root.
 
         Raises:
             Refused: there is such a service already, or no such type.
         """
+        service = names.join("/", service)
+        if service in self._handlers:
+            raise Refused(f"this client provides {service} already")
         advertise_id = self._next_id("advertise")
         self._handlers[service] = handler
         self._send(op="advertise_service", id=advertise_id, service=service, type=type)
@@ -168,10 +172,10 @@ class Client:
             return
         answer: Message = {"op": "service_response", "id": request["id"], "service": request["service"]}
         try:
-            answer |= {"values": handler(request["args"]), "result": True}
-        except Exception as error:  # the caller's, not ours
-            answer |= {"values": str(error) or type(error).__name__, "result": False}
-        self._send(**answer)
+            line = _line(answer | {"values": handler(request["args"]), "result": True})
+        except Exception as error:  # the caller's, not ours; also about a response that is no JSON
+            line = _line(answer | {"values": str(error) or type(error).__name__, "result": False})
+        self._link.send(line, time.monotonic() + self.timeout)
 
     # --- topics -------------------------------------------------------------------------------------------------
 
@@ -437,15 +441,18 @@ class Client:
         with self._spawning() as spawned:  # no moment passes between the two
             self._spawn("urdf", request, timeout)
             spawned.append(name)
-            self.start_joints(name, joints)
-        return []  # what it was put into with its joints at 0 is nobody's concern
+            return self.start_joints(name, joints)  # what it was put into with its joints at 0 is not in them
 
-    def start_joints(self, robot: str, positions: Mapping[str, float]) -> None:
-        """Put joints of a robot there (rad or m), at rest, and let resets do so too. Raises Refused."""
+    def start_joints(self, robot: str, positions: Mapping[str, float]) -> list[str]:
+        """Put joints of a robot there (rad or m), at rest, and let resets do so too.
+
+        Returns the world's remarks on the robot as it is now. Raises Refused.
+        """
         names, values = list(positions), list(positions.values())
         answer = self.call("/slidectl/start_joints", {"robot": robot, "joint_names": names, "joint_positions": values})
         if not answer["success"]:
             raise Refused(answer["message"])
+        return list(answer["message"].split("\n")[1:])
 
     def spawn_models(self, models: Sequence[Message], *, timeout: float = SPAWN_LIMIT_S) -> list[str]:
         """Put models into the world, all or none; it stands still meanwhile. Returns the world's remarks.
@@ -462,8 +469,8 @@ class Client:
         remarks: list[str] = []
         with self._spawning() as spawned:
             for model in models:
-                spawned.append(model["model_name"])
                 remarks += self._spawn("sdf", model, timeout)
+                spawned.append(model["model_name"])  # not before: what could not be spawned may be another's
         return remarks
 
     @contextmanager
@@ -476,8 +483,8 @@ class Client:
         try:
             yield spawned
         except BaseException:
-            with suppress(SlidectlError):
-                for name in reversed(spawned):
+            for name in reversed(spawned):
+                with suppress(SlidectlError):
                     self.call("/gazebo/delete_model", {"model_name": name})
             raise
         finally:
@@ -679,10 +686,7 @@ class Client:
 
     def _send(self, **message: Any) -> None:
         """Raises BadLine: one that the daemon would not take. TimedOut, NoDaemon."""
-        line = encode(message)
-        if len(line) > LONGEST_LINE:
-            raise BadLine(f"a message of {len(line)} bytes is more than the {LONGEST_LINE} that fit a line")
-        self._link.send(line, time.monotonic() + self.timeout)
+        self._link.send(_line(message), time.monotonic() + self.timeout)
 
     def _next_id(self, purpose: str) -> str:
         self._serial += 1
@@ -706,6 +710,14 @@ class Client:
                         )
         finally:
             self.close()
+
+
+def _line(message: Message) -> bytes:
+    """Raises BadLine."""
+    line = encode(message)
+    if len(line) > LONGEST_LINE:
+        raise BadLine(f"a message of {len(line)} bytes is more than the {LONGEST_LINE} that fit a line")
+    return line
 
 
 def _typed(type: str | None) -> Message:
