@@ -397,7 +397,7 @@ class Client:
             names.check_robot(name)
         pose = spawning.pose(at)
         if spawning.is_scene(model):
-            spawning.check_scene_options(xacro_arguments, controllers, start, joints or {})
+            spawning.check_scene_options(xacro_arguments, controllers, start, joints or {}, transmissions)
             models = spawning.scene(model).named(name)
             self.spawn_models([spawning.request(one, at) for one in models])
             return dict(self.call("/slidectl/list_robots", {"name": models[0].name})["robots"][0])
