@@ -267,8 +267,9 @@ class Client:
             type: needed only for a topic that nobody has advertised yet.
             queue_length: messages kept for a slow reader, the newest; 0 means 1000.
             throttle_rate: least wall milliseconds between two messages.
-            take: called with each publish object (`topic`, `msg`, the simulated `time` at which it was published, and
-                `latch` where it was published before) while some call waits; nothing is kept then.
+            take: called with each publish object (`topic`, `msg`, and the simulated `time` at which it was published;
+                with `latch`, where it was published before, that of the subscription) while some call waits; nothing is
+                kept then.
             wait: False returns at once, to subscribe many topics from one moment on; `flush` raises what was refused.
 
         Raises:

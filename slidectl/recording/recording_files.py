@@ -21,7 +21,6 @@ from typing import Any, BinaryIO, NamedTuple
 from slidectl.errors import BadFile, Refused, SlidectlError, UsageError
 from slidectl.recording.codec import Codec
 
-SUFFIXES = (".bag", ".mcap")
 COMPRESSIONS = {".bag": ("none", "bz2", "lz4"), ".mcap": ("none", "lz4", "zstd")}
 CHUNK = 768 * 1024
 """Bytes of messages in a chunk, as rosbag has it."""
@@ -42,7 +41,7 @@ class BadRecording(BadFile):
     """A recording that is damaged, or a file that cannot be read."""
 
 
-class NoRecording(BadRecording):
+class NotARecording(BadRecording):
     """A file of another kind."""
 
 
@@ -264,14 +263,14 @@ class Recording(ABC):
     def codec(self, channel: RecordedTopic) -> Codec:
         """What reads its messages. Raises BadRecording."""
         if channel.number not in self._codecs:
-            with _understood(self.path):
+            with _library_errors_as_bad_recording(self.path):
                 self._codecs[channel.number] = Codec(channel.type, channel.definition, channel.md5)
         return self._codecs[channel.number]
 
     def message(self, record: Record) -> Any:
         """The message in the shape of the wire. Raises BadRecording."""
         codec = self.codec(record.channel)
-        with _understood(self.path):
+        with _library_errors_as_bad_recording(self.path):
             return codec.decode(record.raw)
 
     def refuse_written(self) -> None:
@@ -290,7 +289,7 @@ class Recording(ABC):
 
 
 @contextmanager
-def _understood(path: Path) -> Iterator[None]:
+def _library_errors_as_bad_recording(path: Path) -> Iterator[None]:
     """Raises BadRecording for whatever a library raises about bytes that are no recording, or a damaged one."""
     try:
         yield
@@ -312,14 +311,14 @@ def opened(path: Path) -> Recording:
     except OSError as error:
         raise BadRecording(error.strerror or str(error), str(path)) from None
     try:
-        with _understood(path):
+        with _library_errors_as_bad_recording(path):
             magic = file.read(len(_BAG_MAGIC))
             if magic == _BAG_MAGIC:
                 return _open_bag(path, file)
             if magic.startswith(_MCAP_MAGIC):
                 return _McapRecording(path, file)
         what = "is empty" if not magic else "is neither a bag (of format 2.0) nor an mcap file"
-        raise NoRecording(what, str(path))
+        raise NotARecording(what, str(path))
     except BaseException:
         file.close()
         raise
@@ -362,7 +361,7 @@ class _BagRecording(Recording):
         by_id = {channel.number: channel for channel in self.channels if topics is None or channel.topic in topics}
         if not by_id:
             return
-        with _understood(self.path):
+        with _library_errors_as_bad_recording(self.path):
             for connection, time_ns, raw in self._reader.messages([self._connections[number] for number in by_id]):
                 yield Record(by_id[connection.id], _bag_time(time_ns), raw)
 
