@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import csv
-import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +18,7 @@ from slidectl.cli.topic_streams import Schema
 from slidectl.errors import Refused, UnknownName, UsageError
 
 if TYPE_CHECKING:
+    from slidectl.recording.flat_rows import Rows
     from slidectl.recording.recording_files import Record, Recording
 
 _SECOND = 10**9
@@ -224,10 +224,12 @@ def export(
     target = csv_file or parquet_file
     if target is None or (csv_file and parquet_file):
         raise UsageError("give one of --csv and --parquet")
+    from slidectl.recording.flat_rows import Rows
+
     path = None if target == "-" else _check_target(target, force)
     with open_recording(ctx, file) as recording:
         wanted = _wanted(recording, topics)
-        rows = _Rows(recording, wanted)
+        rows = Rows(recording, wanted)
         columns = rows.columns()
         if parquet_file:
             count = _write_parquet(path or Path(target), rows, columns)
@@ -246,42 +248,7 @@ def _wanted(recording: Recording, topics: tuple[str, ...]) -> set[str]:
     return set(topics or known)
 
 
-class _Rows:
-    """The messages as flat rows."""
-
-    def __init__(self, recording: Recording, topics: set[str]) -> None:
-        self._recording = recording
-        self._topics = topics
-
-    def columns(self) -> list[str]:
-        """All columns, in the order in which the messages have them: arrays may grow."""
-        found: dict[str, None] = {"time": None, "topic": None}
-        for row in self:
-            found.update(dict.fromkeys(row))
-        return list(found)
-
-    def __iter__(self) -> Iterator[dict[str, Any]]:
-        for record in self._recording.records(self._topics):
-            prefix = "" if len(self._topics) == 1 else f"{record.channel.topic}/"
-            row: dict[str, Any] = {"time": record.time_ns / _SECOND, "topic": record.channel.topic}
-            row.update(_flat(prefix, self._recording.message(record)))
-            yield row
-
-
-def _flat(name: str, value: Any) -> Iterator[tuple[str, Any]]:
-    if isinstance(value, dict) and value.keys() == {"secs", "nsecs"}:
-        yield name, value["secs"] + value["nsecs"] / _SECOND
-    elif isinstance(value, dict):
-        for key, below in value.items():
-            yield from _flat(f"{name}{'' if not name or name.endswith('/') else '.'}{key}", below)
-    elif isinstance(value, list):
-        for index, below in enumerate(value):
-            yield from _flat(f"{name}[{index}]", below)
-    else:
-        yield name, None if isinstance(value, float) and math.isnan(value) else value
-
-
-def _write_csv(path: Path | None, rows: _Rows, columns: list[str]) -> int:
+def _write_csv(path: Path | None, rows: Rows, columns: list[str]) -> int:
     count = 0
     try:
         with ExitStack() as stack:
@@ -301,7 +268,7 @@ def _write_csv(path: Path | None, rows: _Rows, columns: list[str]) -> int:
     return count
 
 
-def _write_parquet(path: Path, rows: _Rows, columns: list[str]) -> int:
+def _write_parquet(path: Path, rows: Rows, columns: list[str]) -> int:
     try:
         import pyarrow
         from pyarrow import parquet

@@ -7,7 +7,7 @@ import os
 from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 
 import click
 
@@ -21,7 +21,7 @@ from slidectl.errors import MessageRefused, Refused, UnknownName, UsageError
 
 if TYPE_CHECKING:
     from slidectl.cli.detached import Background
-    from slidectl.recording.recording_files import Recording
+    from slidectl.recording.playback import DueMessage
 
 _SECOND = 10**9
 _AHEAD, _AHEAD_BYTES = 1000, 4 * 1024 * 1024
@@ -30,17 +30,6 @@ _FIRST_DELAY_NS = _SECOND // 5
 """Simulated time from now to the first message, rosbag's --delay: its time must still be to come."""
 _MOST_TOLD = 5
 _SECONDS = click.FloatRange(min=0)
-
-
-class _Due(NamedTuple):
-    """A message to publish, `at_ns` after the first."""
-
-    at_ns: int
-    topic: str
-    type: str
-    latch: bool
-    message: Any
-    size: int
 
 
 @command(
@@ -96,6 +85,8 @@ def play(
 
         background = Background(ctx.paths, "playing")
         background.fork()
+    from slidectl.recording.playback import due_messages, span_ns
+
     with ExitStack() as stack:
         recordings = [stack.enter_context(open_recording(ctx, file)) for file in files]
         known = sorted({topic for recording in recordings for topic in recording.topics})
@@ -104,7 +95,7 @@ def play(
                 raise UnknownName("topic", topic, known, f"in {', '.join(files)}")
         left_out = {"/rosout", "/rosout_agg", *(() if clock else (CLOCK,))} - set(topics)
         wanted = set(topics or known) - left_out
-        begin_ns = _begin(recordings)
+        begin_ns, last_ns = span_ns(recordings)
         player = _Player(ctx, renames, background)
         for channel in (channel for recording in recordings for channel in recording.channels):
             if channel.topic in wanted:
@@ -114,13 +105,12 @@ def play(
         start_ns = round(start * _SECOND)
         base_ns = begin_ns + start_ns if at_recorded_times else player.now_ns() + _FIRST_DELAY_NS
         for _ in rounds:
-            due = _messages(recordings, wanted, begin_ns, start_ns, end_ns, rate)
+            due = due_messages(recordings, wanted, start_ns, end_ns, rate)
             base_ns = player.publish(due, base_ns) + _FIRST_DELAY_NS
             if player.refused:
                 break
             if not player.published:
-                ends = [ns for one in recordings if (ns := one.summary().end_ns) is not None]
-                length_s = (max(ends, default=begin_ns) - begin_ns) / _SECOND
+                length_s = (last_ns - begin_ns) / _SECOND
                 ctx.warn(f"there is no message to play in that part; the recording is {length_s:.3f} s long")
                 break
         player.tell()
@@ -138,36 +128,6 @@ def _sorted(words: tuple[str, ...]) -> tuple[list[str], dict[str, str]]:
     if not files:
         raise UsageError("which recording?", "slidectl play FILE [OLD:=NEW]...")
     return files, renames
-
-
-def _begin(recordings: list[Recording]) -> int:
-    return min((ns for one in recordings if (ns := one.summary().begin_ns) is not None), default=0)
-
-
-def _messages(
-    recordings: list[Recording], wanted: set[str], begin_ns: int, start_ns: int, end_ns: int | None, rate: float
-) -> Iterator[_Due]:
-    """The messages of all recordings by time. Latched ones from before the start come first, the last of each topic."""
-    import heapq
-
-    streams = [((record, recording) for record in recording.records(wanted)) for recording in recordings]
-    latched: dict[str, _Due] = {}
-    for record, recording in heapq.merge(*streams, key=lambda pair: pair[0].time_ns):
-        offset_ns = record.time_ns - begin_ns - start_ns
-        if end_ns is not None and offset_ns + start_ns >= end_ns:
-            break
-        channel = record.channel
-        if offset_ns < 0 and not channel.latching:
-            continue
-        at_ns = round(max(offset_ns, 0) / rate)
-        due = _Due(at_ns, channel.topic, channel.type, channel.latching, recording.message(record), len(record.raw))
-        if offset_ns < 0:
-            latched[channel.topic] = due
-            continue
-        yield from latched.values()
-        latched.clear()
-        yield due
-    yield from latched.values()
 
 
 class _Player:
@@ -198,7 +158,7 @@ class _Player:
                 f"{topic}: {type_name} is another type here ({msgs.md5(type_name)}) than in the recording ({md5})"
             )
 
-    def publish(self, messages: Iterator[_Due], base_ns: int) -> int:
+    def publish(self, messages: Iterator[DueMessage], base_ns: int) -> int:
         """Until the last is published; the simulated time of that. Raises NoDaemon, Refused."""
         client = self._ctx.client
         waiting: deque[tuple[str, int]] = deque()
