@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import csv
-import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +18,7 @@ from slidectl.cli.topic_streams import Schema
 from slidectl.errors import Refused, UnknownName, UsageError
 
 if TYPE_CHECKING:
+    from slidectl.recording.flat_rows import Rows
     from slidectl.recording.recording_files import Record, Recording
 
 _SECOND = 10**9
@@ -80,7 +80,7 @@ def _info_text(record: dict[str, Any]) -> str:
     lines = {
         "path": record["path"],
         **times,
-        "size": f"{record['size'] / 1e6:.1f} MB" if record["size"] >= 1e5 else f"{record['size'] / 1e3:.1f} kB",
+        "size": output.megabytes(record["size"]),
         "messages": str(record["messages"]),
         "compression": f"{record['compression']} [{record['chunks']} chunks]",
     }
@@ -148,38 +148,13 @@ def _tolerance(text: str) -> float:
 # --- copies -----------------------------------------------------------------------------------------------------------
 
 
-def _copy(records: Iterator[Record], recording: Recording, target: Path, compression: str) -> int:
-    """Write the records into a new recording, which appears when it is complete; how many there were.
-
-    Raises:
-        Refused: it cannot be written.
-    """
-    from slidectl.recording.recording_files import create
-
-    part = target.with_name(f".{target.stem}.part{target.suffix}")
-    part.unlink(missing_ok=True)
-    count = 0
-    try:
-        with ExitStack() as stack:
-            stack.callback(part.unlink, missing_ok=True)
-            writer = create(part, compression)
-            topics: dict[int, Any] = {}
-            for channel, time_ns, raw in records:
-                if channel.number not in topics:
-                    topics[channel.number] = writer.add(channel.topic, recording.codec(channel), channel.latching)
-                writer.write(topics[channel.number], time_ns, raw)
-                count += 1
-            writer.close()
-            part.replace(target)
-            return count
-    except OSError as error:
-        raise Refused(f"cannot write {target}: {error.strerror or error}") from None
-
-
 def _check_target(target: str, force: bool) -> Path:
+    """Raises Refused: the file is there."""
+    from slidectl.recording.recording_files import refuse_existing
+
     path = Path(target)
-    if path.exists() and not force:
-        raise Refused(f"{path} is there already", "give another name, or --force to write over it")
+    if not force:
+        refuse_existing(path)
     return path
 
 
@@ -192,20 +167,18 @@ def reindex(ctx: Context, file: str) -> None:
     Everything that can be read is written into a new file in its place, with an index. What was there before is kept
     as NAME.orig.bag (or .mcap). JSON keys: file, messages, kept.
     """
-    from slidectl.recording.recording_files import opened
+    from slidectl.recording.recording_files import copy, opened
 
     path = Path(file)
     with opened(path) as recording:
         if not recording.damage:
             ctx.done({"file": file, "messages": recording.summary().counts.total(), "kept": None}, f"{file}: complete")
             return
+        recording.refuse_written()
         kept = path.with_name(f"{path.stem}.orig{path.suffix}")
         if kept.exists():
             raise Refused(f"{kept} is there already", f"it is from an earlier reindex; remove it, or rename {file}")
-        whole = path.with_name(f"{path.stem}.whole{path.suffix}")
-        count = _copy(recording.records(), recording, whole, recording.summary().compression)
-    path.rename(kept)
-    whole.rename(path)
+        count = copy(recording.records(), recording, path, recording.summary().compression, kept)
     ctx.done({"file": file, "messages": count, "kept": str(kept)}, f"{file}: {count} messages, what it was is {kept}")
 
 
@@ -231,13 +204,15 @@ def filter_command(
     its math module; topics whose messages lack a field that EXPR names are left out. Without EXPR everything is copied:
     from .bag to .mcap or back, or with another compression. JSON keys: file, messages, of.
     """
+    from slidectl.recording.recording_files import copy
+
     path = _check_target(target, force)
     if path.resolve() == Path(source).resolve():
         raise UsageError("the target is the source", "give another name")
     with open_recording(ctx, source) as recording:
         keep = _condition(condition, recording)
         total = recording.summary().counts.total()
-        count = _copy((one for one in recording.records() if keep(one)), recording, path, compression)
+        count = copy((one for one in recording.records() if keep(one)), recording, path, compression)
     ctx.done({"file": target, "messages": count, "of": total}, f"{target}: {count} of {total} messages")
 
 
@@ -295,10 +270,12 @@ def export(
     target = csv_file or parquet_file
     if target is None or (csv_file and parquet_file):
         raise UsageError("give one of --csv and --parquet")
+    from slidectl.recording.flat_rows import Rows
+
     path = None if target == "-" else _check_target(target, force)
     with open_recording(ctx, file) as recording:
         wanted = _wanted(recording, topics)
-        rows = _Rows(recording, wanted)
+        rows = Rows(recording, wanted)
         columns = rows.columns()
         if parquet_file:
             count = _write_parquet(path or Path(target), rows, columns)
@@ -317,42 +294,7 @@ def _wanted(recording: Recording, topics: tuple[str, ...]) -> set[str]:
     return set(topics or known)
 
 
-class _Rows:
-    """The messages as flat rows."""
-
-    def __init__(self, recording: Recording, topics: set[str]) -> None:
-        self._recording = recording
-        self._topics = topics
-
-    def columns(self) -> list[str]:
-        """All columns, in the order in which the messages have them: arrays may grow."""
-        found: dict[str, None] = {"time": None, "topic": None}
-        for row in self:
-            found.update(dict.fromkeys(row))
-        return list(found)
-
-    def __iter__(self) -> Iterator[dict[str, Any]]:
-        for record in self._recording.records(self._topics):
-            prefix = "" if len(self._topics) == 1 else f"{record.channel.topic}/"
-            row: dict[str, Any] = {"time": record.time_ns / _SECOND, "topic": record.channel.topic}
-            row.update(_flat(prefix, self._recording.message(record)))
-            yield row
-
-
-def _flat(name: str, value: Any) -> Iterator[tuple[str, Any]]:
-    if isinstance(value, dict) and value.keys() == {"secs", "nsecs"}:
-        yield name, value["secs"] + value["nsecs"] / _SECOND
-    elif isinstance(value, dict):
-        for key, below in value.items():
-            yield from _flat(f"{name}{'' if not name or name.endswith('/') else '.'}{key}", below)
-    elif isinstance(value, list):
-        for index, below in enumerate(value):
-            yield from _flat(f"{name}[{index}]", below)
-    else:
-        yield name, None if isinstance(value, float) and math.isnan(value) else value
-
-
-def _write_csv(path: Path | None, rows: _Rows, columns: list[str]) -> int:
+def _write_csv(path: Path | None, rows: Rows, columns: list[str]) -> int:
     count = 0
     try:
         with ExitStack() as stack:
@@ -372,7 +314,7 @@ def _write_csv(path: Path | None, rows: _Rows, columns: list[str]) -> int:
     return count
 
 
-def _write_parquet(path: Path, rows: _Rows, columns: list[str]) -> int:
+def _write_parquet(path: Path, rows: Rows, columns: list[str]) -> int:
     try:
         import pyarrow
         from pyarrow import parquet

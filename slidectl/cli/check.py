@@ -53,7 +53,6 @@ _COLOURS = {"used": "green", "converted": "cyan", "ignored": "yellow", "wrong": 
 )
 @click.option(
     "--import",
-    "--from",
     "imports",
     multiple=True,
     metavar="MODULE",

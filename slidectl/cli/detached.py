@@ -1,4 +1,4 @@
-"""Launches and recordings that go on in the background: whoever stops the daemon waits until they have ended.
+"""Launches, recordings and playings that go on in the background: whoever stops the daemon waits until they have ended.
 
 Each keeps its log locked. It ends by itself when its daemon does, but may take its time for that.
 """
@@ -19,7 +19,7 @@ from typing import NoReturn
 from slidectl.errors import EXIT_DONE, Refused, TimedOut
 from slidectl.paths import InstancePaths, make_private
 
-KINDS = ("launch", "recording")
+KINDS = ("launch", "recording", "playing")
 LIMIT_S = 30.0
 """Longer than a launch gives its nodes before it kills them."""
 _QUIET_S = 0.5
@@ -29,7 +29,7 @@ _LOOK_EVERY_S = 0.02
 class Background:
     """A command goes on in a child process; this one waits until everything runs, and leaves.
 
-    `what` is `launch` or `recording`.
+    `what` is one of KINDS.
 
     Raises:
         Refused: the folder for its log is not private.

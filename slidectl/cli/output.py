@@ -63,6 +63,11 @@ def wants_colour(stream: TextIO) -> bool:
     return is_terminal(stream) and not os.environ.get("NO_COLOR")
 
 
+def megabytes(size: int) -> str:
+    """A size in 10^6 or 10^3 bytes."""
+    return f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{size / 1e3:.1f} kB"
+
+
 def as_json(value: Any) -> str:
     """One line of JSON; NaN becomes null and infinity 1e999, as on the wire."""
     try:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+import os
 from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 
 import click
 
@@ -16,10 +17,11 @@ from slidectl.cli.bag import open_recording
 from slidectl.cli.commands import command, positive_seconds
 from slidectl.cli.context import Context
 from slidectl.cli.topic_streams import CLOCK, nanoseconds, paused, way_on
-from slidectl.errors import MessageRefused, UnknownName, UsageError
+from slidectl.errors import MessageRefused, Refused, UnknownName, UsageError
 
 if TYPE_CHECKING:
-    from slidectl.recording.recording_files import Recording
+    from slidectl.cli.detached import Background
+    from slidectl.recording.playback import DueMessage
 
 _SECOND = 10**9
 _AHEAD, _AHEAD_BYTES = 1000, 4 * 1024 * 1024
@@ -27,17 +29,7 @@ _AHEAD, _AHEAD_BYTES = 1000, 4 * 1024 * 1024
 _FIRST_DELAY_NS = _SECOND // 5
 """Simulated time from now to the first message, rosbag's --delay: its time must still be to come."""
 _MOST_TOLD = 5
-
-
-class _Due(NamedTuple):
-    """A message to publish, `at_ns` after the first."""
-
-    at_ns: int
-    topic: str
-    type: str
-    latch: bool
-    message: Any
-    size: int
+_SECONDS = click.FloatRange(min=0)
 
 
 @command(
@@ -50,13 +42,14 @@ class _Due(NamedTuple):
 @click.argument("words", nargs=-1, required=True, metavar="FILE... [OLD:=NEW]...", shell_complete=completion.files)
 @click.option("--topic", "topics", multiple=True, metavar="TOPIC", help="Only this topic; may repeat.")
 @click.option(
-    "-r", "--rate", type=float, default=1.0, callback=positive_seconds, metavar="FACTOR", help="So much faster."
+    "-r", "--rate", type=float, default=1.0, callback=positive_seconds, metavar="FACTOR", help="FACTOR times as fast."
 )
-@click.option("-s", "--start", type=click.FloatRange(min=0), default=0.0, metavar="S", help="Begin S s into it.")
-@click.option("-u", "--until", type=click.FloatRange(min=0), metavar="S", help="End S s into it.")
+@click.option("-s", "--start", type=_SECONDS, default=0.0, metavar="S", help="Begin S seconds after its start.")
+@click.option("-u", "--until", type=_SECONDS, metavar="S", help="End S seconds after its start.")
 @click.option("-l", "--loop", is_flag=True, help="Again and again, until Ctrl-C.")
 @click.option("--at-recorded-times", is_flag=True, help="At the very simulated times of the recording.")
 @click.option("--clock", is_flag=True, help="Also the recorded /clock, which the world itself publishes.")
+@click.option("--detach", is_flag=True, help="Return when it plays; it goes on in the background.")
 @click.pass_obj
 def play(
     ctx: Context,
@@ -68,22 +61,32 @@ def play(
     loop: bool,
     at_recorded_times: bool,
     clock: bool,
+    detach: bool,
 ) -> None:
     """Publish the messages of recordings again.
 
     Each is published in the cycle that is as far from the first as it was, in simulated time: a world that is paused
     holds the playing, and on every run the same cycles see the same messages. The first comes 0.2 s after now; with
     --at-recorded-times each comes at the time that it was recorded at, so a recording of the commands, played into a
-    world as it was at its beginning, gives the same bits. It returns when the last was published.
+    world as it was at its beginning, gives the same bits. It returns when the last was published; with --detach when
+    the daemon has the first ones, and prints the process id. It exits with 1 when messages were refused.
 
     OLD:=NEW publishes on another topic. /rosout is left out, and /clock is without --clock. JSON keys: published, late
-    (messages whose time had passed when the daemon got them), topics, seconds.
+    (messages whose time had passed when the daemon got them), refused, topics, seconds; with --detach pid, log.
     """
     if at_recorded_times and (loop or rate != 1.0):
         raise UsageError("--at-recorded-times goes neither with --loop nor with --rate")
     if until is not None and until <= start:
         raise UsageError(f"--until {until:g} is not after --start {start:g}")
     files, renames = _sorted(words)
+    background = None
+    if detach:
+        from slidectl.cli.detached import Background
+
+        background = Background(ctx.paths, "playing")
+        background.fork()
+    from slidectl.recording.playback import due_messages, span_ns
+
     with ExitStack() as stack:
         recordings = [stack.enter_context(open_recording(ctx, file)) for file in files]
         known = sorted({topic for recording in recordings for topic in recording.topics})
@@ -92,8 +95,8 @@ def play(
                 raise UnknownName("topic", topic, known, f"in {', '.join(files)}")
         left_out = {"/rosout", "/rosout_agg", *(() if clock else (CLOCK,))} - set(topics)
         wanted = set(topics or known) - left_out
-        begin_ns = _begin(recordings)
-        player = _Player(ctx, renames)
+        begin_ns, last_ns = span_ns(recordings)
+        player = _Player(ctx, renames, background)
         for channel in (channel for recording in recordings for channel in recording.channels):
             if channel.topic in wanted:
                 player.check(channel.topic, channel.type, channel.md5)
@@ -102,11 +105,12 @@ def play(
         start_ns = round(start * _SECOND)
         base_ns = begin_ns + start_ns if at_recorded_times else player.now_ns() + _FIRST_DELAY_NS
         for _ in rounds:
-            due = _messages(recordings, wanted, begin_ns, start_ns, end_ns, rate)
+            due = due_messages(recordings, wanted, start_ns, end_ns, rate)
             base_ns = player.publish(due, base_ns) + _FIRST_DELAY_NS
+            if player.refused:
+                break
             if not player.published:
-                ends = [ns for one in recordings if (ns := one.summary().end_ns) is not None]
-                length_s = (max(ends, default=begin_ns) - begin_ns) / _SECOND
+                length_s = (last_ns - begin_ns) / _SECOND
                 ctx.warn(f"there is no message to play in that part; the recording is {length_s:.3f} s long")
                 break
         player.tell()
@@ -126,46 +130,18 @@ def _sorted(words: tuple[str, ...]) -> tuple[list[str], dict[str, str]]:
     return files, renames
 
 
-def _begin(recordings: list[Recording]) -> int:
-    return min((ns for one in recordings if (ns := one.summary().begin_ns) is not None), default=0)
-
-
-def _messages(
-    recordings: list[Recording], wanted: set[str], begin_ns: int, start_ns: int, end_ns: int | None, rate: float
-) -> Iterator[_Due]:
-    """The messages of all recordings by time. Latched ones from before the start come first, the last of each topic."""
-    import heapq
-
-    streams = [((record, recording) for record in recording.records(wanted)) for recording in recordings]
-    latched: dict[str, _Due] = {}
-    for record, recording in heapq.merge(*streams, key=lambda pair: pair[0].time_ns):
-        offset_ns = record.time_ns - begin_ns - start_ns
-        if end_ns is not None and offset_ns + start_ns >= end_ns:
-            break
-        channel = record.channel
-        if offset_ns < 0 and not channel.latching:
-            continue
-        at_ns = round(max(offset_ns, 0) / rate)
-        due = _Due(at_ns, channel.topic, channel.type, channel.latching, recording.message(record), len(record.raw))
-        if offset_ns < 0:
-            latched[channel.topic] = due
-            continue
-        yield from latched.values()
-        latched.clear()
-        yield due
-    yield from latched.values()
-
-
 class _Player:
     """Publishes at simulated times, some messages ahead."""
 
-    def __init__(self, ctx: Context, renames: dict[str, str]) -> None:
+    def __init__(self, ctx: Context, renames: dict[str, str], background: Background | None) -> None:
         self._ctx = ctx
+        self._background = background
         self._renames = renames
         self._told: set[str] = set()
         self._has_looked = False
         self.published = 0
         self.late = 0
+        self.refused = 0
         self._topics: set[str] = set()
         self._first_ns: int | None = None
         self._last_ns = 0
@@ -182,7 +158,7 @@ class _Player:
                 f"{topic}: {type_name} is another type here ({msgs.md5(type_name)}) than in the recording ({md5})"
             )
 
-    def publish(self, messages: Iterator[_Due], base_ns: int) -> int:
+    def publish(self, messages: Iterator[DueMessage], base_ns: int) -> int:
         """Until the last is published; the simulated time of that. Raises NoDaemon, Refused."""
         client = self._ctx.client
         waiting: deque[tuple[str, int]] = deque()
@@ -211,11 +187,15 @@ class _Player:
             status = self._ctx.call("/slidectl/status")
             if status["paused"]:
                 self._ctx.say(f"{paused(status)}; nothing is played until it goes on: {way_on(status)}")
+            if self._background is not None:
+                self._ctx.emit({"pid": os.getpid(), "log": self._background.log}, str(os.getpid()))
+                self._background.everything_runs()
         try:
             self.late += not client.published(publish_id, timeout=self._ctx.wait_limit(math.inf))
+            self.published += 1
         except MessageRefused as error:
+            self.refused += 1
             self._warn(error.message)
-        self.published += 1
 
     def _warn(self, text: str) -> None:
         if text not in self._told and len(self._told) < _MOST_TOLD:
@@ -223,11 +203,17 @@ class _Player:
             self._ctx.warn(text)
 
     def tell(self) -> None:
+        """Say what was played. Raises Refused: messages were refused."""
         seconds = 0.0 if self._first_ns is None else (self._last_ns - self._first_ns) / _SECOND
-        record = {"published": self.published, "late": self.late, "topics": sorted(self._topics), "seconds": seconds}
+        record = {
+            "published": self.published, "late": self.late, "refused": self.refused, "topics": sorted(self._topics),
+            "seconds": seconds,
+        }  # fmt: skip
         if self.late:
             text = f"{self.late} messages came after their time, and were published at once"
             self._ctx.warn(f"{text}; in a world that is paused when the playing begins none is late")
         count, topics = self.published, len(self._topics)
         messages = f"{count} message{'' if count == 1 else 's'} on {topics} topic{'' if topics == 1 else 's'}"
         self._ctx.done(record, f"played {messages}, {seconds:.3f} s")
+        if self.refused:
+            raise Refused(f"{self.refused} messages were refused")

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 import os
 import re
 import sys
 import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -25,15 +24,13 @@ from slidectl.errors import MessageRefused, NoDaemon, Refused, SlidectlError, Un
 if TYPE_CHECKING:
     from slidectl.client import Subscription
     from slidectl.recording.codec import Codec
-    from slidectl.recording.recording_files import RecordingWriter
+    from slidectl.recording.split_files import SplitFiles
 
 _LOOK_EVERY_S = 0.2
 _FLUSH_EVERY_S = 1.0
 _QUEUE = 100_000
-_MEGABYTE = 1 << 20
 _DURATION = re.compile(r"(\d+\.?\d*|\.\d+)([smh]?)\Z")
 _UNITS = {"": 1, "s": 1, "m": 60, "h": 3600}
-_LOOK_AT_SIZE = 64
 
 
 def _duration(_click: click.Context, _param: click.Parameter, value: str | None) -> float | None:
@@ -59,10 +56,10 @@ def _duration(_click: click.Context, _param: click.Parameter, value: str | None)
 @click.option("-O", "--output-name", "file", metavar="FILE", help="The file; its suffix says .bag or .mcap.")
 @click.option("--force", is_flag=True, help="Write over a file that is there.")
 @click.option("--duration", callback=_duration, metavar="T", help="End after so much simulated time: 30, 5m, 1h.")
-@click.option("--size", type=click.FloatRange(min=0, min_open=True), metavar="MB", help="End at this size.")
+@click.option("--size", type=click.FloatRange(min=0, min_open=True), metavar="MB", help="End at this size, 10^6 bytes.")
 @click.option("--split", is_flag=True, help="Go on in a new file where --duration or --size would end it.")
 @click.option("--max-splits", type=click.IntRange(min=1), metavar="N", help="Keep only the last N files.")
-@click.option("-l", "--limit", type=click.IntRange(min=1), metavar="N", help="So many messages of each topic.")
+@click.option("-l", "--limit", type=click.IntRange(min=1), metavar="N", help="At most N messages of each topic.")
 @click.option("--compression", metavar="KIND", default="none", help=".bag: bz2, lz4; .mcap: lz4, zstd (none).")
 @click.option("--repeat-latched", is_flag=True, help="Latched messages again in each file of a split.")
 @click.option("--detach", is_flag=True, help="Return when it records; it goes on in the background.")
@@ -72,10 +69,11 @@ def record(ctx: Context, /, topics: tuple[str, ...], **given: Any) -> None:
     """Record topics into a file.
 
     Messages are stored with the simulated time at which they were published, in the order in which they came. It ends
-    at Ctrl-C, SIGTERM, or what --duration, --size or --limit say, and exits 0 then; 1 when messages were lost because
-    they came too fast. When the daemon ends meanwhile the file is completed and the exit code is 3. Without -O the file
-    is named after the date. A recorder that is killed leaves a file without its last second, which 'slidectl bag
-    reindex' completes. With --detach the process id is printed; 'kill PID' ends it, and so does the daemon's end.
+    at Ctrl-C, SIGTERM, or what --duration, --size or (where topics are named) --limit say, and exits 0 then; 1 when
+    messages were lost because they came too fast. When the daemon ends meanwhile the file is completed and the exit
+    code is 3. Without -O the file is named after the date. A recorder that is killed leaves a file without its last
+    second, which 'slidectl bag reindex' completes. With --detach the process id is printed; 'kill PID' ends it, and so
+    does the daemon's end.
 
     JSON keys: files, messages, topics, seconds (simulated), bytes, dropped.
     """
@@ -83,6 +81,7 @@ def record(ctx: Context, /, topics: tuple[str, ...], **given: Any) -> None:
     path = _path(given["file"])
     from slidectl.cli.detached import Background, pid_file
     from slidectl.launch.supervision import Interrupted, Interrupts
+    from slidectl.recording.split_files import SplitFiles
 
     background = None
     if given["detach"]:
@@ -91,7 +90,10 @@ def record(ctx: Context, /, topics: tuple[str, ...], **given: Any) -> None:
         background.fork()
         ctx.close()
     with suppress(Interrupted), Interrupts() as interrupts, pid_file(given["pid_file"]), interrupts.held():
-        out = _Output(path, given)
+        out = SplitFiles(
+            path, given["compression"], given["duration"], given["size"], given["split"], given["max_splits"],
+            given["repeat_latched"], given["force"],
+        )  # fmt: skip
         recorder = _Recorder(ctx, choice, out, given)
         try:
             recorder.begin()
@@ -107,10 +109,6 @@ def record(ctx: Context, /, topics: tuple[str, ...], **given: Any) -> None:
 def _path(given: str | None) -> Path:
     path = Path(given if given is not None else time.strftime("%Y-%m-%d-%H-%M-%S"))
     return path if path.suffix else path.with_name(f"{path.name}.bag")
-
-
-def _megabytes(size: int) -> str:
-    return f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{size / 1e3:.1f} kB"
 
 
 def _count(number: int, what: str) -> str:
@@ -166,98 +164,10 @@ def _compiled(text: str) -> re.Pattern[str]:
         raise UsageError(f"{text!r} is not a regular expression: {error}") from None
 
 
-class _Output:
-    """The file that is written, or one after the other. Each topic is added to a file when its first message comes."""
-
-    def __init__(self, path: Path, given: dict[str, Any]) -> None:
-        from slidectl.recording.recording_files import create
-
-        self._create: Callable[[Path, str], RecordingWriter] = create
-        self._base = path
-        self._given = given
-        self._length_ns = None if given["duration"] is None else round(given["duration"] * 1e9)
-        self._most_bytes = None if given["size"] is None else given["size"] * _MEGABYTE
-        self._latched: dict[str, tuple[Codec, bytes]] = {}
-        self._numbers = 0
-        self.files: list[Path] = []
-        self.counts: Counter[str] = Counter()
-        self.first_ns: int | None = None
-        self.last_ns = 0
-        self.bytes = 0
-        """Of files that are complete."""
-        self.is_full = False
-        self._open()
-
-    @property
-    def path(self) -> Path:
-        """The file that is written now."""
-        return self.files[-1]
-
-    def _open(self) -> None:
-        path = self._base
-        if self._given["split"]:
-            path = path.with_name(f"{path.stem}_{self._numbers}{path.suffix}")
-            self._numbers += 1
-        if self._given["force"]:
-            with suppress(OSError):
-                path.unlink()
-        self._writer = self._create(path, self._given["compression"])
-        self.files.append(path)
-        self._topics: dict[str, Any] = {}
-        self._begin_ns: int | None = None
-        if len(self.files) > (self._given["max_splits"] or math.inf):
-            gone = self.files.pop(0)
-            self.bytes -= gone.stat().st_size
-            gone.unlink()
-
-    def write(self, topic: str, codec: Codec, latching: bool, time_ns: int, raw: bytes) -> None:
-        """Raises OSError."""
-        if self._ends(time_ns):
-            if not self._given["split"]:
-                self.is_full = True
-                return
-            self.close()
-            self._open()
-        if self._begin_ns is None:
-            self._begin_ns = time_ns
-            if self._given["repeat_latched"]:
-                for name, (kind, message) in self._latched.items():
-                    self._put(name, kind, True, time_ns, message)
-        if latching:
-            self._latched[topic] = codec, raw
-        self._put(topic, codec, latching, time_ns, raw)
-        self.counts[topic] += 1
-        self.first_ns = time_ns if self.first_ns is None else min(self.first_ns, time_ns)
-        self.last_ns = max(self.last_ns, time_ns)
-
-    def _put(self, topic: str, codec: Codec, latching: bool, time_ns: int, raw: bytes) -> None:
-        handle = self._topics.get(topic)
-        if handle is None:
-            handle = self._topics[topic] = self._writer.add(topic, codec, latching)
-        self._writer.write(handle, time_ns, raw)
-
-    def _ends(self, time_ns: int) -> bool:
-        if self._length_ns is not None and self._begin_ns is not None and time_ns - self._begin_ns >= self._length_ns:
-            return True
-        total = self.counts.total()
-        return self._most_bytes is not None and total % _LOOK_AT_SIZE == 0 and self._writer.size >= self._most_bytes
-
-    def flush(self) -> None:
-        """Raises OSError."""
-        self._writer.flush()
-
-    def close(self) -> None:
-        """Raises OSError."""
-        try:
-            self._writer.close()
-        finally:
-            self.bytes += self.path.stat().st_size
-
-
 class _Recorder:
     """Subscribes what is chosen, and writes what comes."""
 
-    def __init__(self, ctx: Context, choice: _Choice, out: _Output, given: dict[str, Any]) -> None:
+    def __init__(self, ctx: Context, choice: _Choice, out: SplitFiles, given: dict[str, Any]) -> None:
         self._ctx = ctx
         self._choice = choice
         self._out = out
@@ -267,7 +177,7 @@ class _Recorder:
         self._codecs: dict[str, Codec] = {}
         self._sleep: str | None = None
         self._topics_call: str | None = None
-        self._failure: OSError | None = None
+        self._failure: OSError | SlidectlError | None = None
         self._left_out: set[str] = set()
 
     def what(self) -> str:
@@ -280,6 +190,7 @@ class _Recorder:
         self._subscribe_new(topics)
         if self._length_s is not None:
             self._sleep = client.call_async("/slidectl/sleep", {"duration": self._length_s})
+            client.flush()  # the time counts from before the caller goes on
         for name in self._choice.named:
             if name not in topics:
                 self._ctx.warn(f"nobody publishes {name} yet; it is recorded as soon as somebody does")
@@ -317,7 +228,7 @@ class _Recorder:
         try:
             time_ns = nanoseconds(published["time"])
             self._out.write(topic, kind, latching, time_ns, kind.encode(published["msg"]))
-        except OSError as error:
+        except (OSError, SlidectlError) as error:
             self._failure = error
 
     def run(self, is_over: Callable[[], bool]) -> None:
@@ -364,12 +275,10 @@ class _Recorder:
     def _is_done(self) -> bool:
         if self._failure is not None or self._out.is_full:
             return True
-        if self._limit is not None and self._choice.named:
-            return all(self._out.counts[name] >= self._limit for name in self._choice.named)
-        if self._sleep is not None and self._ctx.client.is_answered(self._sleep):
-            self._ctx.client.answer(self._sleep)
+        named, limit = self._choice.named, self._limit
+        if named and limit is not None and all(self._out.counts[name] >= limit for name in named):
             return True
-        return False
+        return self._sleep is not None and self._ctx.client.is_answered(self._sleep)
 
     @contextmanager
     def _status(self) -> Iterator[Callable[[], None]]:
@@ -407,7 +316,9 @@ class _Recorder:
             "files": [str(path) for path in out.files], "messages": out.counts.total(), "topics": len(out.counts),
             "seconds": seconds, "bytes": size, "dropped": dropped,
         }  # fmt: skip
-        self._ctx.done(record, f"{names}: {self._so_far()}, {_megabytes(size)}")
+        self._ctx.done(record, f"{names}: {self._so_far()}, {output.megabytes(size)}")
+        if isinstance(self._failure, SlidectlError):
+            raise self._failure
         if self._failure is not None:
             kept = _readable(out.path)
             raise Refused(

@@ -98,7 +98,7 @@ def spawn(
     places = package_lookup(packages)
     source, given = in_package(model, arguments, places)
     if spawning.is_scene(source):
-        spawning.check_scene_options(given, controllers or transmissions, start, positions)
+        spawning.check_scene_options(given, controllers, start, positions, transmissions)
         _spawn_scene(ctx, spawning.scene(source, places, missing), name, at, fixed, strict)
         _tell_left_out(ctx, missing)
         return
@@ -167,7 +167,7 @@ def urdf(ctx: Context, model: str, arguments: tuple[str, ...], target: str | Non
     places = package_lookup(packages, "urdf")
     source, given = in_package(model, arguments, places, "urdf")
     if spawning.is_scene(source):
-        spawning.check_scene_options(given, None, (), {})
+        spawning.check_scene_options(given)
         document = _single_model(source, places)
     else:
         title = "<stdin>" if source == "-" else None

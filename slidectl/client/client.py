@@ -147,13 +147,17 @@ class Client:
         self._answers.pop(call_id, None)
 
     def advertise_service(self, service: str, type: str, handler: Callable[[Message], Message]) -> None:
-        """Provide a service (its full name) until the client is closed: the handler makes the response of a request.
+        """Provide a service until the client is closed: the handler makes the response of a request.
 
-        Requests are answered while the client waits for something. What the handler raises is the caller's failure.
+        Requests are answered while the client waits for something. What the handler raises is the caller's failure. A
+        name without a leading slash is in the root.
 
         Raises:
             Refused: there is such a service already, or no such type.
         """
+        service = names.join("/", service)
+        if service in self._handlers:
+            raise Refused(f"this client provides {service} already")
         advertise_id = self._next_id("advertise")
         self._handlers[service] = handler
         self._send(op="advertise_service", id=advertise_id, service=service, type=type)
@@ -168,10 +172,10 @@ class Client:
             return
         answer: Message = {"op": "service_response", "id": request["id"], "service": request["service"]}
         try:
-            answer |= {"values": handler(request["args"]), "result": True}
-        except Exception as error:  # the caller's, not ours
-            answer |= {"values": str(error) or type(error).__name__, "result": False}
-        self._send(**answer)
+            line = _line(answer | {"values": handler(request["args"]), "result": True})
+        except Exception as error:  # the caller's, not ours; also about a response that is no JSON
+            line = _line(answer | {"values": str(error) or type(error).__name__, "result": False})
+        self._link.send(line, time.monotonic() + self.timeout)
 
     # --- topics -------------------------------------------------------------------------------------------------
 
@@ -194,8 +198,8 @@ class Client:
             self._sent[topic] = self._sent.get(topic, 0) + 1
         self._published = True
 
-    def _publish(self, topic: str, message: Message, type: str | None, latch: bool, **more: Any) -> str:
-        """Returns the id."""
+    def _publish(self, topic: str, message: Message, type: str | None, latch: bool, /, **more: Any) -> str:
+        """`more` are further fields of the publish object. Returns the id."""
         if type is not None or latch:
             self.advertise(topic, type, latch)
         full, publish_id = self._full("topic", topic, "subscribers", type), self._next_id("publish")
@@ -211,7 +215,7 @@ class Client:
         time. They are not published when the client has gone.
         """
         at = {"secs": time_ns // 10**9, "nsecs": time_ns % 10**9}
-        publish_id = self._publish(topic, message, type, latch, at=at, ack=True)
+        publish_id = self._publish(topic, message, type, latch, at=at, ack=True, **_typed(type))
         self._awaited.add(publish_id)
         return publish_id
 
@@ -263,8 +267,9 @@ class Client:
             type: needed only for a topic that nobody has advertised yet.
             queue_length: messages kept for a slow reader, the newest; 0 means 1000.
             throttle_rate: least wall milliseconds between two messages.
-            take: called with each publish object (`topic`, `msg`, the simulated `time` at which it was published, and
-                `latch` where it was published before) while some call waits; nothing is kept then.
+            take: called with each publish object (`topic`, `msg`, and the simulated `time` at which it was published;
+                with `latch`, where it was published before, that of the subscription) while some call waits; nothing is
+                kept then.
             wait: False returns at once, to subscribe many topics from one moment on; `flush` raises what was refused.
 
         Raises:
@@ -393,7 +398,7 @@ class Client:
             names.check_robot(name)
         pose = spawning.pose(at)
         if spawning.is_scene(model):
-            spawning.check_scene_options(xacro_arguments, controllers, start, joints or {})
+            spawning.check_scene_options(xacro_arguments, controllers, start, joints or {}, transmissions)
             models = spawning.scene(model).named(name)
             self.spawn_models([spawning.request(one, at) for one in models])
             return dict(self.call("/slidectl/list_robots", {"name": models[0].name})["robots"][0])
@@ -437,15 +442,18 @@ class Client:
         with self._spawning() as spawned:  # no moment passes between the two
             self._spawn("urdf", request, timeout)
             spawned.append(name)
-            self.start_joints(name, joints)
-        return []  # what it was put into with its joints at 0 is nobody's concern
+            return self.start_joints(name, joints)  # what it was put into with its joints at 0 is not in them
 
-    def start_joints(self, robot: str, positions: Mapping[str, float]) -> None:
-        """Put joints of a robot there (rad or m), at rest, and let resets do so too. Raises Refused."""
+    def start_joints(self, robot: str, positions: Mapping[str, float]) -> list[str]:
+        """Put joints of a robot there (rad or m), at rest, and let resets do so too.
+
+        Returns the world's remarks on the robot as it is now. Raises Refused.
+        """
         names, values = list(positions), list(positions.values())
         answer = self.call("/slidectl/start_joints", {"robot": robot, "joint_names": names, "joint_positions": values})
         if not answer["success"]:
             raise Refused(answer["message"])
+        return list(answer["message"].split("\n")[1:])
 
     def spawn_models(self, models: Sequence[Message], *, timeout: float = SPAWN_LIMIT_S) -> list[str]:
         """Put models into the world, all or none; it stands still meanwhile. Returns the world's remarks.
@@ -462,8 +470,8 @@ class Client:
         remarks: list[str] = []
         with self._spawning() as spawned:
             for model in models:
-                spawned.append(model["model_name"])
                 remarks += self._spawn("sdf", model, timeout)
+                spawned.append(model["model_name"])  # not before: what could not be spawned may be another's
         return remarks
 
     @contextmanager
@@ -476,8 +484,8 @@ class Client:
         try:
             yield spawned
         except BaseException:
-            with suppress(SlidectlError):
-                for name in reversed(spawned):
+            for name in reversed(spawned):
+                with suppress(SlidectlError):
                     self.call("/gazebo/delete_model", {"model_name": name})
             raise
         finally:
@@ -718,10 +726,7 @@ class Client:
 
     def _send(self, **message: Any) -> None:
         """Raises BadLine: one that the daemon would not take. TimedOut, NoDaemon."""
-        line = encode(message)
-        if len(line) > LONGEST_LINE:
-            raise BadLine(f"a message of {len(line)} bytes is more than the {LONGEST_LINE} that fit a line")
-        self._link.send(line, time.monotonic() + self.timeout)
+        self._link.send(_line(message), time.monotonic() + self.timeout)
 
     def _next_id(self, purpose: str) -> str:
         self._serial += 1
@@ -749,6 +754,14 @@ class Client:
 
 def _with_options(fault: Message) -> Message:
     return {**fault, "options": json.loads(fault["options"])}
+
+
+def _line(message: Message) -> bytes:
+    """Raises BadLine."""
+    line = encode(message)
+    if len(line) > LONGEST_LINE:
+        raise BadLine(f"a message of {len(line)} bytes is more than the {LONGEST_LINE} that fit a line")
+    return line
 
 
 def _typed(type: str | None) -> Message:

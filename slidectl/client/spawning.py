@@ -95,7 +95,11 @@ def is_scene(source: str) -> bool:
 
 
 def check_scene_options(
-    arguments: Mapping[str, str], controllers: str | None, start: Sequence[str], joints: Mapping[str, float]
+    arguments: Mapping[str, str],
+    controllers: str | None = None,
+    start: Sequence[str] = (),
+    joints: Mapping[str, float] | None = None,
+    transmissions: str | None = None,
 ) -> None:
     """Raise UsageError for what only a robot of URDF or xacro has."""
     if arguments:
@@ -104,6 +108,8 @@ def check_scene_options(
         raise UsageError(f"models of SDF start as their file says, and not with joints at {', '.join(joints)}")
     if controllers is not None or start:
         raise UsageError("models of SDF have no controllers", "describe a robot that is driven in URDF or xacro")
+    if transmissions is not None:
+        raise UsageError("models of SDF have no transmissions", "describe a robot that is driven in URDF or xacro")
 
 
 def scene(source: str, places: Packages | None = None, missing: Missing | None = None) -> Scene:

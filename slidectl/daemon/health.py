@@ -36,7 +36,7 @@ _EXTRAS = {
     "mcap": ("mcap", "recordings as .mcap", "pip install 'slidectl[mcap]'"),
 }
 _LITTLE_DISK, _NO_DISK = 200 << 20, 1 << 20
-_FEW_FILES = 256
+_FEW_FILES, _MANY_FILES = 256, 4096
 _WAKE_UPS = 200
 _WAIT_S = 0.001
 _LATE_S = 0.001
@@ -86,7 +86,11 @@ def _libraries(_instance: InstancePaths) -> _Found:
             import_module(module)
             there.append(f"{name} {version(name)}")
         except (ImportError, PackageNotFoundError, OSError) as error:
-            yield BROKEN, f"{name}: {error}", "install slidectl once more: pip install --force-reinstall slidectl"
+            yield (
+                BROKEN,
+                f"{name}: {error}",
+                "in the clone of slidectl: pip install --force-reinstall .",
+            )
     yield OK, ", ".join(there)
     for name, (module, use, remedy) in _EXTRAS.items():
         try:
@@ -179,13 +183,11 @@ def _disk(instance: InstancePaths) -> _Found:
 def _descriptors(_instance: InstancePaths) -> _Found:
     most, largest = resource.getrlimit(resource.RLIMIT_NOFILE)
     if most < _FEW_FILES:
-        yield (
-            LOOK,
-            f"{most} open files a process: one connection each",
-            f"ulimit -n {largest if largest < 4096 else 4096}",
-        )
+        more = _MANY_FILES if largest == resource.RLIM_INFINITY else min(largest, _MANY_FILES)
+        remedy = f"ulimit -n {more}" if more > most else "raise the hard limit: nofile in /etc/security/limits.conf"
+        yield LOOK, f"at most {most} open files; each connection takes one", remedy
     else:
-        yield OK, f"{most} open files a process"
+        yield OK, f"at most {most} open files"
 
 
 def _punctuality(_instance: InstancePaths) -> _Found:

@@ -49,6 +49,9 @@ class Reader(Protocol):
     def send(self, line: bytes) -> None:
         """A line for this reader alone, which must arrive."""
 
+    def look_again(self) -> None:
+        """Its session waits for less than before: look, between two cycles, whether the end is reached."""
+
 
 class Publications:
     """The lines of all topics that clients read. `fresh` are the channels with lines that no reader was woken for."""

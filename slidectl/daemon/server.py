@@ -296,6 +296,10 @@ class Connection:
             self._busy.with_output.pop(self, None)
             self._busy.with_output[self] = None
 
+    def look_again(self) -> None:
+        """Its session waits for less than before: look, between two cycles, whether the end is reached."""
+        self._busy.with_output[self] = None
+
     @property
     def unread(self) -> int:
         """Bytes that wait for this client alone."""

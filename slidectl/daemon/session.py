@@ -33,7 +33,7 @@ _OPERATIONS = (
 )  # fmt: skip
 """Each is a method of the session, with an underscore before its name."""
 _MOST_OPEN_CALLS = 1000
-_MOST_LATER, _MOST_LATER_BYTES = 10_000, 64 * 1024 * 1024
+_MOST_TIMED, _MOST_TIMED_BYTES = 10_000, 64 * 1024 * 1024
 """Messages of a connection that may wait for their time, and the bytes of their lines."""
 _LONGEST_LATE, _MOST_LATE = 4096, 8 * 1024 * 1024
 """Bytes of an answer, and of what waits before it, from which on it is given up when it comes later than its call.
@@ -77,7 +77,7 @@ class Session:
         self._publishers: dict[str, TopicPublisher] = {}
         self._feeds: dict[str, Feed] = {}
         self._calls: set[Pending] = set()
-        self._later: dict[Timer, int] = {}
+        self._timed: dict[Timer, int] = {}
         """Messages that wait for their time, each with the bytes of its line."""
         self._line_bytes = 0
         self._services: dict[str, Service] = {}
@@ -89,7 +89,7 @@ class Session:
     @property
     def waiting(self) -> bool:
         """True while answers or messages may still come for a client that has said its last word."""
-        return bool(self._calls or self._feeds or self._later)
+        return bool(self._calls or self._feeds or self._timed)
 
     def take(self, line: bytes) -> None:
         """Carry out one line; whatever is wrong with it is told to the client."""
@@ -150,9 +150,9 @@ class Session:
         for pending in list(self._calls):
             pending.cancel()
         self._calls.clear()
-        for timer in self._later:
+        for timer in self._timed:
             timer.cancel()
-        self._later.clear()
+        self._timed.clear()
         for asked in list(self._asked.values()):
             asked.reject(Refused(f"{self.node} went away before it answered"))
         for feed in self._feeds.values():
@@ -205,18 +205,19 @@ class Session:
             self._publish_now(message, is_late=due_ns < now_ns)
             return
         size = self._line_bytes
-        if len(self._later) >= _MOST_LATER or sum(self._later.values()) + size > _MOST_LATER_BYTES:
-            most = f"{_MOST_LATER} messages, or {_MOST_LATER_BYTES >> 20} MiB,"
+        if len(self._timed) >= _MOST_TIMED or sum(self._timed.values()) + size > _MOST_TIMED_BYTES:
+            most = f"{_MOST_TIMED} messages, or {_MOST_TIMED_BYTES >> 20} MiB,"
             raise Refused(f"{most} of this connection wait for their time", "send later ones later")
         kind = _text(message, "type", "") or self._graph.topics.type_of(topic)
         message["msg"] = msgs.check(kind, message.get("msg", {}))  # what is wrong is said now, not when it is due
 
         def publish() -> None:
-            del self._later[timer]
+            del self._timed[timer]
             self._carry_out(self._publish_now, message)
+            self._connection.look_again()
 
-        timer = self._graph.timers.at(due_ns, publish)
-        self._later[timer] = size
+        timer = self._graph.timers.at(due_ns, publish, absolute=True)
+        self._timed[timer] = size
 
     def _publish_now(self, message: Message, is_late: bool = False) -> None:
         topic = _name(message, "topic")

@@ -29,6 +29,8 @@ class BadDefinition(SlidectlError):
 class Codec:
     """A message type: `definition` is its text, followed by those of the types in it, as recordings hold it.
 
+    An empty `md5` is made of the definition.
+
     Raises:
         BadDefinition.
     """
@@ -36,7 +38,6 @@ class Codec:
     def __init__(self, type_name: str, definition: str, md5: str) -> None:
         self.type = type_name
         self.definition = definition
-        self.md5 = md5
         self.texts = definitions(type_name, definition)
         """Each type with its text; the first is the type itself."""
         try:
@@ -47,6 +48,7 @@ class Codec:
             raise BadDefinition(f"the definition of {type_name} cannot be read: {error}") from None
         self.types = {name: tuple(one.fields) for name, one in parsed.items()}
         self._name = _long(type_name)
+        self.md5 = md5 or self._store.generate_msgdef(self._name)[1]
         self._build: Convert | None = None
 
     def encode(self, message: Any) -> bytes:

@@ -6,13 +6,14 @@ left has no index then; it is read from the beginning to where it ends, and says
 
 from __future__ import annotations
 
+import fcntl
 import io
 import os
 import struct
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
@@ -20,7 +21,6 @@ from typing import Any, BinaryIO, NamedTuple
 from slidectl.errors import BadFile, Refused, SlidectlError, UsageError
 from slidectl.recording.codec import BadDefinition, Codec
 
-SUFFIXES = (".bag", ".mcap")
 COMPRESSIONS = {".bag": ("none", "bz2", "lz4"), ".mcap": ("none", "lz4", "zstd")}
 CHUNK = 768 * 1024
 """Bytes of messages in a chunk, as rosbag has it."""
@@ -41,7 +41,7 @@ class BadRecording(BadFile):
     """A recording that is damaged, or a file that cannot be read."""
 
 
-class NoRecording(BadRecording):
+class NotARecording(BadRecording):
     """A file of another kind."""
 
 
@@ -55,6 +55,8 @@ class RecordedTopic:
     definition: str = field(repr=False)
     md5: str
     latching: bool = False
+    callerid: str = ""
+    """The node that published, where the recording says so."""
 
 
 class Record(NamedTuple):
@@ -82,12 +84,14 @@ class Summary:
 class RecordingWriter(ABC):
     """A file that messages are written into. What the disk refuses is an OSError; `close` completes the file."""
 
+    file: BinaryIO
+
     def __init__(self, path: Path) -> None:
         self.path = path
 
     @abstractmethod
-    def add(self, topic: str, codec: Codec, latching: bool) -> Any:
-        """A new topic; what `write` wants for it."""
+    def add(self, topic: str, codec: Codec, latching: bool, callerid: str = "") -> Any:
+        """A new topic, or one more publisher of a topic; what `write` wants for it."""
 
     @abstractmethod
     def write(self, topic: Any, time_ns: int, raw: bytes) -> None:
@@ -118,12 +122,30 @@ def create(path: Path, compression: str = "none") -> RecordingWriter:
         raise UsageError(f"{path} is neither a .bag nor a .mcap file", "the suffix says which kind it is to be")
     if compression not in known:
         raise UsageError(f"{path.suffix} files have no compression {compression!r}", f"there is: {', '.join(known)}")
-    if path.exists():
-        raise Refused(f"{path} is there already", "give another name, or --force to write over it")
+    refuse_existing(path)
     try:
-        return _BagWriter(path, compression) if path.suffix == ".bag" else _McapWriter(path, compression)
+        writer = _BagWriter(path, compression) if path.suffix == ".bag" else _McapWriter(path, compression)
+        _lock(writer.file)
+        return writer
     except OSError as error:
         raise Refused(f"cannot write {path}: {error.strerror or error}") from None
+
+
+def _lock(file: BinaryIO) -> bool:
+    """Take the lock that a recording has while it is written; False when somebody else has it."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # a file system without locks
+        pass
+    return True
+
+
+def refuse_existing(path: Path) -> None:
+    """Raises Refused: the file is there."""
+    if path.exists():
+        raise Refused(f"{path} is there already", "give another name, or --force to write over it")
 
 
 class _BagWriter(RecordingWriter):
@@ -142,11 +164,14 @@ class _BagWriter(RecordingWriter):
                 chunk, 0, block_linked=False, content_checksum=True, store_size=False
             )
         self._writer.open()
+        assert self._writer.bio is not None
+        self.file = self._writer.bio
 
-    def add(self, topic: str, codec: Codec, latching: bool) -> Any:
-        kind = codec.type.replace("/", "/msg/")
-        more: dict[str, Any] = {"latching": 1} if latching else {}
-        return self._writer.add_connection(topic, kind, msgdef=codec.definition, md5sum=codec.md5, **more)
+    def add(self, topic: str, codec: Codec, latching: bool, callerid: str = "") -> Any:
+        kind, node = codec.type.replace("/", "/msg/"), callerid or None
+        return self._writer.add_connection(
+            topic, kind, msgdef=codec.definition, md5sum=codec.md5, callerid=node, latching=1 if latching else None
+        )
 
     def write(self, topic: Any, time_ns: int, raw: bytes) -> None:
         before = len(self._writer.chunks)
@@ -157,8 +182,7 @@ class _BagWriter(RecordingWriter):
     def flush(self) -> None:
         self._writer.write_chunk(self._writer.chunks[-1])
         self._forget_index()
-        assert self._writer.bio is not None
-        self._writer.bio.flush()
+        self.file.flush()
 
     def _forget_index(self) -> None:
         """Of a chunk that is in the file the library wants no more than how many messages each topic has in it."""
@@ -182,17 +206,18 @@ class _McapWriter(RecordingWriter):
             from mcap.writer import CompressionType, Writer
         except ImportError:
             raise NoMcap from None
-        self._file = path.open("xb")
+        self.file = path.open("xb")
         kind = CompressionType[compression.upper()]
-        self._writer = Writer(self._file, chunk_size=CHUNK, compression=kind)
+        self._writer = Writer(self.file, chunk_size=CHUNK, compression=kind)
         self._writer.start("ros1", "slidectl")
         self._schemas: dict[str, int] = {}
         self._counts: Counter[int] = Counter()
 
-    def add(self, topic: str, codec: Codec, latching: bool) -> Any:
+    def add(self, topic: str, codec: Codec, latching: bool, callerid: str = "") -> Any:
         if codec.type not in self._schemas:
             self._schemas[codec.type] = self._writer.register_schema(codec.type, "ros1msg", codec.definition.encode())
-        about = {"md5sum": codec.md5, **({"latching": "1"} if latching else {})}
+        about = {"md5sum": codec.md5, "latching": "1" if latching else "", "callerid": callerid}
+        about = {key: value for key, value in about.items() if value}
         return self._writer.register_channel(topic, "ros1", self._schemas[codec.type], about)
 
     def write(self, topic: Any, time_ns: int, raw: bytes) -> None:
@@ -206,7 +231,7 @@ class _McapWriter(RecordingWriter):
         try:
             self._writer.finish()  # type: ignore[no-untyped-call]
         finally:
-            self._file.close()
+            self.file.close()
 
 
 # --- reading ----------------------------------------------------------------------------------------------------------
@@ -238,15 +263,20 @@ class Recording(ABC):
     def codec(self, channel: RecordedTopic) -> Codec:
         """What reads its messages. Raises BadRecording."""
         if channel.number not in self._codecs:
-            with _understood(self.path):
+            with _library_errors_as_bad_recording(self.path):
                 self._codecs[channel.number] = Codec(channel.type, channel.definition, channel.md5)
         return self._codecs[channel.number]
 
     def message(self, record: Record) -> Any:
         """The message in the shape of the wire. Raises BadRecording."""
         codec = self.codec(record.channel)
-        with _understood(self.path):
+        with _library_errors_as_bad_recording(self.path):
             return codec.decode(record.raw)
+
+    def refuse_written(self) -> None:
+        """Raises Refused: the recording is being written, here or in another process."""
+        if not _lock(self._file):
+            raise Refused(f"{self.path} is being recorded", "end that first: Ctrl-C, or kill PID with --detach")
 
     def close(self) -> None:
         self._file.close()
@@ -259,7 +289,7 @@ class Recording(ABC):
 
 
 @contextmanager
-def _understood(path: Path) -> Iterator[None]:
+def _library_errors_as_bad_recording(path: Path) -> Iterator[None]:
     """Raises BadRecording for whatever a library raises about bytes that are no recording, or a damaged one."""
     try:
         yield
@@ -283,14 +313,14 @@ def opened(path: Path) -> Recording:
     except OSError as error:
         raise BadRecording(error.strerror or str(error), str(path)) from None
     try:
-        with _understood(path):
+        with _library_errors_as_bad_recording(path):
             magic = file.read(len(_BAG_MAGIC))
             if magic == _BAG_MAGIC:
                 return _open_bag(path, file)
             if magic.startswith(_MCAP_MAGIC):
                 return _McapRecording(path, file)
         what = "is empty" if not magic else "is neither a bag (of format 2.0) nor an mcap file"
-        raise NoRecording(what, str(path))
+        raise NotARecording(what, str(path))
     except BaseException:
         file.close()
         raise
@@ -303,7 +333,10 @@ def _open_bag(path: Path, file: BinaryIO) -> Recording:
     index = header.get_uint64("index_pos")
     size = os.fstat(file.fileno()).st_size
     if 0 < index < size or (index == size and not header.get_uint32("chunk_count")):
-        return _BagRecording(path, file)
+        try:
+            return _BagRecording(path, file)
+        except Exception:  # the library raises many classes
+            return _CutBag(path, file, "its index is damaged")
     return _CutBag(path, file, "it was not closed" if not index else "it is cut off")
 
 
@@ -322,15 +355,15 @@ class _BagRecording(Recording):
         self._reader.open()
         self._connections = {connection.id: connection for connection in self._reader.connections}
         for one in self._reader.connections:
-            latching = bool(getattr(one.ext, "latching", 0))
-            kind = one.msgtype.replace("/msg/", "/")
-            self.channels.append(RecordedTopic(one.id, one.topic, kind, str(one.msgdef.data), one.digest, latching))
+            latching, callerid = bool(getattr(one.ext, "latching", 0)), getattr(one.ext, "callerid", None) or ""
+            kind, text = one.msgtype.replace("/msg/", "/"), str(one.msgdef.data)
+            self.channels.append(RecordedTopic(one.id, one.topic, kind, text, one.digest, latching, callerid))
 
     def records(self, topics: set[str] | None = None) -> Iterator[Record]:
         by_id = {channel.number: channel for channel in self.channels if topics is None or channel.topic in topics}
         if not by_id:
             return
-        with _understood(self.path):
+        with _library_errors_as_bad_recording(self.path):
             for connection, time_ns, raw in self._reader.messages([self._connections[number] for number in by_id]):
                 yield Record(by_id[connection.id], _bag_time(time_ns), raw)
 
@@ -424,10 +457,10 @@ class _CutBag(_Scanned):
             elif number not in self._known:
                 about = reader.Header.read(io.BytesIO(struct.pack("<L", len(data)) + data))
                 latching = about.get("latching", b"0") == b"1"
-                texts = [about.get_string(name) for name in ("type", "message_definition", "md5sum")]
-                self._known[number] = RecordedTopic(
-                    number, header.get_string("topic"), texts[0], texts[1], texts[2], latching
-                )
+                kind, text, md5 = (about.get_string(name) for name in ("type", "message_definition", "md5sum"))
+                callerid = about.get("callerid", b"").decode("utf-8", "replace")
+                topic = header.get_string("topic")
+                self._known[number] = RecordedTopic(number, topic, kind, text, md5, latching, callerid)
 
 
 class _McapRecording(_Scanned):
@@ -466,9 +499,51 @@ class _McapRecording(_Scanned):
                         text, about = schema.data.decode("utf-8", "replace"), one.metadata
                         latching = about.get("latching") == "1"
                         self._known[one.id] = RecordedTopic(
-                            one.id, one.topic, schema.name, text, about.get("md5sum", ""), latching
-                        )
+                            one.id, one.topic, schema.name, text, about.get("md5sum", ""), latching,
+                            about.get("callerid", ""),
+                        )  # fmt: skip
                     elif isinstance(one, records.Message):
                         yield Record(self._known[one.channel_id], one.log_time, one.data)
                     elif isinstance(one, records.Footer):
                         self.damage = ""
+
+
+# --- copying ----------------------------------------------------------------------------------------------------------
+
+
+def copy(
+    records: Iterable[Record], recording: Recording, target: Path, compression: str = "none", kept: Path | None = None
+) -> int:
+    """Write records of a recording into a new one, which appears when it is complete; how many there were.
+
+    Args:
+        target: where it appears; a file that is there is written over.
+        kept: where that file is kept instead.
+
+    Raises:
+        UsageError, Refused: it cannot be written.
+    """
+    part = target.with_name(f".{target.stem}.{os.getpid()}{target.suffix}")
+    count = 0
+    try:
+        with ExitStack() as stack:
+            writer = create(part, compression)
+            stack.callback(part.unlink, missing_ok=True)
+            added: dict[Any, Any] = {}
+            numbers: dict[int, Any] = {}
+            for channel, time_ns, raw in records:
+                if channel.number not in numbers:
+                    codec = recording.codec(channel)
+                    key = channel.topic, codec.type, codec.md5, channel.latching, channel.callerid
+                    if key not in added:  # a publisher that came twice has two connections in rosbag's files
+                        added[key] = writer.add(channel.topic, codec, channel.latching, channel.callerid)
+                    numbers[channel.number] = added[key]
+                writer.write(numbers[channel.number], time_ns, raw)
+                count += 1
+            writer.close()
+            if kept is not None:
+                target.rename(kept)
+            part.replace(target)
+            return count
+    except OSError as error:
+        raise Refused(f"cannot write {target}: {error.strerror or error}") from None

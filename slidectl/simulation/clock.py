@@ -72,11 +72,15 @@ class ClockTopic:
 
 
 class Timer:
-    """One entry. `period_ns` 0 is a single shot; a periodic timer fires at multiples of its period."""
+    """One entry. `period_ns` 0 is a single shot; a periodic timer fires at multiples of its period.
 
-    __slots__ = ("active", "callback", "due_ns", "period_ns")
+    One that is `absolute` keeps its due time when the clock is set.
+    """
 
-    def __init__(self, due_ns: int, callback: Callable[[], None], period_ns: int = 0) -> None:
+    __slots__ = ("absolute", "active", "callback", "due_ns", "period_ns")
+
+    def __init__(self, due_ns: int, callback: Callable[[], None], period_ns: int = 0, absolute: bool = False) -> None:
+        self.absolute = absolute
         self.due_ns = due_ns
         self.callback = callback
         self.period_ns = period_ns
@@ -99,9 +103,12 @@ class Timers:
         self._made = 0
         self._most = _FEW
 
-    def at(self, due_ns: int, callback: Callable[[], None]) -> Timer:
-        """Once, at the end of the first cycle whose time is `due_ns` or later."""
-        return self._push(Timer(due_ns, callback))
+    def at(self, due_ns: int, callback: Callable[[], None], absolute: bool = False) -> Timer:
+        """Once, at the end of the first cycle whose time is `due_ns` or later.
+
+        When the clock is set the due time moves with it, unless it is `absolute`.
+        """
+        return self._push(Timer(due_ns, callback, absolute=absolute))
 
     def after(self, duration_ns: int, callback: Callable[[], None]) -> Timer:
         """Once, `duration_ns` from now."""
@@ -137,8 +144,10 @@ class Timers:
         timers = [entry[2] for entry in sorted(self._heap, key=lambda entry: entry[:2]) if entry[2].active]
         self._heap.clear()
         for timer in timers:
-            left = timer.due_ns - old_ns
-            timer.due_ns = _next_multiple(new_ns, timer.period_ns) if timer.period_ns else new_ns + left
+            if timer.period_ns:
+                timer.due_ns = _next_multiple(new_ns, timer.period_ns)
+            elif not timer.absolute:
+                timer.due_ns += new_ns - old_ns
             self._push(timer)
         self._update_next()
 

@@ -350,7 +350,8 @@ class OwnServices:
             self._robots.put_joints(robot.name, request["joint_names"], request["joint_positions"], is_start=True)
         except SlidectlError as error:
             return {"success": False, "message": str(error)}
-        return {"success": True, "message": f"{robot.name}: {len(request['joint_names'])} joints start elsewhere"}
+        text = f"{robot.name}: {len(request['joint_names'])} joints start elsewhere"
+        return {"success": True, "message": "\n".join([text, *robot.warnings])}
 
     # Controllers of users
 

@@ -367,6 +367,8 @@ class Robots:
         self._world.put_joints(name, asked)
         if is_start:
             robot.body.start |= asked
+            robot.warnings = [text for text in robot.warnings if not text.startswith(_put_into(robot))]
+            _warn_of_overlaps(robot, self._world)
         if robot.is_controlled:
             robot.hardware.stay(asked)
 
@@ -465,10 +467,14 @@ def _warn_of_overlaps(robot: SpawnedRobot, world: World) -> None:
         others.setdefault(overlap.robot, []).append(overlap)
     texts = [_overlap_text(other, found) for other, found in others.items()]
     if len(texts) > MOST_NAMED:
-        texts[MOST_NAMED:] = [f"it was put into {len(texts) - MOST_NAMED} robots more"]
+        texts[MOST_NAMED:] = [f"{len(texts) - MOST_NAMED} robots more"]
     for text in texts:
-        robot.warnings.append(f"{robot.name}: {text}")
+        robot.warnings.append(_put_into(robot) + text)
         robot.node.log("warn", robot.warnings[-1])
+
+
+def _put_into(robot: SpawnedRobot) -> str:
+    return f"{robot.name}: it was put into "
 
 
 def _overlap_text(other: str | None, found: list[Overlap]) -> str:
@@ -481,10 +487,9 @@ def _overlap_text(other: str | None, found: list[Overlap]) -> str:
     if other is None:
         height = math.ceil(found[0].depth * 1e3) * 1e-3
         return (
-            f"it was put into the ground, which pushes it out or jams it: {deepest} deep;"
-            f" {height:.3f} m higher it is free (--at X Y Z)"
+            f"the ground, which pushes it out or jams it: {deepest} deep; {height:.3f} m higher it is free (--at X Y Z)"
         )
     return (
-        f"it was put into the robot {other!r}, and the two push each other away or jam: {deepest} deep;"
+        f"the robot {other!r}, and the two push each other away or jam: {deepest} deep;"
         " give it another place (--at X Y Z)"
     )

@@ -371,6 +371,21 @@ def test_a_joint_that_is_commanded_by_its_position_stays_where_it_starts(world: 
         world.ok("sim", "reset")
 
 
+def test_what_a_robot_is_put_into_is_judged_with_its_joints_where_they_start(
+    world: CommandLine, tmp_path: Path
+) -> None:
+    world.ok("sim", "pause")
+    lift = """<link name="world"/><joint name="lift" type="prismatic"><parent link="world"/><child link="base"/>
+    <axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="9" velocity="9"/></joint>"""
+    file = box(tmp_path, more=lift)
+    for position, is_in_the_ground in (("0.6", False), ("0.1", True)):
+        done = world("spawn", file, "--joint", f"lift={position}")
+        assert done.returncode == 0, done.stderr
+        assert ("it was put into the ground" in done.stderr) == is_in_the_ground
+        assert ("base 400 mm" in done.stderr) == is_in_the_ground
+        world.ok("delete", "box")
+
+
 @pytest.mark.parametrize(
     ("joint", "code", "words"),
     [

@@ -82,7 +82,11 @@ def test_what_is_broken_is_said_with_its_remedy_and_the_other_checks_go_on(slide
         True,
         True,
     )
-    assert ("look here", "64 open files a process: one connection each", "ulimit -n 64") in found["files"]
+    assert (
+        "look here",
+        "at most 64 open files; each connection takes one",
+        "raise the hard limit: nofile in /etc/security/limits.conf",
+    ) in found["files"]
     assert any(state == "look here" and "/nowhere/src" in text for state, text, _ in found["packages"])
     assert "ROS_DISTRO=noetic" in found["ros"][0][1]
 
@@ -95,6 +99,6 @@ def test_a_library_that_is_missing_is_named(slidectl: CommandLine, tmp_path: Pat
     assert (
         "broken",
         "yourdfpy: not here",
-        "install slidectl once more: pip install --force-reinstall slidectl",
+        "in the clone of slidectl: pip install --force-reinstall .",
     ) in found["libraries"]
     assert any("without mcap" in text and "slidectl[mcap]" in remedy for _, text, remedy in found["libraries"])

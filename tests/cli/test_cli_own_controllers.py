@@ -363,8 +363,8 @@ def test_check_knows_the_parameters_of_imported_types(empty: CommandLine, law: P
         text.write("\n\nclass Free(Push):\n    parameters = ()\n")
     words = ["check", "slider", "--controllers", str(file)]
     assert "'my_laws/Push'" in empty(*words).stdout
-    for option, module in (("--import", "my_laws"), ("--from", "my_laws.py")):
-        done = empty(*words, option, module, "--json", cwd=law.parent)
+    for module in ("my_laws", "my_laws.py"):
+        done = empty(*words, "--import", module, "--json", cwd=law.parent)
         found = {record["subject"]: record for record in map(json.loads, done.stdout.splitlines())}
         wrong = {name.removeprefix("/slider/") for name, record in found.items() if record["verdict"] == "wrong"}
         assert (done.returncode, wrong) == (1, {"bad/joint", "bad/push"})

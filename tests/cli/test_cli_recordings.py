@@ -17,7 +17,11 @@ from typing import Any
 import pytest
 from command_line import CommandLine
 from daemon_fixture import running_daemon
+from mcap.writer import Writer as McapWriter
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_typestore
 
+from slidectl import msgs
 from slidectl.recording.recording_files import BadRecording, opened
 
 COMMAND = "/slider/joint1_position_controller/command"
@@ -145,14 +149,14 @@ def test_a_recording_of_the_commands_gives_the_same_bits_again(tmp_path: Path) -
         slidectl = CommandLine(runtime.folder)
         spawn_slider(slidectl)
         recorder = Recorder(slidectl, STATES, COMMAND, "-O", str(again))
-        player = slidectl.start("play", str(path), "--topic", COMMAND, "--at-recorded-times")
-        assert player.stderr is not None
-        assert "nothing is played until it goes on" in player.stderr.readline()
+        player = slidectl("play", str(path), "--topic", COMMAND, "--at-recorded-times", "--detach")
+        assert "nothing is played until it goes on" in player.stderr
+        assert (player.returncode, player.stdout.strip().isdigit()) == (0, True)
         slidectl.ok("sim", "step", "400")
-        stdout, stderr = player.communicate(timeout=60)
-        assert (player.returncode, stderr) == (0, "")
-        assert stdout == "played 4 messages on 1 topic, 0.399 s\n"
         assert recorder.end().returncode == 0
+        slidectl.ok("daemon", "stop")  # returns when the playing has ended too
+        [log] = runtime.folder.glob("slidectl/default/playing-*.log")
+        assert log.read_text() == "played 4 messages on 1 topic, 0.399 s\n"
     assert messages(again) == messages(path)
 
 
@@ -173,10 +177,28 @@ def test_playing_keeps_the_distances_on_other_topics_and_at_other_rates(slider: 
             time.sleep(0.1)
     slider.ok("sim", "step", "300")
     stdout, _ = player.communicate(timeout=60)
-    assert json.loads(stdout) == {"published": 10, "late": 0, "topics": ["/copy"], "seconds": 0.09}
+    assert json.loads(stdout) == {"published": 10, "late": 0, "refused": 0, "topics": ["/copy"], "seconds": 0.09}
     recorder.end()
     times = [time_ns for _, time_ns, _ in messages(tmp_path / "copy.bag")]
     assert [b - a for a, b in itertools.pairwise(times)] == 9 * [10_000_000]
+
+
+def test_what_is_refused_is_counted_and_fails(slider: CommandLine, tmp_path: Path) -> None:
+    slider.ok("sim", "reset")
+    with slider.client() as client:
+        client.advertise("/narrow", "std_msgs/Float32")
+        client.flush()
+        recorded(slider, tmp_path / "run.bag", COMMAND)
+        for other in (STATES, "/narrow"):
+            player = slider.start("play", str(tmp_path / "run.bag"), f"{COMMAND}:={other}", "--loop", "--json")
+            client.step(seconds=1.0)
+            while player.poll() is None:  # the daemon may have got the message after the steps
+                client.step(seconds=0.1)
+            stdout, stderr = player.communicate(timeout=60)
+            record = json.loads(stdout)
+            assert (player.returncode, record["published"], record["refused"]) == (1, 0, 1)
+            assert "1 messages were refused" in stderr
+            assert "std_msgs/Float64" in stderr or "data" in stderr
 
 
 def test_a_part_without_messages_is_said_to_be_empty(slider: CommandLine, tmp_path: Path) -> None:
@@ -196,6 +218,8 @@ def test_a_recorder_that_is_killed_leaves_what_came_before(slider: CommandLine, 
         while len(messages_so_far(path)) < 49:  # it puts what it has into the file each second
             time.sleep(0.05)
         slider.ok("sim", "step", "20ms")
+        held = slider("bag", "reindex", str(path))
+        assert (held.returncode, f"{path} is being recorded" in held.stderr) == (1, True)
         recorder.end(signal.SIGKILL)
         done = slider("bag", "info", str(path), "--json")
         record = json.loads(done.stdout)
@@ -282,8 +306,8 @@ def test_copies_and_tables(slider: CommandLine, tmp_path: Path) -> None:
         assert sorted(map(repr, messages(tmp_path / target))) == sorted(map(repr, messages(tmp_path / "run.bag")))
         assert json.loads(slider.ok("bag", "info", words[1], "--json"))["compression"] == compression
     words = (str(tmp_path / "run.bag"), str(tmp_path / "part.bag"))
-    begin = messages(tmp_path / "run.bag")[0][1] / 1e9
-    expression = f"topic == '{STATES}' and t - {begin} < 0.2 and m.position[0] >= 0"
+    begin = next(time_ns for topic, time_ns, _ in messages(tmp_path / "run.bag") if topic == STATES) / 1e9
+    expression = f"topic == '{STATES}' and t - {begin} < 0.19 and m.position[0] >= 0"
     assert f"10 of {count} messages" in slider.ok("bag", "filter", *words, expression)
     assert "is there already" in slider("bag", "filter", *words, expression).stderr
     refused = slider("bag", "filter", *words, "m.nothing > 0", "--force")
@@ -296,6 +320,88 @@ def test_copies_and_tables(slider: CommandLine, tmp_path: Path) -> None:
         message["position"][0] for topic, _, message in messages(tmp_path / "run.bag") if topic == STATES
     ]
     assert {"time", "topic", "header.stamp", "name[0]", "effort[0]"} <= rows[0].keys()
+
+
+def two_publishers(path: Path) -> None:
+    """A bag as rosbag makes it of a topic with two publishers, one of which came twice."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    with Writer(path) as bag:
+        for time_ns, callerid in ((1, "/a"), (2, "/b")):
+            connection = bag.add_connection(
+                "/talk", "std_msgs/msg/String", typestore=store, callerid=callerid, latching=1
+            )
+            text = store.types["std_msgs/msg/String"](callerid)
+            bag.write(connection, time_ns * 10**9, store.serialize_ros1(text, "std_msgs/msg/String"))
+
+
+def test_copies_keep_the_publishers_of_a_topic_apart(slider: CommandLine, tmp_path: Path) -> None:
+    two_publishers(tmp_path / "run.bag")
+    path = tmp_path / "run.bag"
+    for copy in ("c.bag", "c.mcap", "d.bag"):
+        slider.ok("bag", "filter", str(path), str(tmp_path / copy))
+        path = tmp_path / copy
+        assert messages(path) == messages(tmp_path / "run.bag")
+        with opened(path) as recording:
+            assert [(one.callerid, one.latching) for one in recording.channels] == [("/a", True), ("/b", True)]
+    path.write_bytes(path.read_bytes()[:-20])  # inside the index
+    assert "its index is damaged; it is read as far as it goes" in slider("bag", "info", str(path)).stderr
+    slider.ok("bag", "reindex", str(path))
+    assert messages(path) == messages(tmp_path / "run.bag")
+
+
+def test_an_mcap_without_md5_sums_is_copied_into_a_bag(slider: CommandLine, tmp_path: Path) -> None:
+    with (tmp_path / "run.mcap").open("wb") as file:
+        writer = McapWriter(file)
+        writer.start("ros1")
+        definition = f"Header header\nfloat64 x\n{'=' * 80}\nMSG: std_msgs/Header\n{msgs.definition('std_msgs/Header')}"
+        for type_name, text in (("std_msgs/Float64", "float64 data"), ("my_pkg/Stamped", definition)):
+            schema = writer.register_schema(type_name, "ros1msg", text.encode())
+            channel = writer.register_channel(f"/{type_name}", "ros1", schema)
+            writer.add_message(channel, 10**9, bytes(8 if text[0] == "f" else 24), 10**9)
+        writer.finish()
+    slider.ok("bag", "filter", str(tmp_path / "run.mcap"), str(tmp_path / "run.bag"))
+    assert messages(tmp_path / "run.bag") == messages(tmp_path / "run.mcap")
+    types = json.loads(slider.ok("bag", "info", str(tmp_path / "run.bag"), "--json"))["types"]
+    assert {"type": "std_msgs/Float64", "md5sum": msgs.md5("std_msgs/Float64")} in types
+
+
+def test_each_file_of_a_split_begins_with_what_is_latched_by_then(slider: CommandLine, tmp_path: Path) -> None:
+    slider.ok("sim", "reset")
+    with slider.client() as client:
+        client.deliver("/mode", {"data": "old"}, "std_msgs/String", latch=True)
+        words = ("--split", "--duration", "0.1", "--repeat-latched")
+        recorder = Recorder(slider, STATES, "/mode", "-O", str(tmp_path / "s.mcap"), *words)
+        client.step(seconds=0.05)
+        client.deliver("/mode", {"data": "new"}, "std_msgs/String", latch=True)
+        client.step(seconds=0.2)
+    assert recorder.end().returncode == 0
+    modes = [
+        [message["data"] for topic, _, message in messages(tmp_path / f"s_{number}.mcap") if topic == "/mode"]
+        for number in range(3)
+    ]
+    assert modes == [["old", "new"], ["new"], ["new"]]
+
+
+def test_a_split_that_cannot_go_on_keeps_what_it_has_and_says_why(slider: CommandLine, tmp_path: Path) -> None:
+    slider.ok("sim", "reset")
+    for suffix in (".bag", ".mcap"):
+        (tmp_path / f"s_1{suffix}").touch()
+        words = ("-O", str(tmp_path / f"s{suffix}"), "--split", "--duration", "0.1", "--json")
+        recorder = Recorder(slider, STATES, *words)
+        slider.ok("sim", "step", "300ms")
+        done = recorder.ended()
+        assert done.returncode == 1
+        assert f"s_1{suffix} is there already" in done.stderr
+        assert "Traceback" not in done.stderr
+        [file] = json.loads(done.stdout)["files"]
+        assert len(messages(Path(file))) == json.loads(done.stdout)["messages"] == 5
+
+
+def test_duration_ends_a_recording_whose_limit_is_not_reached(slider: CommandLine, tmp_path: Path) -> None:
+    slider.ok("sim", "reset")
+    recorder = Recorder(slider, "/never", "-O", str(tmp_path / "d.bag"), "--duration", "0.1s", "--limit", "3")
+    slider.ok("sim", "step", "200ms")
+    assert recorder.ended().returncode == 0
 
 
 BAD = [

@@ -11,6 +11,8 @@ import pytest
 from command_line import CommandLine
 from launch_runs import Launched, kill_all
 
+from slidectl.errors import UsageError
+
 SHAPE = '<collision name="c"><geometry><box><size>1 1 1</size></box></geometry></collision>'
 CRATE = f'<sdf version="1.6"><model name="crate"><link name="l">{SHAPE}</link></model></sdf>'
 WORLD = f"""<sdf version="1.6"><world name="w"><include><uri>model://ground_plane</uri></include>
@@ -105,3 +107,12 @@ def test_a_node_spawns_one_model_and_a_ground_plane_is_there_already(ends: Comma
         assert json.loads(ends.ok("sim", "status", "--json"))["robots"] == []
     (tmp_path / "a.sdf").write_text(two)
     assert "-model names one model" in ends("check", str(path)).stderr
+
+
+def test_options_that_models_of_sdf_do_not_have_are_refused(ends: CommandLine, hall: Path) -> None:
+    ends.ok("daemon", "start", "--paused")
+    crate = str(hall.parent / "models" / "crate" / "model.sdf")
+    done = ends("spawn", crate, "--transmissions", "real")
+    assert (done.returncode, "models of SDF have no transmissions" in done.stderr) == (2, True)
+    with ends.client() as client, pytest.raises(UsageError, match="have no transmissions"):
+        client.spawn(crate, transmissions="bogus")

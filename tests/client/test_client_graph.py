@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import os
 import signal
+from typing import Any
 
 import pytest
 from daemon_fixture import Runtime
 
 from slidectl.client import Client
 from slidectl.errors import AmbiguousName, MessageRefused, Refused, TimedOut, UnknownName, Unused
+
+BALL = """<sdf version="1.6"><model name="{}"><link name="body">
+<collision name="c"><geometry><sphere><radius>0.1</radius></sphere></geometry></collision></link></model></sdf>"""
 
 
 def test_a_call_gives_the_response(client: Client) -> None:
@@ -205,3 +209,33 @@ def test_names_of_every_kind_are_resolved_and_described_by_the_daemon(client: Cl
         client.resolve("robot", "slider")
     with pytest.raises(Refused, match="kinds: topic, service, parameter, node, robot"):
         client.resolve("tpic", "clock")
+
+
+def test_a_service_of_a_client_answers_its_callers_whatever_happens(daemon: Runtime, client: Client) -> None:
+    with daemon.client() as provider:
+        asked: list[Any] = []
+        answers: list[Any] = [{"message": {1, 2}}, {"success": True, "message": "first"}]
+        for name, answer in zip(("/mine/bad", "mine/ask"), answers, strict=True):
+            provider.advertise_service(name, "std_srvs/Trigger", lambda _, answer=answer: asked.append(1) or answer)
+        with pytest.raises(Refused, match="this client provides /mine/ask already"):
+            provider.advertise_service("/mine/ask", "std_srvs/Trigger", lambda _: {})
+        calls = [client.call_async(service) for service in ("/mine/bad", "/mine/ask")]
+        client.flush()
+        provider.wait_until(lambda: len(asked) == 2, 20.0, "nobody called")
+        with pytest.raises(Refused, match="set is not JSON"):
+            client.answer(calls[0])
+        assert client.answer(calls[1])["message"] == "first"
+
+
+def test_a_model_that_cannot_be_spawned_does_not_take_another_ones_with_it(
+    daemon: Runtime, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pose = {"position": {"x": 0.0, "y": 0.0, "z": 2.0}}
+    models = [{"model_name": name, "model_xml": BALL.format(name), "initial_pose": pose} for name in ("a", "theirs")]
+    with daemon.client() as other:
+        other.spawn_models(models[1:])
+        monkeypatch.setattr(client, "robots", list)  # it looked before the other one spawned
+        with pytest.raises(Refused, match="theirs"):
+            client.spawn_models(models)
+        assert [robot["name"] for robot in other.robots()] == ["theirs"]
+        other.delete("theirs")

@@ -259,3 +259,27 @@ def test_messages_are_published_at_their_time_and_too_many_of_them_are_refused(c
     writer.call("/slidectl/step", seconds=1.0)
     assert reader.receive() == {"op": "publish", "topic": "/later", "time": due, "msg": {"data": "due"}}
     writer.close()
+
+
+def test_a_message_with_a_time_keeps_it_over_a_reset(connect: Connect) -> None:
+    reader, writer = connect(), connect()
+    reader.send(op="subscribe", topic="/kept", type="std_msgs/String", stamped=True)
+    reader.call("/rosapi/get_time")
+    writer.call("/gazebo/pause_physics")
+    writer.call("/gazebo/reset_simulation")
+    writer.call("/slidectl/step", seconds=0.5)
+    due = {"secs": 1, "nsecs": 0}
+    writer.send(op="publish", topic="/kept", msg={"data": "due"}, at=due)
+    writer.call("/gazebo/reset_simulation")
+    writer.call("/slidectl/step", seconds=1.0)
+    assert reader.receive() == {"op": "publish", "topic": "/kept", "time": due, "msg": {"data": "due"}}
+
+
+def test_one_that_says_no_more_is_let_go_when_its_last_message_is_published(connect: Connect) -> None:
+    half, driver = connect(), connect()
+    now = half.call("/rosapi/get_time")["values"]["time"]
+    due = {"secs": now["secs"] + 1, "nsecs": now["nsecs"]}
+    half.send(op="publish", topic="/last_words", type="std_msgs/String", msg={"data": "due"}, at=due)
+    half.socket.shutdown(socket.SHUT_WR)
+    driver.call("/slidectl/step", seconds=1.5)
+    assert half.socket.recv(1) == b""

@@ -18,7 +18,7 @@ from slidectl.cli.ros.arguments import Failure
 from slidectl.cli.topic_streams import Event, Schema
 from slidectl.errors import BadFile
 from slidectl.field_path import select
-from slidectl.recording.recording_files import NoRecording, Recording, opened
+from slidectl.recording.recording_files import NotARecording, Recording, opened
 
 
 class Bag:
@@ -56,7 +56,7 @@ def open_bag(path: str, trouble: str = "ERROR: unable to use bag file: ") -> Ite
     try:
         with opened(Path(path)) as recording:
             yield Bag(recording)
-    except NoRecording:
+    except NotARecording:
         raise Failure(f"{trouble}This does not appear to be a bag file") from None
     except BadFile as error:
         raise Failure(f"{trouble}{error.reason}") from None

@@ -267,17 +267,16 @@ class SpawnModel(Task):
             else:
                 warnings = _act(run, "/gazebo/spawn_urdf_model", requests[0], SPAWN_LIMIT_S)
             if self.joints:
-                self._set_joints(run)  # which may bring it out of what it was put into
-            else:
-                for warning in warnings:
-                    self.warn(run, warning.replace("(--at X Y Z)", "(-x, -y, -z)"))
+                warnings = self._set_joints(run)  # which may bring it out of what it was put into
+            for warning in warnings:
+                self.warn(run, warning.replace("(--at X Y Z)", "(-x, -y, -z)"))
         finally:
             if halt:
                 run.call("/gazebo/unpause_physics")
 
-    def _set_joints(self, run: Run) -> None:
+    def _set_joints(self, run: Run) -> list[str]:
         try:
-            run.client.start_joints(self.model, self.joints)
+            return run.client.start_joints(self.model, self.joints)
         except Refused:
             for name in self.parts:
                 run.call("/gazebo/delete_model", {"model_name": name})
