@@ -199,12 +199,13 @@ def _run(
     live: bool,
 ) -> tuple[list[CaseResult], bool]:
     """The results of those that ran, and whether Ctrl-C ended it."""
+    from slidectl.scenarios import live as daemon_stage
     from slidectl.scenarios import stages
     from slidectl.scenarios.case_run import BAD
     from slidectl.scenarios.workers import WorkerPool
 
     ctx.close()
-    stage = stages.Live(ctx.paths.socket_text) if live else stages.InProcess()
+    stage = daemon_stage.Live(ctx.paths.socket_text) if live else stages.InProcess()
     stage.warm(cases)
     runner = stages.CaseRuns(commands, stage, sim_timeout, keep_failed)
     count = 1 if live else workers or len(os.sched_getaffinity(0))

@@ -13,7 +13,6 @@ from typing import Any
 from slidectl.client import Client
 from slidectl.daemon.in_process import InProcessLink, InProcessWorld
 
-
 _TURN_EVERY_S = 0.1
 
 
