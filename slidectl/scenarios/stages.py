@@ -6,12 +6,12 @@ import os
 import re
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
 from slidectl.client import Client
-from slidectl.errors import Refused, SlidectlError
+from slidectl.errors import SlidectlError
 from slidectl.scenarios.case_run import BAD, ERROR, CaseResult, Stage, run_case
 from slidectl.scenarios.scenario_file import Case, Step
 from slidectl.scenarios.step_commands import Commands
@@ -101,16 +101,14 @@ class InProcess:
     """A new world for each case."""
 
     def warm(self, cases: Sequence[Case]) -> None:
-        """Compile and load the engine, and run a robot for some cycles."""
+        """Load the engine, and run a robot for some cycles. Where nobody has compiled the engine yet, that is begun;
+        cases that begin before it is there run in the interpreter, with the same results."""
         from slidectl.client import spawning
-        from slidectl.simulation.compiled import object_file
         from slidectl.simulation.simulation import Simulation
 
-        engines = {case.world.get("engine", "auto") for case in cases}
-        simulation = Simulation()
-        if object_file.is_possible() and engines != {"plain"}:
-            with suppress(Refused):  # cases say so themselves, where they need it
-                simulation.engine.complete()
+        is_plain = {case.world.get("engine", "auto") for case in cases} == {"plain"}
+        simulation = Simulation(engine="plain" if is_plain else "auto")
+        simulation.driven = True
         simulation.spawn(spawning.document("slider", {}, None).xml, "slider")
         simulation.step(_WARM_CYCLES)
 
@@ -118,6 +116,7 @@ class InProcess:
     def of(self, case: Case) -> Iterator[Stage]:
         from slidectl.control import user_classes
         from slidectl.daemon.time_limit import TimeLimit
+        from slidectl.simulation.compiled import object_file
         from slidectl.simulation.simulation import Simulation
 
         wanted = dict(case.world)
@@ -125,7 +124,9 @@ class InProcess:
         if "gravity" in wanted:
             wanted["gravity"] = tuple(wanted["gravity"])
         user_classes.limit = TimeLimit()
-        stage = _WorldStage(Simulation(**wanted))
+        simulation = Simulation(**wanted)
+        simulation.engine.may_load = object_file.is_there()  # `warm` has begun to compile it otherwise
+        stage = _WorldStage(simulation)
         stage.world.simulation.run.paused = paused
         yield stage
 
