@@ -86,22 +86,18 @@ class StepRunner:
 
 
 def _written() -> int:
-    """Where the output is. A worker's goes into a file of its own."""
-    return os.lseek(1, 0, os.SEEK_CUR) if _is_file() else 0
+    """How much has been printed, where that goes into a file, as it does in a worker of scenarios."""
+    try:
+        return os.lseek(1, 0, os.SEEK_CUR)
+    except OSError:
+        return 0
 
 
 def _output_since(begin: int) -> str:
-    if not _is_file():
-        return ""
-    return os.pread(1, _KEPT_OUTPUT, max(begin, _written() - _KEPT_OUTPUT)).decode("utf-8", "replace")
-
-
-def _is_file() -> bool:
     try:
-        os.lseek(1, 0, os.SEEK_CUR)
-    except OSError:
-        return False
-    return not os.isatty(1)
+        return os.pread(1, _KEPT_OUTPUT, max(begin, _written() - _KEPT_OUTPUT)).decode("utf-8", "replace")
+    except OSError:  # it cannot be read again
+        return ""
 
 
 def _parsed(words: Sequence[str], context: Context) -> tuple[str, dict[str, object]]:

@@ -206,7 +206,7 @@ def _run(
 
     ctx.close()
     stage = daemon_stage.Live(ctx.paths.socket_text) if live else stages.InProcess()
-    stage.warm(cases)
+    stage.warm(cases, commands)
     runner = stages.CaseRuns(commands, stage, sim_timeout, keep_failed)
     count = 1 if live else workers or len(os.sched_getaffinity(0))
     results: list[CaseResult] = []

@@ -22,6 +22,7 @@ from slidectl.errors import NoDaemon, Refused, SlidectlError, TimedOut
 from slidectl.scenarios.case_run import Stage
 from slidectl.scenarios.scenario_file import Case
 from slidectl.scenarios.stages import LOG_LINES
+from slidectl.scenarios.step_commands import Commands
 
 _ANSWER_S = 60.0
 """Wall seconds that the daemon may take for what needs no simulated time."""
@@ -38,7 +39,7 @@ class Live:
     def __init__(self, socket: str) -> None:
         self._socket = socket
 
-    def warm(self, cases: Sequence[Case]) -> None:
+    def warm(self, cases: Sequence[Case], commands: Commands) -> None:  # noqa: ARG002
         """Raises NoDaemon, Refused: the daemon is no stage for these cases."""
         with Client(socket=self._socket) as client:
             status = client.call("/slidectl/status")

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import os
 import re
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -17,13 +18,18 @@ from slidectl.scenarios.scenario_file import Case, Step
 from slidectl.scenarios.step_commands import Commands
 
 LOG_LINES = 20
-_WARM_CYCLES = 64
+_WARM = (
+    "spawn slider --controllers config/slider_control.yaml --start joint_state_controller joint1_position_controller",
+    "pub command 0.0",
+    "wait joint_states/position[0] --near 0.0",
+    "delete slider",
+)
 
 
 class Stages(Protocol):
     """Makes a stage for each case."""
 
-    def warm(self, cases: Sequence[Case]) -> None:
+    def warm(self, cases: Sequence[Case], commands: Commands) -> None:
         """Load what all cases need, before processes for them are made."""
 
     def of(self, case: Case) -> AbstractContextManager[Stage]:
@@ -100,17 +106,20 @@ def _print_into(path: str) -> None:
 class InProcess:
     """A new world for each case."""
 
-    def warm(self, cases: Sequence[Case]) -> None:
-        """Load the engine, and run a robot for some cycles. Where nobody has compiled the engine yet, that is begun;
-        cases that begin before it is there run in the interpreter, with the same results."""
-        from slidectl.client import spawning
+    def warm(self, cases: Sequence[Case], commands: Commands) -> None:
+        """Do once what most cases do: that imports and reads what they need, and loads the engine.
+
+        Where nobody has compiled the engine yet, that is begun; cases that begin before it is there run in the
+        interpreter, with the same results.
+        """
+        from slidectl.daemon.in_process import InProcessWorld
         from slidectl.simulation.simulation import Simulation
 
         is_plain = {case.world.get("engine", "auto") for case in cases} == {"plain"}
-        simulation = Simulation(engine="plain" if is_plain else "auto")
-        simulation.driven = True
-        simulation.spawn(spawning.document("slider", {}, None).xml, "slider")
-        simulation.step(_WARM_CYCLES)
+        world = InProcessWorld(Simulation(engine="plain" if is_plain else "auto"))
+        with world.client() as client, redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+            for line in _WARM:
+                commands.run(line.split(), client)
 
     @contextmanager
     def of(self, case: Case) -> Iterator[Stage]:
