@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 _NO_STEPS = ("daemon", "shell", "test", "ros-commands", "completion", "version", "doctor", "launch")
 """Commands about other things than the world of a scenario, which is there already."""
+_NO_ROS_STEPS = ("roscore", "roslaunch", "rosrun")
 _PLACE = re.compile(r"\[?([A-Z]+)\]?(\.\.\.)?\Z")
 _KEPT_OUTPUT = 20_000
 
@@ -53,6 +54,10 @@ class StepRunner:
             raise UsageError(message, hint) from None
         if context.instance or context.socket:
             raise UsageError("a step acts in the world of its scenario", "leave out --instance and --socket")
+        if values.get("detach"):
+            raise UsageError("--detach leaves a process behind", "to go on meanwhile: background: true")
+        if leaf == "ros" and words[1] in _NO_ROS_STEPS:
+            raise UsageError(f"{words[1]} brings up a world, and a scenario has its own", "spawn what is needed")
         if leaf == "spawn":
             _check_spawn(values)
 

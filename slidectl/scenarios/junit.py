@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Sequence
 from pathlib import PurePath
 from xml.etree import ElementTree
@@ -63,13 +64,7 @@ def told(case: Case, result: CaseResult) -> list[str]:
     if result.log:
         lines += ["last lines of the log:", *(f"  {line}" for line in result.log)]
     lines += [f"kept: {', '.join(result.kept)}"] if result.kept else []
-    return [*lines, f"to run it alone: slidectl test {_quoted(result.id)}"]
-
-
-def _quoted(word: str) -> str:
-    import shlex
-
-    return shlex.quote(word)
+    return [*lines, f"to run it alone: slidectl test {shlex.quote(result.id)}"]
 
 
 def _clean(text: str) -> str:

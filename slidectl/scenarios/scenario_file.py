@@ -143,7 +143,7 @@ def read(file: str, commands: Commands, slips: list[BadFile]) -> list[Case]:
     return reader.cases(documents[0])
 
 
-Path_ = tuple[str | int, ...]
+KeyPath = tuple[str | int, ...]
 
 
 class _Reader:
@@ -153,19 +153,19 @@ class _Reader:
         self._file = file
         self._commands = commands
         self._slips = slips
-        self._lines: dict[Path_, int] = {}
+        self._lines: dict[KeyPath, int] = {}
         self._loader = yaml.SafeLoader("")
         self._nodes = 0
         self._checked: dict[tuple[str, ...], SlidectlError | None] = {}
 
-    def _slip(self, path: Path_, message: str, hint: str | None = None) -> None:
+    def _slip(self, path: KeyPath, message: str, hint: str | None = None) -> None:
         while path and path not in self._lines:
             path = path[:-1]
         slip = BadFile(message, self._file, self._lines.get(path), hint)
         if str(slip) not in map(str, self._slips):  # each case of a table has the same
             self._slips.append(slip)
 
-    def _value(self, node: yaml.Node, path: Path_) -> Any:
+    def _value(self, node: yaml.Node, path: KeyPath) -> Any:
         """What a node stands for. Raises BadFile."""
         line = self._lines[path] = node.start_mark.line + 1
         self._nodes += 1
@@ -222,7 +222,7 @@ class _Reader:
             return
         names: set[str] = set()
         for index, row in enumerate(table):
-            path: Path_ = ("cases", index)
+            path: KeyPath = ("cases", index)
             own = {key: value for key, value in row.items() if key in CASE_KEYS}
             given = {key: value for key, value in row.items() if key not in CASE_KEYS}
             self._check_keys(own, CASE_KEYS, path, "case")
@@ -234,14 +234,14 @@ class _Reader:
             tags = (*base.tags, *(own.get("tags") or ()))
             yield replace(base, name=name, tags=tags, xfail=own.get("xfail") or base.xfail), {**variables, **given}
 
-    def _check_names(self, variables: Mapping[str, Any], path: Path_) -> None:
+    def _check_names(self, variables: Mapping[str, Any], path: KeyPath) -> None:
         for name in variables:
             if not _NAME.match(name) or name in _GIVEN:
                 self._slip((*path, name), f"{name!r} is no name for a variable: letters, digits and '_'")
 
     # --- keys and values ----------------------------------------------------------------------------------------
 
-    def _check_keys(self, given: Mapping[str, Any], known: Mapping[str, Key], path: Path_, what: str) -> None:
+    def _check_keys(self, given: Mapping[str, Any], known: Mapping[str, Key], path: KeyPath, what: str) -> None:
         for name, value in given.items():
             if name not in known:
                 meant = self._meant(name, known)
@@ -255,7 +255,7 @@ class _Reader:
         reached = 0.0
         for section in SECTIONS:
             for index, content in enumerate(tree.get(section) or ()):
-                path: Path_ = (section, index)
+                path: KeyPath = (section, index)
                 try:
                     step = self._step(content, path, section, variables)
                 except SlidectlError as error:
@@ -271,7 +271,7 @@ class _Reader:
                     reached = 0.0
                 yield step
 
-    def _step(self, content: Any, path: Path_, section: str, variables: Mapping[str, Any]) -> Step | None:
+    def _step(self, content: Any, path: KeyPath, section: str, variables: Mapping[str, Any]) -> Step | None:
         """Raises SlidectlError."""
         if isinstance(content, str):  # a whole command line, as `- sim pause`
             first, _, rest = content.strip().partition(" ")

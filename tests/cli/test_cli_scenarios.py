@@ -77,7 +77,8 @@ steps:
   - wait: joint_states/position[0] --near ${goal} --tol 0.1
     within: 0.5
 teardown:
-  - param set: /torn_down true
+  - controller list
+  - urdf: slider -o "${dir}/torn_down.urdf"
 """)  # fmt: skip
     kept, xml = tmp_path / "kept", tmp_path / "out.xml"
     done = slidectl("test", str(file), "--keep-failed", str(kept), "--junitxml", str(xml))
@@ -90,6 +91,7 @@ teardown:
     assert f"slidectl test {file}::far" in said
     assert f"XPASSED {file}::wrongly known\n  it passed, and was known to fail: it never passes" in said
     assert said.rstrip().endswith("1 xfailed, 1 failed, 1 xpassed")
+    assert (tmp_path / "torn_down.urdf").exists()
     recording = next(path for path in kept.iterdir() if path.stem.endswith("far"))
     assert "/slider/joint_states" in slidectl.ok("bag", "info", str(recording))
     schema = etree.XMLSchema(etree.parse(ROOT / "tests" / "data" / "junit.xsd"))
@@ -142,6 +144,8 @@ steps:
   - {pub: command 1, at: soon}
   - sim status --instance other
   - spawn: slider --controllers types.yaml
+  - record: -a --detach
+  - ros: roslaunch my_slider slider.launch
 """)  # fmt: skip
     types = write(
         "types.yaml", "slider:\n  a:\n    type: effort_controllers/JointPositonController\n    joint: joint1\n"
@@ -163,6 +167,8 @@ steps:
         14: "no step 'daemon'.",
         15: "'at' is a time of 0 s or more, not soon",
         16: "a step acts in the world of its scenario",
+        18: "--detach leaves a process behind",
+        19: "roslaunch brings up a world, and a scenario has its own",
     }.items():
         assert f"{file}:{line}: {text}" in done.stderr
     assert f"{types}:3: " in done.stderr
@@ -258,6 +264,17 @@ def test_the_shipped_schema_is_that_of_the_commands_and_takes_the_examples(slide
         validator.validate(yaml.safe_load(file.read_text("utf-8")))
     for slip in ({"steps": [{"spwan": "slider"}]}, {"stps": []}, {"steps": [{"wait": {"target": "a", "nera": 1}}]}):
         assert not validator.is_valid(slip)
+
+
+def test_maxfail_stops_at_so_many_failures(slidectl: CommandLine, write: Write) -> None:
+    file = write("all_fail.yaml", """
+world: {engine: plain}
+cases: [{n: 1}, {n: 2}, {n: 3}, {n: 4}]
+steps: [delete nobody]
+""")  # fmt: skip
+    done = slidectl("test", str(file), "-n", "1", "--maxfail", "2")
+    assert done.returncode == 1
+    assert done.stdout.rstrip().endswith("2 failed, 2 not run")
 
 
 def test_on_a_terminal_a_bar_shows_how_far_it_is(slidectl: CommandLine, write: Write) -> None:
