@@ -10,7 +10,7 @@ import re
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -199,6 +199,7 @@ def _run(
     live: bool,
 ) -> tuple[list[CaseResult], bool]:
     """The results of those that ran, and whether Ctrl-C ended it."""
+    from slidectl.launch.supervision import Interrupted, Interrupts
     from slidectl.scenarios import live as daemon_stage
     from slidectl.scenarios import stages
     from slidectl.scenarios.case_run import BAD
@@ -211,19 +212,21 @@ def _run(
     count = 1 if live else workers or len(os.sched_getaffinity(0))
     results: list[CaseResult] = []
     failures = 0
-    with _progress(ctx, len(cases)) as advance, WorkerPool(runner.run, count, timeout) as pool:
-        try:
-            for result in pool.results(cases):
-                results.append(result)
-                advance(result)
-                failures += result.verdict in BAD
-                if maxfail is not None and failures >= maxfail:
-                    results += pool.ended()
-                    break
-        except KeyboardInterrupt:
-            results += pool.ended()
-            return results, True
-    return results, False
+    with (
+        suppress(Interrupted),
+        Interrupts() as interrupts,
+        interrupts.held(),
+        _progress(ctx, len(cases)) as advance,
+        WorkerPool(runner.run, count, timeout, lambda: bool(interrupts.received)) as pool,
+    ):
+        for result in pool.results(cases):
+            results.append(result)
+            advance(result)
+            failures += result.verdict in BAD
+            if maxfail is not None and failures >= maxfail:
+                break
+        results += pool.ended()
+    return results, bool(interrupts.received)
 
 
 @contextmanager

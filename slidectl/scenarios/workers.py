@@ -27,7 +27,7 @@ from slidectl.scenarios.scenario_file import Case
 _GRACE_S = 5.0
 """How long a worker that is told to end may take for the teardown."""
 _PR_SET_PDEATHSIG = 1
-_LONGEST_WAIT_S = 1.0
+_LONGEST_WAIT_S = 0.1
 
 RunCase = Callable[[Case, str], CaseResult]
 """Runs a case with the folder that is its own."""
@@ -45,8 +45,10 @@ class _Worker(NamedTuple):
 class WorkerPool:
     """Runs cases, at most `count` at a time. A context manager: leaving it ends what still runs."""
 
-    def __init__(self, run: RunCase, count: int, timeout: float) -> None:
+    def __init__(self, run: RunCase, count: int, timeout: float, is_over: Callable[[], bool]) -> None:
+        """`is_over` is asked ten times a second: when it is true no case begins any more, and `results` ends."""
         self._run = run
+        self._is_over = is_over
         self._count = count
         self._timeout = timeout
         self._running: dict[int, _Worker] = {}
@@ -68,9 +70,9 @@ class WorkerPool:
         gc.unfreeze()
 
     def results(self, cases: Sequence[Case]) -> Iterator[CaseResult]:
-        """The results as they come. Who leaves before the end, by `break` or Ctrl-C, finds the rest in `ended`."""
+        """The results as they come. After an early end those that still run are in `ended`."""
         waiting = list(reversed(cases))
-        while waiting or self._running:
+        while (waiting or self._running) and not self._is_over():
             while waiting and len(self._running) < self._count:
                 self._begin(waiting.pop())
             yield from self._take()
@@ -152,7 +154,8 @@ def _work(run: RunCase, case: Case, folder: str, writing: int, parent: int) -> N
     code = 1
     try:
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all; who began us tells us
+        for number in (signal.SIGINT, signal.SIGHUP):  # a terminal sends them to all; who began us tells us
+            signal.signal(number, signal.SIG_IGN)
         signal.signal(signal.SIGTERM, _end)
         if os.getppid() == parent:
             result = run(case, folder)
