@@ -17,7 +17,10 @@ CONTROLLERS = "config/slider_control.yaml"
 
 def slide(engine: str) -> list[Any]:
     """Up and down, with a second client that listens; what was seen, and when."""
-    world = InProcessWorld(Simulation(engine=engine))
+    simulation = Simulation(engine=engine)
+    if engine == "compiled":
+        simulation.engine.complete()
+    world = InProcessWorld(simulation)
     with world.client() as client, world.client() as listener:
         client.spawn("slider", controllers=CONTROLLERS, start=["joint_state_controller", "joint1_position_controller"])
         states = listener.subscribe("joint_states", queue_length=10_000)
@@ -37,7 +40,7 @@ def test_waiting_makes_time_pass_and_the_same_calls_give_the_same_bits_in_both_e
 
 
 def test_the_world_stands_still_while_nobody_waits_and_while_it_is_paused() -> None:
-    world = InProcessWorld()
+    world = InProcessWorld(Simulation(engine="plain"))
     client = world.client()
     client.call("/slidectl/sleep", {"duration": 0.25})
     assert world.simulation.time_ns == 250_000_000
@@ -56,14 +59,14 @@ def test_the_world_stands_still_while_nobody_waits_and_while_it_is_paused() -> N
 
 
 def test_who_waits_is_told_when_the_simulated_time_is_up() -> None:
-    world = InProcessWorld()
+    world = InProcessWorld(Simulation(engine="plain"))
     world.end_ns = 500_000_000
     with pytest.raises(TimedOut, match=r"0\.5 s"):
         world.client().call("/slidectl/sleep", {"duration": 3.0})
 
 
 def test_a_service_of_one_client_answers_another() -> None:
-    world = InProcessWorld()
+    world = InProcessWorld(Simulation(engine="plain"))
     link, caller = InProcessLink(world), world.client()
     provider = Client(link=link)
     provider.advertise_service("/double", "std_srvs/Trigger", lambda _: {"success": True, "message": "done"})
@@ -75,7 +78,7 @@ def test_a_service_of_one_client_answers_another() -> None:
 
 
 def test_an_action_and_the_end_of_the_world() -> None:
-    world = InProcessWorld()
+    world = InProcessWorld(Simulation(engine="plain"))
     client, other = world.client(), world.client()
     client.spawn("arm", controllers="config/arm_control.yaml", start=["joint_state_controller", "arm_controller"])
     with client.action("arm_controller") as action:
