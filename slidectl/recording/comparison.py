@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from slidectl import names, writing
 from slidectl.errors import BadFile, Refused, UnknownName, cut
 from slidectl.field_path import Selection, select
-from slidectl.recording.recording_files import SUFFIXES, Record, Recording, opened
+from slidectl.recording.recording_files import COMPRESSIONS, Record, Recording, opened
 
 LEFT_OUT = ("/rosout",)
 """Topics that are not compared unless a field of them is asked for."""
@@ -79,7 +79,7 @@ def compare_file(
     Raises:
         BadFile: there is no such baseline. Refused: it cannot be written. And what `compare` raises.
     """
-    kept = baseline if baseline.suffix in SUFFIXES else baseline / run.name
+    kept = baseline if baseline.suffix in COMPRESSIONS else baseline / run.name
     if update:
         opened(run).close()
         try:
