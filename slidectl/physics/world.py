@@ -19,7 +19,7 @@ import numpy as np
 from slidectl.description.robot import Robot
 from slidectl.errors import Refused, SlidectlError, UnknownName, listing
 from slidectl.physics import hulls, mujoco_library
-from slidectl.physics.body import Body, RobotState
+from slidectl.physics.body import Array, Body, RobotState
 from slidectl.physics.hulls import Hulls
 from slidectl.physics.loads import JointForce, Loads, LoadsState, Wrench
 from slidectl.physics.observer import Observer, Twist
@@ -350,6 +350,30 @@ class World:
         for body in self._bodies.values():
             body.put_at_spawn()
         self._observer.invalidate()
+
+    def numbers(self) -> Array:
+        """A copy of all positions, velocities and forces, and of what is asked of the joints; see `number_names`."""
+        data, loads = self.data, self.loads
+        return np.concatenate([data.qpos, data.qvel, data.qfrc_applied, loads.efforts, loads.motors.velocities])
+
+    def number_names(self) -> list[str]:
+        """What each of `numbers` is, `ROBOT, JOINT: position`, say."""
+        nq, nv = self.model.nq, self.model.nv
+        names = [""] * (nq + 4 * nv)
+        for body in self._bodies.values():
+            places = {place.qpos: (joint, place.dof) for joint, place in body.joints.items()}
+            dofs = dict(places.values())
+            root = f"{body.name}, root"
+            names[body.coordinates] = [
+                f"{body.name}, {places[at][0]}: position" if at in places else f"{root}: pose[{at - body.root_qpos}]"
+                for at in range(nq)[body.coordinates]
+            ]
+            joints = {dof: joint for joint, dof in dofs.items()}
+            for kind, what in enumerate(("velocity", "force", "effort", "velocity asked for")):
+                for dof in range(nv)[body.dofs]:
+                    of = f"{body.name}, {joints[dof]}" if dof in joints else f"{root}[{dof - body.root_dof}]"
+                    names[nq + kind * nv + dof] = f"{of}: {what}"
+        return names
 
     def snapshot(self) -> Snapshot:
         """The state of this moment, for `restore`."""
