@@ -149,7 +149,7 @@ class Action:
 
         A goal that leaves the server's list without a result is lost, and so is one whose server has gone.
         """
-        deadline = time.monotonic() + timeout
+        deadline = self._client.monotonic() + timeout
         while True:
             while len(self._feedback):
                 message = self._feedback.get()
@@ -162,7 +162,7 @@ class Action:
             if is_gone:
                 yield ActionResult(LOST, "the server does not list the goal any more", {})
                 return
-            left_s = deadline - time.monotonic()
+            left_s = deadline - self._client.monotonic()
             try:
                 self._client.wait_until(self._has_news, min(left_s, _LOOK_EVERY_S), "")
             except TimedOut as error:

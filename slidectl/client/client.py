@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from slidectl import __version__, names, paths
 from slidectl.client.lines import LONGEST_LINE, BadLine, encode
-from slidectl.client.link import SocketLink, command
+from slidectl.client.link import ClientLink, SocketLink, command
 from slidectl.errors import (
     AmbiguousName,
     MessageRefused,
@@ -58,6 +58,7 @@ class Client:
         instance: the daemon's name; by default `SLIDECTL_SOCKET`, `SLIDECTL_INSTANCE` or `default` decide.
         socket: the path of its socket instead.
         timeout: wall seconds that any one wait may take unless it says otherwise; `inf` for ever.
+        link: a connection that there is already, instead of a new one.
 
     It is for one thread: where several use one at a time, one takes the answers of the others. Give each its own.
 
@@ -65,8 +66,15 @@ class Client:
         NoDaemon: nobody answers. Refused: the socket's folder is not private, or the daemon is another user's.
     """
 
-    def __init__(self, instance: str | None = None, socket: str | None = None, timeout: float = 10.0) -> None:
-        self.paths = paths.instance(instance, socket)
+    def __init__(
+        self,
+        instance: str | None = None,
+        socket: str | None = None,
+        timeout: float = 10.0,
+        link: ClientLink | None = None,
+    ) -> None:
+        self._link = link or SocketLink(paths.instance(instance, socket), time.monotonic() + timeout)
+        self.paths = self._link.paths
         self.timeout = timeout
         self.reasons: list[str] = []
         """What the daemon warned of, or gave as an error, while it carried out the request answered last.
@@ -75,7 +83,6 @@ class Client:
         """
         self.on_other_version: Callable[[str], None] = lambda _version: None
         """Called once, with the version of a daemon that is not this client's; empty for one that does not say."""
-        self._link = SocketLink(self.paths, time.monotonic() + timeout)
         self._serial = 0
         self._awaited: set[str] = set()
         """Ids of requests whose answers somebody will ask for; other answers are not kept."""
@@ -581,7 +588,7 @@ class Client:
 
     def events(self, timeout: float = math.inf) -> Iterator[Message]:
         """Every object that arrives, as it is on the wire, until nothing has come for `timeout` seconds."""
-        while (message := self._link.receive(time.monotonic() + timeout)) is not None:
+        while (message := self._link.receive(self.monotonic() + timeout)) is not None:
             self._sort(message)
             yield message
 
@@ -592,7 +599,7 @@ class Client:
             raise TimedOut(f"{failure} within {seconds:.3g} s", self._why_nothing_happens())
 
     def _becomes(self, condition: Callable[[], bool], seconds: float) -> bool:
-        deadline = time.monotonic() + seconds
+        deadline = self.monotonic() + seconds
         while not condition():
             message = self._link.receive(deadline)
             if message is None:
@@ -650,6 +657,14 @@ class Client:
         """The daemon's process id, as the kernel gives it."""
         return self._link.daemon_pid
 
+    def another(self) -> Client:
+        """A further connection to the same daemon, with the same `timeout`. Raises as a new client."""
+        return Client(link=self._link.another(self.monotonic() + self.timeout), timeout=self.timeout)
+
+    def monotonic(self) -> float:
+        """The clock of all waits, in s: that of the machine, unless the world is in this process and has its own."""
+        return self._link.monotonic()
+
     def fileno(self) -> int:
         """The socket, for a `select` of the caller's."""
         return self._link.fileno()
@@ -659,7 +674,7 @@ class Client:
         line = encode(message)
         if len(line) > LONGEST_LINE:
             raise BadLine(f"a message of {len(line)} bytes is more than the {LONGEST_LINE} that fit a line")
-        self._link.send(line, time.monotonic() + self.timeout)
+        self._link.send(line, self.monotonic() + self.timeout)
 
     def _next_id(self, purpose: str) -> str:
         self._serial += 1

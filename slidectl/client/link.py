@@ -10,7 +10,7 @@ import select
 import struct
 import time
 from socket import AF_UNIX, SO_PEERCRED, SOL_SOCKET, socket
-from typing import Any
+from typing import Any, Protocol
 
 from slidectl.client.lines import LineBuffer, decode
 from slidectl.errors import NoDaemon, Refused, TimedOut
@@ -37,11 +37,37 @@ def peer(connection: socket) -> tuple[int, int]:
     return pid, uid
 
 
+class ClientLink(Protocol):
+    """What a client sends and receives by. Deadlines are on `monotonic`; `inf` is none."""
+
+    paths: InstancePaths
+    daemon_pid: int
+    last_status: str
+
+    def another(self, deadline: float) -> ClientLink:
+        """A further connection to the same daemon. Raises NoDaemon."""
+
+    def monotonic(self) -> float:
+        """A clock, in s."""
+
+    def fileno(self) -> int:
+        """What a `select` takes."""
+
+    def send(self, line: bytes, deadline: float) -> None:
+        """Hand over a line. Raises TimedOut, NoDaemon."""
+
+    def receive(self, deadline: float) -> dict[str, Any] | None:
+        """The next object, or None when the deadline passes first. Raises NoDaemon."""
+
+    def close(self) -> None:
+        """Let go of the connection."""
+
+
 class SocketLink:
     """One connection to the daemon of `paths`. Deadlines are on `time.monotonic()`; `inf` is none."""
 
     def __init__(self, paths: InstancePaths, deadline: float) -> None:
-        self._paths = paths
+        self.paths = paths
         self._incoming = LineBuffer()
         self._closed = False
         self.last_status = ""
@@ -52,21 +78,29 @@ class SocketLink:
             self.close()
             raise Refused(f"the daemon on {paths.socket_text} belongs to another user (uid {uid})")
 
+    def another(self, deadline: float) -> SocketLink:
+        """A further connection to the same daemon. Raises as the constructor."""
+        return SocketLink(self.paths, deadline)
+
+    def monotonic(self) -> float:
+        """The clock of deadlines."""
+        return time.monotonic()
+
     def fileno(self) -> int:
         return self._socket.fileno()
 
     def _connect(self, deadline: float) -> socket:
         connection = socket(AF_UNIX)
         try:
-            if self._paths.prefix:
-                os.lstat(self._paths.socket_text)  # where nothing is, nobody answers, whatever the folder is like
-            check_private(self._paths.folder_text)
+            if self.paths.prefix:
+                os.lstat(self.paths.socket_text)  # where nothing is, nobody answers, whatever the folder is like
+            check_private(self.paths.folder_text)
             # The kernel makes a connect wait while the daemon's backlog is full, but only that of a blocking socket.
             # One with a timeout is non-blocking underneath: then a full backlog is EAGAIN, and the connect is repeated.
             connection.settimeout(max(0.001, min(deadline - time.monotonic(), _LONGEST_WAIT_S)))
             while True:
                 try:
-                    connection.connect(self._paths.socket_text)
+                    connection.connect(self.paths.socket_text)
                     break
                 except BlockingIOError:
                     if time.monotonic() >= deadline:
@@ -82,15 +116,15 @@ class SocketLink:
         return connection
 
     def _nobody(self, error: OSError) -> NoDaemon:
-        hint = "start it with: " + command(self._paths, "daemon start")
+        hint = "start it with: " + command(self.paths, "daemon start")
         if isinstance(error, FileNotFoundError | ConnectionRefusedError):
-            return NoDaemon(f"no daemon answers on {self._paths.socket_text}", hint)
+            return NoDaemon(f"no daemon answers on {self.paths.socket_text}", hint)
         if isinstance(error, BlockingIOError | TimeoutError):
             return NoDaemon(
-                f"the daemon on {self._paths.socket_text} takes no connection: it hangs, is stopped, or has too many",
-                f"see: {command(self._paths, 'daemon logs')}\nend it with: {command(self._paths, 'daemon stop')}",
+                f"the daemon on {self.paths.socket_text} takes no connection: it hangs, is stopped, or has too many",
+                f"see: {command(self.paths, 'daemon logs')}\nend it with: {command(self.paths, 'daemon stop')}",
             )
-        return NoDaemon(f"no daemon answers on {self._paths.socket_text}: {error.strerror or error}", hint)
+        return NoDaemon(f"no daemon answers on {self.paths.socket_text}: {error.strerror or error}", hint)
 
     def send(self, line: bytes, deadline: float) -> None:
         """Hand a line to the kernel; lines that arrive meanwhile are kept. Raises TimedOut, NoDaemon."""
@@ -143,7 +177,7 @@ class SocketLink:
 
     def _gone(self) -> NoDaemon:
         why = f": {self.last_status}" if self.last_status else ""
-        return NoDaemon(f"the daemon went away{why}", "start it with: " + command(self._paths, "daemon start"))
+        return NoDaemon(f"the daemon went away{why}", "start it with: " + command(self.paths, "daemon start"))
 
     def close(self) -> None:
         self._closed = True

@@ -228,7 +228,7 @@ class StaticTransform(Task):
             "transform": {"translation": {"x": x, "y": y, "z": z}, "rotation": rotation},
         }
         # A publisher of its own: a latched topic keeps one message of each.
-        self._client = Client(socket=run.client.paths.socket_text, timeout=run.client.timeout)
+        self._client = run.client.another()
         self._client.publish("/tf_static", {"transforms": [transform]}, "tf2_msgs/TFMessage", latch=True)
         self._client.flush()
         self.settled(run, f"the frame {self.child} in {self.parent}, on /tf_static")

@@ -47,7 +47,7 @@ class TopicTool(Task):
 
     def start(self, run: Run) -> str | None:
         self._run = run
-        self.client = Client(socket=run.client.paths.socket_text, timeout=run.client.timeout)
+        self.client = run.client.another()
         for name in _WITHOUT_EFFECT:
             if run.parameter(names.join(self.node.full_name, name)):
                 self.warn(run, f"the parameter {name} has no effect")
