@@ -97,7 +97,12 @@ class Daemon:
         if options.journal:  # the files that are imported are its first entries
             self._journal = Journal(options)
             limit.on_end = self._journal.took_too_long
-        return Simulation(options.timestep, options.gravity, options.ground, options.engine, options.imports)
+        try:
+            return Simulation(options.timestep, options.gravity, options.ground, options.engine, options.imports)
+        except SlidectlError:
+            if self._journal is not None:  # the next start may have the name
+                os.unlink(options.journal)
+            raise
 
     def _replay(self, replay: Replay) -> None:
         """Begin with the world to which a journal leads."""
