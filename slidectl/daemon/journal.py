@@ -20,15 +20,12 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 import slidectl
 from slidectl import file_reads
 from slidectl.control.node_handle import Message
 from slidectl.daemon.options import DaemonOptions
 from slidectl.description.meshes import BadMesh
 from slidectl.errors import BadFile, Refused, UsageError
-from slidectl.physics.body import Array
 from slidectl.physics.hulls import Hull, Hulls, MeshSource
 from slidectl.simulation.clock import SECOND
 from slidectl.simulation.pending import Pending
@@ -90,12 +87,13 @@ class Journal:
             return pending.converted(self._take_meshes)
 
         simulation.read_meshes = read
-        simulation.graph.timers.every(SECOND, lambda: self._note("state", encoded_state(simulation)))
+        self._states = simulation.graph.timers.every(SECOND, self._note_state)
 
     def close(self, why: str) -> None:
         """The world ends here."""
         if self._simulation is not None:
-            self._note("end", why, state=encoded_state(self._simulation))
+            self._states.cancel()
+            self._note_state(b',"end":%b' % json.dumps(why).encode())
         if not self.trouble:
             os.close(self._file)
         self.trouble = "it is closed"
@@ -146,6 +144,12 @@ class Journal:
     def _note(self, kind: str, value: Any, **more: Any) -> None:
         self._write(_text({"cycle": self._cycle, kind: value, **more}))
 
+    def _note_state(self, more: bytes = b"") -> None:
+        """The state of the world's joints and what acts on them, to the bit."""
+        assert self._simulation is not None
+        numbers = binascii.b2a_base64(self._simulation.world.numbers(), newline=False)
+        self._write(b'{"cycle":%d%b,"state":"%b"' % (self._cycle, more, numbers))
+
     def _write(self, entry: bytes) -> None:
         """One entry, whole or not at all. `entry` is without its closing brace. After a failure nothing follows."""
         if self.trouble:
@@ -176,11 +180,6 @@ def written_by() -> dict[str, str]:
         with suppress(PackageNotFoundError):
             versions[library] = version(library)
     return versions
-
-
-def encoded_state(simulation: Simulation) -> str:
-    """The state of the world's joints and what acts on them, to the bit."""
-    return base64.b64encode(simulation.world.numbers().tobytes()).decode()
 
 
 def _mesh_entry(source: MeshSource, hull: Hull | BadMesh) -> dict[str, Any]:
@@ -270,11 +269,3 @@ def _options(path: str, header: dict[str, Any]) -> DaemonOptions:
     except (TypeError, LookupError, AttributeError, UsageError) as error:
         text = f"slidectl {header.get('version')} wrote it with options that {slidectl.__version__} does not know"
         raise BadFile(f"{text}: {error}", path) from None
-
-
-def numbers_of(state: str) -> Array:
-    """The numbers that `encoded_state` has written; none for what is none."""
-    try:
-        return np.frombuffer(base64.b64decode(state), float)
-    except (ValueError, binascii.Error):
-        return np.zeros(0)

@@ -6,6 +6,7 @@ taken from the journal, and so is when it came.
 
 from __future__ import annotations
 
+import base64
 import math
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
@@ -15,12 +16,11 @@ from slidectl import file_reads
 from slidectl.control import user_classes
 from slidectl.control.duration import from_seconds
 from slidectl.daemon import journal, time_limit
-from slidectl.daemon.journal import Contents, mesh_of, numbers_of
+from slidectl.daemon.journal import Contents, mesh_of
 from slidectl.daemon.outbox import Outbox, Publications
 from slidectl.daemon.session import Session
 from slidectl.daemon.time_limit import TimeLimit
 from slidectl.errors import Refused
-from slidectl.physics.body import Array
 from slidectl.physics.hulls import MeshSource
 from slidectl.simulation.clock import NEVER, SECOND
 from slidectl.simulation.loop import FAILED
@@ -56,8 +56,8 @@ class Replay:
         self._sessions: dict[int, Session] = {}
         self._meshes: list[tuple[set[MeshSource], Pending]] = []
         """Who waits for them."""
-        self._state: tuple[int, Array] = (-1, numbers_of(""))
-        """The last whole second's cycle and numbers."""
+        self._state = -1, b""
+        """The last whole second's cycle, and the numbers of the world then."""
         self._unexpected: Callable[[str], None] = lambda _: None
         file_reads.read = self._read
         user_classes.limit = self._limit
@@ -233,18 +233,20 @@ class Replay:
             self._keep_state()
         self.states += 1
         cycle, here = self._state
-        there = numbers_of(entry["state"])
-        if self.differs or (cycle == entry["cycle"] and here.tobytes() == there.tobytes()):
+        there = base64.b64decode(entry["state"])
+        if self.differs or (cycle, here) == (entry["cycle"], there):
             return
         at = f"the state differs at {self.simulation.time_ns / SECOND:g} s (cycle {entry['cycle']})"
         if cycle != entry["cycle"] or len(here) != len(there):
-            self.differs = f"{at}: there are {len(here)} numbers now, and {len(there)} in the journal"
+            self.differs = f"{at}: there are {len(here) // 8} numbers now, and {len(there) // 8} in the journal"
             return
         names = self.simulation.world.number_names()
-        others = [place for place in range(len(here)) if here[place].tobytes() != there[place].tobytes()]
-        first = others[0]
+        pairs = list(zip(names, memoryview(here).cast("d"), memoryview(there).cast("d"), strict=True))
+        # By their bits: -0.0 is another one than 0.0, and what is not a number is the same as itself.
+        others = [pair for at, pair in enumerate(pairs) if here[8 * at : 8 * at + 8] != there[8 * at : 8 * at + 8]]
+        name, now, then = others[0]
         more = f", and {len(others) - 1} numbers more" if others[1:] else ""
-        self.differs = f"{at}: {names[first]} is {here[first]!r} now and {there[first]!r} in the journal{more}"
+        self.differs = f"{at}: {name} is {now!r} now and {then!r} in the journal{more}"
 
 
 class _Nobody:

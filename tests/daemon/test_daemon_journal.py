@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import os
 import random
+import re
 import resource
 import signal
 import subprocess
 import sys
 import threading
 import time
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -26,10 +28,10 @@ from slidectl.control import user_classes
 from slidectl.daemon import journal, time_limit
 from slidectl.daemon.in_process import InProcessWorld
 from slidectl.daemon.journal import Journal
-from slidectl.daemon.journal_replay import Replay
+from slidectl.daemon.journal_replay import Replay, ReplayDiffers
 from slidectl.daemon.options import DaemonOptions
 from slidectl.daemon.time_limit import TimeLimit
-from slidectl.errors import BadFile, SlidectlError
+from slidectl.errors import SlidectlError
 from slidectl.simulation import Simulation
 from slidectl.simulation.compiled import object_file
 
@@ -169,7 +171,7 @@ def test_random_commands_of_three_clients_replay_to_the_same_bits(
             if action[0] == "leave":
                 del clients[number]
     again = replayed(path)
-    assert again.world.numbers().tobytes() == world.simulation.world.numbers().tobytes()
+    assert again.world.numbers() == world.simulation.world.numbers()
     assert (again.time_ns, again.cycles) == (world.simulation.time_ns, world.simulation.cycles)
     lists = [
         [simulation.call(f"/{robot.name}/controller_manager/list_controllers") for robot in simulation.robots]
@@ -222,7 +224,7 @@ def test_controllers_of_users_are_as_they_were_when_they_were_read(tmp_path: Pat
     for file in (imported, loaded):
         file.unlink()
     again = replayed(tmp_path / "run.journal")
-    assert again.world.numbers().tobytes() == world.simulation.world.numbers().tobytes()
+    assert again.world.numbers() == world.simulation.world.numbers()
     assert again.cycles == 3100
 
 
@@ -244,7 +246,7 @@ def test_a_controller_that_was_ended_by_the_time_limit_is_ended_in_the_same_cycl
         [_, spring] = client.call("/slider/controller_manager/list_controllers")["controller"]
     assert spring["state"] == "aborted"
     again = replayed(tmp_path / "run.journal")
-    assert again.world.numbers().tobytes() == world.simulation.world.numbers().tobytes()
+    assert again.world.numbers() == world.simulation.world.numbers()
 
 
 # --- a daemon ---------------------------------------------------------------------------------------------------------
@@ -370,3 +372,111 @@ def test_a_full_disk_ends_the_journal_and_nothing_else(runtime: Runtime, journal
     found = answer(command(runtime, "replay", str(journal_file), "--check", "--json"))
     assert found["whole"]
     assert 100 < found["cycles"] < 5000
+
+
+def test_a_file_that_is_there_is_not_written_over(runtime: Runtime, journal_file: Path) -> None:
+    journal_file.write_text("precious", "utf-8")
+    refused = command(runtime, "daemon", "start", "--journal", str(journal_file))
+    assert (refused.returncode, journal_file.read_text("utf-8")) == (1, "precious")
+    assert refused.stderr.splitlines() == [
+        f"error: there is a file {journal_file} already",
+        "give the journal another name, or remove that file",
+    ]
+    runtime.start()
+    assert command(runtime, "daemon", "restart", "--journal", str(journal_file)).returncode == 1
+    assert runtime.pid is not None
+    runtime.stop()
+
+
+# --- journals that are none -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def short(journal_file: Path) -> Path:
+    """A journal of some seconds of the slider."""
+    with recorded(journal_file) as world, world.client() as client:
+        spawn(client, "slider")
+        switch(client, "slider", ["joint1_position_controller"], [])
+        client.publish("/slider/joint1_position_controller/command", {"data": 0.5})
+        for _ in range(4):
+            client.call("/slidectl/step", {"cycles": 1000})
+    return journal_file
+
+
+def sealed(entry: dict[str, Any]) -> bytes:
+    """An entry with its checksum."""
+    body = json.dumps(entry, separators=(",", ":"))[:-1].encode()
+    return b'%b,"crc":"%08x"}' % (body, zlib.crc32(body))
+
+
+SPOILT: dict[str, tuple[Callable[[bytes], bytes], str]] = {
+    "empty": (lambda _: b"", "it is empty: the daemon ended before it wrote anything"),
+    "another file": (lambda _: b"<robot/>\n", "it is no journal of slidectl\none is written by: slidectl daemon start"),
+    "a binary file": (lambda _: bytes(range(256)) * 50, "it is no journal of slidectl"),
+    "a bit of the first line": (lambda text: text[:80], "it is cut off in its first line"),
+    "of a later version": (
+        lambda text: sealed({"slidectl_journal": 2, "version": "9.1"}) + text[text.index(b"\n") :],
+        "it is of format 2, written by slidectl 9.1; this is",
+    ),
+    "with other options": (
+        lambda _: sealed({"slidectl_journal": 1, "version": "9.1", "options": {"wind": 3}}) + b"\n",
+        "slidectl 9.1 wrote it with options that",
+    ),
+    "damaged": (
+        lambda text: text.replace(b'"data":0.5', b'"data":0.6'),
+        ":{line}: this entry is damaged: its checksum is another one\nthe entries before it can be replayed: head -n ",
+    ),
+}
+
+
+@pytest.mark.parametrize("how", SPOILT)
+def test_what_is_no_journal_is_refused_with_the_reason(short: Path, runtime: Runtime, how: str) -> None:
+    spoil, said = SPOILT[how]
+    content = short.read_bytes()
+    line = content[: content.index(b'"data":0.5')].count(b"\n") + 1
+    short.write_bytes(spoil(content))
+    refused = command(runtime, "replay", str(short))
+    assert refused.returncode == 2
+    assert refused.stderr.startswith(f"error: {short}")
+    assert said.format(line=line) in refused.stderr
+
+
+def test_a_journal_without_its_end_is_replayed_as_far_as_it_goes(short: Path, runtime: Runtime) -> None:
+    content = short.read_bytes()
+    short.write_bytes(content[: content.index(b'{"cycle":3000,"state"') + 40])
+    done = command(runtime, "replay", str(short), "--check", "--json")
+    found = answer(done)
+    assert (found["cycles"], found["whole"], found["states"]) == (2000, False, 2)
+    assert "its end is missing" in done.stderr
+
+
+def test_a_check_says_the_first_second_and_the_joint_that_differ(short: Path, runtime: Runtime) -> None:
+    lines = short.read_bytes().splitlines()
+    [at] = [at for at, line in enumerate(lines) if b'"data":0.5' in line]
+    entry = json.loads(lines[at])
+    entry["line"]["msg"]["data"] = 0.25
+    lines[at] = sealed({key: entry[key] for key in ("cycle", "client", "line")})
+    short.write_bytes(b"\n".join(lines) + b"\n")
+    refused = command(runtime, "replay", str(short), "--check")
+    assert refused.returncode == 1
+    where = r"error: the state differs at 1 s \(cycle 1000\): slider, joint1: "
+    said = re.match(rf"{where}position is (\S+) now and (\S+) in the journal, and ", refused.stderr)
+    assert said is not None
+    assert float(said[1]) != float(said[2])
+    lenient = command(runtime, "replay", str(short), "--json")
+    assert "the state differs at 1 s" in lenient.stderr
+    assert answer(lenient)["cycles"] == 4000
+
+
+def test_code_of_users_that_draws_random_numbers_is_found(tmp_path: Path, journal_file: Path) -> None:
+    file = tmp_path / "spring.py"
+    text = SPRING.replace("from slidectl", "import random\nfrom slidectl").replace(
+        "{stiffness}", "random.uniform(1, 90)"
+    )
+    file.write_text(text, "utf-8")
+    with recorded(journal_file) as world, world.client() as client:
+        spawn(client, "slider")
+        load_spring(client, file)
+        client.call("/slidectl/step", {"cycles": 1000})
+    with pytest.raises(ReplayDiffers, match=r"at 1 s .*slider, joint1: position.*\n.*random numbers"):
+        replayed(journal_file)
