@@ -52,7 +52,7 @@ def status_text(answer: dict[str, Any]) -> str:
         **({"estop": f"on: {' '.join(answer['estop'])}"} if answer["estop"] else {}),
         "controllers": f"{answer['controllers']} loaded, {answer['controllers_running']} running",
         "connections": str(answer["connections"]),
-        **({"journal": _journal_text(answer)} if answer["journal"] else {}),
+        **({"journal": _journal_text(answer)} if answer.get("journal") else {}),
         "memory": f"{answer['memory'] / 2**20:.0f} MiB",
         "daemon": f"{answer['version']}, {answer['instance']}, process {answer['pid']}, up {answer['uptime']:.0f} s",
     }
