@@ -39,8 +39,9 @@ types: $(STAMP)  ## mypy, strict
 bench: $(STAMP)  ## measure; prints a table and writes benchmarks/results/*.json
 	@$(BIN)/python -m benchmarks $(ARGS)
 
-examples: $(STAMP)  ## run every script of examples/
+examples: $(STAMP)  ## run every script and every scenario of examples/
 	@PATH="$(CURDIR)/$(BIN):$$PATH" bash examples/run_all.sh
+	@$(BIN)/slidectl test examples/scenarios
 
 docs: $(STAMP)  ## the documentation as a site, in build/site
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'

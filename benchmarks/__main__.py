@@ -32,6 +32,7 @@ NAMES = (
     "streams",
     "recordings",
     "journals",
+    "scenarios",
     "spawns",
     "compare",
 )

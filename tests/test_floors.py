@@ -18,7 +18,8 @@ FLOORS = {
     "physics": 2, "launch": 2,
     "simulation": 3, "check": 3,
     "daemon": 4,
-    "cli": 5,
+    "scenarios": 5,
+    "cli": 6,
 }  # fmt: skip
 
 # Beside each other, and all the same one of them is below the other.
@@ -49,6 +50,7 @@ FORBIDDEN = {
     "launch": {"asyncio", "click", "mujoco", "socket", "threading"},
     "check": {"click", "mujoco", "socket"},
     "daemon": {"click", "asyncio", "threading"},
+    "scenarios": {"asyncio", "click", "mujoco", "socket"},
     "cli": {"mujoco", "asyncio"},
 }
 
@@ -69,6 +71,7 @@ CLI_MAY_TAKE = {
     "daemon",
     "check",
     "launch",
+    "scenarios",
     "cli",
 }
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from time import monotonic
 from typing import Any, NamedTuple
 
 import click
@@ -104,7 +103,7 @@ def follow(stream: Stream, keep: Keep, write: Write, count: int | None, patience
     """Print messages until so many are printed or the stream ends. Raises TimedOut when none comes for `patience` s."""
     printed = 0
     while printed != count:
-        event = stream.next(math.inf if patience is None else monotonic() + patience)
+        event = stream.next(math.inf if patience is None else stream.monotonic() + patience)
         if event is None and stream.ended:
             return
         if event is None:

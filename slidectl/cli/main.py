@@ -78,6 +78,7 @@ COMMANDS = {
     "srv": Entry("Topics, services, parameters", "msg", "Show service types."),
     "ros": Entry("The ROS commands", "ros.command", "Run a ROS command word for word."),
     "ros-commands": Entry("The ROS commands", "ros.command", "Print shell functions named as the ROS commands."),
+    "test": Entry("slidectl", "test", "Run scenarios: files of steps, held to what they say."),
     "shell": Entry("slidectl", "shell", "Run many commands in one process."),
     "doctor": Entry("slidectl", "doctor", "Look whether slidectl can run here."),
     "completion": Entry("slidectl", "completion", "Print the completion script of a shell."),
@@ -258,7 +259,7 @@ def _report(error: Exception, context: Context, words: Sequence[str]) -> int:
         import traceback
 
         traceback.print_exception(error)
-    message, hint, code = _described(error)
+    message, hint, code = described(error)
     # Of a command line that cannot be read, the option may not have been reached.
     as_json = isinstance(error, click.UsageError) and "--json" in words and words[0] != "ros"
     with suppress(OSError):  # stderr may be a full disk, and the exit code is all that is left then
@@ -271,7 +272,7 @@ def _report(error: Exception, context: Context, words: Sequence[str]) -> int:
     return code
 
 
-def _described(error: Exception) -> tuple[str, str | None, int]:
+def described(error: Exception) -> tuple[str, str | None, int]:
     """What failed, what to do next (if that is known), and the exit code of an error."""
     if isinstance(error, OSError) and error.errno in NoDescriptors.ERRNOS:
         error = NoDescriptors("slidectl")

@@ -9,7 +9,6 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice, repeat
-from time import monotonic
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
@@ -264,7 +263,7 @@ class Publication:
         """
         previous: Values | None = None
         template: Template | None = None
-        self._began = monotonic()
+        self._began = self._ctx.client.monotonic()
         for index, values in enumerate(sources):
             if values is not previous:
                 template, previous = template_of(self._target.schema, values, self._rate is not None), values
@@ -275,8 +274,8 @@ class Publication:
         """Stay connected, so that a latched message stays. Raises TimedOut after `--timeout`, NoDaemon."""
         self._ctx.say(f"{self._target.topic} is latched; Ctrl-C ends it")
         limit = self._ctx.wait_limit(math.inf)
-        deadline = monotonic() + limit
-        while (left := deadline - monotonic()) > 0:
+        deadline = self._ctx.client.monotonic() + limit
+        while (left := deadline - self._ctx.client.monotonic()) > 0:
             next(self._ctx.client.events(left), None)
         raise TimedOut(f"{self._target.topic} was latched for {limit:g} s")
 
@@ -285,10 +284,10 @@ class Publication:
         if self._rate is None:
             return
         due = self._began + index / self._rate
-        late = monotonic() - due
+        late = self._ctx.client.monotonic() - due
         if late > _FELL_BEHIND_S:
             self._began += late
-        while (left := due - monotonic()) > 0:
+        while (left := due - self._ctx.client.monotonic()) > 0:
             next(self._ctx.client.events(left), None)
 
     def _send(self, values: Values, template: Template | None) -> None:
@@ -296,7 +295,7 @@ class Publication:
         message = fill(self._fields_of, target.type, values, now(self._ctx, template))
         client.deliver(target.topic, message, self._type, self._latch)
         self.published += 1
-        self._latest = monotonic()
+        self._latest = client.monotonic()
         for reason in client.reasons:  # what the subscribers say of a message that they took; the same words once
             if reason not in self._told and len(self._told) < _MOST_TOLD:
                 self._told.add(reason)

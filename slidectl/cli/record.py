@@ -11,7 +11,6 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -326,18 +325,18 @@ class _Recorder:
         Raises:
             Refused: the file cannot be written. NoDaemon.
         """
-        flush_at = monotonic() + _FLUSH_EVERY_S
         client = self._ctx.client
+        flush_at = client.monotonic() + _FLUSH_EVERY_S
         try:
             with self._status() as tell:
                 while not is_over() and not self._is_done():
-                    look_at = monotonic() + _LOOK_EVERY_S
-                    while (left := look_at - monotonic()) > 0 and not is_over() and not self._is_done():
+                    look_at = client.monotonic() + _LOOK_EVERY_S
+                    while (left := look_at - client.monotonic()) > 0 and not is_over() and not self._is_done():
                         next(client.events(left), None)
                     self._look_for_topics()
-                    if monotonic() >= flush_at:
+                    if client.monotonic() >= flush_at:
                         self._flush()
-                        flush_at = monotonic() + _FLUSH_EVERY_S
+                        flush_at = client.monotonic() + _FLUSH_EVERY_S
                     tell()
             if is_over():  # what was published up to now is on its way
                 client.call("/rosapi/get_time")

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from time import monotonic
 from typing import Any, NamedTuple
 
 import click
@@ -201,7 +200,7 @@ class Listener:
 
     def listen(self, enough: Callable[[Frames], bool]) -> None:
         """Until it is enough, all frames have come, or `--timeout` (3 s) is over."""
-        deadline = monotonic() + self._ctx.wait_limit(PATIENCE_S)
+        deadline = self._stream.monotonic() + self._ctx.wait_limit(PATIENCE_S)
         # Its answer comes after all that a world that stands still has to tell.
         self._is_still = self._ctx.call("/slidectl/status")["paused"]
         while not enough(self.frames) and not self._is_complete():
@@ -211,10 +210,10 @@ class Listener:
             self._take(event.topic, event.message)
 
     def until(self, deadline: float) -> None:
-        """Take in what comes until then (`time.monotonic()`)."""
+        """Take in what comes until then (on the stream's clock)."""
         while (event := self._stream.next(deadline)) is not None:
             self._take(event.topic, event.message)
-            if monotonic() >= deadline:
+            if self._stream.monotonic() >= deadline:
                 return
 
     def find(self, *wanted: str) -> list[str]:
@@ -321,7 +320,7 @@ def echo(ctx: Context, reference: str, target: str, count: int | None, follow: b
     with stream:
         listener = Listener(ctx, stream, topics)
         listener.listen(lambda frames: ctx.namespace == "/" and frames.are_connected(reference, target))
-        due = monotonic()
+        due = stream.monotonic()
         reference, target = listener.find(reference, target)
         while True:
             _tell(ctx, reference, target, listener.frames.look_up(reference, target))

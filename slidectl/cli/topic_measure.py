@@ -227,7 +227,7 @@ def measure(
     left = math.inf if reports is None else reports
     with stream:
         say("\n".join(f"subscribed to [{topic}]" for topic in by_topic))
-        heard = monotonic()
+        heard = stream.monotonic()
         period = math.inf if once_at_end and reports is None else _REPORT_PERIOD_S
         due = heard + period
         try:
@@ -235,10 +235,10 @@ def measure(
                 event = stream.next(min(due, heard + patience))
                 if event is not None:
                     by_topic[event.topic].take(event)
-                    heard = monotonic()
-                elif monotonic() >= heard + patience:
+                    heard = stream.monotonic()
+                elif stream.monotonic() >= heard + patience:
                     raise TimedOut(f"no message came for {patience:g} s")
-                if monotonic() >= due or stream.ended:
+                if stream.monotonic() >= due or stream.ended:
                     due += period
                     left -= 1
                     _report(ctx, meters, text)

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
-from time import monotonic
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -144,7 +143,7 @@ class Stream:
             self._sleep = self._client.call_async("/slidectl/sleep", {"duration": self._sim_seconds})
         for topic in topics:
             self._subscriptions.append(self._client.subscribe(topic))
-        self._doubt = monotonic() + _SILENCE_S
+        self._doubt = self.monotonic() + _SILENCE_S
         return self
 
     def __exit__(
@@ -157,13 +156,13 @@ class Stream:
             self._ctx.warn(f"{dropped} messages were dropped: they came faster than they were read")
 
     def next(self, deadline: float = math.inf) -> Event | None:
-        """The next message, or None: at the deadline (`time.monotonic()`), or at the end, when `ended` is true.
+        """The next message, or None: at the deadline (of `monotonic`), or at the end, when `ended` is true.
 
         Raises:
             NoDaemon: the daemon went away. Refused: the wait for the simulated time failed. ClosedPipe.
         """
         while not self._take_in() and not self.ended:
-            now = monotonic()
+            now = self.monotonic()
             if self._sleep is not None and self._client.is_answered(self._sleep):
                 self._client.answer(self._sleep)
                 self.ended = True
@@ -174,6 +173,10 @@ class Stream:
                 self._ask_why(now)
                 next(self._client.events(max(0.0, min(deadline, self._doubt, self._look_at) - now)), None)
         return self._queue.popleft() if self._queue else None
+
+    def monotonic(self) -> float:
+        """The clock of deadlines."""
+        return self._client.monotonic()
 
     @property
     def is_drained(self) -> bool:
@@ -186,7 +189,7 @@ class Stream:
             while len(subscription):
                 message = subscription.get()
                 if self._doubt < math.inf:
-                    self._doubt = monotonic() + _SILENCE_S
+                    self._doubt = self.monotonic() + _SILENCE_S
                 if self._with_clock and subscription.topic == CLOCK:
                     self.time_ns = nanoseconds(message["clock"])
                 if subscription.topic in self._topics:

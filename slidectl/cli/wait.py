@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sys
 from contextlib import suppress
-from time import monotonic
 from typing import Any
 
 import click
@@ -79,7 +78,7 @@ def wait(
     robots.warn_stopped(ctx, status["estop"])
     if status["paused"]:
         ctx.say(f"{paused(status)}; this waits until it goes on: {way_on(status)}")
-    deadline = monotonic() + limit
+    deadline = ctx.client.monotonic() + limit
     try:
         if output.is_terminal(sys.stderr) and not ctx.quiet and not ctx.client.is_answered(call):
             from slidectl.field_path import select
@@ -87,7 +86,7 @@ def wait(
             _Progress(ctx, request, select(found.schema.fields, found.type, found.field)).show(
                 call, deadline, status["time"]
             )
-        answer = ctx.client.answer(call, timeout=max(0.0, deadline - monotonic()))
+        answer = ctx.client.answer(call, timeout=max(0.0, deadline - ctx.client.monotonic()))
     except TimedOut as error:
         text = f"{_where(request)} was not {_expected(request)} within {limit:g} s of wall time"
         raise TimedOut(text, error.hint) from None
@@ -106,7 +105,7 @@ class _Progress:
         self._closest: Any = None
 
     def show(self, call: str, deadline: float, since: float) -> None:
-        """Until the call is answered, or the deadline (`time.monotonic()`). `since` is the simulated time of its begin.
+        """Until the call is answered, or the deadline (on the client's clock). `since` is its simulated begin.
 
         The line is gone then: what became of it is said elsewhere.
         """
@@ -115,10 +114,10 @@ class _Progress:
 
         client, console, time = self._client, Console(stderr=True, highlight=False), since
         with self._topic, console.status(Text(self._text(0.0)), spinner="line") as status:
-            while not client.is_answered(call) and monotonic() < deadline:
+            while not client.is_answered(call) and client.monotonic() < deadline:
                 clock = client.call_async("/rosapi/get_time")
-                look_at = min(monotonic() + _LOOK_EVERY_S, deadline)
-                while not client.is_answered(call) and (left := look_at - monotonic()) > 0:
+                look_at = min(client.monotonic() + _LOOK_EVERY_S, deadline)
+                while not client.is_answered(call) and (left := look_at - client.monotonic()) > 0:
                     next(client.events(left), None)
                 if client.is_answered(clock):
                     time = nanoseconds(client.answer(clock)["time"]) / 1e9

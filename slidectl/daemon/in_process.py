@@ -96,7 +96,7 @@ class InProcessWorld:
         try:
             while not connection.has_lines and not self.stopping and self._wall_s < deadline:
                 if not self._look_after_others():
-                    self._go_on(deadline)
+                    self._go_on(min([deadline, *(one.due_s for one in self.connections if one.on_lines)]))
         finally:
             self._waiting.pop()
 
@@ -152,9 +152,11 @@ class InProcessWorld:
     def _look_after_others(self) -> bool:
         """Those who take what comes have their turn. True when somebody had something."""
         self.publications.fresh.clear()
-        ready = [one for one in self.connections if one.on_lines and one.has_lines and one not in self._waiting]
+        listening = [one for one in self.connections if one.on_lines and one not in self._waiting]
+        ready = [one for one in listening if one.has_lines or one.due_s <= self._wall_s]
         for connection in ready:
-            if connection.on_lines is not None:
+            if connection.on_lines is not None:  # one before it may have ended it
+                connection.due_s = math.inf
                 connection.on_lines()
         return bool(ready)
 
@@ -191,7 +193,8 @@ class _NotedPublications(Publications):
         super().note(channel)
         for reader in channel.readers:
             assert isinstance(reader, InProcessConnection)
-            self._world.note_news(reader)
+            if reader.is_prompt:
+                self._world.note_news(reader)
 
 
 class InProcessConnection:
@@ -205,6 +208,10 @@ class InProcessConnection:
         self._incoming = LineBuffer()
         self.on_lines: Callable[[], object] | None = None
         """Called between two cycles when something has come while another one waits. None: it lies until it is read."""
+        self.is_prompt = True
+        """Whether messages of topics end a slice of cycles for it, as answers do."""
+        self.due_s = math.inf
+        """When it is called on the world's clock although nothing has come."""
         graph = world.simulation.graph
         self.session = Session(self, graph, world.publications, world.unexpected, node, os.getsid(0), world.journal)
         self.outbox = Outbox(self.session.report, world.publications)

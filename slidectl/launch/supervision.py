@@ -49,7 +49,10 @@ class Interrupts:
     def __enter__(self) -> Interrupts:
         # `nohup` has programs ignore SIGHUP, the end of the terminal; so it stays.
         ignored = [signal.SIGHUP] if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else []
-        self._previous = {number: signal.signal(number, self._take) for number in SIGNALS if number not in ignored}
+        with suppress(ValueError):  # in a thread, which hears none: whoever began it ends it
+            for number in SIGNALS:
+                if number not in ignored:
+                    self._previous[number] = signal.signal(number, self._take)
         self._hook, sys.unraisablehook = sys.unraisablehook, self._unraisable
         return self
 

@@ -1,0 +1,292 @@
+"""`slidectl test`: runs scenarios, and tells what became of them.
+
+Reading, checking and running them is slidectl.scenarios'.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from slidectl.cli import completion, output
+from slidectl.cli.commands import command, positive_seconds, simulated_seconds
+from slidectl.cli.context import Context
+from slidectl.errors import EXIT_INTERRUPTED, EXIT_REFUSED, BadFile, UsageError
+from slidectl.writing import write_whole
+
+if TYPE_CHECKING:
+    from slidectl.scenarios.case_run import CaseResult
+    from slidectl.scenarios.scenario_file import Case
+    from slidectl.scenarios.step_commands import Commands
+
+TIMEOUT_S = 60.0
+SIM_TIMEOUT_S = 600.0
+_COLOURS = {"passed": "green", "xfailed": "yellow", "failed": "red", "error": "red", "xpassed": "red"}
+_WORDS = re.compile(r"\(|\)|[^\s()]+")
+
+
+@command(
+    examples=[
+        "slidectl test scenarios/",
+        "slidectl test scenarios/slide.yaml --junitxml out.xml",
+        "slidectl test scenarios/ -k 'slider and not slow' --tag nightly -n 2 --maxfail 1",
+        "slidectl test scenarios/slide.yaml::far --keep-failed failed/",
+        "slidectl test scenarios/ --check",
+    ]
+)
+@click.argument("paths", nargs=-1, metavar="FILE|FOLDER|FILE::CASE...", shell_complete=completion.files)
+@click.option(
+    "-n", "--workers", type=click.IntRange(min=1), metavar="N", help="So many at a time; by default one a core."
+)
+@click.option("-k", "--keyword", metavar="EXPR", help="Only cases that have this in their names; and, or, not, ( ).")
+@click.option("--tag", "tags", multiple=True, metavar="TAG", help="Only cases with this tag; may repeat.")
+@click.option("--maxfail", type=click.IntRange(min=1), metavar="N", help="Stop after so many failures.")
+@click.option(
+    "--timeout", type=float, default=TIMEOUT_S, callback=positive_seconds, metavar="S",
+    help="Wall seconds that a case may take (60).",
+)  # fmt: skip
+@click.option(
+    "--sim-timeout", type=float, default=SIM_TIMEOUT_S, callback=simulated_seconds, metavar="S",
+    help="Simulated seconds that a case may take (600).",
+)  # fmt: skip
+@click.option("--list", "only_list", is_flag=True, help="List the cases, and run nothing.")
+@click.option("--check", "only_check", is_flag=True, help="Check the files, and run nothing.")
+@click.option(
+    "--junitxml", metavar="FILE", shell_complete=completion.files, help="Write the results as JUnit XML, too."
+)
+@click.option("--keep-failed", metavar="FOLDER", help="Keep a recording of each case that fails, in this folder.")
+@click.option("--daemon", "live", is_flag=True, help="Run in the daemon of -i, which holds no robots, one at a time.")
+@click.option("--schema", is_flag=True, help="Print the JSON schema of scenarios.")
+@click.pass_context
+def test(
+    click_context: click.Context,
+    paths: tuple[str, ...],
+    workers: int | None,
+    keyword: str | None,
+    tags: tuple[str, ...],
+    maxfail: int | None,
+    timeout: float,
+    sim_timeout: float,
+    only_list: bool,
+    only_check: bool,
+    junitxml: str | None,
+    keep_failed: str | None,
+    live: bool,
+    schema: bool,
+) -> None:
+    """Run scenarios: files of steps, held to what they say.
+
+    Each case runs in a process and a world of its own, without a daemon, as fast as the machine can, and gives the same
+    bits on every run. All files are checked before anything runs. A folder means all .yaml and .yml files below it.
+    Exits 0 when all passed or failed as known (xfail), 1 when something failed, and 2 when a file is wrong or nothing
+    was chosen. Ctrl-C ends what runs, with its teardown, and reports what ran (130). JSON keys: id, verdict, sim_time,
+    wall_time, steps, step, section, line, message, hint, detail, failed_at, log, kept.
+    """
+    ctx: Context = click_context.obj
+    from slidectl.cli.step_runner import StepRunner
+
+    commands = StepRunner()
+    if schema:
+        from slidectl.scenarios.scenario_schema import FILE
+
+        output.write(FILE.read_text("utf-8"))
+        return
+    if not paths:
+        raise UsageError("which scenarios?", "slidectl test FILE or FOLDER")
+    cases = _chosen(_read(ctx, paths, commands), keyword, tags)
+    if only_check:
+        ctx.say(f"{_count(len(cases), 'case')} checked, nothing wrong")
+        return
+    if not cases:
+        raise UsageError("no case is left", "see which there are: slidectl test --list " + " ".join(paths))
+    if only_list:
+        rows = [
+            {"id": case.id, "tags": list(case.tags), "xfail": case.xfail, "steps": len(case.steps)} for case in cases
+        ]
+        if ctx.format == "text":
+            output.write("\n".join(case.id for case in cases))
+        else:
+            ctx.emit_rows(rows, ["id", "tags", "xfail", "steps"])
+        return
+    results, interrupted = _run(ctx, cases, commands, workers, timeout, sim_timeout, maxfail, keep_failed, live)
+    if junitxml is not None:
+        from slidectl.scenarios.junit import junit
+
+        try:
+            write_whole(junitxml, junit(cases, results).decode())
+        except OSError as error:
+            raise BadFile(f"cannot be written: {error.strerror or error}", junitxml) from None
+    failed = _tell(ctx, cases, results)
+    if interrupted:
+        click_context.exit(EXIT_INTERRUPTED)
+    if failed:
+        click_context.exit(EXIT_REFUSED)
+
+
+# --- which ----------------------------------------------------------------------------------------------------------
+
+
+def _read(ctx: Context, paths: Sequence[str], commands: Commands) -> list[Case]:
+    """The cases of all files. Raises BadFile with all that is wrong."""
+    from slidectl.scenarios import scenario_file
+
+    slips: list[BadFile] = []
+    cases: list[Case] = []
+    for file, wanted in scenario_file.find(paths):
+        found = scenario_file.read(file, commands, slips)
+        mine = [case for case in found if not wanted or case.name == wanted]
+        if found and not mine:
+            known = ", ".join(case.name for case in found)
+            slips.append(BadFile(f"has no case {wanted!r}", file, hint=f"cases: {known}"))
+        cases += [case for case in mine if case not in cases]
+    if not slips:
+        return cases
+    if ctx.format == "json":
+        for slip in slips:
+            ctx.emit({"file": slip.file, "line": slip.line, "error": slip.reason, "hint": slip.hint})
+    more = "\n".join(map(str, slips[1:]))
+    hint = "\n".join(filter(None, [slips[0].hint, more]))
+    error = BadFile(slips[0].reason, slips[0].file, slips[0].line, hint or None)
+    raise error
+
+
+def _chosen(cases: Sequence[Case], keyword: str | None, tags: Sequence[str]) -> list[Case]:
+    fits = (lambda _: True) if keyword is None else _keyword(keyword)
+    known = {tag for case in cases for tag in case.tags}
+    for tag in tags:
+        if tag not in known:
+            from slidectl.errors import UnknownName
+
+            raise UnknownName("tag", tag, sorted(known))
+    return [case for case in cases if fits(case) and (not tags or set(tags) & set(case.tags))]
+
+
+def _keyword(text: str) -> Callable[[Case], bool]:
+    """The test of `-k`: words that a case's id, name or tags hold, with and, or, not. Raises UsageError."""
+    words = _WORDS.findall(text)
+
+    def fits(case: Case) -> bool:
+        name = " ".join([case.id, case.scenario, *case.tags]).lower()
+        kept = ("and", "or", "not", "(", ")")
+        return bool(eval(" ".join(word if word in kept else str(word.lower() in name) for word in words)))
+
+    try:
+        compile(" ".join(word if word in ("and", "or", "not", "(", ")") else "x" for word in words), "-k", "eval")
+    except SyntaxError:
+        raise UsageError(f"-k takes words with and, or, not and ( ), not {text!r}") from None
+    return fits
+
+
+# --- running --------------------------------------------------------------------------------------------------------
+
+
+def _run(
+    ctx: Context,
+    cases: Sequence[Case],
+    commands: Commands,
+    workers: int | None,
+    timeout: float,
+    sim_timeout: float,
+    maxfail: int | None,
+    keep_failed: str | None,
+    live: bool,
+) -> tuple[list[CaseResult], bool]:
+    """The results of those that ran, and whether Ctrl-C ended it."""
+    from slidectl.scenarios import live as daemon_stage
+    from slidectl.scenarios import stages
+    from slidectl.scenarios.case_run import BAD
+    from slidectl.scenarios.workers import WorkerPool
+
+    ctx.close()
+    stage = daemon_stage.Live(ctx.paths.socket_text) if live else stages.InProcess()
+    stage.warm(cases, commands)
+    runner = stages.CaseRuns(commands, stage, sim_timeout, keep_failed)
+    count = 1 if live else workers or len(os.sched_getaffinity(0))
+    results: list[CaseResult] = []
+    failures = 0
+    with _progress(ctx, len(cases)) as advance, WorkerPool(runner.run, count, timeout) as pool:
+        try:
+            for result in pool.results(cases):
+                results.append(result)
+                advance(result)
+                failures += result.verdict in BAD
+                if maxfail is not None and failures >= maxfail:
+                    results += pool.ended()
+                    break
+        except KeyboardInterrupt:
+            results += pool.ended()
+            return results, True
+    return results, False
+
+
+@contextmanager
+def _progress(ctx: Context, total: int) -> Iterator[Callable[[CaseResult], None]]:
+    """A bar on a terminal."""
+    if not output.is_terminal(sys.stderr) or ctx.quiet:
+        yield lambda _: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from slidectl.scenarios.case_run import BAD
+
+    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
+    with Progress(*columns, console=Console(stderr=True, highlight=False), transient=True) as bar:
+        task = bar.add_task("", total=total)
+        failures = Counter[str]()
+
+        def advance(result: CaseResult) -> None:
+            failures[result.verdict] += result.verdict in BAD
+            text = ", ".join(f"{count} {verdict}" for verdict, count in failures.items() if count)
+            bar.update(task, advance=1, description=text)
+
+        yield advance
+
+
+# --- telling --------------------------------------------------------------------------------------------------------
+
+
+def _tell(ctx: Context, cases: Sequence[Case], results: Sequence[CaseResult]) -> int:
+    """Print the results in the order of the cases. Returns how many failed."""
+    from slidectl.scenarios.case_run import BAD
+    from slidectl.scenarios.junit import told
+
+    by_id = {result.id: result for result in results}
+    ran = [(case, by_id[case.id]) for case in cases if case.id in by_id]
+    failures = [(case, result) for case, result in ran if result.verdict in BAD]
+    rows: list[dict[str, Any]] = [
+        result.as_dict() | {"sim_time": round(result.sim_time, 9), "wall_time": round(result.wall_time, 3)}
+        for _, result in ran
+    ]
+    if ctx.format != "text":
+        ctx.emit_rows(rows, ["id", "verdict", "sim_time", "wall_time", "message"])
+        return len(failures)
+    if not ctx.quiet:
+        output.write(
+            output.table([{"case": row.pop("id"), **row} for row in rows], ["case", "verdict", "sim_time", "wall_time"])
+        )
+    for case, result in failures:
+        output.write(
+            "\n"
+            + "\n".join([f"{result.verdict.upper()} {case.id}", *(f"  {line}" for line in _lines(told(case, result)))])
+        )
+    counts = Counter(result.verdict for _, result in ran)
+    text = ", ".join(f"{counts[verdict]} {verdict}" for verdict in _COLOURS if counts[verdict])
+    missing = len(cases) - len(ran)
+    output.write(f"\n{text or 'nothing ran'}" + (f", {missing} not run" if missing else ""))
+    return len(failures)
+
+
+def _lines(texts: Sequence[str]) -> list[str]:
+    return [line for text in texts for line in text.splitlines()]
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"

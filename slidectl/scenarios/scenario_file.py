@@ -1,0 +1,451 @@
+"""Scenario files: YAML into cases with their steps, and every slip with file and line before anything runs.
+
+The tables of keys here are what the check, the JSON schema and the documentation are made from.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import shlex
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+
+from slidectl.description import yaml_tree
+from slidectl.errors import BadFile, SlidectlError, UsageError, closest
+from slidectl.scenarios.step_commands import Commands, as_word, split, words_of
+
+SUFFIXES = (".yaml", ".yml")
+SECTIONS = ("setup", "steps", "teardown")
+TEMPORARY = "${tmp}"
+"""Stands in words for the folder of the running case, which is not known before it runs."""
+_VARIABLE = re.compile(r"\$(\$)?\{([^}]*)\}")
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
+_MOST_NODES = 100_000
+_GIVEN = ("dir", "tmp")
+"""Variables that every scenario has."""
+
+
+class Key(NamedTuple):
+    """A key of a file: of which kind its value is, and what it is for."""
+
+    kind: str
+    help: str
+
+
+SCENARIO_KEYS = {
+    "name": Key("text", "What the scenario is called; by default the name of the file."),
+    "description": Key("text", "What it is for."),
+    "tags": Key("texts", "Words to choose scenarios by, with --tag."),
+    "vars": Key("mapping", "Variables with their values, for ${name} in steps."),
+    "cases": Key("cases", "One case a row: variables with their values, and name, tags and xfail of the case."),
+    "world": Key("world", "The world that it begins with."),
+    "timeout": Key("seconds", "Wall seconds that a case may take, instead of --timeout."),
+    "sim_timeout": Key("seconds", "Simulated seconds that a case may take, instead of --sim-timeout."),
+    "xfail": Key("text", "Why it is known to fail: then a failure is as expected, and to pass is a failure."),
+    "setup": Key("steps", "Steps that come first; where one fails, the scenario could not be tried."),
+    "steps": Key("steps", "What is tried, in order; the first failure ends it."),
+    "teardown": Key("steps", "Steps that run at the end, whatever happened."),
+}
+CASE_KEYS = {name: SCENARIO_KEYS[name] for name in ("name", "tags", "xfail")}
+WORLD_KEYS = {
+    "timestep": Key("seconds", "Seconds of a cycle (0.001)."),
+    "gravity": Key("vector", "m/s² along x, y and z ([0, 0, -9.8])."),
+    "ground": Key("flag", "Whether there is a floor at height 0 (true)."),
+    "engine": Key("engine", "Who runs the cycles: auto, plain or compiled; the results are the same."),
+    "imports": Key("texts", "Modules, or files FILE.py, with controllers and hardware of your own."),
+    "paused": Key("flag", "Whether it stands still until a step lets it go on (false)."),
+}
+STEP_KEYS = {
+    "at": Key("time", "Simulated time at which the step begins, s; alone it only waits for that time."),
+    "within": Key("seconds", "Simulated seconds that the step may take."),
+    "background": Key("flag", "Go on with the next step meanwhile; it is ended with the case."),
+    "fails": Key("failure", "The command must fail: true, or a text that its message holds."),
+}
+
+
+@dataclass(frozen=True)
+class Step:
+    """A command line, and when. Without words it only waits for the time `at`."""
+
+    words: tuple[str, ...]
+    line: int
+    section: str
+    at: float | None = None
+    within: float | None = None
+    background: bool = False
+    fails: bool | str = False
+
+    @property
+    def text(self) -> str:
+        """As one would type it."""
+        return shlex.join(self.words) if self.words else f"at: {self.at:g}"
+
+
+@dataclass(frozen=True)
+class Case:
+    """One run: a scenario with one row of its table."""
+
+    file: str
+    name: str
+    """Of the case; empty where the scenario has no table."""
+    scenario: str
+    tags: tuple[str, ...] = ()
+    world: Mapping[str, Any] = field(default_factory=dict)
+    timeout: float | None = None
+    sim_timeout: float | None = None
+    xfail: str = ""
+    steps: tuple[Step, ...] = ()
+
+    @property
+    def id(self) -> str:
+        """What chooses it on the command line."""
+        return f"{self.file}::{self.name}" if self.name else self.file
+
+
+def find(words: Sequence[str]) -> list[tuple[str, str]]:
+    """The files that FILE, FOLDER and FILE::CASE mean, each with the case (empty: all). Raises BadFile."""
+    found: list[tuple[str, str]] = []
+    for word in words:
+        path, _, case = word.partition("::")
+        if os.path.isdir(path):
+            inside = sorted(str(file) for suffix in SUFFIXES for file in Path(path).rglob(f"*{suffix}"))
+            if not inside:
+                raise BadFile("holds no scenario", path, hint=f"scenarios are files that end with {SUFFIXES[0]}")
+            found += [(file, "") for file in inside]
+        else:
+            found.append((path, case))
+    return list(dict.fromkeys(found))
+
+
+def read(file: str, commands: Commands, slips: list[BadFile]) -> list[Case]:
+    """The cases of a file; everything that is wrong with it is added to `slips`."""
+    reader = _Reader(file, commands, slips)
+    try:
+        text = Path(file).read_bytes()
+        documents = yaml_tree.documents(text, file, yaml.SafeLoader)
+    except OSError as error:
+        slips.append(BadFile(error.strerror or str(error), file))
+        return []
+    except BadFile as error:
+        slips.append(error)
+        return []
+    if len(documents) != 1:
+        line = documents[1].start_mark.line + 1 if documents else None
+        what = "a second document: one scenario a file" if documents else "is empty"
+        slips.append(BadFile(what, file, line))
+        return []
+    return reader.cases(documents[0])
+
+
+Path_ = tuple[str | int, ...]
+
+
+class _Reader:
+    """One file. Values are found by their path, and so are their lines."""
+
+    def __init__(self, file: str, commands: Commands, slips: list[BadFile]) -> None:
+        self._file = file
+        self._commands = commands
+        self._slips = slips
+        self._lines: dict[Path_, int] = {}
+        self._loader = yaml.SafeLoader("")
+        self._nodes = 0
+        self._checked: dict[tuple[str, ...], SlidectlError | None] = {}
+
+    def _slip(self, path: Path_, message: str, hint: str | None = None) -> None:
+        while path and path not in self._lines:
+            path = path[:-1]
+        slip = BadFile(message, self._file, self._lines.get(path), hint)
+        if str(slip) not in map(str, self._slips):  # each case of a table has the same
+            self._slips.append(slip)
+
+    def _value(self, node: yaml.Node, path: Path_) -> Any:
+        """What a node stands for. Raises BadFile."""
+        line = self._lines[path] = node.start_mark.line + 1
+        self._nodes += 1
+        if self._nodes > _MOST_NODES or len(path) > yaml_tree.DEEPEST:
+            raise BadFile("is too large, or nested too deeply", self._file, line)
+        if isinstance(node, yaml.MappingNode):
+            self._loader.flatten_mapping(node)
+            found: dict[str, Any] = {}
+            for key, value in node.value:
+                name = str(key.value)
+                if name in found:
+                    self._slip((*path, name), f"{name!r} stands here twice")
+                found[name] = self._value(value, (*path, name))
+                self._lines[(*path, name)] = key.start_mark.line + 1
+            return found
+        if isinstance(node, yaml.SequenceNode):
+            return [self._value(item, (*path, index)) for index, item in enumerate(node.value)]
+        value = self._loader.construct_object(node)
+        return value if value is None or isinstance(value, bool | int | float | str) else node.value
+
+    def cases(self, node: yaml.Node) -> list[Case]:
+        try:
+            tree = self._value(node, ())
+        except BadFile as error:
+            self._slips.append(error)
+            return []
+        if not isinstance(tree, dict):
+            self._slip((), "a scenario is a mapping: steps, vars, cases, ...")
+            return []
+        before = len(self._slips)
+        self._check_keys(tree, SCENARIO_KEYS, (), "scenario")
+        if not tree.get("steps"):
+            self._slip((), "a scenario has steps", "steps:\n  - spawn: slider")
+        world = tree.get("world") or {}
+        if isinstance(world, dict):
+            self._check_keys(world, WORLD_KEYS, ("world",), "world")
+        if len(self._slips) > before:
+            return []
+        name = str(tree.get("name") or Path(self._file).stem)
+        base = Case(
+            self._file, "", name, tuple(tree.get("tags") or ()), world, tree.get("timeout"), tree.get("sim_timeout"),
+            tree.get("xfail") or "",
+        )  # fmt: skip
+        variables = dict(tree.get("vars") or {})
+        self._check_names(variables, ("vars",))
+        return [
+            replace(case, steps=tuple(self._steps(tree, row)))
+            for case, row in self._rows(base, tree.get("cases"), variables)
+        ]
+
+    def _rows(self, base: Case, table: Any, variables: dict[str, Any]) -> Iterator[tuple[Case, dict[str, Any]]]:
+        if table is None:
+            yield base, variables
+            return
+        names: set[str] = set()
+        for index, row in enumerate(table):
+            path: Path_ = ("cases", index)
+            own = {key: value for key, value in row.items() if key in CASE_KEYS}
+            given = {key: value for key, value in row.items() if key not in CASE_KEYS}
+            self._check_keys(own, CASE_KEYS, path, "case")
+            self._check_names(given, path)
+            name = str(own.get("name") or "-".join(map(as_word, given.values())) or index + 1)
+            if name in names:
+                self._slip(path, f"a second case {name!r}", "give the cases a name each")
+            names.add(name)
+            tags = (*base.tags, *(own.get("tags") or ()))
+            yield replace(base, name=name, tags=tags, xfail=own.get("xfail") or base.xfail), {**variables, **given}
+
+    def _check_names(self, variables: Mapping[str, Any], path: Path_) -> None:
+        for name in variables:
+            if not _NAME.match(name) or name in _GIVEN:
+                self._slip((*path, name), f"{name!r} is no name for a variable: letters, digits and '_'")
+
+    # --- keys and values ----------------------------------------------------------------------------------------
+
+    def _check_keys(self, given: Mapping[str, Any], known: Mapping[str, Key], path: Path_, what: str) -> None:
+        for name, value in given.items():
+            if name not in known:
+                meant = self._meant(name, known)
+                self._slip((*path, name), f"no field {name!r} in a {what}.{meant}", f"fields: {', '.join(known)}")
+            elif value is not None and (expected := _not(known[name].kind, value)):
+                self._slip((*path, name), f"{name!r} is {expected}, not {as_word(value)}")
+
+    # --- steps --------------------------------------------------------------------------------------------------
+
+    def _steps(self, tree: Mapping[str, Any], variables: Mapping[str, Any]) -> Iterator[Step]:
+        reached = 0.0
+        for section in SECTIONS:
+            for index, content in enumerate(tree.get(section) or ()):
+                path: Path_ = (section, index)
+                try:
+                    step = self._step(content, path, section, variables)
+                except SlidectlError as error:
+                    self._slip(path, error.message, error.hint)
+                    continue
+                if step is None:
+                    continue
+                if step.at is not None:
+                    if step.at < reached:
+                        self._slip((*path, "at"), f"{step.at:g} s is in the past: an earlier step is at {reached:g} s")
+                    reached = step.at
+                elif step.words[:2] == ("sim", "reset") and "--time" in step.words:
+                    reached = 0.0
+                yield step
+
+    def _step(self, content: Any, path: Path_, section: str, variables: Mapping[str, Any]) -> Step | None:
+        """Raises SlidectlError."""
+        if isinstance(content, str):  # a whole command line, as `- sim pause`
+            first, _, rest = content.strip().partition(" ")
+            content = {first: rest or None}
+        content = self._filled(content, variables)
+        own = {key: content[key] for key in content if key in STEP_KEYS}
+        commands = [key for key in content if key not in STEP_KEYS]
+        before = len(self._slips)
+        self._check_keys(own, STEP_KEYS, path, "step")
+        if len(self._slips) > before:
+            return None
+        for key in commands if len(commands) > 1 else ():
+            if key.split()[0] not in self._tops():
+                raise UsageError(f"no field {key!r} in a step.{self._meant(key, STEP_KEYS)}", self._steps_and_fields())
+        if len(commands) != 1 and (commands or "at" not in own):
+            what = f"is {' and '.join(map(repr, commands))}" if commands else "has no command"
+            raise UsageError(f"this step {what}; a step is one command", self._steps_and_fields())
+        line = self._lines.get(path, 1)
+        words = self._words(commands[0], content[commands[0]]) if commands else []
+        within = own.get("within")
+        if words and within is not None and self._has_within(words):
+            words[len(commands[0].split()) : len(commands[0].split())] = ["--within", as_word(within)]
+            own["within"] = None
+        if words:
+            self._check_words((*words,))
+        return Step(
+            tuple(words), line, section, own.get("at"), own.get("within"), own.get("background") or False,
+            own.get("fails") or False,
+        )  # fmt: skip
+
+    def _tops(self) -> list[str]:
+        """The first words of all commands."""
+        return sorted({command.split()[0] for command in self._commands.known})
+
+    def _meant(self, name: str, known: Iterable[str]) -> str:
+        near = closest(name, known)
+        return f" Did you mean {near!r}?" if near else ""
+
+    def _steps_and_fields(self) -> str:
+        return f"steps: {', '.join(self._tops())}; fields: {', '.join(STEP_KEYS)}"
+
+    def _has_within(self, words: Sequence[str]) -> bool:
+        command = next(
+            (found for count in (2, 1) if (found := self._commands.known.get(" ".join(words[:count]))) is not None),
+            None,
+        )
+        return (
+            command is not None
+            and any(option.name == "within" for option in command.options)
+            and not any(word == "--within" or word.startswith("--within=") for word in words)
+        )
+
+    def _words(self, name: str, value: Any) -> list[str]:
+        """The words of a step's command. Raises SlidectlError."""
+        begin = name.split()
+        known = self._commands.known
+        if not begin or begin[0] not in self._tops():
+            meant = self._meant(begin[0] if begin else "", [*self._tops(), *STEP_KEYS])
+            raise UsageError(f"no step {name!r}.{meant}", self._steps_and_fields())
+        if value is None:
+            return begin
+        if isinstance(value, dict):
+            if " ".join(begin) not in known:
+                verbs = [command for command in known if command.split()[0] == begin[0]]
+                raise UsageError(f"{name!r} with options is one of: {', '.join(verbs)}")
+            return begin + words_of(known[" ".join(begin)], value)
+        if isinstance(value, list):
+            return begin + [as_word(item) for item in value]
+        return begin + (value.words if isinstance(value, _Filled) else [as_word(value)])
+
+    def _check_words(self, words: tuple[str, ...]) -> None:
+        if words not in self._checked:
+            try:
+                self._commands.check([word.replace(TEMPORARY, "/tmp") for word in words])
+                self._checked[words] = None
+            except SlidectlError as error:
+                self._checked[words] = error
+        if (known := self._checked[words]) is not None:
+            raise known
+
+    # --- variables ----------------------------------------------------------------------------------------------
+
+    def _filled(self, content: Any, variables: Mapping[str, Any]) -> dict[str, Any]:
+        """A step with the values of its variables. Raises UsageError."""
+        if not isinstance(content, dict):
+            raise UsageError("a step is one command", "a step: - pub: command 1.0")
+
+        def fill(text: str) -> Any:
+            return _fill(text, lambda name: self._variable(name, variables))
+
+        def walk(value: Any) -> Any:
+            if isinstance(value, str):
+                return fill(value)
+            if isinstance(value, dict):
+                return {key: walk(inner) for key, inner in value.items()}
+            return [walk(inner) for inner in value] if isinstance(value, list) else value
+
+        filled: dict[str, Any] = {}
+        for key, value in content.items():
+            if isinstance(value, str) and key not in STEP_KEYS:  # words first: a value is never parted
+                filled[key] = _Filled([as_word(fill(word)) for word in split(value)])
+            else:
+                filled[key] = walk(value)
+        return filled
+
+    def _variable(self, name: str, variables: Mapping[str, Any]) -> Any:
+        if name == "tmp":
+            return TEMPORARY
+        if name == "dir":
+            return os.path.dirname(self._file) or "."
+        if name not in variables:
+            near = closest(name, [*variables, *_GIVEN])
+            meant = f" Did you mean ${{{near}}}?" if near else ""
+            known = ", ".join([*variables, *_GIVEN])
+            raise UsageError(f"no variable {name!r}.{meant}", f"variables: {known}; $${{ stands for ${{ itself")
+        return variables[name]
+
+
+class _Filled(NamedTuple):
+    """The words of a text."""
+
+    words: list[str]
+
+
+def _fill(text: str, value_of: Callable[[str], Any]) -> Any:
+    """The text with its variables; a text that is one variable alone is its value, whatever its type."""
+    whole = _VARIABLE.fullmatch(text)
+    if whole and not whole[1]:
+        return value_of(whole[2])
+    return _VARIABLE.sub(lambda match: match[0][1:] if match[1] else as_word(value_of(match[2])), text)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _all(value: Any, fits: Callable[[Any], bool]) -> bool:
+    return isinstance(value, list) and all(map(fits, value))
+
+
+KINDS: dict[str, tuple[str, Callable[[Any], bool], dict[str, Any]]] = {
+    "text": ("a text", lambda v: isinstance(v, str), {"type": "string"}),
+    "texts": (
+        "a list of texts", lambda v: _all(v, lambda one: isinstance(one, str)),
+        {"type": "array", "items": {"type": "string"}},
+    ),
+    "flag": ("true or false", lambda v: isinstance(v, bool), {"type": "boolean"}),
+    "seconds": (
+        "a number of seconds above 0", lambda v: _is_number(v) and v > 0, {"type": "number", "exclusiveMinimum": 0},
+    ),
+    "time": ("a time of 0 s or more", lambda v: _is_number(v) and v >= 0, {"type": ["number", "string"], "minimum": 0}),
+    "vector": (
+        "three numbers", lambda v: _all(v, _is_number) and len(v) == 3,
+        {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3},
+    ),
+    "engine": (
+        "auto, plain or compiled", lambda v: v in ("auto", "plain", "compiled"),
+        {"enum": ["auto", "plain", "compiled"]},
+    ),
+    "failure": (
+        "true, or a text that the message holds", lambda v: isinstance(v, bool | str), {"type": ["boolean", "string"]},
+    ),
+    "mapping": ("a mapping of names to values", lambda v: isinstance(v, dict), {"type": "object"}),
+    "cases": (
+        "a list of mappings", lambda v: _all(v, lambda one: isinstance(one, dict)),
+        {"type": "array", "items": {"type": "object"}},
+    ),
+    "world": ("a mapping", lambda v: isinstance(v, dict), {"$ref": "#/$defs/world"}),
+    "steps": ("a list of steps", lambda v: isinstance(v, list), {"type": "array", "items": {"$ref": "#/$defs/step"}}),
+}  # fmt: skip
+"""What a value may be: in words, as a test, and in the JSON schema."""
+
+
+def _not(kind: str, value: Any) -> str:
+    """What was expected of a value that is not of the kind; empty when it is."""
+    expected, fits, _ = KINDS[kind]
+    return "" if fits(value) else expected

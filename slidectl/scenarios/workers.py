@@ -1,0 +1,172 @@
+"""Runs cases in processes of their own, several at a time: forks of this one, which has loaded everything already.
+
+A worker says its result on a pipe. What ends it early (a limit, a crash, Ctrl-C) is a result too, and nothing of it is
+left: its folder goes, and it dies with this process.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import json
+import os
+import selectors
+import shutil
+import signal
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from typing import NamedTuple
+
+from slidectl.scenarios.case_run import ERROR, CaseResult, WallTimeUp
+from slidectl.scenarios.scenario_file import Case
+
+_GRACE_S = 5.0
+"""How long a worker that is told to end may take for the teardown."""
+_PR_SET_PDEATHSIG = 1
+_LONGEST_WAIT_S = 1.0
+
+RunCase = Callable[[Case, str], CaseResult]
+"""Runs a case with the folder that is its own."""
+
+
+class _Worker(NamedTuple):
+    case: Case
+    pid: int
+    pipe: int
+    said: bytearray
+    began_s: float
+    folder: str
+
+
+class WorkerPool:
+    """Runs cases, at most `count` at a time. A context manager: leaving it ends what still runs."""
+
+    def __init__(self, run: RunCase, count: int, timeout: float) -> None:
+        self._run = run
+        self._count = count
+        self._timeout = timeout
+        self._running: dict[int, _Worker] = {}
+        self._deadlines: dict[int, float] = {}
+        self._told: dict[int, str] = {}
+        self._selector = selectors.DefaultSelector()
+
+    def __enter__(self) -> WorkerPool:
+        gc.collect()
+        gc.freeze()  # what is there is shared with the workers; looking through it would copy it
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for pipe in list(self._running):
+            self._tell(pipe, "interrupted")
+        while self._running:
+            self._take()
+        self._selector.close()
+        gc.unfreeze()
+
+    def results(self, cases: Sequence[Case]) -> Iterator[CaseResult]:
+        """The results as they come. Who leaves before the end, by `break` or Ctrl-C, finds the rest in `ended`."""
+        waiting = list(reversed(cases))
+        while waiting or self._running:
+            while waiting and len(self._running) < self._count:
+                self._begin(waiting.pop())
+            yield from self._take()
+
+    def ended(self) -> list[CaseResult]:
+        """End those that run, with their teardown, and say what became of them."""
+        found: list[CaseResult] = []
+        for pipe in list(self._running):
+            self._tell(pipe, "interrupted")
+        while self._running:
+            found += self._take()
+        return found
+
+    def _begin(self, case: Case) -> None:
+        folder = tempfile.mkdtemp(prefix="slidectl-test-")
+        reading, writing = os.pipe2(os.O_CLOEXEC)
+        parent = os.getpid()
+        sys.stdout.flush()
+        sys.stderr.flush()
+        with warnings.catch_warnings():
+            warnings.simplefilter(
+                "ignore", DeprecationWarning
+            )  # of threads: those of numpy's algebra have nothing to do
+            pid = os.fork()
+        if pid == 0:
+            _work(self._run, case, folder, writing, parent)
+        os.close(writing)
+        self._running[reading] = _Worker(case, pid, reading, bytearray(), time.monotonic(), folder)
+        self._deadlines[reading] = time.monotonic() + (case.timeout or self._timeout)
+        self._selector.register(reading, selectors.EVENT_READ)
+
+    def _take(self) -> list[CaseResult]:
+        """Wait for something. Returns the results that it brought."""
+        wait_s = min([_LONGEST_WAIT_S, *(until - time.monotonic() for until in self._deadlines.values())])
+        results = []
+        for key, _ in self._selector.select(max(0.0, wait_s)):
+            worker = self._running[key.fd]
+            piece = os.read(key.fd, 1 << 16)
+            worker.said.extend(piece)
+            if not piece:
+                results.append(self._reap(worker))
+        now_s = time.monotonic()
+        for pipe in [pipe for pipe, until in self._deadlines.items() if now_s >= until]:
+            if pipe in self._told:
+                with suppress(ProcessLookupError):
+                    os.kill(self._running[pipe].pid, signal.SIGKILL)
+            else:
+                limit_s = self._running[pipe].case.timeout or self._timeout
+                self._tell(pipe, f"not done within {limit_s:g} s of wall time")
+        return results
+
+    def _tell(self, pipe: int, why: str) -> None:
+        """Tell a worker to end."""
+        self._told.setdefault(pipe, why)
+        self._deadlines[pipe] = time.monotonic() + _GRACE_S
+        with suppress(ProcessLookupError):
+            os.kill(self._running[pipe].pid, signal.SIGTERM)
+
+    def _reap(self, worker: _Worker) -> CaseResult:
+        self._selector.unregister(worker.pipe)
+        os.close(worker.pipe)
+        del self._running[worker.pipe], self._deadlines[worker.pipe]
+        why = self._told.pop(worker.pipe, "")
+        status = os.waitpid(worker.pid, 0)[1]
+        shutil.rmtree(worker.folder, ignore_errors=True)
+        with suppress(ValueError, TypeError):
+            result = CaseResult(**json.loads(worker.said))
+            if why and result.verdict == ERROR:
+                result.message = why
+            return result
+        if os.WIFSIGNALED(status):
+            why = why or f"its process was ended by {signal.Signals(os.WTERMSIG(status)).name}"
+        why = why or f"its process ended with exit code {os.waitstatus_to_exitcode(status)} and no result"
+        return CaseResult(worker.case.id, ERROR, message=why, wall_time=time.monotonic() - worker.began_s)
+
+
+def _work(run: RunCase, case: Case, folder: str, writing: int, parent: int) -> None:
+    """The process: it never returns into the code that it is a fork of."""
+    code = 1
+    try:
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all; who began us tells us
+        signal.signal(signal.SIGTERM, _end)
+        if os.getppid() == parent:
+            result = run(case, folder)
+            with os.fdopen(writing, "wb") as pipe:
+                pipe.write(json.dumps(result.as_dict()).encode())
+            code = 0
+    except BaseException as error:
+        with suppress(OSError), os.fdopen(writing, "wb") as pipe:
+            result = CaseResult(case.id, ERROR, message=f"{type(error).__name__}: {error}")
+            pipe.write(json.dumps(result.as_dict()).encode())
+    finally:
+        os._exit(code)
+
+
+def _end(*_: object) -> None:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # once: the teardown runs then
+    raise WallTimeUp("told to end")

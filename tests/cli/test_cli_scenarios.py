@@ -1,0 +1,267 @@
+"""`slidectl test`: what passes and what fails, what is said of it, and that nothing is left behind."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from command_line import ROOT, CommandLine
+from lxml import etree
+
+from slidectl.cli.step_runner import StepRunner
+from slidectl.scenarios import scenario_schema
+
+Write = Callable[[str, str], Path]
+
+SLIDER = """
+world: {engine: plain}
+setup:
+  - spawn: slider --controllers config/slider_control.yaml --start joint_state_controller joint1_position_controller
+"""
+
+
+def results(slidectl: CommandLine, *words: str) -> dict[str, dict[str, Any]]:
+    """The results of a run as JSON, by the names of the cases."""
+    done = slidectl("test", "--json", *words)
+    assert done.returncode in (0, 1), done.stderr
+    found = [json.loads(line) for line in done.stdout.splitlines()]
+    return {str(result["id"]).rpartition("::")[2]: result for result in found}
+
+
+def test_cases_pass_with_their_variables_at_their_times_and_always_with_the_same_bits(
+    slidectl: CommandLine, write: Write
+) -> None:
+    file = write("goals.yaml", SLIDER + """
+tags: [slow]
+vars: {tolerance: 0.02}
+cases:
+  - {goal: 0.2, name: up}
+  - {goal: -0.2, tags: [low]}
+steps:
+  - {at: 0.5, pub: "command ${goal}"}
+  - wait: {target: "joint_states/position[0]", near: "${goal}", tol: "${tolerance}", for: 0.25}
+    within: 10
+  - {at: 8, wait: "joint_states/position[0] --near ${goal} --tol ${tolerance}", within: 0.1}
+  - sim pause
+  - sim step: 0.5s
+""")  # fmt: skip
+    first = results(slidectl, str(file), "-n", "2")
+    assert {name: result["verdict"] for name, result in first.items()} == {"up": "passed", "-0.2": "passed"}
+    again = results(slidectl, str(file), "-n", "1")
+    timeless = [{key: value for key, value in run["up"].items() if key != "wall_time"} for run in (first, again)]
+    assert timeless[0] == timeless[1]
+    assert 8.5 <= timeless[0]["sim_time"] <= 8.6
+    assert slidectl.ok("test", str(file), "--list").split() == [f"{file}::up", f"{file}::-0.2"]
+    assert slidectl.ok("test", str(file), "--list", "-k", "goals and not up").split() == [f"{file}::-0.2"]
+    assert slidectl.ok("test", str(file), "--list", "--tag", "low").split() == [f"{file}::-0.2"]
+    assert slidectl.ok("test", f"{file}::up", "--list").split() == [f"{file}::up"]
+    assert "no tag 'lwo'. Did you mean 'low'?" in slidectl("test", str(file), "--tag", "lwo").stderr
+    assert slidectl("test", str(file), "-k", "nothing").returncode == 2
+
+
+def test_a_failure_says_what_was_expected_and_how_to_run_it_alone_and_leaves_a_recording(
+    slidectl: CommandLine, write: Write, tmp_path: Path
+) -> None:
+    file = write("far.yaml", SLIDER + """
+cases: [{name: far}, {name: known, xfail: it ends at 1 m}, {name: wrongly known, goal: 0.0, xfail: it never passes}]
+vars: {goal: 1.5}
+steps:
+  - pub: command ${goal}
+  - wait: joint_states/position[0] --near ${goal} --tol 0.1
+    within: 0.5
+teardown:
+  - param set: /torn_down true
+""")  # fmt: skip
+    kept, xml = tmp_path / "kept", tmp_path / "out.xml"
+    done = slidectl("test", str(file), "--keep-failed", str(kept), "--junitxml", str(xml))
+    assert done.returncode == 1
+    said = done.stdout
+    assert f"FAILED {file}::far" in said
+    assert "was not near 1.5 (tolerance 0.1) within 0.5 s" in said
+    assert "expected near 1.5 (tolerance 0.1); closest " in said
+    assert f"{file}:10: steps: wait --within 0.5 'joint_states/position[0]' --near 1.5 --tol 0.1" in said
+    assert f"slidectl test {file}::far" in said
+    assert f"XPASSED {file}::wrongly known\n  it passed, and was known to fail: it never passes" in said
+    assert said.rstrip().endswith("1 xfailed, 1 failed, 1 xpassed")
+    recording = next(path for path in kept.iterdir() if path.stem.endswith("far"))
+    assert "/slider/joint_states" in slidectl.ok("bag", "info", str(recording))
+    schema = etree.XMLSchema(etree.parse(ROOT / "tests" / "data" / "junit.xsd"))
+    document = etree.parse(xml)
+    schema.assertValid(document)
+    suite = document.find("testsuite")
+    assert suite is not None
+    assert [suite.get(key) for key in ("tests", "failures", "skipped")] == ["3", "2", "1"]
+
+
+def test_commands_that_are_to_fail_setups_limits_and_crashes(slidectl: CommandLine, write: Write) -> None:
+    write("fails.yaml", SLIDER + "steps:\n  - {controller load: nothing, fails: no controller 'nothing'}")
+    write("did_not.yaml", SLIDER + "steps:\n  - {controller list: , fails: true}")
+    write("other.yaml", SLIDER + "steps:\n  - {controller load: nothing, fails: a joint}")
+    write("setup.yaml", "world: {engine: plain}\nsetup: [controller load a]\nsteps: [sim status]")
+    write("sim.yaml", "world: {engine: plain}\nsim_timeout: 0.5\nsteps:\n  - wait: /clock/clock --above 3")
+    write("late.yaml", "world: {engine: plain}\nsteps:\n  - sim step: 1s\n  - {at: 0.5, sim status: }")
+    write("still.yaml", "world: {engine: plain, paused: true}\nsteps:\n  - wait: /clock/clock --above 3")
+    write("wall.yaml", "world: {engine: plain}\ntimeout: 1\nsteps:\n  - sim step: 1000000s --timeout 1e9")
+    crash = write("crash.py", "import os\nos._exit(3)")
+    write("crash.yaml", f"world: {{engine: plain, imports: [{crash}]}}\nsteps: [sim status]")
+    found = results(slidectl, str(crash.parent), "-n", "2", "--sim-timeout", "1e8")
+    told = {Path(name).stem: (result["verdict"], result["message"]) for name, result in found.items()}
+    assert told["fails"] == ("passed", "")
+    assert told["did_not"] == ("failed", "it was to fail, and did not")
+    assert told["other"][1].startswith("it failed, but not with 'a joint': no controller 'nothing'")
+    assert told["setup"][0] == "error"
+    assert told["sim"][1].startswith("not done within the 0.5 s of the case of simulated time")
+    assert told["late"] == ("failed", "it is 1 s already, and the step is at 0.5 s")
+    assert "paused" in told["still"][1] + found[next(name for name in found if "still" in name)]["hint"]
+    assert told["wall"] == ("error", "not done within 1 s of wall time")
+    assert told["crash"] == ("error", "its process ended with exit code 3 and no result")
+
+
+def test_every_slip_is_told_with_file_and_line_before_anything_runs(slidectl: CommandLine, write: Write) -> None:
+    file = write("slips.yaml", """name: slips
+vars: {goal: 1.0}
+steps:
+  - spwan: slider
+  - spawn: slider --controlers x
+  - pub: command ${gaol}
+  - at: 3.0
+  - {at: 2.0, pub: command 1}
+  - wait: {target: a/b, nera: 1}
+  - {pub: command 1, withn: 3}
+  - sim stp: 3
+  - spawn: slider --controllers config/slider_control.yaml --start joint1_positon_controller
+  - wait: a --near x
+  - daemon stop
+  - {pub: command 1, at: soon}
+  - sim status --instance other
+  - spawn: slider --controllers types.yaml
+""")  # fmt: skip
+    types = write(
+        "types.yaml", "slider:\n  a:\n    type: effort_controllers/JointPositonController\n    joint: joint1\n"
+    )
+    other = write("other.yaml", "stps: []\nworld: {gravty: 1, engine: fast}\nsteps:\n  - sim status\n")
+    file.write_text(file.read_text("utf-8").replace("types.yaml", str(types)), "utf-8")
+    done = slidectl("test", str(file), str(other), str(file.parent / "none.yaml"), "--check")
+    assert (done.returncode, done.stdout) == (2, "")
+    for line, text in {
+        4: "no step 'spwan'. Did you mean 'spawn'?",
+        5: "No such option '--controlers'. Did you mean '--controllers'?",
+        6: "no variable 'gaol'. Did you mean ${goal}?",
+        8: "2 s is in the past: an earlier step is at 3 s",
+        9: "no option 'nera' of wait. Did you mean 'near'?",
+        10: "no field 'withn' in a step. Did you mean 'within'?",
+        11: "no command 'stp'. Did you mean 'slidectl sim step'?",
+        12: "no controller 'joint1_positon_controller' in config/slider_control.yaml. Did you mean",
+        13: "Invalid value for '--near': 'x' is not a valid float.",
+        14: "no step 'daemon'.",
+        15: "'at' is a time of 0 s or more, not soon",
+        16: "a step acts in the world of its scenario",
+    }.items():
+        assert f"{file}:{line}: {text}" in done.stderr
+    assert f"{types}:3: " in done.stderr
+    assert f"{other}:1: no field 'stps' in a scenario. Did you mean 'steps'?" in done.stderr
+    assert f"{other}:2: no field 'gravty' in a world. Did you mean 'gravity'?" in done.stderr
+    assert f"{other}:2: 'engine' is auto, plain or compiled, not fast" in done.stderr
+    assert f"{file.parent / 'none.yaml'}: No such file or directory" in done.stderr
+
+
+def test_background_steps_go_on_meanwhile_and_end_with_the_case(slidectl: CommandLine, write: Write) -> None:
+    file = write("background.yaml", SLIDER + """
+steps:
+  - {record: "/slider/joint_states -O ${tmp}/run.bag", background: true}
+  - pub: {topic: command, values: 0.2*sin(2*pi*0.1*t), rate: 50}
+    background: true
+  - wait: joint_states/position[0] --above 0.02 --within 4
+  - {at: 6, bag info: "${tmp}/run.bag"}
+  - wait: joint_states/position[0] --below -0.02 --within 8
+""")  # fmt: skip
+    one, two = (results(slidectl, str(file))[str(file)] for _ in range(2))
+    assert (one["verdict"], one["message"]) == ("passed", "")
+    assert one["sim_time"] == two["sim_time"]
+
+
+def test_ctrl_c_in_the_middle_of_many_reports_what_ran_and_leaves_nothing(
+    slidectl: CommandLine, write: Write, tmp_path: Path
+) -> None:
+    cases = "\n".join(f"  - {{number: {number}}}" for number in range(200))
+    mark = tmp_path / "began"
+    file = write("many.yaml", f"""
+world: {{engine: plain}}
+cases:
+{cases}
+steps:
+  - sim step: 20
+  - urdf: slider -o {mark}_${{number}}
+  - {{echo: "/clock -n ${{number}}0000"}}
+""")  # fmt: skip
+    temporary = tmp_path / "tmp"
+    temporary.mkdir()
+    xml = tmp_path / "out.xml"
+    process = slidectl.start("test", str(file), "-n", "2", "--json", "--junitxml", str(xml), TMPDIR=str(temporary))
+    deadline = time.monotonic() + 60
+    while not Path(f"{mark}_3").exists() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    out, _ = process.communicate(timeout=60)
+    assert process.returncode == 130
+    ran = [json.loads(line) for line in out.splitlines()]
+    assert 2 <= len(ran) < 200
+    assert ran[0]["verdict"] == "passed"
+    assert [result["message"] for result in ran if result["verdict"] == "error"] in (
+        ["interrupted"],
+        2 * ["interrupted"],
+    )
+    assert etree.parse(xml).find("testsuite").get("tests") == "200"
+    assert os.listdir(temporary) == []
+
+
+def test_a_live_daemon_ends_the_same_and_is_left_as_it_was(world: CommandLine, write: Write) -> None:
+    file = write("live.yaml", SLIDER + """
+cases: [{goal: 0.2}, {goal: 1.5}]
+steps:
+  - {at: 0.5, pub: "command ${goal}"}
+  - wait: joint_states/position[0] --near ${goal} --tol 0.02 --for 0.1
+    within: 4
+""")  # fmt: skip
+    alone, live = results(world, str(file)), results(world, str(file), "--daemon")
+    for name, result in alone.items():
+        for key in ("verdict", "step", "message"):
+            assert live[name][key] == result[key]
+        assert live[name]["sim_time"] == pytest.approx(result["sim_time"], abs=0.05)
+    assert alone["0.2"]["verdict"] == "passed"
+    with world.client() as client:
+        status = client.call("/slidectl/status")
+        assert (status["robots"], status["paused"], status["time"]) == ([], True, 0.0)
+        assert not [name for name in client.params.names() if name.startswith("/slider")]
+        client.spawn("rrbot")
+    refused = world("test", str(file), "--daemon")
+    assert refused.returncode == 1
+    assert "the daemon holds robots: rrbot" in refused.stderr
+
+
+def test_the_shipped_schema_is_that_of_the_commands_and_takes_the_examples(slidectl: CommandLine) -> None:
+    jsonschema = pytest.importorskip("jsonschema")
+    shipped = scenario_schema.FILE.read_text("utf-8")
+    assert shipped == scenario_schema.as_text(StepRunner()), "python scripts/scenario_schema.py writes it"
+    assert slidectl.ok("test", "--schema") == shipped
+    validator = jsonschema.Draft202012Validator(json.loads(shipped))
+    examples = sorted((ROOT / "examples" / "scenarios").glob("*.yaml"))
+    assert examples
+    for file in examples:
+        validator.validate(yaml.safe_load(file.read_text("utf-8")))
+    for slip in ({"steps": [{"spwan": "slider"}]}, {"stps": []}, {"steps": [{"wait": {"target": "a", "nera": 1}}]}):
+        assert not validator.is_valid(slip)
+
+
+def test_on_a_terminal_a_bar_shows_how_far_it_is(slidectl: CommandLine, write: Write) -> None:
+    file = write("short.yaml", "world: {engine: plain}\nsteps:\n  - sim step: 5")
+    shown = slidectl.on_a_terminal("test", str(file)).decode()
+    assert "1/1" in shown
+    assert "1 passed" in shown
