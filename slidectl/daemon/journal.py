@@ -37,8 +37,7 @@ if TYPE_CHECKING:
 FORMAT = 1
 _NODE = "/slidectl"
 _LIBRARIES = ("mujoco", "numpy", "numba")
-_SILENT = ("subscribe", "unsubscribe", "set_level")
-"""Operations that the world does not depend on."""
+PICTURE = "sensor_msgs/Image"
 _OF_THE_PROCESS = ("child", "journal", "replay", "until")
 """Options of a daemon that do not say how its world is."""
 _READS = re.compile(
@@ -86,7 +85,10 @@ class Journal:
             pending = read_meshes(sources)
             return pending.converted(self._take_meshes)
 
+        paint = simulation.paint
         simulation.read_meshes = read
+        simulation.lockstep.on_let_go = lambda node: self._note("let_go", node)
+        simulation.paint = lambda *camera: paint(*camera).then(self._take_picture)
         self._states = simulation.graph.timers.every(SECOND, self._note_state)
 
     def close(self, why: str) -> None:
@@ -103,8 +105,7 @@ class Journal:
 
     def take(self, session: Session, line: bytes, message: Message) -> None:
         """A line of a client, before it is carried out."""
-        operation = message["op"]
-        if operation in _SILENT or (operation == "call_service" and _READS.fullmatch(str(message.get("service")))):
+        if not self._matters(message):
             return
         number = self._clients.get(session)
         if number is None:
@@ -114,6 +115,19 @@ class Journal:
         is_plain = line[:1] == b"{" and line[1:2] != b"\0"
         text = line.strip() if is_plain else json.dumps(message).encode()
         self._write(b'{"cycle":%d,"client":%d,"line":%b' % (self._cycle, number, text))
+
+    def _matters(self, message: Message) -> bool:
+        """Whether the world may be another one for it."""
+        operation, topic = message["op"], str(message.get("topic"))
+        if operation in (
+            "subscribe",
+            "unsubscribe",
+        ):  # a camera takes no picture while it is busy with one for a client
+            topics = self._simulation.graph.topics if self._simulation is not None else None
+            return PICTURE in (message.get("type"), topics and topics.exists(topic) and topics.type_of(topic))
+        return operation != "set_level" and not (
+            operation == "call_service" and _READS.fullmatch(str(message.get("service")))
+        )
 
     def gone(self, session: Session) -> None:
         """A client has gone."""
@@ -143,6 +157,10 @@ class Journal:
 
     def _note(self, kind: str, value: Any, **more: Any) -> None:
         self._write(_text({"cycle": self._cycle, kind: value, **more}))
+
+    def _take_picture(self, done: Pending) -> None:
+        """The oldest one that was asked for is there."""
+        self._note("picture", str(done.error or ""))
 
     def _note_state(self, more: bytes = b"") -> None:
         """The state of the world's joints and what acts on them, to the bit."""

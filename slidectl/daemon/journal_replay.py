@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import math
+from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from typing import Any, NoReturn
@@ -20,8 +21,11 @@ from slidectl.daemon.journal import Contents, mesh_of
 from slidectl.daemon.outbox import Outbox, Publications
 from slidectl.daemon.session import Session
 from slidectl.daemon.time_limit import TimeLimit
+from slidectl.description.robot import Camera
 from slidectl.errors import Refused
 from slidectl.physics.hulls import MeshSource
+from slidectl.physics.painting import Painter, PictureRequest
+from slidectl.rotations import Pose
 from slidectl.simulation.clock import NEVER, SECOND
 from slidectl.simulation.loop import FAILED
 from slidectl.simulation.pending import Pending
@@ -56,6 +60,8 @@ class Replay:
         self._sessions: dict[int, Session] = {}
         self._meshes: list[tuple[set[MeshSource], Pending]] = []
         """Who waits for them."""
+        self._painter = Painter()
+        self._pictures: deque[tuple[Pending, PictureRequest]] = deque()
         self._state = -1, b""
         """The last whole second's cycle, and the numbers of the world then."""
         self._unexpected: Callable[[str], None] = lambda _: None
@@ -81,10 +87,11 @@ class Replay:
         simulation.run.paused = options.paused
         simulation.run.speed = options.rtf
         simulation.read_meshes = self._read_meshes
-        simulation.paint = lambda *_: Pending()
+        simulation.paint = self._paint
         return simulation
 
     def _close(self) -> None:
+        self._painter.close()
         file_reads.read = file_reads.from_disk
         user_classes.limit = nullcontext()
 
@@ -168,6 +175,13 @@ class Replay:
             del self._sessions[entry["gone"]]
         elif "meshes" in entry:
             self._take_meshes(entry["meshes"])
+        elif "let_go" in entry:
+            members = self.simulation.lockstep.members
+            if entry["let_go"] not in members:
+                self._fail(f"{entry['let_go']} is not in lock-step now")
+            self.simulation.lockstep.let_go(members[entry["let_go"]])
+        elif "picture" in entry:
+            self._take_picture(entry["picture"])
         elif "state" in entry:
             self._compare(entry)
         else:
@@ -218,6 +232,28 @@ class Replay:
             self._fail("nobody waits for these meshes now")
         self._meshes.remove(asked)
         asked[1].resolve(hulls)
+
+    def _paint(self, camera: Camera, pose: Pose, seed: int) -> Pending:
+        pending = Pending()
+        self._pictures.append((pending, self._painter.look(self.simulation.world, camera, pose, seed)))
+        return pending
+
+    def _take_picture(self, error: str) -> None:
+        """Painted only for code of users: clients are not there."""
+        if not self._pictures:
+            self._fail("no camera waits for a picture now")
+        pending, request = self._pictures.popleft()
+        topics, clients = self.simulation.graph.topics, {session.node for session in self._sessions.values()}
+        pictures = (topic for topic, kind in topics.types().items() if kind == journal.PICTURE)
+        if error:
+            pending.reject(Refused(error))
+        elif any(node not in clients for topic in pictures for node in topics.subscribers(topic)):
+            self._painter.ask(request)
+            while (picture := self._painter.take()) is None:
+                pass
+            pending.resolve(picture)
+        else:
+            pending.resolve("")
 
     def _take_limit(self) -> None:
         if self._peek("limit"):

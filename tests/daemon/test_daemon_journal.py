@@ -32,6 +32,7 @@ from slidectl.daemon.journal_replay import Replay, ReplayDiffers
 from slidectl.daemon.options import DaemonOptions
 from slidectl.daemon.time_limit import TimeLimit
 from slidectl.errors import SlidectlError
+from slidectl.physics import painting
 from slidectl.simulation import Simulation
 from slidectl.simulation.compiled import object_file
 
@@ -264,13 +265,6 @@ def answer(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
     return found
 
 
-def eventually(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + 60.0
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.02)
-
-
 def play_about(runtime: Runtime, seed: int) -> None:
     """Set points at random wall times."""
     chance = random.Random(seed)
@@ -326,6 +320,62 @@ def test_meshes_that_are_gone_are_there_in_a_replay(runtime: Runtime, journal_fi
     [here] = answer(command(runtime, "replay", str(journal_file), "--check", "--json"))["robots"]
     assert here["pose"] == there["pose"]
     assert abs(here["pose"][2] - 0.5) > 0.01
+
+
+EYE = """<robot name="eye"><link name="base"><inertial><mass value="1"/>
+  <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <gazebo reference="base"><sensor type="camera" name="eye"><update_rate>20</update_rate>
+  <camera><image><width>32</width><height>24</height><format>R8G8B8</format></image>
+  <noise><type>gaussian</type><stddev>0.05</stddev></noise></camera>
+  <plugin name="c" filename="libgazebo_ros_camera.so"><cameraName>eye</cameraName></plugin></sensor></gazebo></robot>"""
+
+LOOKING = "import zlib\n" + SPRING.format(stiffness="self.stiffness").replace(
+    "        return True",
+    "        self.stiffness = 10.0\n"
+    "        node.subscribe('/eye/image_raw', 'sensor_msgs/Image', self.look)\n"
+    "        return True\n"
+    "    def look(self, image):\n"
+    "        self.stiffness = 10.0 + zlib.crc32(image['data'].encode()) % 80",
+)
+"""Its stiffness follows from the last picture that came."""
+
+
+@pytest.mark.skipif(not painting.gl_backend(), reason="there is no OpenGL on this machine")
+def test_code_of_users_that_looks_at_pictures_gets_them_in_the_same_cycles(
+    runtime: Runtime, journal_file: Path, tmp_path: Path
+) -> None:
+    file = tmp_path / "looking.py"
+    file.write_text(LOOKING, "utf-8")
+    runtime.start(journal=str(journal_file))
+    with runtime.client() as client, runtime.client() as viewer:
+        client.call("/gazebo/spawn_urdf_model", {"model_name": "eye", "model_xml": EYE})
+        spawn(client, "slider")
+        pictures = viewer.subscribe("/eye/image_raw", "sensor_msgs/Image")
+        pictures.get(timeout=60.0)
+        load_spring(client, file)
+        for _ in range(5):
+            pictures.get(timeout=60.0)
+        client.call("/slidectl/sleep", {"duration": 1.0})
+    runtime.stop()
+    found = answer(command(runtime, "replay", str(journal_file), "--check", "--json"))
+    assert (found["differs"], found["whole"]) == ("", True)
+    assert len([one for one in journal.read(str(journal_file)).entries if "picture" in one]) >= 6
+
+
+def test_a_client_that_was_let_go_from_the_lockstep_is_let_go_again(runtime: Runtime, journal_file: Path) -> None:
+    runtime.start(journal=str(journal_file), rtf=10.0)
+    with runtime.client() as client, runtime.client() as other:
+        spawn(client, "slider")
+        switch(client, "slider", ["joint1_position_controller"], [])
+        other.call("/slidectl/lockstep", {"period": 0.01, "timeout": 0.2})
+        client.call("/slidectl/sleep", {"duration": 0.5})
+        switch(client, "slider", [], ["joint1_position_controller"])
+        switch(client, "slider", ["joint1_position_controller"], [])
+        client.publish("/slider/joint1_position_controller/command", {"data": 0.5})
+        client.call("/slidectl/sleep", {"duration": 2.0})
+    runtime.stop()
+    assert any("let_go" in entry for entry in journal.read(str(journal_file)).entries)
+    assert answer(command(runtime, "replay", str(journal_file), "--check", "--json"))["states"] >= 3
 
 
 def test_a_replay_ends_at_a_time_and_may_stay_in_a_daemon(runtime: Runtime, journal_file: Path) -> None:
