@@ -438,6 +438,19 @@ def test_a_file_that_is_there_is_not_written_over(runtime: Runtime, journal_file
     runtime.stop()
 
 
+def test_a_scenario_that_failed_leaves_a_journal(runtime: Runtime, tmp_path: Path) -> None:
+    lines = (
+        "steps:",
+        "- spawn: slider --controllers config/slider_control.yaml --start joint_state_controller",
+        "- wait: joint_states/position[0] --near 0.9 --within 2",
+    )
+    (tmp_path / "far.yaml").write_text("\n".join(lines), "utf-8")
+    failed = command(runtime, "test", str(tmp_path / "far.yaml"), "--keep-failed", str(tmp_path / "failed"))
+    assert failed.returncode == 1
+    [file] = (tmp_path / "failed").glob("*.journal")
+    assert answer(command(runtime, "replay", str(file), "--check", "--json"))["time"] >= 1.5
+
+
 # --- journals that are none -------------------------------------------------------------------------------------------
 
 
