@@ -31,6 +31,7 @@ NAMES = (
     "latency",
     "streams",
     "recordings",
+    "journals",
     "scenarios",
     "spawns",
     "compare",

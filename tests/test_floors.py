@@ -12,8 +12,8 @@ from pathlib import Path
 PACKAGE = Path(__file__).parent.parent / "slidectl"
 
 FLOORS = {
-    "errors": 0, "names": 0, "expressions": 0, "fault_kinds": 0, "field_path": 0, "paths": 0, "rotations": 0,
-    "writing": 0, "msgs": 0, "measures": 1,
+    "errors": 0, "names": 0, "expressions": 0, "fault_kinds": 0, "field_path": 0, "file_reads": 0, "paths": 0,
+    "rotations": 0, "writing": 0, "msgs": 0, "measures": 1,
     "description": 1, "control": 1, "client": 1, "recording": 1,
     "physics": 2, "launch": 2, "traces": 2,
     "simulation": 3, "check": 3,
@@ -37,6 +37,7 @@ FORBIDDEN = {
     "expressions": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "fault_kinds": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "field_path": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
+    "file_reads": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "paths": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "rotations": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "writing": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
@@ -56,13 +57,14 @@ FORBIDDEN = {
     "cli": {"mujoco", "asyncio"},
 }
 
-# The door to the daemon's life cycle is the only thing that the command line takes from the daemon's floor directly.
+# The daemon's life cycle and journals are all that the command line takes from the daemon's floor directly.
 CLI_MAY_TAKE = {
     "errors",
     "names",
     "expressions",
     "fault_kinds",
     "field_path",
+    "file_reads",
     "paths",
     "rotations",
     "writing",
@@ -145,7 +147,10 @@ def test_every_room_has_a_floor() -> None:
 
 
 def test_the_command_line_has_no_private_door() -> None:
-    doors = {f"slidectl.daemon.{door}" for door in ("cleaning", "health", "lifecycle", "options")}
+    doors = {
+        f"slidectl.daemon.{door}"
+        for door in ("cleaning", "health", "journal", "journal_replay", "lifecycle", "options")
+    }
     for path in sorted((PACKAGE / "cli").rglob("*.py")):
         assert rooms_used(path) <= CLI_MAY_TAKE, path
         inside = {".".join(name.split(".")[:3]) for name in imported(path) if name.startswith("slidectl.daemon.")}

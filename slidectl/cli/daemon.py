@@ -54,6 +54,13 @@ def _world(function: Callable[..., Any]) -> Callable[..., Any]:
             shell_complete=completion.files,
             help="Import controllers and hardware of your own from this module or FILE.py; may repeat.",
         ),
+        click.option(
+            "--journal",
+            default="",
+            metavar="FILE",
+            shell_complete=completion.files,
+            help="Write all that comes from outside into FILE, for 'slidectl replay'.",
+        ),
     ]
     for option in reversed(options):
         function = option(function)
@@ -67,6 +74,7 @@ def _options(click_context: click.Context, world: dict[str, Any]) -> tuple[Daemo
     source = click_context.get_parameter_source
     given = [name for name in click_context.params if source(name) is click.core.ParameterSource.COMMANDLINE]
     world |= {"rtf": options.rtf(world["rtf"]), "imports": tuple(map(module_or_file, world["imports"]))}
+    world["journal"] = world["journal"] and os.path.abspath(os.path.expanduser(world["journal"]))
     return options.DaemonOptions(**world, chosen=tuple(given)), given
 
 
@@ -100,11 +108,11 @@ def _start(ctx: Context, options: DaemonOptions) -> bool:
 
     pid, already = lifecycle.start(ctx.paths, options, ctx.wait_limit(START_LIMIT_S))
     how = "runs already" if already else "started"
-    ctx.done({**_place(ctx, pid), "already": already}, f"daemon {ctx.paths.name}: {how}, process {pid}")
+    ctx.done({**place(ctx, pid), "already": already}, f"daemon {ctx.paths.name}: {how}, process {pid}")
     return already
 
 
-def _place(ctx: Context, pid: int | None) -> dict[str, Any]:
+def place(ctx: Context, pid: int | None) -> dict[str, Any]:
     paths = ctx.paths
     return {"instance": paths.name, "pid": pid, "socket": paths.socket_text, "log": str(paths.log)}
 
@@ -132,7 +140,7 @@ def stop(ctx: Context) -> None:
     """
     pid = _stop(ctx)
     how = "does not run" if pid is None else f"stopped, it was process {pid}"
-    ctx.done(_place(ctx, pid), f"daemon {ctx.paths.name}: {how}")
+    ctx.done(place(ctx, pid), f"daemon {ctx.paths.name}: {how}")
 
 
 def _stop(ctx: Context) -> int | None:
@@ -163,10 +171,13 @@ def restart(click_context: click.Context, /, **world: Any) -> None:
     old = lifecycle.options_of(pid) if pid else None
     if old is not None:
         chosen = tuple(dict.fromkeys((*old.chosen, *given)))
-        options = dataclasses.replace(old, **{name: getattr(options, name) for name in given}, chosen=chosen)
+        given_now = {name: getattr(options, name) for name in given}
+        # A journal is that of one run, and so is what it was replayed from.
+        options = dataclasses.replace(old, **{"journal": "", "replay": "", "until": None, **given_now}, chosen=chosen)
+    options.check_journal()
     _stop(ctx)
     _start(ctx, options)
-    kept = [] if old is None else _shown(old, [name for name in world if name not in given])
+    kept = [] if old is None else _shown(old, [name for name in world if name not in (*given, "journal")])
     if kept:
         ctx.say(f"as before: {' '.join(kept)}")
 
@@ -199,11 +210,11 @@ def status(ctx: Context) -> None:
         answer = ctx.call("/slidectl/status")
     except NoDaemon:
         if ctx.format != "text":
-            ctx.emit({"running": False, **_place(ctx, None)})
+            ctx.emit({"running": False, **place(ctx, None)})
         raise
-    place = _place(ctx, answer["pid"])
-    text = "\n".join([status_text(answer), *(f"{key + ':':<12} {place[key]}" for key in ("socket", "log"))])
-    ctx.emit({"running": True, **place, **{key: value for key, value in answer.items() if key not in place}}, text)
+    where = place(ctx, answer["pid"])
+    text = "\n".join([status_text(answer), *(f"{key + ':':<12} {where[key]}" for key in ("socket", "log"))])
+    ctx.emit({"running": True, **where, **{key: value for key, value in answer.items() if key not in where}}, text)
 
 
 @daemon.command("logs", examples=["slidectl daemon logs -n 20", "slidectl daemon logs -f"])

@@ -53,6 +53,7 @@ class Entry(NamedTuple):
 COMMANDS = {
     "daemon": Entry("The daemon", "daemon", "Start, stop and watch the daemon that holds the world."),
     "sim": Entry("The daemon", "sim", "Time of the world: status, pause, step, speed, reset."),
+    "replay": Entry("The daemon", "replay", "Run again what a journal has, with the same bits."),
     "spawn": Entry("Robots", "spawn", "Put a robot into the world."),
     "delete": Entry("Robots", "robots", "Take robots out of the world."),
     "robots": Entry("Robots", "robots", "List the robots, or show one with its joints."),

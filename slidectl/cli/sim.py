@@ -54,10 +54,16 @@ def status_text(answer: dict[str, Any]) -> str:
         **({"faults": " ".join(answer["faults"])} if answer.get("faults") else {}),
         "controllers": f"{answer['controllers']} loaded, {answer['controllers_running']} running",
         "connections": str(answer["connections"]),
+        **({"journal": _journal_text(answer)} if answer.get("journal") else {}),
         "memory": f"{answer['memory'] / 2**20:.0f} MiB",
         "daemon": f"{answer['version']}, {answer['instance']}, process {answer['pid']}, up {answer['uptime']:.0f} s",
     }
     return "\n".join(f"{key + ':':<12} {text}" for key, text in lines.items())
+
+
+def _journal_text(answer: dict[str, Any]) -> str:
+    trouble = answer["journal_trouble"]
+    return f"{answer['journal']}{f', which has ended: {trouble}' if trouble else ''}"
 
 
 def speed_text(speed: float) -> str:

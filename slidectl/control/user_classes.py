@@ -19,6 +19,7 @@ from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any
 
+from slidectl import file_reads
 from slidectl.control.controller_interface import Controller, ControllerBase, MultiInterfaceController
 from slidectl.control.hardware_interface import JointHandle
 from slidectl.errors import BadFile, Refused, SlidectlError, UnknownName, UsageError, listing
@@ -184,15 +185,16 @@ def run_file(file: str, name: str = "") -> ModuleType:
         BadFile: there is no such file, or its code fails (file, line). Refused: it took too long.
     """
     path = Path(file)
+    source, why = file_reads.read(f"code of {file}", lambda: _source(path))
+    if why:
+        raise BadFile(why, file)
     try:
-        code = compile(path.read_bytes(), file, "exec", dont_inherit=True)
+        code = compile(source.encode("utf-8", "surrogateescape"), file, "exec", dont_inherit=True)
     except SyntaxError as error:
         text = f": {error.text.strip()}" if error.text else ""
         raise BadFile(f"{error.msg}{text}", file, error.lineno) from None
-    except FileNotFoundError:
-        raise BadFile("no such file", file) from None
-    except (OSError, ValueError) as error:
-        raise BadFile(f"cannot be read: {getattr(error, 'strerror', None) or error}", file) from None
+    except ValueError as error:
+        raise BadFile(f"cannot be read: {error}", file) from None
     name = name or file
     module = ModuleType(name)
     module.__file__ = file
@@ -212,6 +214,16 @@ def run_file(file: str, name: str = "") -> ModuleType:
         if str(path.parent) in sys.path:
             sys.path.remove(str(path.parent))
     return module
+
+
+def _source(path: Path) -> tuple[str, str]:
+    """The text of a file, in which bytes that are no UTF-8 are surrogates; and why there is none."""
+    try:
+        return path.read_bytes().decode("utf-8", "surrogateescape"), ""
+    except FileNotFoundError:
+        return "", "no such file"
+    except (OSError, ValueError) as error:
+        return "", f"cannot be read: {getattr(error, 'strerror', None) or error}"
 
 
 def import_named(name: str) -> ModuleType:

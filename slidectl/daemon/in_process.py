@@ -17,6 +17,7 @@ from slidectl import paths
 from slidectl.client import Client
 from slidectl.client.lines import LineBuffer, decode
 from slidectl.control.node_handle import Message
+from slidectl.daemon.journal import Journal
 from slidectl.daemon.outbox import Channel, Outbox, Publications
 from slidectl.daemon.session import Session
 from slidectl.errors import NoDaemon, Refused, TimedOut
@@ -39,11 +40,14 @@ class InProcessWorld:
         simulation: one that nobody drives yet; a new one by default.
 
     `paused`, `speed` and steps mean what they mean in a daemon. `end_ns` is the simulated time at which whoever waits
-    is told TimedOut; `log` has the last lines of the log.
+    is told TimedOut; `log` has the last lines of the log. A `journal` notes what the clients do; who made it closes it.
     """
 
-    def __init__(self, simulation: Simulation | None = None) -> None:
+    def __init__(self, simulation: Simulation | None = None, journal: Journal | None = None) -> None:
         self.simulation = simulation or Simulation()
+        self.journal = journal
+        if journal is not None:
+            journal.watch(self.simulation)
         self.simulation.driven = True
         self.simulation.monitor = self._status
         self.simulation.loop.enough = self._is_enough
@@ -209,7 +213,7 @@ class InProcessConnection:
         self.due_s = math.inf
         """When it is called on the world's clock although nothing has come."""
         graph = world.simulation.graph
-        self.session = Session(self, graph, world.publications, world.unexpected, node, os.getsid(0))
+        self.session = Session(self, graph, world.publications, world.unexpected, node, os.getsid(0), world.journal)
         self.outbox = Outbox(self.session.report, world.publications)
         self.open = True
 

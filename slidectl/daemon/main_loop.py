@@ -18,7 +18,10 @@ from typing import Any
 import slidectl
 from slidectl.control import user_classes
 from slidectl.control.node_handle import Message
+from slidectl.daemon import journal
 from slidectl.daemon.event_loop import READ, EventLoop
+from slidectl.daemon.journal import Journal
+from slidectl.daemon.journal_replay import Replay, other_versions
 from slidectl.daemon.logfile import LogFile
 from slidectl.daemon.mesh_reader import MeshReader
 from slidectl.daemon.options import Start
@@ -29,6 +32,8 @@ from slidectl.daemon.server import Server
 from slidectl.daemon.time_limit import TimeLimit
 from slidectl.errors import SlidectlError
 from slidectl.paths import shown
+from slidectl.simulation.clock import SECOND
+from slidectl.simulation.loop import FAILED
 from slidectl.simulation.simulation import Simulation
 from slidectl.simulation.spawned_robots import SpawnedRobot
 
@@ -60,8 +65,9 @@ class Daemon:
         self._kept_robots: frozenset[SpawnedRobot] = frozenset()
         self._most_kept_objects = 0
         options = start.options
-        user_classes.limit = TimeLimit()
-        self.simulation = Simulation(options.timestep, options.gravity, options.ground, options.engine, options.imports)
+        replay = Replay(journal.read(options.replay), options.until) if options.replay else None
+        self._journal: Journal | None = None
+        self.simulation = self._new_simulation() if replay is None else replay.simulation
         self.simulation.driven = True
         self.simulation.engine.may_load = False
         self.simulation.run.paused = options.paused
@@ -75,10 +81,40 @@ class Daemon:
         self._pacer = Pacer(self.simulation.loop, clients_wait=self._loop.is_ready)
         self._server = Server(listener, self._loop, graph, self._unexpected)
         self._mesh_reader = MeshReader(self._loop, self._unexpected)
-        self.simulation.read_meshes = self._mesh_reader.read
         self._pictures = PictureQueue(self._loop, self.simulation.world)
+        if replay is not None:
+            self._replay(replay)
+        self.simulation.read_meshes = self._mesh_reader.read
         self.simulation.render = self._pictures.render
+        if self._journal is not None:
+            self._journal.watch(self.simulation)
+            self._server.journal = self._journal
         self._watch_signals()
+
+    def _new_simulation(self) -> Simulation:
+        options = self._start.options
+        limit = user_classes.limit = TimeLimit()
+        if options.journal:  # the files that are imported are its first entries
+            self._journal = Journal(options)
+            limit.on_end = self._journal.took_too_long
+        try:
+            return Simulation(options.timestep, options.gravity, options.ground, options.engine, options.imports)
+        except SlidectlError:
+            if self._journal is not None:  # the next start may have the name
+                os.unlink(options.journal)
+            raise
+
+    def _replay(self, replay: Replay) -> None:
+        """Begin with the world to which a journal leads."""
+        self.simulation.engine.may_load = True
+        replay.run(self._unexpected, self._server.publications)
+        self.simulation.pause()
+        user_classes.limit = TimeLimit()
+        path = replay.contents.path
+        self._log.write("info", f"replayed {path} up to {self.simulation.time_ns / SECOND:.3f} s; paused")
+        for trouble in [replay.differs, *other_versions(replay.contents)]:
+            if trouble:
+                self._log.write("warn", f"{path}: {trouble}")
 
     def run(self) -> None:
         """Turn until stopped: the cycles that are due and what they published, then the sockets and what they asked."""
@@ -104,9 +140,9 @@ class Daemon:
 
     def _hold(self) -> float:
         """A fault of ours in a cycle holds the world and is told, instead of ending it."""
-        self._unexpected("a control cycle failed")
-        self.simulation.run.hold("a control cycle failed, see the log", "a control cycle failed")
-        self.simulation.graph.log("fatal", NODE, "a control cycle failed; the simulation is paused, see the log")
+        self._unexpected(FAILED)
+        self.simulation.run.hold(f"{FAILED}, see the log", FAILED)
+        self.simulation.graph.log("fatal", NODE, f"{FAILED}; the simulation is paused, see the log")
         return 0.0
 
     def _tidy(self) -> None:
@@ -186,6 +222,8 @@ class Daemon:
 
     def _end(self) -> None:
         self._log.write("info", self._stopping)
+        if self._journal is not None:
+            self._journal.close(self._stopping)
         self._mesh_reader.close()
         self._pictures.close()
         self._server.close(f"the daemon was {self._stopping}")
@@ -209,6 +247,8 @@ class Daemon:
             "memory": _resident_bytes(),
             "uptime": time.monotonic() - self._began_s,
             "log": shown(str(self._start.paths.log)),
+            "journal": "" if self._journal is None else shown(self._journal.path),
+            "journal_trouble": "" if self._journal is None else self._journal.trouble,
             **self._pacer.report(),
         }
 

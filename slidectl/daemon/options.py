@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from slidectl import paths
-from slidectl.errors import UsageError
+from slidectl.errors import Refused, UsageError
 
 ENGINES = ("plain", "compiled", "auto")
 """Who runs the cycles: the interpreter, machine code (as soon as it is there), or machine code if it can be."""
@@ -36,6 +37,12 @@ class DaemonOptions:
     chosen: tuple[str, ...] = ()
     imports: tuple[str, ...] = ()
     """Modules with controllers and hardware of users: dotted names, or absolute paths that end with `.py`."""
+    journal: str = ""
+    """The absolute path of the journal that it writes, empty for none."""
+    replay: str = ""
+    """The journal whose replay it begins with, and then is paused. Its world's options are those of the journal."""
+    until: float | None = None
+    """The simulated time at which that replay ends, s; None: the end of the journal."""
 
     def __post_init__(self) -> None:
         if not self.rtf > 0:
@@ -46,6 +53,21 @@ class DaemonOptions:
             raise UsageError("gravity is three finite numbers in m/s²")
         if self.engine not in ENGINES:
             raise UsageError(f"there is no engine {self.engine!r}", f"choose one of: {', '.join(ENGINES)}")
+
+    @classmethod
+    def read(cls, values: dict[str, Any]) -> DaemonOptions:
+        """Options as JSON has them. Raises TypeError: there is one that is not known."""
+        options: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value for name, value in values.items()
+        }
+        return cls(**options)
+
+    def check_journal(self) -> None:
+        """Raises Refused where there is a file already: it may be the journal of a run that is to be looked at."""
+        if self.journal and os.path.lexists(self.journal):
+            raise Refused(
+                f"there is a file {self.journal} already", "give the journal another name, or remove that file"
+            )
 
 
 @dataclass(frozen=True)
@@ -78,10 +100,7 @@ class Start:
     @classmethod
     def read(cls, text: str) -> Start:
         values = json.loads(text)
-        options = values.pop("options")
-        options |= {"gravity": tuple(options["gravity"]), "chosen": tuple(options["chosen"])}
-        options["imports"] = tuple(options["imports"])
-        return cls(DaemonOptions(**options), **values)
+        return cls(DaemonOptions.read(values.pop("options")), **values)
 
 
 def rtf(text: str) -> float:

@@ -13,7 +13,7 @@ import socket
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from slidectl.client.lines import BadLine, LineBuffer, encode
 from slidectl.client.link import peer
@@ -21,6 +21,9 @@ from slidectl.daemon.event_loop import HANG_UP, ONCE, PEER_CLOSED, READ, WRITE, 
 from slidectl.daemon.outbox import Outbox, Publications, Reader
 from slidectl.daemon.session import Session
 from slidectl.simulation.graph import Graph
+
+if TYPE_CHECKING:
+    from slidectl.daemon.journal import Journal
 
 MOST_CONNECTIONS = 512
 _KEPT_DESCRIPTORS = 32
@@ -66,6 +69,8 @@ class Server:
         self.graph = graph
         self.unexpected = unexpected
         self.publications = Publications()
+        self.journal: Journal | None = None
+        """Notes what clients do, from before the first of them."""
         self.busy = Busy()
         self.connections: dict[Connection, None] = {}
         self._listener = listener
@@ -210,7 +215,13 @@ class Connection:
         self._busy = server.busy
         self._incoming = LineBuffer()
         self._session = Session(
-            self, server.graph, server.publications, server.unexpected, f"/slidectl_{pid}_{serial}", _session_of(pid)
+            self,
+            server.graph,
+            server.publications,
+            server.unexpected,
+            f"/slidectl_{pid}_{serial}",
+            _session_of(pid),
+            server.journal,
         )
         self.outbox = Outbox(self._session.report, server.publications)
         self._chunk: bytes | memoryview = b""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import slidectl
 from slidectl import msgs, names
@@ -23,6 +23,9 @@ from slidectl.simulation.graph import Graph
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.services import Service
 from slidectl.simulation.topics import TopicPublisher
+
+if TYPE_CHECKING:
+    from slidectl.daemon.journal import Journal
 
 LEVELS = {"info": 0, "warning": 1, "error": 2, "none": 3}
 Message = dict[str, Any]
@@ -65,8 +68,10 @@ class Session:
         unexpected: Callable[[str], None],
         node: str,
         process_session: int,
+        journal: Journal | None = None,
     ) -> None:
         self.node = node
+        self._journal = journal
         self.unexpected = unexpected
         """Logs the exception that is being handled: it is a fault of ours."""
         self._process_session = process_session
@@ -110,6 +115,8 @@ class Session:
         except SlidectlError as error:
             self.complain(error, message)
         else:
+            if self._journal is not None:
+                self._journal.take(self, line, message)
             self._carry_out(getattr(self, f"_{op}"), message)
 
     def _carry_out(self, action: Callable[[Message], None], message: Message) -> None:
@@ -147,6 +154,8 @@ class Session:
 
     def closed(self) -> None:
         """The client has gone: take back all that it had, and drop what it waits for."""
+        if self._journal is not None:
+            self._journal.gone(self)
         for pending in list(self._calls):
             pending.cancel()
         self._calls.clear()

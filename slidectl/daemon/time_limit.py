@@ -8,6 +8,7 @@ set a timer costs system calls. Code in C that does not return to the interprete
 from __future__ import annotations
 
 import signal
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from math import inf
 from time import monotonic
@@ -30,9 +31,13 @@ _ENTRIES = tuple(
 
 
 class TimeLimit(AbstractContextManager[None]):
-    """Raises TookTooLong in what runs inside after LIMIT_S. Set as `user_classes.limit`; main thread only."""
+    """Raises TookTooLong in what runs inside after `most_s`. Set as `user_classes.limit`; main thread only."""
 
     def __init__(self) -> None:
+        self.most_s = LIMIT_S
+        self.on_end: Callable[[], None] = lambda: None
+        """Called after code was ended."""
+        self._has_ended = False
         self._depth = 0
         self._end_s = inf
         """When what runs inside is interrupted; infinite while nothing does."""
@@ -46,7 +51,7 @@ class TimeLimit(AbstractContextManager[None]):
     def __enter__(self) -> None:
         self._depth += 1  # a controller publishes, and another one takes the message
         if self._depth == 1:
-            self._end_s = monotonic() + LIMIT_S
+            self._end_s = monotonic() + self.most_s
             self._was_entered = True
             if not self._tick_s:
                 self._set_timer(_TICK_S)
@@ -55,6 +60,9 @@ class TimeLimit(AbstractContextManager[None]):
         self._depth -= 1
         if not self._depth:
             self._end_s = inf
+            if self._has_ended:
+                self._has_ended = False
+                self.on_end()
 
     def _set_timer(self, period_s: float) -> None:
         self._tick_s = period_s
@@ -75,6 +83,7 @@ class TimeLimit(AbstractContextManager[None]):
         # next signals try again until they meet the user's own code.
         self._spared += 1
         if _is_users(frame) or self._spared > _MOST_AGAIN:
+            self._has_ended = True
             raise TookTooLong(f"the code ran longer than {LIMIT_S:g} s and was ended")
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from urllib.parse import unquote
 
+from slidectl import file_reads
 from slidectl.description.packages import Packages, UnknownPackage, is_file
 
 SUFFIXES = (".stl", ".obj", ".dae")
@@ -27,15 +28,19 @@ class MeshFiles:
 
         Relative paths are looked up beside that file, and then beside the robot's own.
         """
+        path, why = file_reads.read(f"place of the mesh {uri}", lambda: self._look(uri.strip(), written_in))
+        return Path(path) if path else None, why
+
+    def _look(self, uri: str, written_in: str) -> tuple[str, str]:
         try:
-            candidates = self._candidates(uri.strip(), written_in)
+            candidates = self._candidates(uri, written_in)
         except UnknownPackage as error:
-            return None, str(error)
+            return "", str(error)
         for path in candidates:
             if is_file(path):
-                return path.absolute(), ""
+                return str(path.absolute()), ""
         places = ", ".join(str(path) for path in dict.fromkeys(candidates))
-        return None, f"no such file; looked for {places}" if candidates else f"cannot be found: {_USABLE}"
+        return "", f"no such file; looked for {places}" if candidates else f"cannot be found: {_USABLE}"
 
     def expected(self, uri: str, written_in: str) -> Path | None:
         """Where a file that is not there was looked for first; None where its package is not there either."""

@@ -57,7 +57,7 @@ class Live:
                 )
 
     @contextmanager
-    def of(self, case: Case) -> Iterator[Stage]:
+    def of(self, case: Case, journal: str = "") -> Iterator[Stage]:  # noqa: ARG002
         with Client(socket=self._socket) as keeper:
             before = set(keeper.params.names())
             was_paused = keeper.call("/slidectl/status")["paused"]

@@ -32,8 +32,8 @@ class Stages(Protocol):
     def warm(self, cases: Sequence[Case], commands: Commands) -> None:
         """Load what all cases need, before processes for them are made."""
 
-    def of(self, case: Case) -> AbstractContextManager[Stage]:
-        """The stage of a case. Raises SlidectlError: it cannot begin."""
+    def of(self, case: Case, journal: str = "") -> AbstractContextManager[Stage]:
+        """The stage of a case, with a journal there if its world is new. Raises SlidectlError: it cannot begin."""
 
 
 class CaseRuns:
@@ -58,7 +58,7 @@ class CaseRuns:
         steps = case.steps if first is None else (first, *case.steps)
         folder = tempfile.mkdtemp(dir=temporary)  # empty, whatever an earlier try has left
         try:
-            with self._stages.of(case) as stage:
+            with self._stages.of(case, f"{self._stem(case)}.journal" if first is not None else "") as stage:
                 return run_case(case, self._commands, stage, self._sim_timeout, folder, steps)
         except SlidectlError as error:
             return CaseResult(case.id, ERROR, message=error.message, hint=error.hint or "")
@@ -69,7 +69,7 @@ class CaseRuns:
 
     def _files(self, case: Case) -> list[Path]:
         stem = self._stem(case)
-        return sorted(file for file in stem.parent.glob("*") if file.stem == stem.name and file.suffix in _RECORDINGS)
+        return sorted(file for file in stem.parent.glob("*") if file.stem == stem.name and file.suffix in _KEPT)
 
     def _record(self, case: Case) -> Step:
         stem = self._stem(case)
@@ -82,6 +82,7 @@ class CaseRuns:
 _LEFT_OUT = "/clock|/gazebo/(link|model)_states"
 """What comes in every cycle: the frames on /tf say the same."""
 _RECORDINGS = (".mcap", ".bag")
+_KEPT = (*_RECORDINGS, ".journal")
 
 
 def _suffix() -> str:
@@ -122,8 +123,10 @@ class InProcess:
                 commands.run(line.split(), client)
 
     @contextmanager
-    def of(self, case: Case) -> Iterator[Stage]:
+    def of(self, case: Case, journal: str = "") -> Iterator[Stage]:
         from slidectl.control import user_classes
+        from slidectl.daemon.journal import Journal
+        from slidectl.daemon.options import DaemonOptions
         from slidectl.daemon.time_limit import TimeLimit
         from slidectl.simulation.compiled import object_file
         from slidectl.simulation.simulation import Simulation
@@ -132,19 +135,27 @@ class InProcess:
         paused = wanted.pop("paused", False)
         if "gravity" in wanted:
             wanted["gravity"] = tuple(wanted["gravity"])
-        user_classes.limit = TimeLimit()
+        user_classes.limit = limit = TimeLimit()
+        notes = None
+        if journal:
+            notes = Journal(DaemonOptions(paused=paused, journal=os.path.abspath(journal), **wanted))
+            limit.on_end = notes.took_too_long
         simulation = Simulation(**wanted)
         simulation.engine.may_load = object_file.is_there()  # `warm` has begun to compile it otherwise
-        stage = _WorldStage(simulation)
+        stage = _WorldStage(simulation, notes)
         stage.world.simulation.run.paused = paused
-        yield stage
+        try:
+            yield stage
+        finally:
+            if notes is not None:
+                notes.close("the case is over")
 
 
 class _WorldStage(Stage):
-    def __init__(self, simulation: Any) -> None:
+    def __init__(self, simulation: Any, journal: Any) -> None:
         from slidectl.daemon.in_process import InProcessWorld
 
-        self.world = InProcessWorld(simulation)
+        self.world = InProcessWorld(simulation, journal)
         self.client = self.world.client()
 
     def now_s(self) -> float:

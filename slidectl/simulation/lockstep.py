@@ -5,6 +5,8 @@ Knows simulated time and nodes; who holds the world for too long, in wall time, 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message
 from slidectl.errors import Refused
@@ -42,6 +44,8 @@ class LockStepService:
         self._let_go: dict[str, str] = {}
         """Why, of nodes that do not know it yet."""
         self.members: dict[str, LockStepMember] = {}
+        self.on_let_go: Callable[[str], None] = lambda _: None
+        """Called with the node of a member that is let go: the one thing here that wall time decides."""
         graph.node(NODE, NODE).advertise_service("lockstep", "slidectl/LockStep", self._take)
         graph.on_node_closed.append(self._gone)
 
@@ -60,6 +64,7 @@ class LockStepService:
 
     def let_go(self, member: LockStepMember) -> None:
         """It has held the world for longer than its time-out."""
+        self.on_let_go(member.node)
         text = f"{member.node} has left the lock-step: it held the world for more than {member.timeout_s:g} s"
         self._graph.log("warn", NODE, text)
         self._leave(member.node)

@@ -28,6 +28,8 @@ FEW = 16
 """Fewer cycles than these are not worth the way into the tables and back, which is made when nobody drives."""
 
 
+FAILED = "a control cycle failed"
+"""What a driver says of a fault in a cycle that is none of the user's; it holds the world then."""
 SHORTEST_S = 1e-6
 LONGEST_S = 1.0
 """Bounds of a time step, as at the daemon's start. With longer ones the clock soon leaves what a message can hold."""

@@ -1,0 +1,289 @@
+"""The journal: all that came to a world from outside, each with the cycle after which it took effect, in one file.
+
+Written here, and read whole; journal_replay.py makes the same world of it again. Each entry is a line of JSON that ends
+with a checksum and is given to the kernel at once: whatever ends the daemon leaves it there. docs/journal.md has them.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+import os
+import platform
+import re
+import zlib
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import slidectl
+from slidectl import file_reads
+from slidectl.control.node_handle import Message
+from slidectl.daemon.options import DaemonOptions
+from slidectl.description.meshes import BadMesh
+from slidectl.errors import BadFile, Refused, UsageError
+from slidectl.physics.hulls import Hull, Hulls, MeshSource
+from slidectl.simulation.clock import SECOND
+from slidectl.simulation.pending import Pending
+
+if TYPE_CHECKING:
+    from slidectl.daemon.session import Session
+    from slidectl.simulation import Simulation
+
+FORMAT = 1
+_NODE = "/slidectl"
+_LIBRARIES = ("mujoco", "numpy", "numba")
+PICTURE = "sensor_msgs/Image"
+_OF_THE_PROCESS = ("child", "journal", "replay", "until")
+"""Options of a daemon that do not say how its world is."""
+_READS = re.compile(
+    r"/rosapi/(?!set_param$|delete_param$).*|/gazebo/get_[^/]*|.*/controller_manager/list_[^/]*"
+    r"|/slidectl/(status|resolve|list_robots|update_times|shutdown)"
+)
+"""Services that look and change nothing, and answer at once."""
+_LINE = re.compile(rb'\{"cycle":(\d+),"client":(\d+),"line":(.*)\Z', re.DOTALL)
+_CHECKSUM = re.compile(rb'(.*),"crc":"([0-9a-f]{8})"\}\Z', re.DOTALL)
+
+
+class Journal:
+    """Writes the journal of one simulation, from before its first cycle on.
+
+    Made before the simulation, whose imports are a part of it; then `watch` it, and give it to each session.
+    """
+
+    def __init__(self, options: DaemonOptions) -> None:
+        """At the place that the options name. Raises Refused: there is such a file, or it cannot be written."""
+        self.path = path = options.journal
+        self.trouble = ""
+        """Why nothing is written any more."""
+        self._clients: dict[Session, int] = {}
+        self._size = 0
+        self._simulation: Simulation | None = None
+        self._log: Callable[[str], None] = lambda _: None
+        options.check_journal()
+        try:
+            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+        except OSError as error:
+            raise Refused(f"cannot write the journal {path}: {error.strerror}") from None
+        file_reads.read = self._read
+        chosen = {name: value for name, value in asdict(options).items() if name not in _OF_THE_PROCESS}
+        self._write(_text({"slidectl_journal": FORMAT, **written_by(), "options": chosen}))
+        if self.trouble:
+            raise Refused(f"cannot write the journal {path}: {self.trouble}")
+
+    def watch(self, simulation: Simulation) -> None:
+        """This is the simulation. What reads its meshes is set already."""
+        self._simulation = simulation
+        self._log = lambda text: simulation.graph.log("error", _NODE, text)
+        read_meshes = simulation.read_meshes
+
+        def read(sources: Sequence[MeshSource]) -> Pending:
+            pending = read_meshes(sources)
+            return pending.converted(self._take_meshes)
+
+        render = simulation.render
+        simulation.read_meshes = read
+        simulation.lockstep.on_let_go = lambda node: self._note("let_go", node)
+        simulation.render = lambda *camera: render(*camera).then(self._take_picture)
+        self._states = simulation.graph.timers.every(SECOND, self._note_state)
+
+    def close(self, why: str) -> None:
+        """The world ends here."""
+        if self._simulation is not None:
+            self._states.cancel()
+            self._note_state(b',"end":%b' % json.dumps(why).encode())
+        if not self.trouble:
+            os.close(self._file)
+        self.trouble = "it is closed"
+        file_reads.read = file_reads.from_disk
+
+    # --- what comes from outside --------------------------------------------------------------------------------
+
+    def take(self, session: Session, line: bytes, message: Message) -> None:
+        """A line of a client, before it is carried out."""
+        if not self._matters(message):
+            return
+        number = self._clients.get(session)
+        if number is None:
+            number = self._clients[session] = len(self._clients) + 1
+            self._note("client", number, node=session.node)
+        # As it came; but only UTF-8 can stand in the file.
+        is_plain = line[:1] == b"{" and line[1:2] != b"\0"
+        text = line.strip() if is_plain else json.dumps(message).encode()
+        self._write(b'{"cycle":%d,"client":%d,"line":%b' % (self._cycle, number, text))
+
+    def _matters(self, message: Message) -> bool:
+        """Whether the world may be another one for it."""
+        operation, topic = message["op"], str(message.get("topic"))
+        if operation in (
+            "subscribe",
+            "unsubscribe",
+        ):  # a camera takes no picture while it is busy with one for a client
+            topics = self._simulation.graph.topics if self._simulation is not None else None
+            return PICTURE in (message.get("type"), topics and topics.exists(topic) and topics.type_of(topic))
+        return operation != "set_level" and not (
+            operation == "call_service" and _READS.fullmatch(str(message.get("service")))
+        )
+
+    def gone(self, session: Session) -> None:
+        """A client has gone."""
+        if session in self._clients:
+            self._note("gone", self._clients[session])
+
+    def took_too_long(self) -> None:
+        """Users' code was ended by the limit of wall time."""
+        self._note("limit", "")
+
+    def _read(self, what: str, look: Callable[[], Any]) -> Any:
+        found = look()
+        self._note("read", what, found=found)
+        return found
+
+    def _take_meshes(self, done: Pending) -> Hulls:
+        """They are taken into the world now."""
+        read: Hulls = done.result()
+        self._note("meshes", [_mesh_entry(source, hull) for source, hull in read.items()])
+        return read
+
+    # --- the file -----------------------------------------------------------------------------------------------
+
+    @property
+    def _cycle(self) -> int:
+        return 0 if self._simulation is None else self._simulation.cycles
+
+    def _note(self, kind: str, value: Any, **more: Any) -> None:
+        self._write(_text({"cycle": self._cycle, kind: value, **more}))
+
+    def _take_picture(self, done: Pending) -> None:
+        """The oldest one that was asked for is there."""
+        self._note("picture", str(done.error or ""))
+
+    def _note_state(self, more: bytes = b"") -> None:
+        """The state of the world's joints and what acts on them, to the bit."""
+        assert self._simulation is not None
+        numbers = binascii.b2a_base64(self._simulation.world.numbers(), newline=False)
+        self._write(b'{"cycle":%d%b,"state":"%b"' % (self._cycle, more, numbers))
+
+    def _write(self, entry: bytes) -> None:
+        """One entry, whole or not at all. `entry` is without its closing brace. After a failure nothing follows."""
+        if self.trouble:
+            return
+        line = b'%b,"crc":"%08x"}\n' % (entry, zlib.crc32(entry))
+        try:
+            written = os.write(self._file, line)
+            if written < len(line):
+                os.write(self._file, line[written:])  # says why
+            self._size += len(line)
+        except OSError as error:
+            self.trouble = error.strerror or str(error)
+            with suppress(OSError):
+                os.ftruncate(self._file, self._size)
+            os.close(self._file)
+            self._log(f"the journal {self.path} ends at cycle {self._cycle}: {self.trouble}")
+
+
+def _text(entry: dict[str, Any]) -> bytes:
+    """JSON without the closing brace."""
+    return json.dumps(entry, separators=(",", ":"))[:-1].encode()
+
+
+def written_by() -> dict[str, str]:
+    """The versions on which the bits may depend."""
+    versions = {"version": slidectl.__version__, "machine": platform.machine(), "python": platform.python_version()}
+    for library in _LIBRARIES:
+        with suppress(PackageNotFoundError):
+            versions[library] = version(library)
+    return versions
+
+
+def _mesh_entry(source: MeshSource, hull: Hull | BadMesh) -> dict[str, Any]:
+    entry = {"path": source.path, "scale": list(source.scale)}
+    if isinstance(hull, BadMesh):
+        return {**entry, "bad": hull.reason}
+    return {**entry, "name": hull.name, "hull": base64.b64encode(zlib.compress(hull.stl)).decode()}
+
+
+def mesh_of(entry: dict[str, Any]) -> tuple[MeshSource, Hull | BadMesh]:
+    """What `_mesh_entry` has written."""
+    x, y, z = entry["scale"]
+    source = MeshSource(entry["path"], (x, y, z))
+    if "bad" in entry:
+        return source, BadMesh(entry["bad"], source.path)
+    return source, Hull(entry["name"], zlib.decompress(base64.b64decode(entry["hull"])))
+
+
+# --- reading ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Contents:
+    """A journal as it was written, up to its last whole entry."""
+
+    path: str
+    options: DaemonOptions
+    written_by: dict[str, str]
+    entries: list[dict[str, Any]]
+    """A `line` is the bytes that came."""
+    is_cut: bool
+    """The last entry is not whole."""
+
+
+def read(path: str) -> Contents:
+    """Raises BadFile: it cannot be read, is no journal, is of another format, or is damaged before its end."""
+    try:
+        content = Path(path).read_bytes()
+    except OSError as error:
+        raise BadFile(f"cannot be read: {error.strerror}", path) from None
+    if not content:
+        raise BadFile("it is empty: the daemon ended before it wrote anything", path)
+    *lines, rest = content.split(b"\n")
+    if not lines and content.startswith(b'{"slidectl_journal"'):
+        raise BadFile("it is cut off in its first line", path)
+    header = _entry(lines[0]) if lines and lines[0].startswith(b'{"slidectl_journal"') else None
+    if header is None:
+        raise BadFile(
+            "it is no journal of slidectl", path, hint="one is written by: slidectl daemon start --journal FILE"
+        )
+    if header["slidectl_journal"] != FORMAT:
+        text = f"it is of format {header['slidectl_journal']}, written by slidectl {header.get('version')}"
+        raise BadFile(f"{text}; this is {slidectl.__version__}, which reads format {FORMAT}", path)
+    entries = []
+    is_cut = bool(rest)
+    for number, line in enumerate(lines[1:], 2):
+        entry = _entry(line)
+        if entry is None and number == len(lines) and not rest:
+            is_cut = True
+        elif entry is None:
+            hint = f"the entries before it can be replayed: head -n {number - 1} {path} > part.journal"
+            raise BadFile("this entry is damaged: its checksum is another one", path, number, hint)
+        else:
+            entries.append(entry)
+    versions = {name: str(header.get(name, "")) for name in written_by()}
+    return Contents(path, _options(path, header), versions, entries, is_cut)
+
+
+def _entry(line: bytes) -> dict[str, Any] | None:
+    """None for one that is not whole."""
+    match = _CHECKSUM.match(line)
+    if match is None or zlib.crc32(match[1]) != int(match[2], 16):
+        return None
+    of_client = _LINE.match(match[1])
+    if of_client is not None:
+        return {"cycle": int(of_client[1]), "client": int(of_client[2]), "line": of_client[3]}
+    try:
+        entry: dict[str, Any] = json.loads(match[1] + b"}")
+    except (ValueError, RecursionError):
+        return None
+    return entry
+
+
+def _options(path: str, header: dict[str, Any]) -> DaemonOptions:
+    try:
+        return DaemonOptions.read(header["options"])
+    except (TypeError, LookupError, AttributeError, UsageError) as error:
+        text = f"slidectl {header.get('version')} wrote it with options that {slidectl.__version__} does not know"
+        raise BadFile(f"{text}: {error}", path) from None

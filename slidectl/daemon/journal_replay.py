@@ -1,0 +1,311 @@
+"""The replay of a journal: the same world again, without clients and as fast as the cycles go, with the same bits.
+
+Sessions get the lines that came, each after the cycle in which it came; answers go nowhere. What was read of files is
+taken from the journal, and so is when it came.
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from typing import Any, NoReturn
+
+from slidectl import file_reads
+from slidectl.control import user_classes
+from slidectl.control.duration import from_seconds
+from slidectl.daemon import journal, time_limit
+from slidectl.daemon.journal import Contents, mesh_of
+from slidectl.daemon.outbox import Outbox, Publications
+from slidectl.daemon.session import Session
+from slidectl.daemon.time_limit import TimeLimit
+from slidectl.description.robot import Camera
+from slidectl.errors import Refused
+from slidectl.physics.hulls import MeshSource
+from slidectl.physics.rendering import PictureRequest, RenderProcess
+from slidectl.rotations import Pose
+from slidectl.simulation.clock import NEVER, SECOND
+from slidectl.simulation.loop import FAILED
+from slidectl.simulation.pending import Pending
+from slidectl.simulation.simulation import Simulation
+
+_UNREPEATABLE = "code of users that looks at the wall time, random numbers or other files is not repeatable"
+
+
+class ReplayDiffers(Refused):
+    """The replay is not the run that the journal is of."""
+
+
+class Replay:
+    """One replay. `differs` says where the state first was another one than that in the journal, empty if nowhere.
+
+    Files are read from the journal from its making on until `run` ends.
+    """
+
+    def __init__(self, contents: Contents, until: float | None = None) -> None:
+        """It ends at the simulated time `until`, s; what came in the cycle of that time belongs to it."""
+        self.contents = contents
+        self.differs = ""
+        self.states = 0
+        """How many states were compared."""
+        self._until_ns = NEVER if until is None else from_seconds(until)
+        self._at = 0
+        """Index of the entry that is carried out."""
+        self._next = 0
+        """Index of the first entry that was not taken yet."""
+        self._limit = TimeLimit()
+        self._limit.on_end = self._take_limit
+        self._sessions: dict[int, Session] = {}
+        self._meshes: list[tuple[set[MeshSource], Pending]] = []
+        """Who waits for them."""
+        self._renderer = RenderProcess()
+        self._pictures: deque[tuple[Pending, PictureRequest]] = deque()
+        self._state = -1, b""
+        """The last whole second's cycle, and the numbers of the world then."""
+        self._unexpected: Callable[[str], None] = lambda _: None
+        file_reads.read = self._read
+        user_classes.limit = self._limit
+        self._look_ahead()
+        self.simulation = self._beginning()
+
+    @property
+    def taken(self) -> int:
+        """How many entries of the journal were taken."""
+        return self._next
+
+    def _beginning(self) -> Simulation:
+        """The world as it was at first."""
+        options = self.contents.options
+        try:
+            simulation = Simulation(options.timestep, options.gravity, options.ground, options.engine, options.imports)
+        except BaseException:
+            self._close()
+            raise
+        simulation.driven = True
+        simulation.run.paused = options.paused
+        simulation.run.speed = options.rtf
+        simulation.read_meshes = self._read_meshes
+        simulation.render = self._render
+        return simulation
+
+    def _close(self) -> None:
+        self._renderer.close()
+        file_reads.read = file_reads.from_disk
+        user_classes.limit = nullcontext()
+
+    def run(
+        self, unexpected: Callable[[str], None], publications: Publications | None = None, check: bool = False
+    ) -> None:
+        """To the end of the journal, or to the time that was asked for. The clients have gone then.
+
+        `unexpected` logs the exception that is being handled; `publications` are those of a world that goes on. With
+        `check` it ends at the first state that is another one.
+
+        Raises:
+            ReplayDiffers: an entry makes no sense in this world; or with `check`.
+            Refused: the journal ends before the time that was asked for.
+        """
+        self._publications, self._unexpected = publications or Publications(), unexpected
+        states = self.simulation.graph.timers.every(SECOND, self._keep_state)
+        try:
+            is_there = self._run(check)
+            for session in list(self._sessions.values()):
+                session.closed()
+        finally:
+            states.cancel()
+            self._close()
+        now_ns = self.simulation.time_ns
+        if not is_there and now_ns < self._until_ns < NEVER:
+            raise Refused(f"the journal ends at {now_ns / SECOND:g} s, before {self._until_ns / SECOND:g} s")
+
+    def _run(self, check: bool) -> bool:
+        """Returns whether the time that was asked for came before the end."""
+        entries = self.contents.entries
+        while True:
+            self._at = self._next
+            while self._at < len(entries) and "limit" in entries[self._at]:  # taken when it comes
+                self._at += 1
+            if self._at == len(entries):
+                return False
+            if not self._step_to(entries[self._at]["cycle"]):
+                return True
+            if self._next != self._at:
+                self._fail("code of a user that took too long then does not now")
+            self._advance()
+            self._carry_out(entries[self._at])
+            if self.differs and check:
+                raise ReplayDiffers(self.differs, _UNREPEATABLE)
+
+    def _step_to(self, cycle: int) -> bool:
+        """Run the cycles up to that one. False: the time that was asked for is there before."""
+        simulation, run = self.simulation, self.simulation.run
+        while (left := cycle - simulation.cycles) > 0:
+            allowed = min(left, (self._until_ns - simulation.time_ns) // simulation.timestep_ns)
+            if allowed <= 0:
+                return False
+            trouble, done = run.trouble, 0
+            try:
+                done = simulation.step(allowed)
+            except Exception:
+                self._unexpected(FAILED)
+                run.hold(f"{FAILED}, see the log", FAILED)
+            if not done or run.trouble != trouble:
+                break
+        if simulation.cycles != cycle:
+            self._fail(f"the world is at cycle {simulation.cycles} now{run.trouble and f': {run.trouble}'}")
+        return True
+
+    def _carry_out(self, entry: dict[str, Any]) -> None:
+        """One entry, in its cycle. What it lets the world read follows it, and is taken meanwhile."""
+        if "line" in entry:
+            self._session(entry["client"]).take(entry["line"])
+        elif "client" in entry:
+            self._sessions[entry["client"]] = Session(
+                _Nobody(self._publications),
+                self.simulation.graph,
+                self._publications,
+                self._unexpected,
+                entry["node"],
+                0,
+            )
+        elif "gone" in entry:
+            self._session(entry["gone"]).closed()
+            del self._sessions[entry["gone"]]
+        elif "meshes" in entry:
+            self._take_meshes(entry["meshes"])
+        elif "let_go" in entry:
+            members = self.simulation.lockstep.members
+            if entry["let_go"] not in members:
+                self._fail(f"{entry['let_go']} is not in lock-step now")
+            self.simulation.lockstep.let_go(members[entry["let_go"]])
+        elif "picture" in entry:
+            self._take_picture(entry["picture"])
+        elif "state" in entry:
+            self._compare(entry)
+        else:
+            self._fail("the world did not ask for what stands in the journal next")
+
+    def _session(self, number: int) -> Session:
+        if number not in self._sessions:
+            self._fail(f"there is no client {number}")
+        return self._sessions[number]
+
+    def _advance(self) -> None:
+        self._next += 1
+        self._look_ahead()
+
+    def _look_ahead(self) -> None:
+        """Users' code is ended where it was, and only there: this machine may be slower."""
+        is_limited = self._peek("limit")
+        self._limit.most_s = time_limit.LIMIT_S if is_limited else math.inf
+
+    def _peek(self, kind: str) -> bool:
+        entries = self.contents.entries
+        return self._next < len(entries) and kind in entries[self._next]
+
+    def _fail(self, why: str) -> NoReturn:
+        cycle = self.contents.entries[self._at]["cycle"] if self.contents.entries else 0
+        raise ReplayDiffers(f"{self.contents.path}:{self._at + 2}: in cycle {cycle}: {why}", _UNREPEATABLE)
+
+    # --- what came from outside ---------------------------------------------------------------------------------
+
+    def _read(self, what: str, look: Callable[[], Any]) -> Any:
+        if self._next == len(self.contents.entries):  # the journal was cut off before it was read
+            return look()
+        entry = self.contents.entries[self._next]
+        if entry.get("read") != what:
+            self._fail(f"the world reads the {what} now, and did not then")
+        self._advance()
+        return entry["found"]
+
+    def _read_meshes(self, sources: Sequence[MeshSource]) -> Pending:
+        pending = Pending()
+        self._meshes.append((set(sources), pending))
+        return pending
+
+    def _take_meshes(self, entries: list[dict[str, Any]]) -> None:
+        hulls = dict(map(mesh_of, entries))
+        asked = next((one for one in self._meshes if not one[1].done and one[0] == set(hulls)), None)
+        if asked is None:
+            self._fail("nobody waits for these meshes now")
+        self._meshes.remove(asked)
+        asked[1].resolve(hulls)
+
+    def _render(self, camera: Camera, pose: Pose, seed: int) -> Pending:
+        pending = Pending()
+        self._pictures.append((pending, self._renderer.look(self.simulation.world, camera, pose, seed)))
+        return pending
+
+    def _take_picture(self, error: str) -> None:
+        """Rendered only for code of users: clients are not there."""
+        if not self._pictures:
+            self._fail("no camera waits for a picture now")
+        pending, request = self._pictures.popleft()
+        topics, clients = self.simulation.graph.topics, {session.node for session in self._sessions.values()}
+        pictures = (topic for topic, kind in topics.types().items() if kind == journal.PICTURE)
+        if error:
+            pending.reject(Refused(error))
+        elif any(node not in clients for topic in pictures for node in topics.subscribers(topic)):
+            self._renderer.ask(request)
+            while (picture := self._renderer.take()) is None:
+                pass
+            pending.resolve(picture)
+        else:
+            pending.resolve("")
+
+    def _take_limit(self) -> None:
+        if self._peek("limit"):
+            self._advance()
+
+    # --- the state ----------------------------------------------------------------------------------------------
+
+    def _keep_state(self) -> None:
+        self._state = self.simulation.cycles, self.simulation.world.numbers()
+
+    def _compare(self, entry: dict[str, Any]) -> None:
+        if "end" in entry:
+            self._keep_state()
+        self.states += 1
+        cycle, here = self._state
+        there = base64.b64decode(entry["state"])
+        if self.differs or (cycle, here) == (entry["cycle"], there):
+            return
+        at = f"the state differs at {self.simulation.time_ns / SECOND:g} s (cycle {entry['cycle']})"
+        if cycle != entry["cycle"] or len(here) != len(there):
+            self.differs = f"{at}: there are {len(here) // 8} numbers now, and {len(there) // 8} in the journal"
+            return
+        names = self.simulation.world.number_names()
+        pairs = list(zip(names, memoryview(here).cast("d"), memoryview(there).cast("d"), strict=True))
+        # By their bits: -0.0 is another one than 0.0, and what is not a number is the same as itself.
+        others = [pair for at, pair in enumerate(pairs) if here[8 * at : 8 * at + 8] != there[8 * at : 8 * at + 8]]
+        name, now, then = others[0]
+        more = f", and {len(others) - 1} numbers more" if others[1:] else ""
+        self.differs = f"{at}: {name} is {now!r} now and {then!r} in the journal{more}"
+
+
+class _Nobody:
+    """The reader of a client that is not there."""
+
+    unread = 0
+    is_overfull = False
+
+    def __init__(self, publications: Publications) -> None:
+        self.outbox = Outbox(lambda *_: b"", publications)
+
+    def send(self, line: bytes) -> None:
+        """Nobody takes it."""
+
+    def look_again(self) -> None:
+        """When it went stands in the journal."""
+
+
+def other_versions(contents: Contents) -> list[str]:
+    """On what the bits may depend, and is not here what it was there."""
+    here = journal.written_by()
+    return [
+        f"{name} {value or 'none'} then, {here.get(name, 'none')} now"
+        for name, value in contents.written_by.items()
+        if value != here.get(name, "")
+    ]
