@@ -131,6 +131,11 @@ class ActionServer:
         self.publish_status()
 
     @property
+    def open_goals(self) -> list[ActionGoal]:
+        """Those that have no result yet, and that somebody works on."""
+        return [goal for goal in self._goals if goal.ended_ns is None]
+
+    @property
     def wants_feedback(self) -> bool:
         """Does somebody listen to it?"""
         return self._feedback.wanted

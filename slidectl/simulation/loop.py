@@ -150,7 +150,7 @@ class Loop:
         self.in_cycle = False
         self.robots: tuple[SpawnedRobot, ...] = ()
         self.plain = PlainRunner(self)
-        self._data = world.data
+        self._views = world.views
         self.engine = Engine(self, engine)
         world.on_rebuild(self._world_changed)
 
@@ -170,8 +170,8 @@ class Loop:
             self.engine.compiled.give_back(robot)
 
     def _world_changed(self) -> None:
-        if self.world.data is not self._data:
-            self._data = self.world.data
+        if self.world.views is not self._views:  # arrays lie elsewhere, of the model or of its motors
+            self._views = self.world.views
             for runner in self._runners():
                 runner.follow_world()
 

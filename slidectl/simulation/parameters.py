@@ -136,6 +136,25 @@ class Parameters:
                 self._root = content
         self._tell([leaf for leaf, _ in leaves])
 
+    def tree(self) -> dict[str, Any]:
+        """A copy of the whole tree. Its lists are those of the tree: nobody changes them."""
+        copy: dict[str, Any] = _copied(self._root)
+        return copy
+
+    def replace(self, tree: dict[str, Any]) -> None:
+        """Have this tree, whatever guards say of it. Watchers of what is different are told.
+
+        Raises UsageError: a value that no parameter can have.
+        """
+        before, after = (
+            {path: (type(value), value) for path, value in _leaves(root, ())} for root in (self._root, tree)
+        )
+        changed = [path for path in dict.fromkeys((*before, *after)) if before.get(path) != after.get(path)]
+        if changed:
+            self._root, self._names = _settable("/", tree)[1], None
+            self._counted = _size(self._root)
+            self._tell(changed)
+
     def delete(self, name: str) -> None:
         """Delete a parameter or a whole namespace.
 

@@ -27,6 +27,7 @@ from slidectl.simulation.loop import Loop, RunState, check_timestep
 from slidectl.simulation.own_services import OwnServices
 from slidectl.simulation.parameters import Parameters
 from slidectl.simulation.pending import Pending
+from slidectl.simulation.snapshots import Snapshots
 from slidectl.simulation.sensor_topics import bring_up as bring_up_sensors
 from slidectl.simulation.spawned_robots import Robots, SpawnedRobot
 from slidectl.simulation.state_publisher import StatePublishers
@@ -79,6 +80,10 @@ class Simulation:
         self.paint: Callable[[Camera, Pose, int], Pending] = self._paint_here
         """How a camera at a pose gets its picture (pixels in base64), with the seed of its noise. A driver puts its
         own, which may answer later."""
+        self.snapshots = Snapshots(self)
+        self.kept: dict[str, object] = {}
+        """What a snapshot saves besides world, clock, parameters and robots, by names of whoever puts it here. What
+        counts of an object is in `kept_state`."""
         self._painter: Painter | None = None
         self.chosen: set[str] = set()
         """What a user has asked for, of `speed`, `timestep` and `gravity`: the file of a world does not change it."""
@@ -209,6 +214,14 @@ class Simulation:
         check_timestep(seconds)
         self.world.set_timestep(seconds)
         self.loop.step_ns = from_seconds(seconds)
+
+    def save(self, name: str) -> None:
+        """Keep the whole state of now under a name, for `load`; see snapshots.Snapshots.save for what it raises."""
+        self.snapshots.save(name)
+
+    def load(self, name: str) -> None:
+        """Be again what was saved under the name. Raises UnknownName, Refused."""
+        self.snapshots.load(name)
 
     def _paint_here(self, camera: Camera, pose: Pose, seed: int) -> Pending:
         """Waits for the picture."""
