@@ -114,7 +114,7 @@ class ActionServer:
         self._status = node.advertise("status", "actionlib_msgs/GoalStatusArray", latch=True)
         node.subscribe("goal", f"{type_name}ActionGoal", self._take_goal)
         node.subscribe("cancel", "actionlib_msgs/GoalID", self._take_cancel)
-        node.call_every(STATUS_PERIOD_NS, self.publish_status, enters=False)
+        self._status_call = node.call_every(STATUS_PERIOD_NS, self.publish_status, enters=False)
         self.publish_status()
 
     def publish_status(self) -> None:

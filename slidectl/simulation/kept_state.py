@@ -1,4 +1,4 @@
-"""The state of objects as plain data: taken out of everything below a tree of them, and put back into the same or alike.
+"""The state of objects as plain data: taken out of all that is below a tree of them, and put back.
 
 All attributes count, by one rule for each kind of value. What something else has made (`STRUCTURE`, and what `KEPT`
 leaves out) is not saved: a state is put into objects that were made in the same way. What has no rule is an error that
@@ -14,7 +14,7 @@ import random
 import sys
 from array import array
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import is_dataclass
 from enum import Enum
@@ -85,7 +85,7 @@ STRUCTURE = (
 VALUES: dict[str, type] = {
     cls.__qualname__: cls for cls in (ActionGoal, BaseVelocity, GoalStatus, MonitoredGoal, RollingMean, State)
 }
-"""Classes of objects that come and go while a simulation runs: those that are missing are made."""
+"""Classes of objects that come and go while a simulation runs: they are made anew."""
 
 _SCALARS = frozenset((bool, int, float, str, bytes, type(None)))
 _FUNCTIONS = (FunctionType, BuiltinFunctionType, partial)
@@ -154,7 +154,7 @@ class Saving:
     def value(self, value: Any, of_user: bool = False) -> Any:
         """`of_user`: it belongs to an object of a user's class. Raises CannotSave."""
         kind = type(value)
-        return value if kind in _SCALARS else _rule(kind).save(self, value, of_user)
+        return value if kind in _SCALARS else rule_of(kind).save(self, value, of_user)
 
     def values(self, values: Mapping[Any, Any], of_user: bool) -> dict[Any, Any]:
         """What is saved of attributes, or of the values of a mapping."""
@@ -165,7 +165,7 @@ class Saving:
                 saved[name] = value
                 continue
             try:
-                saved[name] = _rule(kind).save(self, value, of_user)
+                saved[name] = rule_of(kind).save(self, value, of_user)
             except CannotSave as error:
                 raise error.below(str(name)) from None
         return saved
@@ -233,6 +233,16 @@ class Restoring:
         """The same of the values of a mapping."""
         return {name: self.value(value, live.get(name)) for name, value in saved.items()}
 
+    def in_order(self, saved: Sequence[Any], live: Sequence[Any]) -> list[Any]:
+        """The same of elements in their order; what has been found otherwise, here and there, does not count."""
+        rest = iter([one for one in live if id(one) not in self._used])
+        return [
+            self._found[one.number]
+            if type(one) is Ref and self._found[one.number] is not None
+            else self.value(one, next(rest, None))
+            for one in saved
+        ]
+
     def later(self, take: Callable[[], None]) -> None:
         """Call this when all objects have their values."""
         self._taking.append(take)
@@ -249,9 +259,9 @@ class Restoring:
         found = self._found[number]
         if found is None:
             kind, content = self._entries[number]
-            if type(live).__qualname__ != kind or id(live) in self._used:
+            if type(live).__qualname__ != kind or id(live) in self._used or kind in VALUES:
                 live = self._made(kind, content)
-            rule = _rule(type(live))
+            rule = rule_of(type(live))
             found = self._found[number] = rule.fit(live, content)
             self._used.add(id(found))
             rule.fill(self, found, content)
@@ -263,7 +273,7 @@ class Restoring:
         cls = self._class(kind)
         return cls.__new__(cls)
 
-    def _class(self, name: str) -> type:
+    def _class(self, name: str) -> Any:
         """What a module merely imports does not count: its constructor may do anything."""
         known = [VALUES.get(name), *(vars(module).get(name) for module in self._users)]
         places = {*(module.__name__ for module in self._users)}
@@ -359,8 +369,7 @@ class _List(Rule):
         return saving.object(value, lambda: [saving.value(one, of_user) for one in value])
 
     def fill(self, restoring: Restoring, live: Any, content: Any) -> None:
-        lives = [*live, *[None] * (len(content) - len(live))]
-        new = list(map(restoring.value, content, lives))
+        new = restoring.in_order(content, live)
         live.clear()
         live.extend(new)
 
@@ -527,8 +536,7 @@ _RULES: tuple[tuple[type | tuple[type, ...], Rule], ...] = (
 )
 
 
-@cache
-def _rule(cls: type) -> Rule:
+def _rule_of(cls: Any) -> Rule:
     """For objects of the class."""
     for base in cls.__mro__:
         if base in KEPT:
@@ -537,11 +545,15 @@ def _rule(cls: type) -> Rule:
         if issubclass(cls, bases):
             return rule
     package, _, rest = cls.__module__.partition(".")
-    is_frozen = is_dataclass(cls) and cls.__dataclass_params__.frozen  # type: ignore[attr-defined]
-    if package == "slidectl" and (rest.startswith("description") or is_frozen):
+    is_frozen = is_dataclass(cls) and getattr(cls, "__dataclass_params__").frozen  # noqa: B009
+    # The simulation itself is structure too; its module imports this one.
+    if package == "slidectl" and (rest.startswith(("description", "simulation.simulation")) or is_frozen):
         return Rule()
     if hasattr(cls, "save_state") and hasattr(cls, "load_state"):
         return _OwnState()
     has_attributes = "__dict__" in dir(cls) or any("__slots__" in vars(base) for base in cls.__mro__)
     is_library = package in sys.stdlib_module_names and package != "__main__"
     return _Attributes(cls, None) if has_attributes and not is_library else _Unknown()
+
+
+rule_of: Callable[[Any], Rule] = cache(_rule_of)

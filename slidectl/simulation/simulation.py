@@ -27,8 +27,9 @@ from slidectl.simulation.loop import Loop, RunState, check_timestep
 from slidectl.simulation.own_services import OwnServices
 from slidectl.simulation.parameters import Parameters
 from slidectl.simulation.pending import Pending
-from slidectl.simulation.snapshots import Snapshots
 from slidectl.simulation.sensor_topics import bring_up as bring_up_sensors
+from slidectl.simulation.snapshot_services import SnapshotServices
+from slidectl.simulation.snapshots import Snapshots
 from slidectl.simulation.spawned_robots import Robots, SpawnedRobot
 from slidectl.simulation.state_publisher import StatePublishers
 from slidectl.simulation.topics import TopicSubscription
@@ -92,6 +93,7 @@ class Simulation:
         self.graph.parameters.set("/use_sim_time", True)
         rosapi.advertise(self.graph)
         OwnServices(self)
+        SnapshotServices(self)
         waits.advertise(self.graph)
         GazeboServices(self)
         self.robots.on_spawn += [
