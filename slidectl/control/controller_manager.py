@@ -508,6 +508,10 @@ class ControllerManager:
         """The names of all loaded controllers, in load order."""
         return list(self._loaded)
 
+    def loaded(self) -> Sequence[tuple[str, str]]:
+        """Names and types of all controllers, in load order."""
+        return [(entry.name, entry.info.type) for entry in self._loaded.values()]
+
     def get(self, name: str) -> ControllerBase | None:
         """The loaded controller of that name, else None."""
         entry = self._loaded.get(name)

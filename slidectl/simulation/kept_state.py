@@ -119,6 +119,10 @@ class Entry(NamedTuple):
     content: Any
 
 
+_RESERVED = Entry("", None)
+"""In the place of an object of which the content is being saved."""
+
+
 class Left:
     """Stands for what is not saved."""
 
@@ -176,7 +180,7 @@ class Saving:
         if ref is None:
             ref = self._numbers[id(value)] = Ref(len(self.entries))
             self._alive.append(value)
-            self.entries.append(Entry(type(value).__qualname__, None))
+            self.entries.append(_RESERVED)
             self.entries[ref.number] = Entry(type(value).__qualname__, content())
         return ref
 

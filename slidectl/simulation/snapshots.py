@@ -51,7 +51,6 @@ class SpawnedAs:
     @classmethod
     def of(cls, robot: SpawnedRobot) -> SpawnedAs:
         """What made this one."""
-        loaded = robot.parts.manager.list() if robot.is_controlled else []
         return cls(
             robot.name,
             robot.namespace,
@@ -62,7 +61,7 @@ class SpawnedAs:
             robot.caller,
             robot.body.hulls,
             list(robot.made_parameters),
-            [(one["name"], one["type"]) for one in loaded],
+            list(robot.parts.manager.loaded()) if robot.is_controlled else [],
         )
 
     def is_like(self, other: SpawnedAs) -> bool:
@@ -238,10 +237,13 @@ def _modules_of_users(simulation: Simulation) -> list[ModuleType]:
 def _make(simulation: Simulation, snapshot: Snapshot) -> list[str]:
     """Let the same robots and controllers be there, in the same order. Returns the robots that were made again."""
     robots, wanted = simulation.robots, snapshot.robots
+    present = [SpawnedAs.of(robot) for robot in robots]
+    if _are_alike(present, wanted):
+        _replace_parameters(simulation, snapshot)
+        return []
     for one in wanted:
         for name, type_name in one.controllers:
             _check_type(one.name, name, type_name)
-    present = [SpawnedAs.of(robot) for robot in robots]
     same = _common([one.is_like(other) for one, other in zip(present, wanted, strict=False)])
     for one in reversed(present[same:]):
         robots.delete(one.name)

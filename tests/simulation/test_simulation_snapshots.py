@@ -9,10 +9,8 @@ from typing import Any
 
 import pytest
 import yaml
-from engine_scenes import EFFORT, GAINS, POSITION, VELOCITY, add, arm, at_random
+from engine_scenes import EFFORT, GAINS, POSITION, VELOCITY, add, arm
 from engine_scenes import vars_of as numbers_of
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from sim_robots import STATES
 from test_simulation_compiled_controllers import FOLLOWERS, JOINTS, random_trajectory
 from test_simulation_force_torque import IMU, PLUGIN
@@ -20,7 +18,6 @@ from test_simulation_force_torque import arm as tool_arm
 
 from slidectl import Simulation, description
 from slidectl.control import registry
-from slidectl.errors import SlidectlError
 from slidectl.simulation import snapshot_files
 from slidectl.simulation.compiled import object_file
 from slidectl.simulation.snapshots import put
@@ -97,7 +94,7 @@ def one_each(interface: str, types: list[str], gains: bool = True) -> tuple[Buil
     """A controller of a joint each; joints of positions and velocities are driven by PIDs, or by motors."""
 
     def build(simulation: Simulation) -> None:
-        own = {joint: GAINS for joint in JOINTS} if gains else {}
+        own = dict.fromkeys(JOINTS, GAINS) if gains else {}
         simulation.parameters.set("/a/gazebo_ros_control/pid_gains", own)
         goals = {f"goal{k}": {"type": kind, "joint": f"joint{k}", "pid": GAINS} for k, kind in enumerate(types, 1)}
         add(
