@@ -2,25 +2,42 @@
 
 from __future__ import annotations
 
+import random
+import subprocess
+import sys
+import threading
+from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
 from random import Random
-from typing import Any
+from typing import Any, ClassVar, NamedTuple
 
+import numpy as np
 import pytest
 import yaml
-from engine_scenes import EFFORT, GAINS, POSITION, VELOCITY, add, arm
+from engine_scenes import EFFORT, GAINS, POSITION, VELOCITY, add, arm, usual
 from engine_scenes import vars_of as numbers_of
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from sim_robots import STATES
 from test_simulation_compiled_controllers import FOLLOWERS, JOINTS, random_trajectory
 from test_simulation_force_torque import IMU, PLUGIN
 from test_simulation_force_torque import arm as tool_arm
 
+import slidectl
 from slidectl import Simulation, description
 from slidectl.control import registry
+from slidectl.control.controller_interface import Controller
+from slidectl.control.hardware_interface import EffortJointInterface
+from slidectl.control.node_handle import NodeHandle
+from slidectl.control.registry import controller
+from slidectl.errors import BadFile, BadName, Refused, SlidectlError, UnknownName
+from slidectl.physics import Diverged
 from slidectl.simulation import snapshot_files
 from slidectl.simulation.compiled import object_file
-from slidectl.simulation.snapshots import put
+from slidectl.simulation.snapshots import PUT_BACK, put
 from slidectl.simulation.topics import TopicSubscription
 
 CONFIG = Path(__file__).parent.parent.parent / "config"
@@ -314,3 +331,325 @@ def test_going_on_from_a_snapshot_gives_the_same_bits(scene: str, engine: str, t
     other = made(engine)
     put(other, snapshot_files.read(file))
     assert future(other, act, topics) == never_stopped  # in another simulation
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@given(seed=st.integers(0, 10_000), until=st.integers(0, 1500), count=st.integers(1, 800))
+@settings(max_examples=6, deadline=None)
+def test_any_moment_has_the_same_future(engine: str, seed: int, until: int, count: int) -> None:
+    simulation, (build, act), dice = made(engine), SCENES["efforts"], Random(seed)
+    build(simulation)
+    while simulation.cycles < until:
+        act(simulation, dice)
+        simulation.step(dice.choice((1, 77, 300)))
+    simulation.save("here")
+    simulation.step(count)
+    first = everything(simulation)
+    act(simulation, dice)
+    simulation.step(33)
+    simulation.load("here")
+    simulation.step(count)
+    assert everything(simulation) == first
+
+
+# -- other robots and controllers than then ----------------------------------------------------------------------------
+
+
+def test_robots_controllers_and_parameters_are_as_they_were() -> None:
+    simulation = made("plain")
+    add(
+        simulation, "a", arm(), {"one": {"type": EFFORT, "joint": "joint1"}, "two": {"type": EFFORT, "joint": "joint2"}}
+    )
+    add(simulation, "b", arm(), {"one": {"type": EFFORT, "joint": "joint1"}})
+    simulation.publish("/a/two/command", {"data": 1.0})
+    simulation.parameters.set("/mine", {"x": 1, "y": [1, 2.0]})
+    simulation.set_timestep(0.002)
+    simulation.step(100)
+    simulation.save("here")
+    simulation.step(50)
+    then = everything(simulation)
+
+    simulation.set_timestep(0.001)
+    simulation.world.set_gravity((0.0, 0.0, 0.0))
+    simulation.delete("a")
+    add(simulation, "c", arm(), {"one": {"type": EFFORT, "joint": "joint3"}})
+    simulation.parameters.set("/mine", {"x": 1.0})
+    manager = simulation.robots.get("b").manager
+    manager.request_switch([], ["one"], 2)
+    simulation.step(1)
+    assert manager.unload("one")
+    simulation.load("here")
+    assert simulation.robots.names() == ["a", "b"]
+    simulation.step(50)
+    assert everything(simulation) == then
+    assert not [topic for topic in simulation.graph.topics.names() if topic.startswith("/c/")]
+    for name in ("a", "b"):
+        simulation.delete(name)
+    assert not simulation.parameters.has("/a/robot_description")
+
+
+def test_what_does_not_fit_changes_nothing() -> None:
+    simulation = made("plain")
+    add(simulation, "a", arm(), {"own": {"type": "tests/HookedKeeper", "joint": "joint1"}})
+    simulation.save("here")
+    simulation.step(50)
+    before = everything(simulation)
+    HookedKeeper.refusals.append("not today")
+    with pytest.raises(Refused, match="not today"):
+        simulation.load("here")
+    assert everything(simulation) == before
+    with pytest.raises(UnknownName, match="no snapshot 'there'"):
+        simulation.load("there")
+    with pytest.raises(BadName):
+        simulation.save("no name")
+    with pytest.raises(Refused, match="with ground"):
+        put(Simulation(ground=False), simulation.snapshots.get("here"))
+
+
+# -- goals, waits and switches -----------------------------------------------------------------------------------------
+
+
+def test_goals_go_on_as_they_were_and_those_sent_since_end() -> None:
+    simulation, (build, _) = made("plain"), following("position")
+    build(simulation)
+    results: list[tuple[str, int, str]] = []
+
+    def take(message: dict[str, Any]) -> None:
+        status = message["status"]
+        results.append((status["goal_id"]["id"], status["status"], status["text"]))
+
+    simulation.subscribe("/a/arm/follow_joint_trajectory/result", take)
+
+    def send(name: str, seconds: int) -> None:
+        point = {"positions": [0.3] * 3, "velocities": [0.0] * 3, "time_from_start": {"secs": seconds}}
+        goal = {"trajectory": {"joint_names": JOINTS, "points": [point]}}
+        simulation.publish("/a/arm/follow_joint_trajectory/goal", {"goal_id": {"id": name}, "goal": goal})
+
+    send("first", 1)
+    simulation.step(500)
+    simulation.save("on the way".replace(" ", "_"))
+    simulation.step(1000)
+    assert [result[:2] for result in results] == [("first", 3)]
+    send("second", 5)
+    simulation.step(500)
+    simulation.load("on_the_way")
+    assert results[1:] == [("second", 2, PUT_BACK)]
+    simulation.step(1000)
+    assert [result[:2] for result in results[2:]] == [("first", 3)]
+
+
+def test_sleeps_and_waits_keep_what_is_left_of_them() -> None:
+    simulation = made("plain")
+    add(simulation, "a", arm(), {"states": {"type": STATES, "publish_rate": 100}})
+    simulation.save("beginning")
+    simulation.step(1000)
+    sleep = simulation.graph.services.call("/slidectl/sleep", {"duration": 0.5})
+    request = {"topic": "/a/joint_states", "field": "position[0]", "condition": "above", "value": "9.0", "within": 0.5}
+    wait = simulation.graph.services.call("/slidectl/wait", request)
+    simulation.step(300)
+    simulation.load("beginning")
+    simulation.step(199)
+    assert not sleep.done
+    assert not wait.done
+    simulation.step(1)
+    assert sleep.result()["time"] == 0.2
+    assert not wait.result()["success"]
+
+
+def test_while_a_switch_is_under_way_nothing_is_saved_or_loaded() -> None:
+    simulation = made("plain")
+    add(simulation, "a", arm(), {"one": {"type": EFFORT, "joint": "joint1"}})
+    simulation.save("before")
+    simulation.driven = True
+    request = {"stop_controllers": ["one"], "strictness": 2}
+    simulation.graph.services.call("/a/controller_manager/switch_controller", request)
+    for act in (simulation.save, simulation.load):
+        with pytest.raises(Refused, match="a switch of controllers of 'a' is under way"):
+            act("before")
+    simulation.step(1)
+    simulation.load("before")
+    assert [one["state"] for one in simulation.robots.get("a").manager.list()] == ["running"]
+
+
+def test_a_world_that_diverged_goes_on_from_its_snapshot() -> None:
+    simulation = made("plain")
+    add(simulation, "a", arm(), {"one": {"type": EFFORT, "joint": "joint1"}})
+    simulation.step(10)
+    simulation.save("sound")
+    simulation.step(300)
+    then = everything(simulation)
+    simulation.world.data.qvel[:] = 1e11
+    with pytest.raises(Diverged):
+        simulation.step(300)
+    with pytest.raises(Refused, match="cannot go on"):
+        simulation.save("broken")
+    simulation.load("sound")
+    simulation.step(300)
+    assert everything(simulation) == then
+
+
+# -- classes of users --------------------------------------------------------------------------------------------------
+
+
+class Phase(Enum):
+    OUT = 1
+    BACK = 2
+
+
+class Target(NamedTuple):
+    position: float
+    phase: Phase
+
+
+@dataclass
+class Step:
+    targets: list[Target]
+
+
+@controller("tests/Keeper")
+class Keeper(Controller[EffortJointInterface]):
+    """Has state of many kinds."""
+
+    interface_type = EffortJointInterface
+
+    def init(self, interface: EffortJointInterface, node: NodeHandle) -> None:
+        self.node = node
+        self.joint = interface.get_handle(node.get_param("joint"))
+        self.dice = random.Random(3)
+        self.noise = np.random.default_rng(4)
+        self.past: deque[float] = deque(maxlen=3)
+        self.sums = np.zeros(2)
+        self.seen = {"count": 0}
+        self.same = self.seen
+        self.act = self.go_out
+        self.step: Step | None = None
+        self.told = node.advertise("told", "std_msgs/Float64", latch=True)
+        node.call_every(7_000_000, self.tick)
+
+    def tick(self) -> None:
+        self.seen["count"] += 1
+
+    def go_out(self) -> float:
+        if self.joint.position > 0.02:
+            self.act = self.go_back
+            self.late = 5
+        return 2.0
+
+    def go_back(self) -> float:
+        if self.joint.position < -0.02:
+            self.act = self.go_out
+        return -2.0
+
+    def update(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
+        self.past.append(self.dice.gauss(0.0, 1.0) + float(self.noise.normal()))
+        self.sums += self.past[0]
+        self.same["count"] += 1
+        self.step = Step([Target(self.joint.position, Phase.OUT if self.act == self.go_out else Phase.BACK)])
+        self.joint.command = self.act() + sum(self.past) + 1e-3 * float(self.sums[0]) + 1e-3 * self.seen["count"]
+
+
+@controller("tests/HookedKeeper")
+class HookedKeeper(Keeper):
+    """Says itself what its state is."""
+
+    refusals: ClassVar[list[str]] = []
+
+    def init(self, interface: EffortJointInterface, node: NodeHandle) -> None:
+        super().init(interface, node)
+        self.lock = threading.Lock()
+
+    def save_state(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "lock"}
+
+    def load_state(self, state: dict[str, Any]) -> None:
+        if self.refusals:
+            raise Refused(self.refusals.pop())
+        vars(self).update(state)
+
+
+@pytest.mark.parametrize("kind", ["tests/Keeper", "tests/HookedKeeper"])
+def test_a_controller_of_a_user_goes_on_with_all_that_its_attributes_hold(kind: str, tmp_path: Path) -> None:
+    simulation = made("plain")
+    add(simulation, "a", arm(), {"own": {"type": kind, "joint": "joint1"}})
+    simulation.step(123)
+    file = str(tmp_path / "here.snapshot")
+    simulation.call("/slidectl/save", {"name": "here", "file": file})
+    simulation.step(400)
+    then = everything(simulation)
+    simulation.load("here")
+    simulation.step(400)
+    assert everything(simulation) == then
+    other = made("plain")
+    other.call("/slidectl/load", {"file": file})
+    keeper: Any = other.robots.get("a").manager.get("own")
+    assert keeper.same is keeper.seen
+    other.step(400)
+    assert everything(other) == then
+
+
+@pytest.mark.parametrize(
+    ("value", "what"),
+    [
+        (threading.Lock(), "a _thread.lock"),
+        ([1, {"deep": open(__file__)}], "a _io.TextIOWrapper"),  # noqa: SIM115
+        (np.array([object()]), "an array of object"),
+        ((lambda held: lambda: held)(1), "a function that holds values of its own"),
+    ],
+)
+def test_what_no_snapshot_holds_is_named(value: Any, what: str) -> None:
+    simulation = made("plain")
+    add(simulation, "a", arm(), {"own": {"type": "tests/Keeper", "joint": "joint1"}})
+    simulation.robots.get("a").manager.get("own").thing = value  # type: ignore[union-attr]
+    with pytest.raises(Refused, match=rf"controllers.own.thing.*: it is {what}") as refusal:
+        simulation.save("here")
+    assert refusal.value.hint is not None
+    assert "save_state" in refusal.value.hint
+
+
+# -- files -------------------------------------------------------------------------------------------------------------
+
+
+def test_a_file_that_is_cut_off_or_of_another_version_is_refused_with_the_reason(tmp_path: Path) -> None:
+    simulation = made("plain")
+    add(simulation, "a", arm(), usual())
+    simulation.step(10)
+    good = tmp_path / "good.snapshot"
+    simulation.call("/slidectl/save", {"name": "good", "file": str(good)})
+    content, before = good.read_bytes(), everything(simulation)
+
+    def refused(content: bytes) -> str:
+        bad = tmp_path / "bad.snapshot"
+        bad.write_bytes(content)
+        with pytest.raises(SlidectlError) as refusal:
+            simulation.call("/slidectl/load", {"file": str(bad)})
+        assert everything(simulation) == before
+        return str(refusal.value)
+
+    for size in range(0, len(content), 97):
+        text = refused(content[:size])
+        assert "cut off" in text or "no snapshot of slidectl" in text
+    assert "no snapshot of slidectl" in refused(b"PK" + content)
+    assert "is damaged" in refused(content[:-1] + b"x")
+    version = f'"slidectl": "{slidectl.__version__}"'.encode()
+    assert "saved with slidectl 9.9, and this is" in refused(content.replace(version, b'"slidectl": "9.9"'))
+    with pytest.raises(BadFile, match="cannot be read"):
+        simulation.call("/slidectl/load", {"file": str(tmp_path / "none")})
+
+
+def test_a_file_runs_no_code_that_it_names(tmp_path: Path) -> None:
+    source = tmp_path / "stranger.py"
+    source.write_text(
+        "from slidectl.control import Controller, EffortJointInterface\n"
+        "class Stranger(Controller):\n"
+        "    interface_type = EffortJointInterface\n"
+        "    def update(self, time_ns, period_s): pass\n"
+    )
+    simulation, file = made("plain"), str(tmp_path / "here.snapshot")
+    simulation.spawn(arm(), "a")
+    request = {"robot": "a", "name": "own", "file": str(source), "class_name": ""}
+    assert simulation.call("/slidectl/load_controller_file", request)["ok"]
+    simulation.call("/slidectl/save", {"name": "here", "file": file})
+    script = f"from slidectl import Simulation; Simulation().call('/slidectl/load', {{'file': {file!r}}})"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert "controller 'own' of 'a' is a stranger/Stranger, which is not known here" in done.stderr
+    assert "slidectl daemon start --import FILE.py" in done.stderr
