@@ -23,7 +23,18 @@ from benchmarks.harness import Row
 HERE = Path(__file__).parent
 README = HERE.parent / "README.md"
 PERFORMANCE = HERE.parent / "docs" / "performance.md"
-NAMES = ("commands", "cycles", "controllers", "realtime", "latency", "streams", "recordings", "spawns", "compare")
+NAMES = (
+    "commands",
+    "cycles",
+    "controllers",
+    "realtime",
+    "latency",
+    "streams",
+    "recordings",
+    "spawns",
+    "snapshots",
+    "compare",
+)
 HEADLINES = (
     "slidectl pub command 1.0",
     "slidectl pub command 1.0: ratio to python -c 'import click'",

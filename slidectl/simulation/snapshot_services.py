@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from slidectl.control.duration import to_seconds
 from slidectl.control.node_handle import Message
 from slidectl.errors import UsageError
 from slidectl.simulation import snapshot_files
+from slidectl.simulation.clock import SECOND
 from slidectl.simulation.snapshots import put
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ class SnapshotServices:
         snapshot = self._snapshots.save(request["name"])
         if file:
             snapshot_files.write(snapshot, file)
-        return {"time": to_seconds(snapshot.time_ns)}
+        return {"time": snapshot.time_ns / SECOND}
 
     def _load(self, request: Message) -> Message:
         name, file = request["name"], _absolute(request["file"])
@@ -48,7 +48,7 @@ class SnapshotServices:
         infos = [
             {
                 "name": name,
-                "time": to_seconds(snapshot.time_ns),
+                "time": snapshot.time_ns / SECOND,
                 "cycles": snapshot.cycles,
                 "robots": [robot.name for robot in snapshot.robots],
             }

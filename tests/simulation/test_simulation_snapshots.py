@@ -28,13 +28,13 @@ from test_simulation_force_torque import arm as tool_arm
 
 import slidectl
 from slidectl import Simulation, description
-from slidectl.control import registry
+from slidectl.control import hardware_types, registry
 from slidectl.control.controller_interface import Controller
 from slidectl.control.hardware_interface import EffortJointInterface
 from slidectl.control.node_handle import NodeHandle
 from slidectl.control.registry import controller
 from slidectl.errors import BadFile, BadName, Refused, SlidectlError, UnknownName
-from slidectl.physics import Diverged
+from slidectl.physics import Diverged, MujocoRobotHW
 from slidectl.simulation import snapshot_files
 from slidectl.simulation.compiled import object_file
 from slidectl.simulation.snapshots import PUT_BACK, put
@@ -585,6 +585,37 @@ def test_a_controller_of_a_user_goes_on_with_all_that_its_attributes_hold(kind: 
     assert keeper.same is keeper.seen
     other.step(400)
     assert everything(other) == then
+
+
+class SlowMotors(MujocoRobotHW):
+    """Efforts follow the commands with a delay."""
+
+    def init(self, node: NodeHandle) -> None:
+        self.node = node
+        self.efforts: dict[str, float] = {}
+
+    def write(self, time_ns: int, period_s: float) -> None:
+        super().write(time_ns, period_s)
+        before = self.efforts.get("joint1", 0.0)
+        self.efforts["joint1"] = before + 0.05 * (self.joint_effort("joint1") - before)
+        self.set_joint_effort("joint1", self.efforts["joint1"])
+
+
+def test_hardware_of_a_user_goes_on_with_its_attributes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(hardware_types._known, "tests/SlowMotors", SlowMotors)
+    xml = arm(plugin="<robotSimType>tests/SlowMotors</robotSimType>")
+    simulation = made("plain")
+    add(simulation, "a", xml, {"one": {"type": POSITION, "joint": "joint1", "pid": GAINS}})
+    simulation.publish("/a/one/command", {"data": 1.0})
+    simulation.step(100)
+    simulation.save("here")
+    simulation.step(200)
+    then = everything(simulation)
+    for forget in (lambda: simulation.step(100), lambda: simulation.delete("a")):
+        forget()
+        simulation.load("here")
+        simulation.step(200)
+        assert everything(simulation) == then
 
 
 @pytest.mark.parametrize(
