@@ -112,14 +112,14 @@ class Named(NamedTuple):
     value: Any
 
 
-class Entry(NamedTuple):
+class SavedObject(NamedTuple):
     """One object: the name of its class, and what it consists of."""
 
     kind: str
     content: Any
 
 
-_RESERVED = Entry("", None)
+_RESERVED = SavedObject("", None)
 """In the place of an object of which the content is being saved."""
 
 
@@ -150,7 +150,7 @@ class Saving:
     """`value` gives what is saved of a value; the objects that it refers to are in `entries`."""
 
     def __init__(self) -> None:
-        self.entries: list[Entry] = []
+        self.entries: list[SavedObject] = []
         self._numbers: dict[int, Ref] = {}
         self._alive: list[Any] = []
         """Keeps objects, whose identities would be those of others else."""
@@ -181,7 +181,7 @@ class Saving:
             ref = self._numbers[id(value)] = Ref(len(self.entries))
             self._alive.append(value)
             self.entries.append(_RESERVED)
-            self.entries[ref.number] = Entry(type(value).__qualname__, content())
+            self.entries[ref.number] = SavedObject(type(value).__qualname__, content())
         return ref
 
 
@@ -191,7 +191,7 @@ class Saving:
 class Restoring:
     """`value` puts what was saved into what is there, and gives the result; `finish` is to follow."""
 
-    def __init__(self, entries: list[Entry], timers: Timers, users: list[ModuleType]) -> None:
+    def __init__(self, entries: list[SavedObject], timers: Timers, users: list[ModuleType]) -> None:
         """`users` are modules in which classes of objects may be found that have to be made."""
         self._entries = entries
         self._timers = timers

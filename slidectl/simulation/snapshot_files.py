@@ -14,15 +14,15 @@ from array import array
 from dataclasses import fields
 from typing import Any
 
-import mujoco
 import numpy as np
 
 import slidectl
 from slidectl import writing
 from slidectl.description.meshes import BadMesh
 from slidectl.errors import BadFile, Refused
+from slidectl.physics import mujoco_library
 from slidectl.physics.hulls import Hull, MeshSource
-from slidectl.simulation.kept_state import LEFT, Entry, Left, Method, Named, Ref
+from slidectl.simulation.kept_state import LEFT, Left, Method, Named, Ref, SavedObject
 from slidectl.simulation.snapshots import Snapshot, SpawnedAs
 
 MAGIC = b"slidectl snapshot\n"
@@ -38,7 +38,7 @@ def write(snapshot: Snapshot, path: str) -> None:
     content = zlib.compress(json.dumps(_pack_all(snapshot), separators=(",", ":")).encode(), 1)
     about = {
         "slidectl": slidectl.__version__,
-        "mujoco": mujoco.__version__,
+        "mujoco": mujoco_library.VERSION,
         "size": len(content),
         "sha256": hashlib.sha256(content).hexdigest(),
     }
@@ -63,7 +63,7 @@ def read(path: str) -> Snapshot:
         size, digest = int(about["size"]), str(about["sha256"])
     except (ValueError, LookupError, TypeError, RecursionError):
         raise BadFile("the snapshot is cut off or damaged in its second line", path) from None
-    for name, here in (("slidectl", slidectl.__version__), ("mujoco", mujoco.__version__)):
+    for name, here in (("slidectl", slidectl.__version__), ("mujoco", mujoco_library.VERSION)):
         if versions[name] != here:
             text = f"the snapshot was saved with {name} {versions[name]}, and this is {name} {here}"
             raise BadFile(text, path, hint="save it anew with this version")
@@ -102,7 +102,7 @@ def _unpack_all(packed: _Packed) -> Snapshot:
         SpawnedAs(**{**one, "hulls": dict(_hull(*hull) for hull in one["hulls"])}) for one in values.pop("robots")
     ]
     values["is_own"] = False
-    return Snapshot(robots=robots, entries=[Entry(*entry) for entry in values.pop("entries")], **values)
+    return Snapshot(robots=robots, entries=[SavedObject(*entry) for entry in values.pop("entries")], **values)
 
 
 def _hull(path: str, scale: tuple[float, float, float], content: Any) -> tuple[MeshSource, Hull | BadMesh]:

@@ -23,7 +23,7 @@ from slidectl.errors import BadName, Refused, SlidectlError, UnknownName
 from slidectl.physics.hulls import Hulls
 from slidectl.rotations import Pose
 from slidectl.simulation.action_server import ActionGoal
-from slidectl.simulation.kept_state import Entry, Restoring, Saving
+from slidectl.simulation.kept_state import Restoring, SavedObject, Saving
 from slidectl.simulation.spawned_robots import ParsedRobot, SpawnedRobot
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ class Snapshot:
     robots: list[SpawnedAs]
     parameters: dict[str, Any]
     world: dict[str, Any]
-    entries: list[Entry]
+    entries: list[SavedObject]
     state: Any
     """What is below `_tree`, with its objects in `entries`."""
 
