@@ -60,9 +60,8 @@ def test_the_controller_moves_the_slider_to_its_set_point(laws: Path) -> None:
 
 
 def test_a_class_that_holds_a_file_says_itself_what_a_snapshot_saves(laws: Path) -> None:
-    page = (ROOT / "docs" / "snapshots.md").read_text(encoding="utf-8")
-    file = laws.with_name("my_logging.py")
-    file.write_text("\n".join(BLOCK.findall(page)).replace("/tmp/", f"{laws.parent}/"), encoding="utf-8")
+    file = example("The state of a class of your own", laws.with_name("my_logging.py"))
+    file.write_text(file.read_text(encoding="utf-8").replace("/tmp/", f"{laws.parent}/"), encoding="utf-8")
     simulation = sliding("spring", file, "LoggingSpring")
     simulation.step(1000)
     simulation.save("here")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 from slidectl.control.node_handle import Message
@@ -32,9 +33,8 @@ class SnapshotServices:
 
     def _save(self, request: Message) -> Message:
         file = _absolute(request["file"])
-        snapshot = self._snapshots.save(request["name"])
-        if file:
-            snapshot_files.write(snapshot, file)
+        write = partial(snapshot_files.write, path=file) if file else lambda _: None
+        snapshot = self._snapshots.save(request["name"], write)
         return {"time": snapshot.time_ns / SECOND}
 
     def _load(self, request: Message) -> Message:

@@ -10,6 +10,7 @@ Who adds a part to robots or to the simulation registers it in `SpawnedRobot.kep
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from types import ModuleType
@@ -328,11 +329,15 @@ class Snapshots:
             raise UnknownName("snapshot", name, list(self._kept))
         return self._kept[name]
 
-    def save(self, name: str) -> Snapshot:
-        """Keep the state of now under the name; one that had it goes. Raises as `take`, and BadName."""
+    def save(self, name: str, first: Callable[[Snapshot], None] = lambda _: None) -> Snapshot:
+        """Keep the state of now under the name, after `first` has had it; one that had the name goes.
+
+        Raises as `take`, what `first` raises, and BadName; then nothing has changed.
+        """
         if not names.is_legal(name) or "/" in name or name.startswith("~"):
             raise BadName(name, "name of a snapshot: letters, digits and '_', and the first is a letter")
         snapshot = take(self._simulation)
+        first(snapshot)
         self._kept.pop(name, None)
         self._kept[name] = snapshot
         return snapshot
