@@ -11,8 +11,10 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-# No test may depend on how fast the machine is, nor leave a database behind.
-settings.register_profile("slidectl", deadline=None, suppress_health_check=[HealthCheck.too_slow], database=None)
+# No test may depend on how fast the machine is, nor leave a database behind; `make fuzz` takes another seed each time.
+settings.register_profile(
+    "slidectl", deadline=None, suppress_health_check=[HealthCheck.too_slow], database=None, derandomize=True
+)
 settings.load_profile("slidectl")
 
 _CACHE = pytest.StashKey[pytest.MonkeyPatch]()

@@ -46,6 +46,7 @@ def status_text(answer: dict[str, Any]) -> str:
     lines = {
         "time": f"{answer['time']:.3f} s, cycle {answer['cycles']} of {1000 * answer['timestep']:g} ms",
         "state": "running" if not answer["paused"] else f"paused: {trouble}" if trouble else "paused",
+        **({"lock-step": f"with {' '.join(answer['lockstep'])}"} if answer["lockstep"] else {}),
         "speed": f"{speed_text(answer['speed'])} asked, {answer['speed_reached'] or 0:.3g} reached",
         "engine": answer["engine"],
         "cycle time": cycles,

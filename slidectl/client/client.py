@@ -28,6 +28,7 @@ from slidectl.errors import (
     UnknownName,
     Unused,
     UsageError,
+    listing,
 )
 
 if TYPE_CHECKING:
@@ -556,6 +557,26 @@ class Client:
         """Those that the daemon keeps, in the order of their saving (slidectl/SnapshotInfo)."""
         return list(self.call("/slidectl/snapshots")["snapshots"])
 
+    @contextmanager
+    def lockstep(self, period: float = 0.0, timeout: float = 5.0) -> Iterator[LockStep]:
+        """Inside, the world goes on only by `step` of what this gives: one period each, of every client in lock-step.
+
+        Args:
+            period: simulated seconds, whole cycles; one cycle when not given.
+            timeout: wall seconds for which the world waits for this client; then it goes on without it.
+
+        Raises:
+            Refused: no whole number of cycles.
+        """
+        seconds = period or float(self.call("/slidectl/status")["timestep"])
+        joined = self.call("/slidectl/lockstep", {"period": seconds, "timeout": timeout})
+        lock = LockStep(self, float(joined["time"]))
+        try:
+            yield lock
+        finally:
+            with suppress(NoDaemon, Refused):  # it was let go already
+                self.call("/slidectl/lockstep", {"leave": True})
+
     def wait(
         self,
         target: str,
@@ -660,6 +681,8 @@ class Client:
             return f"the simulation is paused ({status['trouble']}); first: {command(self.paths, 'sim reset')}"
         if status.get("paused"):
             return "the simulation is paused; let it go on with: " + command(self.paths, "sim resume")
+        if status.get("lockstep"):
+            return "the world waits for clients in lock-step: " + listing(status["lockstep"])
         return None
 
     # --- the connection -----------------------------------------------------------------------------------------
@@ -780,6 +803,33 @@ class Subscription:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+class LockStep:
+    """A client for which the world waits; see Client.lockstep. `time` is the simulated time at which it stands, s."""
+
+    def __init__(self, client: Client, time: float) -> None:
+        self._client = client
+        self._under_way: str | None = None
+        """The call of a step that timed out."""
+        self.time = time
+
+    def step(self, timeout: float = math.inf) -> float:
+        """Say that this client is done, and wait until its next period is over. Returns the simulated time in s.
+
+        All messages of the period have arrived then.
+
+        Raises:
+            TimedOut: not within `timeout` wall seconds: others are not done, or the world is paused. The next `step`
+                waits on for the same period. Refused: this client was let go, since the world waited for it for longer
+                than its time-out.
+        """
+        client = self._client
+        call = self._under_way = self._under_way or client.call_async("/slidectl/lockstep")
+        client.wait_until(lambda: client.is_answered(call), timeout, "the period was not over")
+        self._under_way = None
+        self.time = float(client.answer(call)["time"])
+        return self.time
 
 
 class Params:

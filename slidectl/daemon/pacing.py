@@ -13,6 +13,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from slidectl.simulation.lockstep import LockStepService
 from slidectl.simulation.loop import Loop
 
 FREE_SLICE_S = 0.0005
@@ -58,6 +59,8 @@ class Pacer:
         self._marks: deque[tuple[float, float]] = deque(maxlen=_MARKS)
         """Wall time and simulated time so far, now and then; empty while the world stands still."""
         self._next_mark_s = 0.0
+        self._held_since_s = math.inf
+        """Since when the world has waited for clients in lock-step."""
         self.lateness: deque[float] = deque(maxlen=_RECENT)
         self.durations: deque[float] = deque(maxlen=_RECENT)
         self.overruns = 0
@@ -67,14 +70,27 @@ class Pacer:
     def turn(self) -> float | None:
         """Run what is due. Returns the wall seconds until more is due; None: not before somebody asks."""
         simulation, run = self._simulation, self._simulation.run
-        if run.paused and not run.allowed(1):
+        if run.paused and not run.requests:
             self._mode = None
             self._marks.clear()
             return None
+        if run.lockstep is not None and not run.allowed(1):
+            return self._wait_for_members(run.lockstep)
+        self._held_since_s = math.inf
         mode = (math.inf if run.paused else run.speed, simulation.step_ns)
         if mode != self._mode:
             self._begin(mode)
         return self._run_freely() if self._is_free else self._run_paced()
+
+    def _wait_for_members(self, lockstep: LockStepService) -> float:
+        """Let go of those who let the world wait for too long. Returns wall seconds until the next may be."""
+        now = self._clock()
+        self._held_since_s = min(self._held_since_s, now)
+        held_s = now - self._held_since_s
+        for member in lockstep.awaited():
+            if held_s >= member.timeout_s:
+                lockstep.let_go(member)
+        return min((member.timeout_s - held_s for member in lockstep.awaited()), default=0.0)
 
     def _begin(self, mode: tuple[float, int]) -> None:
         self._mode = mode
@@ -117,6 +133,7 @@ class Pacer:
 
     def _run_paced(self) -> float:
         step, clock, group = self._simulation.step, self._clock, self._group
+        allowed = self._simulation.run.allowed
         now = clock()
         if now < self._due_s:
             return self._due_s - now
@@ -128,7 +145,7 @@ class Pacer:
             self.lateness.append(late)
             if late > self._group_s:
                 self.overruns += 1
-            done = step(group)
+            done = step(allowed(group))
             began, now = now, clock()
             self.durations.append((now - began) / group)
             self._simulated_s += done * self._step_s

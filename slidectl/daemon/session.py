@@ -117,6 +117,7 @@ class Session:
         log = self._graph.log
         log.reasons = []
         self._graph.caller = self._process_session
+        self._graph.calling_node = self.node
         try:
             action(message)
         except SlidectlError as error:
@@ -130,6 +131,7 @@ class Session:
         finally:
             log.reasons = None
             self._graph.caller = 0
+            self._graph.calling_node = ""
 
     def report(self, topic: str, dropped: int) -> bytes:
         """The line that tells of messages that were dropped; empty for a client that does not want to know."""

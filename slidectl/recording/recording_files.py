@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 from slidectl.errors import BadFile, Refused, SlidectlError, UsageError
-from slidectl.recording.codec import Codec
+from slidectl.recording.codec import BadDefinition, Codec
 
 SUFFIXES = (".bag", ".mcap")
 COMPRESSIONS = {".bag": ("none", "bz2", "lz4"), ".mcap": ("none", "lz4", "zstd")}
@@ -263,6 +263,8 @@ def _understood(path: Path) -> Iterator[None]:
     """Raises BadRecording for whatever a library raises about bytes that are no recording, or a damaged one."""
     try:
         yield
+    except BadDefinition as error:
+        raise BadRecording(error.message, str(path)) from None
     except SlidectlError:
         raise
     except Exception as error:  # their classes for that are not alone: codecs, asserts and parsers join in

@@ -49,6 +49,10 @@ class Graph:
         self.parameters = Parameters()
         self.caller = 0
         """The session id of the process whose request is being carried out, 0 when nobody knows or none is."""
+        self.calling_node = ""
+        """The node whose request is being carried out, empty when none is."""
+        self.on_node_closed: list[Callable[[str], None]] = []
+        """Called with the name of a node that has gone."""
         self.log = Log(self.topics, self.clock.now_ns)
         clock = self.topics.advertise("/clock", "rosgraph_msgs/Clock", WORLD_NODE, kind=NodePublisher)
         self.clock_topic = ClockTopic(clock)
@@ -66,6 +70,8 @@ class Graph:
         """A node has gone (a client has disconnected): take back all that it had."""
         self.topics.close_node(name)
         self.services.close_node(name)
+        for callback in self.on_node_closed:
+            callback(name)
 
     def _take_clock_frequency(self) -> None:
         self.clock_topic.set_frequency(self.parameters.get(CLOCK_FREQUENCY, 0))

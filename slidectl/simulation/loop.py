@@ -20,6 +20,7 @@ from slidectl.simulation.graph import WORLD_NODE, Graph
 from slidectl.simulation.pending import Pending
 
 if TYPE_CHECKING:
+    from slidectl.simulation.lockstep import LockStepService
     from slidectl.simulation.spawned_robots import SpawnedRobot
 
 FEW = 16
@@ -35,6 +36,22 @@ def check_timestep(seconds: float, name: str = "timestep") -> None:
     """Raises Refused for what is no time step."""
     if not isinstance(seconds, Real) or not SHORTEST_S <= seconds <= LONGEST_S:
         raise Refused(f"{name} is between {SHORTEST_S:g} s and {LONGEST_S:g} s, not {seconds!r}")
+
+
+def whole_cycles(asked_ns: int, step_ns: int, start_ns: int = 0) -> int:
+    """How many cycles so much time is. Raises Refused for no whole number of them, with the times that would be.
+
+    With a time of the clock in `start_ns` these are times of the clock too.
+    """
+    cycles = round(asked_ns / step_ns)
+    # A time step such as 1/240 s is rounded to nanoseconds, so a second of it is up to one off for each cycle.
+    if abs(cycles * step_ns - asked_ns) > cycles:
+        below = asked_ns // step_ns
+        near = [f"{(start_ns + count * step_ns) * 1e-9:.9g}s" for count in (below, below + 1) if count]
+        after = f" after {start_ns * 1e-9:.9g} s" if start_ns else ""
+        text = f"{(start_ns + asked_ns) * 1e-9:.9g} s is no whole number of cycles of {step_ns * 1e-9:g} s{after}"
+        raise Refused(text, f"possible: {' or '.join(near)}")
+    return cycles
 
 
 class StepRequest:
@@ -63,6 +80,8 @@ class RunState:
         """Called when the world comes to a stand: by `pause`, after the last step, or when nobody waits for steps."""
         self.requests: deque[StepRequest] = deque()
         """Who waits for steps, in the order of asking."""
+        self.lockstep: LockStepService | None = None
+        """Those for whom the world waits, while there are any."""
 
     @property
     def pending_steps(self) -> int:
@@ -87,6 +106,8 @@ class RunState:
 
     def allowed(self, most: int) -> int:
         """How many cycles, at most `most`, may run now."""
+        if self.lockstep is not None:
+            most = self.lockstep.allowed(most)
         return min(most, self.pending_steps) if self.paused else most
 
     def set_speed(self, factor: float) -> None:

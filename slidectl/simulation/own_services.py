@@ -17,6 +17,7 @@ from slidectl.control.node_handle import Message
 from slidectl.description import interfaces
 from slidectl.description.robot import Joint
 from slidectl.errors import Refused, SlidectlError, UnknownName, Unused, UsageError, closest, listing
+from slidectl.simulation.loop import whole_cycles
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.rosapi import absolute, from_json, typedefs
 from slidectl.simulation.spawned_robots import SpawnedRobot
@@ -68,6 +69,7 @@ class OwnServices:
             "cycles": simulation.cycles,
             "paused": simulation.run.paused,
             "trouble": simulation.run.trouble,
+            "lockstep": sorted(simulation.lockstep.members),
             "speed": 0.0 if math.isinf(simulation.run.speed) else simulation.run.speed,
             "timestep": simulation.timestep_ns * 1e-9,
             "chosen": sorted(simulation.chosen),
@@ -121,15 +123,7 @@ class OwnServices:
         step_ns, asked_ns = self._simulation.timestep_ns, from_seconds(seconds) - start_ns
         if asked_ns < 0:
             raise Refused(f"it is {start_ns * 1e-9:.9g} s already", "slidectl sim reset --time begins at 0 again")
-        cycles = round(asked_ns / step_ns)
-        # A time step such as 1/240 s is rounded to nanoseconds, so a second of it is up to one off for each cycle.
-        if abs(cycles * step_ns - asked_ns) > cycles:
-            below = asked_ns // step_ns
-            near = [f"{(start_ns + count * step_ns) * 1e-9:.9g}s" for count in (below, below + 1) if count]
-            after = f" after {start_ns * 1e-9:.9g} s" if start_ns else ""
-            text = f"{seconds:.9g} s is no whole number of cycles of {step_ns * 1e-9:g} s{after}"
-            raise Refused(text, f"possible: {' or '.join(near)}")
-        return cycles
+        return whole_cycles(asked_ns, step_ns, start_ns)
 
     def _sleep(self, request: Message) -> Pending:
         """Answered when the simulated time has passed; a paused world never gets there."""

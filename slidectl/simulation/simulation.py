@@ -23,6 +23,7 @@ from slidectl.simulation import base_drives, rosapi, waits
 from slidectl.simulation.compiled.engine import Engine
 from slidectl.simulation.gazebo_services import GazeboServices
 from slidectl.simulation.graph import Graph
+from slidectl.simulation.lockstep import LockStepService
 from slidectl.simulation.loop import Loop, RunState, check_timestep
 from slidectl.simulation.own_services import OwnServices
 from slidectl.simulation.parameters import Parameters
@@ -92,6 +93,7 @@ class Simulation:
         self.run.on_halt = self.robots.settle_switches
         self.graph.parameters.set("/use_sim_time", True)
         rosapi.advertise(self.graph)
+        self.lockstep = LockStepService(self.graph, self.loop)
         OwnServices(self)
         SnapshotServices(self)
         waits.advertise(self.graph)

@@ -174,6 +174,14 @@ def test_a_bag_that_is_cut_off_is_no_fault_of_ours(shell: Shell, folder: Path) -
         assert len(done.stderr.splitlines()) == 1
 
 
+def test_a_bag_whose_types_cannot_be_read_is_named(shell: Shell, folder: Path) -> None:
+    whole = (folder / "run.bag").read_bytes()
+    assert b"float64 data" in whole
+    (folder / "types.bag").write_bytes(whole.replace(b"float64 data", b"\0loat64 data"))
+    done = shell.run("rostopic echo -b types.bag -a", cwd=folder)
+    assert (done.returncode, "the definition of std_msgs/Float64 cannot be read" in done.stderr) == (1, True)
+
+
 @pytest.mark.parametrize("name", ["run", "BZ2", "LZ4"])
 @given(data=st.data())
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -1,0 +1,126 @@
+"""Lock-step: the world goes on only when every client that has joined says that it is done with its period.
+
+Knows simulated time and nodes; who holds the world for too long, in wall time, is let go by the driver.
+"""
+
+from __future__ import annotations
+
+from slidectl.control.duration import from_seconds
+from slidectl.control.node_handle import Message
+from slidectl.errors import Refused
+from slidectl.simulation.clock import Timer
+from slidectl.simulation.graph import Graph
+from slidectl.simulation.loop import Loop, whole_cycles
+from slidectl.simulation.pending import Pending
+
+NODE = "/slidectl"
+_TIMEOUT_S = 5.0
+_LONGEST_S = 1e6
+
+
+class LockStepMember:
+    """A client for which the world waits: `pending` is its call while it is done, None while the world may not go on.
+
+    Times in ns (simulated) and s (wall).
+    """
+
+    def __init__(self, node: str, period_ns: int, timeout_s: float) -> None:
+        self.node = node
+        self.period_ns = period_ns
+        self.timeout_s = timeout_s
+        self.pending: Pending | None = None
+        self.timer: Timer | None = None
+        """When its call is answered; it moves with the clock when that is set."""
+
+
+class LockStepService:
+    """The service `/slidectl/lockstep`, and who has joined."""
+
+    def __init__(self, graph: Graph, loop: Loop) -> None:
+        self._graph = graph
+        self._loop = loop
+        self._let_go: dict[str, str] = {}
+        """Why, of nodes that do not know it yet."""
+        self.members: dict[str, LockStepMember] = {}
+        graph.node(NODE, NODE).advertise_service("lockstep", "slidectl/LockStep", self._take)
+        graph.on_node_closed.append(self._gone)
+
+    def allowed(self, most: int) -> int:
+        """How many cycles, at most `most`, may run until a member has its turn."""
+        now, step_ns = self._graph.clock.time_ns, self._loop.step_ns
+        for member in self.members.values():
+            if member.pending is None or member.timer is None:
+                return 0
+            most = min(most, -((now - member.timer.due_ns) // step_ns))
+        return most
+
+    def awaited(self) -> list[LockStepMember]:
+        """For whom the world waits now."""
+        return [member for member in self.members.values() if member.pending is None]
+
+    def let_go(self, member: LockStepMember) -> None:
+        """It has held the world for longer than its time-out."""
+        text = f"{member.node} has left the lock-step: it held the world for more than {member.timeout_s:g} s"
+        self._graph.log("warn", NODE, text)
+        self._leave(member.node)
+        self._let_go[member.node] = f"it held the world for more than {member.timeout_s:g} s"
+
+    def _take(self, request: Message) -> Message | Pending:
+        if not self._loop.driven:
+            raise Refused("nobody drives this world: it goes on by its step() alone")
+        node, clock = self._graph.calling_node, self._graph.clock
+        answer = {"success": True, "time": clock.seconds, "cycles": clock.cycles}
+        if request["leave"]:
+            self._member(node)
+            self._leave(node)
+            return {**answer, "message": "left"}
+        if request["period"]:
+            self._join(node, request["period"], request["timeout"] or _TIMEOUT_S)
+            return {**answer, "message": "joined"}
+        return self._done(self._member(node))
+
+    def _member(self, node: str) -> LockStepMember:
+        if node not in self.members:
+            why = self._let_go.pop(node, "")
+            raise Refused(f"{node} is not in lock-step" + (f": {why}" if why else ""), "join with a period above 0")
+        return self.members[node]
+
+    def _join(self, node: str, period_s: float, timeout_s: float) -> None:
+        for name, value in (("period", period_s), ("timeout", timeout_s)):
+            if not 0 < value <= _LONGEST_S:
+                raise Refused(f"{name} is a time above 0 s and at most {_LONGEST_S:g} s, not {value:g}")
+        period_ns = from_seconds(period_s)
+        whole_cycles(period_ns, self._loop.step_ns)
+        if node in self.members and self.members[node].pending is not None:
+            raise Refused(f"{node} waits for the end of its period already")
+        self.members[node] = LockStepMember(node, period_ns, timeout_s)
+        self._let_go.pop(node, None)
+        self._loop.run.lockstep = self
+
+    def _done(self, member: LockStepMember) -> Pending:
+        if member.pending is not None:
+            raise Refused(f"{member.node} waits for the end of its period already")
+        pending = member.pending = Pending()
+        clock = self._graph.clock
+
+        def answer() -> None:
+            member.pending = None
+            pending.resolve({"success": True, "message": "", "time": clock.seconds, "cycles": clock.cycles})
+
+        member.timer = self._graph.timers.after(member.period_ns, answer)
+        return pending
+
+    def _leave(self, node: str) -> None:
+        member = self.members.pop(node)
+        if member.timer is not None:
+            member.timer.cancel()
+        if member.pending is not None:
+            member.pending.reject(Refused(f"{node} has left the lock-step"))
+        if not self.members:
+            self._loop.run.lockstep = None
+
+    def _gone(self, node: str) -> None:
+        self._let_go.pop(node, None)
+        if node in self.members:
+            self._graph.log("warn", NODE, f"{node} has gone; the lock-step goes on without it")
+            self._leave(node)
