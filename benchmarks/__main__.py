@@ -34,6 +34,7 @@ NAMES = (
     "journals",
     "scenarios",
     "spawns",
+    "snapshots",
     "compare",
 )
 HEADLINES = (

@@ -59,6 +59,21 @@ def test_the_controller_moves_the_slider_to_its_set_point(laws: Path) -> None:
     assert abs(position(simulation) - 0.5) < 0.05
 
 
+def test_a_class_that_holds_a_file_says_itself_what_a_snapshot_saves(laws: Path) -> None:
+    file = example("The state of a class of your own", laws.with_name("my_logging.py"))
+    file.write_text(file.read_text(encoding="utf-8").replace("/tmp/", f"{laws.parent}/"), encoding="utf-8")
+    simulation = sliding("spring", file, "LoggingSpring")
+    simulation.step(1000)
+    simulation.save("here")
+    here = position(simulation)
+    simulation.publish("/slider/spring/command", {"data": -0.5})
+    simulation.step(4000)
+    simulation.load("here")
+    assert position(simulation) == here
+    simulation.step(4000)
+    assert abs(position(simulation) - 0.5) < 0.05
+
+
 @pytest.mark.skipif(not object_file.is_possible(), reason="numba is not installed")
 def test_the_compiled_controller_gives_the_same_bits(tmp_path: Path) -> None:
     file = example("Machine code for a controller of your own", tmp_path / "my_laws.py")

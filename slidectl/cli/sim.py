@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 from contextlib import suppress
 from typing import Any
 
 import click
 
+from slidectl.cli import completion
 from slidectl.cli.commands import group, wait_for_world_s
 from slidectl.cli.context import Context
 from slidectl.errors import Refused, TimedOut, UsageError
@@ -19,7 +21,7 @@ _SECONDS = r"(?i)(?P<number>\d+\.?\d*|\.\d+)(e[-+]?\d+)?\s*(?P<unit>s|ms)"
 
 @group(examples=["slidectl sim status", "slidectl sim step 0.5s", "slidectl sim reset --time"])
 def sim() -> None:
-    """Time of the world: status, pause, step, speed, reset."""
+    """Time of the world: status, pause, step, speed, reset; snapshots."""
 
 
 @sim.command("status", examples=["slidectl sim status", "slidectl sim status --json"])
@@ -179,6 +181,104 @@ def _demand(answer: dict[str, Any]) -> dict[str, Any]:
     if not answer["success"]:
         raise Refused(answer["message"] or "refused without a reason")
     return answer
+
+
+# --- snapshots --------------------------------------------------------------------------------------------------------
+
+
+@completion.completer
+def _kept(ctx: Context) -> list[str]:
+    return [one["name"] for one in ctx.client.snapshots()]
+
+
+_FILE: dict[str, Any] = {"metavar": "FILE", "shell_complete": completion.files}
+
+
+@sim.command("save", examples=["slidectl sim save before", "slidectl sim save before --to before.snapshot"])
+@click.argument("name")
+@click.option("--to", "file", help="Write it to this file, too.", **_FILE)
+@click.pass_obj
+def save(ctx: Context, name: str, file: str | None) -> None:
+    """Keep the whole state of the world under a name, until the daemon stops.
+
+    One that had the name goes. JSON keys: name, time, file (null without --to).
+    """
+    time = ctx.client.save(name, file)
+    ctx.done(
+        {"name": name, "time": time, "file": file}, f"{name}: saved at {time:.3f} s{f' to {file}' if file else ''}"
+    )
+
+
+@sim.command("load", examples=["slidectl sim load before", "slidectl sim load --from before.snapshot"])
+@click.argument("name", required=False, shell_complete=_kept)
+@click.option("--from", "file", help="Load it from this file.", **_FILE)
+@click.pass_obj
+def load(ctx: Context, name: str | None, file: str | None) -> None:
+    """Put the world back to what was saved; it goes on from there with the same bits.
+
+    Robots and controllers that are others now are made again. Goals that were sent since end as PREEMPTED.
+    JSON keys: time.
+    """
+    if (name is None) == (file is None):
+        raise UsageError("give the name of a snapshot, or --from FILE", "slidectl sim snapshots")
+    time = ctx.client.load(name, file)
+    ctx.done({"time": time}, f"{name or file}: loaded, it is {time:.3f} s")
+
+
+@sim.command("snapshots", examples=["slidectl sim snapshots"])
+@click.pass_obj
+def snapshots(ctx: Context) -> None:
+    """List the snapshots that the daemon keeps. JSON keys: name, time, cycles, robots."""
+    ctx.emit_rows(ctx.client.snapshots(), ["name", "time", "cycles", "robots"], "no snapshots")
+
+
+@sim.command("delete", examples=["slidectl sim delete before after"])
+@click.argument("names", nargs=-1, required=True, metavar="NAME...", shell_complete=_kept)
+@click.pass_obj
+def delete(ctx: Context, names: tuple[str, ...]) -> None:
+    """Forget snapshots: all of these, or none where one is unknown. Files stay. JSON key: names."""
+    ctx.call("/slidectl/delete_snapshots", {"names": list(names)})
+    ctx.done({"names": list(names)}, f"deleted: {', '.join(names)}")
+
+
+@sim.command("fork", examples=["slidectl sim fork before -i other", "slidectl -i first sim fork before -i other"])
+@click.argument("name", shell_complete=_kept)
+@click.option("-i", "--instance", "other", required=True, metavar="NAME", help="The daemon to start.")
+@click.pass_obj
+def fork(ctx: Context, name: str, other: str) -> None:
+    """Start a second daemon that goes on from a snapshot of this one.
+
+    It has the options and the speed of this one, and is paused where this one is. Which daemon is forked is said in
+    front: 'slidectl -i first sim fork NAME -i other'. JSON keys: instance, pid, socket, time.
+    """
+    from dataclasses import replace
+    from tempfile import TemporaryDirectory
+
+    from slidectl import paths
+    from slidectl.client import Client
+    from slidectl.daemon import lifecycle
+    from slidectl.daemon.options import DaemonOptions
+
+    place, source = paths.instance(other), ctx.call("/slidectl/status")
+    options = lifecycle.options_of(ctx.client.daemon_pid) or DaemonOptions()
+    options = replace(options, rtf=source["speed"] or math.inf, paused=True, child=False)
+    with TemporaryDirectory() as folder:
+        file = os.path.join(folder, "snapshot")
+        ctx.call("/slidectl/export_snapshot", {"name": name, "file": file})
+        pid, already = lifecycle.start(place, options, ctx.wait_limit(30.0))
+        if already:
+            hint = f"load it there: slidectl sim save {name} --to FILE; slidectl -i {other} sim load --from FILE"
+            raise Refused(f"a daemon {other} runs already, as process {pid}", hint)
+        try:
+            with Client(socket=place.socket_text, timeout=ctx.wait_limit(60.0)) as client:
+                time = client.load(file=file)
+                if not source["paused"]:
+                    client.call("/gazebo/unpause_physics")
+        except BaseException:
+            lifecycle.stop(place)
+            raise
+    record = {"instance": other, "pid": pid, "socket": place.socket_text, "time": time}
+    ctx.done(record, f"daemon {other}: started, process {pid}, from {name} at {time:.3f} s")
 
 
 def _tell(ctx: Context, what: str) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -592,6 +593,24 @@ class Client:
             raise Refused(answer["message"])
         return float(answer["time"])
 
+    def save(self, name: str, file: str | None = None) -> float:
+        """Keep the whole state of the world under a name, and write it to the file as well if there is one.
+
+        Returns the simulated time in s. Raises Refused: a switch is under way, or a class has what no snapshot holds.
+        """
+        return float(self.call("/slidectl/save", {"name": name, "file": _absolute(file)})["time"])
+
+    def load(self, name: str | None = None, file: str | None = None) -> float:
+        """Put the world back to what was saved under the name, or what the file holds. Returns the simulated time in s.
+
+        Raises Refused: no such snapshot, one of another version, cut off or damaged, or a switch is under way.
+        """
+        return float(self.call("/slidectl/load", {"name": name or "", "file": _absolute(file)})["time"])
+
+    def snapshots(self) -> list[Message]:
+        """Those that the daemon keeps, in the order of their saving (slidectl/SnapshotInfo)."""
+        return list(self.call("/slidectl/snapshots")["snapshots"])
+
     @contextmanager
     def lockstep(self, period: float = 0.0, timeout: float = 5.0) -> Iterator[LockStep]:
         """Inside, the world goes on only by `step` of what this gives: one period each, of every client in lock-step.
@@ -777,6 +796,11 @@ def _line(message: Message) -> bytes:
     if len(line) > LONGEST_LINE:
         raise BadLine(f"a message of {len(line)} bytes is more than the {LONGEST_LINE} that fit a line")
     return line
+
+
+def _absolute(file: str | None) -> str:
+    """For the daemon, which works in another folder."""
+    return os.path.abspath(file) if file else ""
 
 
 def _typed(type: str | None) -> Message:

@@ -524,6 +524,10 @@ class ControllerManager:
         """The names of all loaded controllers, in load order."""
         return list(self._loaded)
 
+    def loaded(self) -> Sequence[tuple[str, str]]:
+        """Names and types of all controllers, in load order."""
+        return [(entry.name, entry.info.type) for entry in self._loaded.values()]
+
     def get(self, name: str) -> ControllerBase | None:
         """The loaded controller of that name, else None."""
         entry = self._loaded.get(name)
@@ -645,6 +649,37 @@ class ControllerManager:
             del self._loaded[name]
             return self._refuse(f"{text}; nor can the class that it had be loaded again")
         return self._refuse(f"{text}; the class that it had is loaded again")
+
+    def save_state(self) -> dict[str, Any]:
+        """What a snapshot saves of the controllers, in load order."""
+        entries = self._loaded.items()
+        return {
+            "controllers": {name: entry.controller for name, entry in entries},
+            "states": {name: entry.controller.state for name, entry in entries},
+            "failures": {name: entry.failure for name, entry in entries},
+        }
+
+    def load_state(self, state: dict[str, Any]) -> None:
+        """As they were when the state was saved; the controllers have their own state already."""
+        for name, entry in self._loaded.items():
+            entry.controller.state, entry.failure = state["states"][name], state["failures"][name]
+        if [entry for entry in self._loaded.values() if entry.is_running] != list(self._running):
+            self._refresh()
+
+    def keep_only(self, kept: Sequence[str]) -> None:
+        """Stop and unload all controllers but these."""
+        gone = [entry for name, entry in self._loaded.items() if name not in kept]
+        for entry in gone:
+            if entry.is_running:
+                entry.stop(self._node.now_ns())
+        self._refresh()
+        for entry in reversed(gone):
+            self.unload(entry.name)
+
+    def load_again(self, name: str) -> None:
+        """`load` that raises what is wrong."""
+        self.check_new(name)
+        self._loaded[name] = self._load(name)
 
     def reload_libraries(self, force_kill: bool) -> bool:
         """Let the loaders look anew. Loaded controllers are in the way: they are killed, or it is refused."""

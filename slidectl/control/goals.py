@@ -12,7 +12,7 @@ from slidectl.control import params
 from slidectl.control.controller_interface import Controller
 from slidectl.control.duration import BadDuration, from_seconds
 from slidectl.control.hardware_interface import I
-from slidectl.control.node_handle import GoalHandle, GoalStatus, Message, NodeHandle, RepeatingTimer
+from slidectl.control.node_handle import GoalHandle, GoalStatus, Message, NodeHandle
 from slidectl.control.params import NUMBER, Parameter
 from slidectl.errors import Refused
 
@@ -42,8 +42,8 @@ class MonitoredGoal:
 
     def __init__(self, handle: GoalHandle) -> None:
         self.handle = handle
-        self.feedback: Callable[[], Message | None] = lambda: None
-        """Makes the feedback of the last update; None before the first one, or where there is none at all."""
+        self.last_feedback: Message | None = None
+        """That of the update before the decision, where there is any."""
         self._decision: GoalStatus | None = None
         self._result: Message = {}
 
@@ -63,17 +63,20 @@ class MonitoredGoal:
         """Does a tick look at the controller, or change what it looks at?"""
         return self._decision is not None or self.handle.wants_feedback
 
-    def tick(self) -> None:
-        """Send what there is: the result of a decision, and the feedback if the goal was active until now."""
+    def tick(self, feedback: Callable[[], Message | None]) -> None:
+        """Send what there is: the result of a decision, and the feedback if the goal was active until now.
+
+        `feedback` makes that of the last update; None before the first one, or where there is none at all.
+        """
         was_active = self.is_active
         if self.handle.status in (GoalStatus.ACTIVE, GoalStatus.PREEMPTING):
             if self._decision is GoalStatus.ABORTED:
                 self.handle.abort(dict(self._result))
             elif self._decision is GoalStatus.SUCCEEDED:
                 self.handle.succeed(dict(self._result))
-        feedback = self.feedback() if was_active and self.handle.wants_feedback else None
-        if feedback is not None:
-            self.handle.publish_feedback(feedback)
+        message = (self.last_feedback or feedback()) if was_active and self.handle.wants_feedback else None
+        if message is not None:
+            self.handle.publish_feedback(message)
 
 
 class GoalMonitor:
@@ -82,27 +85,25 @@ class GoalMonitor:
     As in ros_controllers, a goal that was decided but not ticked when the next one is accepted never gets a result.
     """
 
-    def __init__(self, node: NodeHandle, period_ns: int) -> None:
+    def __init__(self, node: NodeHandle, period_ns: int, feedback: Callable[[], Message | None]) -> None:
         self._node = node
-        self._period_ns = period_ns
-        self._timer: RepeatingTimer | None = None
+        self._feedback = feedback
         self._goal: MonitoredGoal | None = None
+        self._timer = node.call_every(period_ns, self._tick, enters=False)
+        self._timer.cancel()
 
     def watch(self, goal: MonitoredGoal) -> None:
         """Tick this goal from now on, and no other."""
-        if self._timer is not None:
-            self._timer.cancel()
         if self._goal is not None:
             self._goal.handle.release()
         self._goal = goal
-        self._timer = self._node.call_every(self._period_ns, self._tick, enters=False)
+        self._timer.restart()
 
     def _tick(self) -> None:
         assert self._goal is not None
-        assert self._timer is not None
         if self._goal.looks:
             self._node.enter()
-        self._goal.tick()
+        self._goal.tick(self._feedback)
         if self._goal.handle.status not in (GoalStatus.ACTIVE, GoalStatus.PREEMPTING):
             self._timer.cancel()
 
@@ -114,7 +115,7 @@ class ActionController(Controller[I]):
         """Advertise the action, as the last step of `init`."""
         self._node = node
         self._goal: MonitoredGoal | None = None
-        self._monitor = GoalMonitor(node, monitor_period_ns)
+        self._monitor = GoalMonitor(node, monitor_period_ns, self._feedback)
         node.advertise_action(action, type_name, self._take_goal, self._take_cancel)
 
     def _take_goal(self, handle: GoalHandle) -> None:
@@ -124,6 +125,10 @@ class ActionController(Controller[I]):
     def _hold(self) -> None:
         """The goal is cancelled: come to rest."""
         raise NotImplementedError
+
+    def _feedback(self) -> Message | None:
+        """That of the last update of a goal; None before its first update."""
+        return None
 
     def stopping(self, time_ns: int) -> None:  # noqa: ARG002
         """Nobody works on the goal any more."""

@@ -119,6 +119,9 @@ class RepeatingTimer(Protocol):
     def cancel(self) -> None:
         """It is not called any more."""
 
+    def restart(self) -> None:
+        """Begin anew: the first call comes a period from now."""
+
 
 class NodeHandle(Protocol):
     """A namespace of the graph. Relative names are resolved in it; absolute ones stay as they are."""

@@ -6,7 +6,7 @@ Knows no topics, no clients and no wall time.
 from slidectl.physics.body import Body
 from slidectl.physics.mujoco_library import EngineError, take_warnings
 from slidectl.physics.robot_hw import MujocoRobotHW
-from slidectl.physics.world import GRAVITY, Diverged, Overlap, Snapshot, World
+from slidectl.physics.world import GRAVITY, Diverged, Overlap, World
 
 __all__ = [
     "GRAVITY",
@@ -15,7 +15,6 @@ __all__ = [
     "EngineError",
     "MujocoRobotHW",
     "Overlap",
-    "Snapshot",
     "World",
     "take_warnings",
 ]

@@ -52,20 +52,6 @@ class Weights(NamedTuple):
     tendons: Array
 
 
-@dataclass(frozen=True, slots=True)
-class RobotState:
-    """All that a robot's future depends on besides its model: copies of its parts of MuJoCo's arrays."""
-
-    qpos: Array
-    qvel: Array
-    warmstart: Array
-    joint_forces: Array
-    link_forces: Array
-    ties: Array
-    root_position: Array
-    root_attitude: Array
-
-
 class Body:
     """A robot that was attached under `name`."""
 
@@ -182,32 +168,6 @@ class Body:
         """Tell those who hold indices or views that `bind` has moved them."""
         for callback in self._rebound:
             callback()
-
-    def capture(self) -> RobotState:
-        """A copy of the robot's state."""
-        data, model, part, root = self._data, self._model, self._slices, self.root_id
-        return RobotState(
-            data.qpos[part["qpos"]].copy(),
-            data.qvel[part["dof"]].copy(),
-            data.qacc_warmstart[part["dof"]].copy(),
-            data.qfrc_applied[part["dof"]].copy(),
-            data.xfrc_applied[part["body"]].copy(),
-            data.eq_active[part["tie"]].copy(),
-            model.body_pos[root].copy(),
-            model.body_quat[root].copy(),
-        )
-
-    def put(self, state: RobotState) -> None:
-        """Make `state` the robot's state, to the last bit."""
-        data, model, part, root = self._data, self._model, self._slices, self.root_id
-        data.qpos[part["qpos"]] = state.qpos
-        data.qvel[part["dof"]] = state.qvel
-        data.qacc_warmstart[part["dof"]] = state.warmstart
-        data.qfrc_applied[part["dof"]] = state.joint_forces
-        data.xfrc_applied[part["body"]] = state.link_forces
-        data.eq_active[part["tie"]] = state.ties
-        model.body_pos[root] = state.root_position
-        model.body_quat[root] = state.root_attitude
 
     def put_at_spawn(self) -> None:
         """The state right after attaching: at the pose of the spawn, joints where they start, at rest, no forces."""

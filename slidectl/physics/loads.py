@@ -7,7 +7,7 @@ alone. Nothing here knows clocks or services.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -149,6 +149,37 @@ class Loads:
         self.joint_forces, self.wrenches = list(state.joint_forces), list(state.wrenches)
         self.motors.put(state.motors)
         self.efforts = state.efforts.copy()
+
+    def snapshot(self) -> dict[str, Any]:
+        """All this as plain data and arrays of numbers, for `restore`; robots by their names."""
+        time, wrenches = self._acted
+        forces = [[one.body.name, one.joint, one.effort, one.start_ns, one.duration_ns] for one in self.joint_forces]
+        pushes = [
+            [one.body.name, one.link, one.force, one.torque, one.start_ns, one.duration_ns] for one in self.wrenches
+        ]
+        bounds, velocities = self.motors.captured()
+        return {
+            "joint_forces": forces,
+            "wrenches": pushes,
+            "motors": {body.name: of_body for body, of_body in bounds.items()},
+            "velocities": velocities,
+            "efforts": self.efforts.copy(),
+            "has_efforts": self.has_efforts,
+            "acted": time,
+            "acted_wrenches": None if wrenches is None else wrenches.copy(),
+        }
+
+    def restore(self, state: dict[str, Any], bodies: Mapping[str, Body]) -> None:
+        """As it was. `bind` is to follow, then `restore_last_step`."""
+        self.joint_forces = [JointForce(bodies[name], *rest) for name, *rest in state["joint_forces"]]
+        self.wrenches = [Wrench(bodies[name], *rest) for name, *rest in state["wrenches"]]
+        self.motors.put(({bodies[name]: joints for name, joints in state["motors"].items()}, state["velocities"]))
+        self.efforts = state["efforts"].copy()
+
+    def restore_last_step(self, state: dict[str, Any]) -> None:
+        """What the last step came to, which `bind` forgets."""
+        self.has_efforts = state["has_efforts"]
+        self._acted = state["acted"], state["acted_wrenches"]
 
     def clear_efforts(self) -> None:
         """Nothing acts any more, or nothing yet."""

@@ -20,6 +20,7 @@ import mujoco
 EngineError = mujoco.FatalError
 """Raised by a step that MuJoCo cannot do at all (contacts without number, say)."""
 
+VERSION: str = mujoco.__version__
 MOST_WARNINGS = 100
 
 _warnings: deque[str] = deque(maxlen=MOST_WARNINGS)

@@ -384,6 +384,7 @@ class MujocoRobotHW(RobotHW):
         self._estop = False
         self.engage()
         body.on_rebound(self._bind)
+        self._own = frozenset(vars(self)) | {"_own"}
         self.init(node)
 
     def init(self, node: NodeHandle) -> None:
@@ -566,6 +567,27 @@ class MujocoRobotHW(RobotHW):
         self._held = None
         self.stay(self._body.start)
         self.read(0, 0.0)
+
+    def save_state(self) -> dict[str, Any]:
+        """What a snapshot saves of it. `own` are the attributes of a user's class."""
+        return {
+            "joints": self._offered,
+            "drives": list(self._drive_of.values()),
+            "driven": [self._offered.index(joint) for joint in self._joints],
+            "held": self._held,
+            "estop": self._estop,
+            "own": {name: value for name, value in vars(self).items() if name not in self._own},
+        }
+
+    def load_state(self, state: dict[str, Any]) -> None:
+        """As it was when the state was saved; joints and drives have their numbers already."""
+        driven = [self._offered[index] for index in state["driven"]]
+        has_other_joints, self._joints = driven != self._joints, driven
+        self._estop, self._held = state["estop"], state["held"]
+        if has_other_joints:
+            self.engage()
+        self.estop = self._estop
+        vars(self).update(state["own"])
 
     def _register(self, node: NodeHandle) -> None:
         states = JointStateInterface()

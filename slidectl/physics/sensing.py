@@ -92,7 +92,7 @@ def acceleration(world: World, robot: str, link: str, origin: Pose) -> tuple[Vec
         UnknownName.
     """
     model, data, place = world.model, world.data, world.body(robot).link(link)
-    mujoco.mj_rnePostConstraint(model, data)  # writes accelerations and forces between bodies only
+    world.feel()
     found, moving, kind = np.zeros(6), np.zeros(6), mujoco.mjtObj.mjOBJ_XBODY
     mujoco.mj_objectAcceleration(model, data, kind, place.body, found, 0)
     mujoco.mj_objectVelocity(model, data, kind, place.body, moving, 0)
@@ -161,7 +161,7 @@ def force_torque(world: World, robot: str, sensor: ForceTorque, time_ns: int) ->
     As Gazebo has it: what the child link puts on the joint, or the other way round when the sensor says so.
     """
     model, data, body = world.model, world.data, world.body(robot).link(sensor.link).body
-    mujoco.mj_rnePostConstraint(model, data)  # writes accelerations and forces between bodies only
+    world.feel()
     anchor = data.xpos[body]
     # By the parent on the child, about the centre of mass of the whole robot.
     torque, force = data.cfrc_int[body, :3].copy(), data.cfrc_int[body, 3:].copy()

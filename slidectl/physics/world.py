@@ -19,7 +19,7 @@ import numpy as np
 from slidectl.description.robot import Robot
 from slidectl.errors import Refused, SlidectlError, UnknownName, listing
 from slidectl.physics import hulls, mujoco_library
-from slidectl.physics.body import Body, RobotState
+from slidectl.physics.body import Body
 from slidectl.physics.hulls import Hulls
 from slidectl.physics.loads import JointForce, Loads, LoadsState, Wrench
 from slidectl.physics.observer import Observer, Twist
@@ -51,6 +51,9 @@ _OF_MODEL = {
 }
 """Arrays by the kind of their rows, as `Body.part` names it. Of the model: where roots were put, and each robot's own
 weights."""
+_FELT = ("cacc", "cfrc_int", "xpos", "xquat", "xmat", "xipos", "ximat", "subtree_com", "cvel")
+"""What sensors make their values of: the last step computed it, and the state after that step does not give it back."""
+_PLACED = ("body_pos", "body_quat")
 
 
 class Diverged(SlidectlError):
@@ -108,15 +111,6 @@ class Overlap:
     """The other robot's link."""
     depth: float
     """m."""
-
-
-@dataclass(frozen=True)
-class Snapshot:
-    """The whole state of a world at one moment, for the same robots again."""
-
-    time: float
-    robots: dict[Body, RobotState]
-    loads: LoadsState
 
 
 class World:
@@ -263,6 +257,8 @@ class World:
     def _use(self, model: Any, data: Any) -> None:
         self.model, self.data = model, data
         self._observer = Observer(model, data)
+        self._felt_at = math.nan
+        """MuJoCo's time after the step whose accelerations and forces are in `data`, where `restore` has put them."""
         self._advance = partial(mujoco.mj_step, model, data)
         self.step = self._advance if self.loads.is_empty else self._step_with_loads
 
@@ -330,6 +326,11 @@ class World:
         self._announce()
 
     @property
+    def has_ground(self) -> bool:
+        """Whether there is a floor at height 0."""
+        return self._settings.ground
+
+    @property
     def gravity(self) -> Vector:
         """m/s²."""
         return self._settings.gravity
@@ -377,23 +378,41 @@ class World:
                     names[nq + kind * nv + dof] = f"{of}: {what}"
         return names
 
-    def snapshot(self) -> Snapshot:
-        """The state of this moment, for `restore`."""
-        robots = {body: body.capture() for body in self._bodies.values()}
-        return Snapshot(self.data.time, robots, self.loads.captured())
+    def snapshot(self) -> dict[str, Any]:
+        """The state of this moment as plain data and arrays of numbers, for `restore`."""
+        self.feel()
+        return {
+            "robots": list(self._bodies),
+            "time": float(self.data.time),
+            "data": {name: getattr(self.data, name).copy() for name in (*_OF_DATA, *_FELT)},
+            "model": {name: getattr(self.model, name).copy() for name in _PLACED},
+            "loads": self.loads.snapshot(),
+        }
 
-    def restore(self, snapshot: Snapshot) -> None:
+    def restore(self, snapshot: dict[str, Any]) -> None:
         """Back to the moment of the snapshot, exactly. Raises Refused when other robots are in the world now."""
-        if list(snapshot.robots) != list(self._bodies.values()):
-            raise Refused(f"the snapshot is of other robots: {listing(body.name for body in snapshot.robots)}")
         self._replace_broken_data()
-        for body, state in snapshot.robots.items():
-            body.put(state)
-        self.data.time = snapshot.time
-        self.loads.put(snapshot.loads)
+        pairs = [
+            (getattr(owner, name), values)
+            for owner, arrays in ((self.data, snapshot["data"]), (self.model, snapshot["model"]))
+            for name, values in arrays.items()
+        ]
+        if snapshot["robots"] != list(self._bodies) or any(one.shape != other.shape for one, other in pairs):
+            raise Refused(f"the snapshot is of other robots: {listing(snapshot['robots'])}")
+        for array, values in pairs:
+            array[:] = values
+        self.data.time = self._felt_at = snapshot["time"]
+        self.loads.motors.release(self.model)
+        self.loads.restore(snapshot["loads"], self._bodies)
         self._bind_loads()
+        self.loads.restore_last_step(snapshot["loads"])
         self._announce_all()
         self._observer.invalidate()
+
+    def feel(self) -> None:
+        """Compute in `data` the accelerations of bodies and the forces between them in the last step."""
+        if self._felt_at != self.data.time:
+            mujoco.mj_rnePostConstraint(self.model, self.data)  # writes nothing else
 
     def link_pose(self, name: str, link: str) -> Pose:
         """Place of the link's frame in the world. Raises UnknownName."""

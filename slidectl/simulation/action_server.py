@@ -114,7 +114,7 @@ class ActionServer:
         self._status = node.advertise("status", "actionlib_msgs/GoalStatusArray", latch=True)
         node.subscribe("goal", f"{type_name}ActionGoal", self._take_goal)
         node.subscribe("cancel", "actionlib_msgs/GoalID", self._take_cancel)
-        node.call_every(STATUS_PERIOD_NS, self.publish_status, enters=False)
+        self._status_call = node.call_every(STATUS_PERIOD_NS, self.publish_status, enters=False)
         self.publish_status()
 
     def publish_status(self) -> None:
@@ -129,6 +129,11 @@ class ActionServer:
         message = msgs.default(f"{self._type}Result") if result is None else result
         self._results.publish({"header": _header(self.now_ns()), "status": goal.message(), "result": message})
         self.publish_status()
+
+    @property
+    def open_goals(self) -> list[ActionGoal]:
+        """Those that have no result yet, and that somebody works on."""
+        return [goal for goal in self._goals if goal.ended_ns is None]
 
     @property
     def wants_feedback(self) -> bool:

@@ -47,7 +47,9 @@ class RunningDrive:
         """Forwards and to the left in m/s, about the vertical in rad/s."""
         self._wanted_ns = 0
         self._topics: list[PeriodicTopic] = []
-        self._timer: Timer | None = None
+        self._timer = Timer(0, self._update)
+        """Set when there is something to do."""
+        self._timer.active = False
         robot.node.subscribe(self._absolute(drive.command_topic), "geometry_msgs/Twist", self._receive)
         if drive.has_odometry:
             self._publish(drive.odometry_topic, "nav_msgs/Odometry", drive.odometry_rate_hz, self._odometry)
@@ -57,10 +59,17 @@ class RunningDrive:
 
     def close(self) -> None:
         """Take the topics back, and drive no more."""
-        if self._timer is not None:
-            self._timer.cancel()
+        self._timer.cancel()
         for topic in self._topics:
             topic.close()
+
+    def _update(self) -> None:
+        """Follow the command."""
+        raise NotImplementedError
+
+    def _repeat(self, period_ns: int) -> None:
+        """Update at each multiple of the period from now on."""
+        self._timer = self._simulation.graph.timers.every(period_ns, self._update)
 
     def reset(self) -> None:
         """Forget the command."""
@@ -141,8 +150,7 @@ class WheelMotors(RunningDrive):
             self._publish("joint_states", "sensor_msgs/JointState", drive.update_rate_hz, self._joint_states)
         robot.on_emergency_stop.append(self._stop)
         if drive.measures_wheels or drive.acceleration:
-            every = simulation.graph.timers.every
-            self._timer = every(period_ns_of(drive.update_rate_hz), self._update)
+            self._repeat(period_ns_of(drive.update_rate_hz))
 
     def reset(self) -> None:
         super().reset()
@@ -156,10 +164,10 @@ class WheelMotors(RunningDrive):
 
     def _receive(self, message: Message) -> None:
         super()._receive(message)
-        if self._timer is None or not self._timer.active:
+        if not self._timer.active:
             period_ns, now_ns = period_ns_of(self._wheels.update_rate_hz), self._simulation.time_ns
             due_ns = -(-(now_ns + 1) // period_ns) * period_ns
-            self._timer = self._simulation.graph.timers.at(due_ns, self._update)
+            self._simulation.graph.timers.arm(self._timer, due_ns)
 
     def _update(self) -> None:
         """Let the wheels follow the command, and measure what they did."""
@@ -230,7 +238,7 @@ class PlanarDrive(RunningDrive):
         self._timeout_s = drive.timeout_s
         super().__init__(simulation, robot, drive)
         robot.on_emergency_stop.append(self.reset)
-        self._timer = simulation.graph.timers.every(EACH_STEP_NS, self._update)
+        self._repeat(EACH_STEP_NS)
 
     def _update(self) -> None:
         if 0.0 <= self._timeout_s < (self._simulation.time_ns - self._wanted_ns) / SECOND:
@@ -257,6 +265,8 @@ def bring_up(simulation: Simulation, robot: SpawnedRobot) -> Callable[[], None]:
             robot.warnings.append(f"{robot.name}: it is fixed to the world; the plugin {drive.name!r} has no effect")
         elif isinstance(drive, PlanarMove):
             running.append(PlanarDrive(simulation, robot, drive))
+
+    robot.kept["drives"] = running
 
     def end() -> None:
         for one in running:

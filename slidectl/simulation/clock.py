@@ -77,7 +77,7 @@ class Timer:
     One that is `absolute` keeps its due time when the clock is set.
     """
 
-    __slots__ = ("absolute", "active", "callback", "due_ns", "period_ns")
+    __slots__ = ("absolute", "active", "callback", "due_ns", "number", "period_ns")
 
     def __init__(self, due_ns: int, callback: Callable[[], None], period_ns: int = 0, absolute: bool = False) -> None:
         self.absolute = absolute
@@ -85,6 +85,8 @@ class Timer:
         self.callback = callback
         self.period_ns = period_ns
         self.active = True
+        self.number = 0
+        """Of those that are due at one time the lower number fires first; 0: it was never set."""
 
     def cancel(self) -> None:
         """It will not fire (again). Harmless when it has fired."""
@@ -124,13 +126,19 @@ class Timers:
             raise ValueError(f"a period is above 0 ns, not {period_ns}")
         return self._push(Timer(_next_multiple(self.now_ns(), period_ns), callback, period_ns))
 
+    def arm(self, timer: Timer, due_ns: int) -> None:
+        """Set a timer once more, whether it has fired, was cancelled, or still waits for another time."""
+        timer.active, timer.due_ns = True, due_ns
+        self._push(timer)
+
     def fire(self) -> None:
         """Call what is due now. What becomes due by that is called too, except a period's next multiple."""
         now = self.now_ns()
         while self._heap and self._heap[0][0] <= now:
-            timer = heapq.heappop(self._heap)[2]
-            if not timer.active:
+            entry = heapq.heappop(self._heap)
+            if not _counts(entry):
                 continue
+            timer = entry[2]
             if timer.period_ns:
                 timer.due_ns = _next_multiple(now, timer.period_ns)
                 self._push(timer)
@@ -141,7 +149,7 @@ class Timers:
 
     def rebase(self, old_ns: int, new_ns: int) -> None:
         """The clock was set from `old_ns` to `new_ns`: durations that are running keep what is left of them."""
-        timers = [entry[2] for entry in sorted(self._heap, key=lambda entry: entry[:2]) if entry[2].active]
+        timers = [entry[2] for entry in sorted(self._heap, key=lambda entry: entry[:2]) if _counts(entry)]
         self._heap.clear()
         for timer in timers:
             if timer.period_ns:
@@ -153,16 +161,17 @@ class Timers:
 
     def _push(self, timer: Timer) -> Timer:
         self._made += 1
-        heapq.heappush(self._heap, (timer.due_ns, self._made, timer))
+        timer.number = self._made
+        heapq.heappush(self._heap, (timer.due_ns, timer.number, timer))
         if len(self._heap) > self._most:  # drop the cancelled ones: in a world that stands still nothing else would
-            self._heap = [entry for entry in self._heap if entry[2].active]
+            self._heap = [entry for entry in self._heap if _counts(entry)]
             heapq.heapify(self._heap)
             self._most = 2 * len(self._heap) + _FEW
         self._update_next()
         return timer
 
     def _update_next(self) -> None:
-        while self._heap and not self._heap[0][2].active:
+        while self._heap and not _counts(self._heap[0]):
             heapq.heappop(self._heap)
         self.next_ns = self._heap[0][0] if self._heap else NEVER
 
@@ -170,6 +179,11 @@ class Timers:
 def period_ns_of(rate_hz: float, least_ns: int = EACH_STEP_NS) -> int:
     """The period of a rate; the least one for a rate that is not above 0, and never more than a clock can count."""
     return max(least_ns, round(min(SECOND / rate_hz, float(NEVER)))) if 0.0 < rate_hz < SECOND else least_ns
+
+
+def _counts(entry: tuple[int, int, Timer]) -> bool:
+    """False for an entry whose timer was cancelled, or set to another time since."""
+    return entry[2].active and entry[2].number == entry[1]
 
 
 def _next_multiple(now_ns: int, period_ns: int) -> int:
@@ -180,25 +194,42 @@ class RepeatedCall:
     """Calls back each period from now on, at the end of the first cycle whose time is that or later."""
 
     def __init__(
-        self, timers: Timers, period_ns: int, callback: Callable[[], None], running: set[RepeatedCall]
+        self, timers: Timers, period_ns: int, callback: Callable[[], None], running: list[RepeatedCall]
     ) -> None:
-        """`running` are all calls of one node handle; this one leaves them when it is cancelled."""
+        """`running` are all calls of one node handle; this one is among them while it is not cancelled."""
         if period_ns <= 0:
             raise ValueError(f"a period is above 0 ns, not {period_ns}")
         self._timers = timers
         self._period_ns = period_ns
         self._callback = callback
         self._running = running
-        self._timer = timers.after(period_ns, self._call)
+        self._timer = Timer(0, self._call)
+        self.restart()
+
+    @property
+    def is_running(self) -> bool:
+        """False after it was cancelled."""
+        return self in self._running
+
+    def restart(self) -> None:
+        """Begin anew: the first call comes a period from now."""
+        self._timers.arm(self._timer, self._timers.now_ns() + self._period_ns)
+        self.resume()
+
+    def resume(self) -> None:
+        """It is called at the times for which its timer is set."""
+        if self not in self._running:
+            self._running.append(self)
 
     def cancel(self) -> None:
         """It is not called any more."""
         self._timer.cancel()
-        self._running.discard(self)
+        if self in self._running:
+            self._running.remove(self)
 
     def _call(self) -> None:
         # The timer's own due time counts: it moves with the clock when that is set. Missed periods are left out.
         due_ns = self._timer.due_ns
         missed = (self._timers.now_ns() - due_ns) // self._period_ns
-        self._timer = self._timers.at(due_ns + (missed + 1) * self._period_ns, self._call)
+        self._timers.arm(self._timer, due_ns + (missed + 1) * self._period_ns)
         self._callback()

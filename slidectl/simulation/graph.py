@@ -129,7 +129,8 @@ class GraphNode:
         self._parent: GraphNode | None = None
         self._children: list[GraphNode] = []
         self._taken: list[Callable[[], None]] = []
-        self._calls: set[RepeatedCall] = set()
+        self._calls: list[RepeatedCall] = []
+        self._servers: list[ActionServer] = []
         self.before_entry: Callable[[], None] = lambda: None
         """Called before every callback that was given to this handle or a child of it."""
         self.guard: AbstractContextManager[None] | None = None
@@ -191,7 +192,7 @@ class GraphNode:
         self._taken.append(self._graph.services.advertise(name, type_name, self.name, entering).close)
 
     def advertise_action(self, action: str, type_name: str, on_goal: GoalCallback, on_cancel: GoalCallback) -> None:
-        ActionServer(self.child(action), type_name, on_goal, on_cancel)
+        self._servers.append(ActionServer(self.child(action), type_name, on_goal, on_cancel))
 
     def call_every(self, period_ns: int, callback: Callable[[], None], enters: bool = True) -> RepeatedCall:
         enter = self._entering(callback) if enters else callback
@@ -200,9 +201,7 @@ class GraphNode:
             with suppress(SlidectlError):  # nobody asked for this call; the guard has told of it
                 enter()
 
-        call = RepeatedCall(self._graph.timers, period_ns, tick, self._calls)
-        self._calls.add(call)
-        return call
+        return RepeatedCall(self._graph.timers, period_ns, tick, self._calls)
 
     def log(self, severity: str, text: str) -> None:
         self._graph.log(severity, self.name, text)
@@ -232,6 +231,14 @@ class GraphNode:
                 closing.callback(close)
             for child in reversed(self._children):
                 closing.callback(child.shutdown)
+
+    def calls_below(self) -> list[RepeatedCall]:
+        """The calls that run, of this handle and its children, in the order of their making."""
+        return [*self._calls, *(call for child in self._children for call in child.calls_below())]
+
+    def servers_below(self) -> list[ActionServer]:
+        """The actions of this handle and its children, in the order of their making."""
+        return [*self._servers, *(server for child in self._children for server in child.servers_below())]
 
     def _caution(self) -> str:
         return self.caution if self._parent is None else self._parent._caution()

@@ -175,7 +175,7 @@ class Loop:
         self.robots: tuple[SpawnedRobot, ...] = ()
         self.history = History(world)
         self.plain = PlainRunner(self)
-        self._memory = world.data, world.loads.motors.table
+        self._memory = world.data, world.views
         self.engine = Engine(self, engine)
         world.on_rebuild(self._world_changed)
 
@@ -195,11 +195,11 @@ class Loop:
             self.engine.compiled.give_back(robot)
 
     def _world_changed(self) -> None:
-        data, table = self._memory
+        data, views = self._memory
         if self.world.data is not data:
             self.history.begin()
-        if self.world.data is not data or self.world.loads.motors.table is not table:
-            self._memory = self.world.data, self.world.loads.motors.table
+        if self.world.data is not data or self.world.views is not views:  # arrays lie elsewhere
+            self._memory = self.world.data, self.world.views
             for runner in self._runners():
                 runner.follow_world()
 

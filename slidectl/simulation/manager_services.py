@@ -71,6 +71,11 @@ class ManagerServices:
             self._look()
             self._manager.manage_switch(self._node.now_ns())
 
+    @property
+    def is_busy(self) -> bool:
+        """True while a switch is under way, or somebody waits for a controller's first update."""
+        return self._switch is not None or bool(self._queue or self._after_update)
+
     def load_file(self, name: str, file: str, class_name: str) -> Pending:
         """Load a user's class from a file under a name; its type becomes the controller's parameter `type`.
 

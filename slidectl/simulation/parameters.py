@@ -136,6 +136,26 @@ class Parameters:
                 self._root = content
         self._tell([leaf for leaf, _ in leaves])
 
+    def tree(self) -> dict[str, Any]:
+        """A copy of the whole tree. Its lists are those of the tree: nobody changes them."""
+        copy: dict[str, Any] = _copied(self._root)
+        return copy
+
+    def replace(self, tree: dict[str, Any]) -> None:
+        """Have this tree, whatever guards say of it. Watchers of what is different are told.
+
+        Raises UsageError: a value that no parameter can have.
+        """
+        if _is_same(self._root, tree):
+            return
+        before, after = (
+            {path: (type(value), value) for path, value in _leaves(root, ())} for root in (self._root, tree)
+        )
+        changed = [path for path in dict.fromkeys((*before, *after)) if before.get(path) != after.get(path)]
+        self._root, self._names = _settable("/", tree)[1], None
+        self._counted = _size(self._root)
+        self._tell(changed)
+
     def delete(self, name: str) -> None:
         """Delete a parameter or a whole namespace.
 
@@ -231,6 +251,13 @@ class Parameters:
                 failure = failure or error
         if failure is not None:
             raise failure
+
+
+def _is_same(one: Any, other: Any) -> bool:
+    """Equal, and of the same types: 1, 1.0 and true are three values."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        return one.keys() == other.keys() and all(_is_same(below, other[key]) for key, below in one.items())
+    return type(one) is type(other) and bool(repr(one) == repr(other) if isinstance(one, list) else one == other)
 
 
 def _copied(value: Any) -> Any:

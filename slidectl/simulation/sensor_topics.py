@@ -195,6 +195,8 @@ def bring_up(simulation: Simulation, robot: SpawnedRobot) -> Callable[[], None]:
         if sensor.topic
     ]
 
+    robot.kept["sensors"] = topics
+
     def take_back() -> None:
         for topic in topics:
             topic.close()

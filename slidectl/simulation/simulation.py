@@ -30,6 +30,8 @@ from slidectl.simulation.own_services import OwnServices
 from slidectl.simulation.parameters import Parameters
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.sensor_topics import bring_up as bring_up_sensors
+from slidectl.simulation.snapshot_services import SnapshotServices
+from slidectl.simulation.snapshots import Snapshots
 from slidectl.simulation.spawned_robots import Robots, SpawnedRobot
 from slidectl.simulation.state_publisher import StatePublishers
 from slidectl.simulation.topics import TopicSubscription
@@ -82,6 +84,10 @@ class Simulation:
         """How a camera at a pose gets its picture (pixels in base64), with the seed of its noise. A driver puts its
         own, which may answer later."""
         self._renderer: RenderProcess | None = None
+        self.snapshots = Snapshots(self)
+        self.kept: dict[str, object] = {}
+        """What a snapshot saves besides world, clock, parameters and robots, by names of whoever puts it here. What
+        counts of an object is in `kept_state`."""
         self.chosen: set[str] = set()
         """What a user has asked for, of `speed`, `timestep` and `gravity`: the file of a world does not change it."""
         self.world.clock = self.graph.clock.now_ns
@@ -90,6 +96,7 @@ class Simulation:
         rosapi.advertise(self.graph)
         self.lockstep = LockStepService(self.graph, self.loop)
         OwnServices(self)
+        SnapshotServices(self)
         waits.advertise(self.graph)
         joint_traces.advertise(self)
         GazeboServices(self)
@@ -214,6 +221,14 @@ class Simulation:
         check_timestep(seconds)
         self.world.set_timestep(seconds)
         self.loop.step_ns = from_seconds(seconds)
+
+    def save(self, name: str) -> None:
+        """Keep the whole state of now under a name, for `load`; see snapshots.Snapshots.save for what it raises."""
+        self.snapshots.save(name)
+
+    def load(self, name: str) -> None:
+        """Be again what was saved under the name. Raises UnknownName, Refused."""
+        self.snapshots.load(name)
 
     def _render_here(self, camera: Camera, pose: Pose, seed: int) -> Pending:
         """Waits for the picture."""

@@ -69,6 +69,7 @@ class SpawnedRobot:
         self.namespace = parsed.namespace
         self.paper = parsed.paper
         self.xml = parsed.xml
+        self.note = parsed.note
         self.caller = parsed.caller
         """The session id of the process that asked for it, 0 when nobody knows."""
         self.is_controlled = parsed.is_controlled
@@ -80,6 +81,10 @@ class SpawnedRobot:
         """Called when the robot is to be as it was spawned, after the world is."""
         self.on_emergency_stop: list[Callable[[], None]] = []
         """Called when an emergency stop begins."""
+        self.kept: dict[str, object] = {}
+        """What a snapshot saves besides hardware, manager and cycle, by names of whoever put it here."""
+        self.made_parameters: list[str] = []
+        """Those that its spawn has set, and that its end takes away."""
         self.warnings: list[str] = []
         """What was wrong with its spawn: its place, or what it has and cannot use there."""
 
@@ -312,6 +317,7 @@ class Robots:
             build = partial(_actuator_states, robot)
             states = PeriodicTopic(loop.graph, topic, "sensor_msgs/JointState", robot.node.name, period_ns, build)
             undoing.callback(states.close)
+            robot.kept["actuator_states"] = states
         if plugin.estop_topic is not None:
 
             def take_emergency_stop(message: Message) -> None:
@@ -421,6 +427,7 @@ def _put_description(robot: SpawnedRobot, loop: Loop, undoing: ExitStack) -> Non
     name = names.join(robot.namespace, DESCRIPTION)
     before = parameters.get(name, None)
     parameters.set(name, robot.xml)
+    robot.made_parameters.append(name)
 
     def take_back() -> None:
         """What somebody else has set, the launch of a robot in the root most often, is there again."""

@@ -48,6 +48,7 @@ class StatePublishers:
             prefix = robot.namespace.strip("/") or robot.name
             chosen = names.join(robot.namespace, f"{NODE}/tf_prefix")  # in a namespace above, it would be others' too
             parameters.set(chosen, prefix)
+            robot.made_parameters.append(chosen)
             text = f"{robot.name}: another robot has frames of the same names; these are {prefix}/LINK on /tf"
             robot.node.log("info", text)
         publisher = self._publishers[robot.name] = StatePublisher(self._simulation, robot, prefix)

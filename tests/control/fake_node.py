@@ -197,7 +197,7 @@ class FakeNode:
         """Nothing keeps anything elsewhere."""
 
     def call_every(self, period_ns: int, callback: Callable[[], None], enters: bool = True) -> RepeatedCall:  # noqa: ARG002
-        call = RepeatedCall(self.graph.timers, period_ns, callback, set())
+        call = RepeatedCall(self.graph.timers, period_ns, callback, [])
         self._taken.append(call.cancel)
         return call
 

@@ -117,6 +117,18 @@ def test_a_joint_with_several_transmissions_gives_the_same_bits() -> None:
 
 
 @needs_numba
+def test_motors_follow_another_time_step() -> None:
+    def scene(simulation: Simulation) -> None:
+        add_driven(simulation, "a", "Velocity", gains=False)
+        for timestep in (0.001, 0.002, 0.0005):
+            simulation.set_timestep(timestep)
+            simulation.publish("/a/goal1/command", {"data": 1000 * timestep})
+            simulation.step(100)
+
+    assert_same(scene)
+
+
+@needs_numba
 @pytest.mark.parametrize("interface", ["Position", "Velocity"])
 def test_joints_with_motors_and_those_that_publish_their_pid_are_the_interpreters(interface: str) -> None:
     def scene(simulation: Simulation) -> None:

@@ -457,8 +457,7 @@ class JointTrajectoryController(ActionController[Any]):
                 return self._abort(goal, GOAL_TOLERANCE_VIOLATED, f"{name} goal error {error:f}")
             motion.reached = motion.reached or verdict == REACHED
         if all(motion.reached for motion in self._motions):
-            feedback = self._feedback()
-            goal.feedback = lambda: feedback
+            goal.last_feedback = self._feedback()
             goal.decide(GoalStatus.SUCCEEDED, _result(SUCCESSFUL))
             self._end_goal()
         return None
@@ -466,7 +465,7 @@ class JointTrajectoryController(ActionController[Any]):
     def _abort(self, goal: MonitoredGoal, code: int, text: str) -> None:
         """The goal has failed; the client hears of it at once."""
         goal.decide(GoalStatus.ABORTED, _result(code, text))
-        goal.tick()
+        goal.tick(self._feedback)
         self._end_goal()
 
     def _end_goal(self) -> None:
@@ -480,7 +479,6 @@ class JointTrajectoryController(ActionController[Any]):
         self._state.publish(self._message())
 
     def _feedback(self) -> Message | None:
-        """That of a goal; None before its first update."""
         return None if self.uptime_ns == self._goal_since_ns else self._message()
 
     def _message(self) -> Message:
@@ -560,7 +558,6 @@ class JointTrajectoryController(ActionController[Any]):
                 self._reject(handle, refusal.message, _result(INVALID_GOAL, refusal.message))
                 return
             goal = MonitoredGoal(handle)
-            goal.feedback = self._feedback
             self._goal_since_ns = self.uptime_ns
             self._follow(goal)
 

@@ -1,0 +1,563 @@
+"""The state of objects as plain data: taken out of all that is below a tree of them, and put back.
+
+All attributes count, by one rule for each kind of value. What something else has made (`STRUCTURE`, and what `KEPT`
+leaves out) is not saved: a state is put into objects that were made in the same way. What has no rule is an error that
+names the attribute. Several references to one object stay references to one object. No class is looked up by a name
+that comes from a file, but for those in `VALUES` and those of the users' modules that are there.
+
+An object with `save_state` and `load_state` says itself what its state is.
+"""
+
+from __future__ import annotations
+
+import random
+import sys
+from array import array
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import is_dataclass
+from enum import Enum
+from functools import cache, partial
+from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from slidectl.control.controller_interface import State
+from slidectl.control.controller_manager import UpdateTimes
+from slidectl.control.goals import MonitoredGoal
+from slidectl.control.hardware_interface import ResourceManager, SensorHandle
+from slidectl.control.limits import LimitHandle
+from slidectl.control.mobile_base import BaseVelocity, RollingMean
+from slidectl.control.node_handle import GoalStatus
+from slidectl.control.reconfigurable_pid import ReconfigurablePid
+from slidectl.control.reconfigure import ReconfigureServer
+from slidectl.control.user_classes import is_of_a_user, watched_for
+from slidectl.errors import Refused, SlidectlError
+from slidectl.physics import World
+from slidectl.physics.robot_hw import Drive, HardwareJoint
+from slidectl.simulation.action_server import ActionGoal
+from slidectl.simulation.camera_topics import CameraTopics
+from slidectl.simulation.clock import RepeatedCall, Timer, Timers
+from slidectl.simulation.cycle import ControlCycle
+from slidectl.simulation.graph import Graph, GraphNode
+from slidectl.simulation.sensor_topics import SensorTopic
+from slidectl.simulation.spawned_robots import SpawnedRobot
+from slidectl.simulation.topics import PeriodicTopic, TopicPublisher
+
+KEPT: dict[type, tuple[str, ...]] = {
+    CameraTopics: ("_pictures", "_info"),
+    ControlCycle: (
+        "control_period_ns",
+        "emergency_stop",
+        "_was_stopped",
+        "last_update_ns",
+        "last_write_ns",
+        "period_ns",
+        "period_s",
+        "write_period_ns",
+        "write_period_s",
+    ),
+    Drive: ("pid",),
+    HardwareJoint: ("handle", "limit"),
+    LimitHandle: ("previous",),
+    PeriodicTopic: ("_publisher",),
+    RepeatedCall: ("_timer",),
+    SensorTopic: ("_topic",),
+}
+"""Classes, with their heirs, of which these attributes alone are saved. The rest follows from how they were made."""
+STRUCTURE = (
+    Graph,
+    GraphNode,
+    ModuleType,
+    ReconfigurablePid,
+    ReconfigureServer,
+    ResourceManager,
+    SensorHandle,
+    SpawnedRobot,
+    Timers,
+    UpdateTimes,
+    World,
+    type,
+)
+"""Classes of which nothing is saved where an attribute refers to them."""
+VALUES: dict[str, type] = {
+    cls.__qualname__: cls for cls in (ActionGoal, BaseVelocity, GoalStatus, MonitoredGoal, RollingMean, State)
+}
+"""Classes of objects that come and go while a simulation runs: they are made anew."""
+
+_SCALARS = frozenset((bool, int, float, str, bytes, type(None)))
+_FUNCTIONS = (FunctionType, BuiltinFunctionType, partial)
+_HINT = "leave it out of the class, or give the class save_state and load_state"
+
+
+class Ref(NamedTuple):
+    """An object of the state, by its number."""
+
+    number: int
+
+
+class Method(NamedTuple):
+    """A method of an object of the state."""
+
+    owner: Ref
+    name: str
+
+
+class Named(NamedTuple):
+    """A member of an enumeration, a tuple of a class, or a function, by the name of its class or its own."""
+
+    name: str
+    value: Any
+
+
+class SavedObject(NamedTuple):
+    """One object: the name of its class, and what it consists of."""
+
+    kind: str
+    content: Any
+
+
+_RESERVED = SavedObject("", None)
+"""In the place of an object of which the content is being saved."""
+
+
+class Left:
+    """Stands for what is not saved."""
+
+
+LEFT = Left()
+
+
+class CannotSave(Refused):
+    """Something at `path` is of a kind that no snapshot holds."""
+
+    def __init__(self, what: str, path: str = "") -> None:
+        super().__init__(f"cannot save {path}: it is {what}", _HINT)
+        self._what = what
+        self._path = path
+
+    def below(self, owner: str) -> CannotSave:
+        """The same, with the way to it from an owner farther up."""
+        return CannotSave(self._what, f"{owner}.{self._path}" if self._path else owner)
+
+
+# -- taking the state out ----------------------------------------------------------------------------------------------
+
+
+class Saving:
+    """`value` gives what is saved of a value; the objects that it refers to are in `entries`."""
+
+    def __init__(self) -> None:
+        self.entries: list[SavedObject] = []
+        self._numbers: dict[int, Ref] = {}
+        self._alive: list[Any] = []
+        """Keeps objects, whose identities would be those of others else."""
+
+    def value(self, value: Any, of_user: bool = False) -> Any:
+        """`of_user`: it belongs to an object of a user's class. Raises CannotSave."""
+        kind = type(value)
+        return value if kind in _SCALARS else rule_of(kind).save(self, value, of_user)
+
+    def values(self, values: Mapping[Any, Any], of_user: bool) -> dict[Any, Any]:
+        """What is saved of attributes, or of the values of a mapping."""
+        saved = {}
+        for name, value in values.items():
+            kind = type(value)
+            if kind in _SCALARS:
+                saved[name] = value
+                continue
+            try:
+                saved[name] = rule_of(kind).save(self, value, of_user)
+            except CannotSave as error:
+                raise error.below(str(name)) from None
+        return saved
+
+    def object(self, value: Any, content: Callable[[], Any]) -> Ref:
+        """The object's entry, made when it comes for the first time."""
+        ref = self._numbers.get(id(value))
+        if ref is None:
+            ref = self._numbers[id(value)] = Ref(len(self.entries))
+            self._alive.append(value)
+            self.entries.append(_RESERVED)
+            self.entries[ref.number] = SavedObject(type(value).__qualname__, content())
+        return ref
+
+
+# -- putting it back ---------------------------------------------------------------------------------------------------
+
+
+class Restoring:
+    """`value` puts what was saved into what is there, and gives the result; `finish` is to follow."""
+
+    def __init__(self, entries: list[SavedObject], timers: Timers, users: list[ModuleType]) -> None:
+        """`users` are modules in which classes of objects may be found that have to be made."""
+        self._entries = entries
+        self._timers = timers
+        self._users = users
+        self._found: list[Any] = [None] * len(entries)
+        self._used: set[int] = set()
+        self._set: list[tuple[int, int, Timer]] = []
+        """Numbers, due times, timers."""
+        self._latched: list[TopicPublisher] = []
+        self._taking: list[Callable[[], None]] = []
+
+    def finish(self) -> None:
+        """Set the timers in the order in which they were set, and tell subscribers of latched messages."""
+        for take in self._taking:
+            take()
+        for _, due_ns, timer in sorted(self._set, key=lambda entry: entry[0]):
+            self._timers.arm(timer, due_ns)
+        for publisher in self._latched:
+            for callback in publisher.topic.callbacks:
+                with suppress(SlidectlError):
+                    callback(publisher.last or {})
+
+    def value(self, saved: Any, live: Any) -> Any:
+        """Raises Refused: what is there is not like what was saved."""
+        kind = type(saved)
+        if kind in _SCALARS:
+            return saved
+        if kind is Ref:
+            return self._object(saved.number, live)
+        if kind is tuple:
+            lives = live if isinstance(live, tuple) and len(live) == len(saved) else [None] * len(saved)
+            return tuple(map(self.value, saved, lives))
+        if kind is Left:
+            return live
+        if kind is Method:
+            owner = self.value(saved.owner, getattr(live, "__self__", None))
+            return live if getattr(live, "__name__", "") == saved.name else _method(owner, saved.name)
+        if kind is Named:
+            return self._named(saved, live)
+        return saved
+
+    def values(self, saved: Mapping[Any, Any], live: Mapping[Any, Any]) -> dict[Any, Any]:
+        """The same of the values of a mapping."""
+        return {name: self.value(value, live.get(name)) for name, value in saved.items()}
+
+    def in_order(self, saved: Sequence[Any], live: Sequence[Any]) -> list[Any]:
+        """The same of elements in their order; what has been found otherwise, here and there, does not count."""
+        rest = iter([one for one in live if id(one) not in self._used])
+        return [
+            self._found[one.number]
+            if type(one) is Ref and self._found[one.number] is not None
+            else self.value(one, next(rest, None))
+            for one in saved
+        ]
+
+    def later(self, take: Callable[[], None]) -> None:
+        """Call this when all objects have their values."""
+        self._taking.append(take)
+
+    def set(self, timer: Timer, due_ns: int, number: int) -> None:
+        """The timer is to be set; lower numbers first."""
+        self._set.append((number, due_ns, timer))
+
+    def tell(self, publisher: TopicPublisher) -> None:
+        """Another message is latched than before."""
+        self._latched.append(publisher)
+
+    def _object(self, number: int, live: Any) -> Any:
+        found = self._found[number]
+        if found is None:
+            kind, content = self._entries[number]
+            if type(live).__qualname__ != kind or id(live) in self._used or kind in VALUES:
+                live = self._made(kind, content)
+            rule = rule_of(type(live))
+            found = self._found[number] = rule.fit(live, content)
+            self._used.add(id(found))
+            rule.fill(self, found, content)
+        return found
+
+    def _made(self, kind: str, content: Any) -> Any:
+        if kind in _MAKERS:
+            return _MAKERS[kind](content)
+        cls = self._class(kind)
+        return cls.__new__(cls)
+
+    def _class(self, name: str) -> Any:
+        """What a module merely imports does not count: its constructor may do anything."""
+        known = [VALUES.get(name), *(vars(module).get(name) for module in self._users)]
+        places = {*(module.__name__ for module in self._users)}
+        for cls in known:
+            if isinstance(cls, type) and (cls in VALUES.values() or cls.__module__ in places):
+                return cls
+        raise Refused(f"the snapshot has a {name} where there is none, and none can be made", _HINT)
+
+    def _named(self, saved: Named, live: Any) -> Any:
+        name, value = saved
+        if isinstance(live, _FUNCTIONS):
+            if name != getattr(live, "__qualname__", ""):
+                raise Refused(f"the snapshot has the function {name} where there is {live!r}", _HINT)
+            return live
+        if name == "frozenset":
+            return frozenset(self.value(one, None) for one in value)
+        if name == "numpy":
+            return np.dtype(value[0]).type(value[1])
+        cls: Any = type(live) if type(live).__qualname__ == name else self._class(name)
+        if issubclass(cls, Enum):
+            return cls(value)
+        lives = live if isinstance(live, cls) and len(live) == len(value) else [None] * len(value)
+        return tuple.__new__(cls, map(self.value, value, lives))
+
+
+def _method(owner: Any, name: str) -> Any:
+    """Raises Refused: only objects of users keep methods in their attributes."""
+    if not is_of_a_user(type(owner)) or name.startswith("_"):
+        raise Refused(f"the snapshot has the method {name} of {type(owner).__name__} where there is another")
+    return getattr(owner, name)
+
+
+# -- the rules ---------------------------------------------------------------------------------------------------------
+
+
+class Rule:
+    """How values of one class are saved and put back. The base is for those that are not saved."""
+
+    def save(self, saving: Saving, value: Any, of_user: bool) -> Any:  # noqa: ARG002
+        """What is saved of it; Ref for an object that has an entry."""
+        return LEFT
+
+    def fit(self, live: Any, content: Any) -> Any:  # noqa: ARG002
+        """The object that takes the content: the one that is there, or one of the right size."""
+        return live
+
+    def fill(self, restoring: Restoring, live: Any, content: Any) -> None:
+        """Put the content of an entry in."""
+
+
+class _Unknown(Rule):
+    def save(self, saving: Saving, value: Any, of_user: bool) -> Any:  # noqa: ARG002
+        cls = type(value)
+        raise CannotSave(f"a {cls.__module__}.{cls.__qualname__}")
+
+
+class _Function(Rule):
+    def save(self, saving: Saving, value: Any, of_user: bool) -> Any:  # noqa: ARG002
+        if not of_user:
+            return LEFT
+        if getattr(value, "__closure__", None) or isinstance(value, partial):
+            raise CannotSave("a function that holds values of its own")
+        return Named(value.__qualname__, None)
+
+
+class _BoundMethod(Rule):
+    def save(self, saving: Saving, value: Any, of_user: bool) -> Any:
+        owner = saving.value(value.__self__, of_user)
+        return Method(owner, value.__name__) if isinstance(owner, Ref) else LEFT
+
+
+class _Constant(Rule):
+    """Members of enumerations, numbers of numpy, sets that do not change."""
+
+    def save(self, saving: Saving, value: Any, of_user: bool) -> Any:
+        if isinstance(value, Enum):
+            return Named(type(value).__qualname__, value.value)
+        if isinstance(value, np.generic):
+            return Named("numpy", (value.dtype.str, value.item()))
+        return Named("frozenset", tuple(saving.value(one, of_user) for one in value))
+
+
+class _Tuple(Rule):
+    def save(self, saving: Saving, value: Any, of_user: bool) -> Any:
+        saved = tuple(saving.value(one, of_user) for one in value)
+        if saved and all(one is LEFT for one in saved):
+            return LEFT
+        return saved if type(value) is tuple else Named(type(value).__qualname__, saved)
+
+
+class _List(Rule):
+    def save(self, saving: Saving, value: Any, of_user: bool) -> Any:
+        return saving.object(value, lambda: [saving.value(one, of_user) for one in value])
+
+    def fill(self, restoring: Restoring, live: Any, content: Any) -> None:
+        new = restoring.in_order(content, live)
+        live.clear()
+        live.extend(new)
+
+
+class _Deque(_List):
+    def save(self, saving: Saving, value: Any, of_user: bool) -> Any:
+        return saving.object(value, lambda: [value.maxlen, *(saving.value(one, of_user) for one in value)])
+
+    def fill(self, restoring: Restoring, live: Any, content: Any) -> None:
+        super().fill(restoring, live, content[1:])
+
+
+class _Dict(Rule):
+    def save(self, saving: Saving, value: Any, of_user: bool) -> Any:
+        return saving.object(value, lambda: saving.values(value, of_user))
+
+    def fill(self, restoring: Restoring, live: Any, content: Any) -> None:
+        new = restoring.values(content, live)
+        live.clear()
+        live.update(new)
+
+
+class _Set(Rule):
+    def save(self, saving: Saving, value: Any, of_user: bool) -> Any:
+        return saving.object(value, lambda: [saving.value(one, of_user) for one in value])
+
+    def fill(self, restoring: Restoring, live: Any, content: Any) -> None:
+        new = [restoring.value(one, None) for one in content]
+        live.clear()
+        live.update(new)
+
+
+class _Numbers(Rule):
+    """Arrays, and memory views of them. Those of the same size stay where they are: others may look at that memory."""
+
+    def save(self, saving: Saving, value: Any, of_user: bool) -> Any:  # noqa: ARG002
+        numbers = np.asarray(value)
+        if numbers.dtype.kind not in "?biufc":
+            raise CannotSave(f"an array of {numbers.dtype}")
+        return saving.object(value, numbers.copy)
+
+    def fit(self, live: Any, content: Any) -> Any:
+        there = np.asarray(live)
+        if there.shape == content.shape and there.dtype == content.dtype and there.flags.writeable:
+            return live
+        if isinstance(live, array):
+            return _MAKERS["array"](content)
+        return _MAKERS["memoryview" if isinstance(live, memoryview) else "ndarray"](content)
+
+    def fill(self, restoring: Restoring, live: Any, content: Any) -> None:  # noqa: ARG002
+        np.asarray(live)[...] = content
+
+
+class _RandomNumbers(Rule):
+    def save(self, saving: Saving, value: Any, of_user: bool) -> Any:  # noqa: ARG002
+        is_python = isinstance(value, random.Random)
+        return saving.object(value, value.getstate if is_python else lambda: value.bit_generator.state)
+
+    def fill(self, restoring: Restoring, live: Any, content: Any) -> None:  # noqa: ARG002
+        if isinstance(live, random.Random):
+            live.setstate(content)
+        else:
+            live.bit_generator.state = content
+
+
+class _SetTimer(Rule):
+    def save(self, saving: Saving, value: Any, of_user: bool) -> Any:  # noqa: ARG002
+        return saving.object(value, lambda: (value.active, value.due_ns, value.number))
+
+    def fill(self, restoring: Restoring, live: Any, content: Any) -> None:
+        live.cancel()
+        is_active, due_ns, number = content
+        if is_active:
+            restoring.set(live, due_ns, number)
+
+
+class _Publisher(Rule):
+    """The number of its next message, and the latched one, which nobody changes."""
+
+    def save(self, saving: Saving, value: Any, of_user: bool) -> Any:  # noqa: ARG002
+        return saving.object(value, lambda: (value.sequence, value.last))
+
+    def fill(self, restoring: Restoring, live: Any, content: Any) -> None:
+        live.sequence, last = content
+        if last is not live.last and last != live.last:
+            live.last = last
+            restoring.tell(live)
+
+
+class _Attributes(Rule):
+    """Objects of classes that are written in Python: these attributes, or all."""
+
+    def __init__(self, cls: type, names: tuple[str, ...] | None) -> None:
+        self._has_all = names is None
+        slots = [name for base in cls.__mro__ for name in vars(base).get("__slots__", ())]
+        self._names = slots if names is None else names
+        self._of_user = is_of_a_user(cls)
+
+    def save(self, saving: Saving, value: Any, of_user: bool) -> Any:  # noqa: ARG002
+        return saving.object(value, lambda: saving.values(self._attributes(value), self._of_user))
+
+    def fill(self, restoring: Restoring, live: Any, content: Any) -> None:
+        for name, saved in content.items():
+            before = getattr(live, name, None)
+            new = saved if type(saved) in _SCALARS else restoring.value(saved, before)
+            if new is not before or before is None:
+                setattr(live, name, new)
+        if self._has_all:
+            for name in vars(live).keys() - content.keys() if hasattr(live, "__dict__") else ():
+                delattr(live, name)
+
+    def _attributes(self, value: Any) -> dict[str, Any]:
+        found = {name: getattr(value, name) for name in self._names if hasattr(value, name)}
+        return found | getattr(value, "__dict__", {}) if self._has_all else found
+
+
+class _OwnState(Rule):
+    """Objects that say themselves what their state is."""
+
+    def save(self, saving: Saving, value: Any, of_user: bool) -> Any:  # noqa: ARG002
+        return saving.object(value, lambda: saving.value(_asked(value), is_of_a_user(type(value))))
+
+    def fill(self, restoring: Restoring, live: Any, content: Any) -> None:
+        # What is there says by its shape which objects take the values. Others must have theirs before it takes them.
+        state = restoring.value(content, _asked(live))
+        restoring.later(lambda: _told(live, state))
+
+
+def _asked(value: Any) -> Any:
+    with watched_for("save_state of", type(value).__name__):
+        return value.save_state()
+
+
+def _told(value: Any, state: Any) -> None:
+    with watched_for("load_state of", type(value).__name__):
+        value.load_state(state)
+
+
+_MAKERS: dict[str, Callable[[Any], Any]] = {
+    "list": lambda _: [],
+    "dict": lambda _: {},
+    "set": lambda _: set(),
+    "deque": lambda content: deque(maxlen=content[0]),
+    "array": lambda content: array(content.dtype.char, content.tobytes()),
+    "ndarray": lambda content: content.copy(),
+    "memoryview": lambda content: content.copy().data,
+    "Random": lambda _: random.Random(),
+}
+"""How objects of these classes are made where they are missing."""
+_RULES: tuple[tuple[type | tuple[type, ...], Rule], ...] = (
+    (STRUCTURE, Rule()),
+    (Timer, _SetTimer()),
+    (TopicPublisher, _Publisher()),
+    ((Enum, np.generic, frozenset), _Constant()),
+    (tuple, _Tuple()),
+    (list, _List()),
+    (deque, _Deque()),
+    (dict, _Dict()),
+    (set, _Set()),
+    ((np.ndarray, array, memoryview), _Numbers()),
+    ((random.Random, np.random.Generator), _RandomNumbers()),
+    (_FUNCTIONS, _Function()),
+    (MethodType, _BoundMethod()),
+)
+
+
+def _rule_of(cls: Any) -> Rule:
+    """For objects of the class."""
+    for base in cls.__mro__:
+        if base in KEPT:
+            return _Attributes(cls, KEPT[base])
+    for bases, rule in _RULES:
+        if issubclass(cls, bases):
+            return rule
+    package, _, rest = cls.__module__.partition(".")
+    is_frozen = is_dataclass(cls) and getattr(cls, "__dataclass_params__").frozen  # noqa: B009
+    # The simulation itself is structure too; its module imports this one.
+    if package == "slidectl" and (rest.startswith(("description", "simulation.simulation")) or is_frozen):
+        return Rule()
+    if hasattr(cls, "save_state") and hasattr(cls, "load_state"):
+        return _OwnState()
+    has_attributes = "__dict__" in dir(cls) or any("__slots__" in vars(base) for base in cls.__mro__)
+    is_library = package in sys.stdlib_module_names and package != "__main__"
+    return _Attributes(cls, None) if has_attributes and not is_library else _Unknown()
+
+
+rule_of: Callable[[Any], Rule] = cache(_rule_of)

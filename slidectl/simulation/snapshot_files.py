@@ -1,0 +1,161 @@
+"""Snapshots as files: a line that says what it is, a line of JSON about it, and compressed JSON. Nothing in it is code.
+
+The second line has the version of slidectl and of MuJoCo, which must be those that read it: another one would go on
+with other bits, or has other attributes. It has the length and the digest of the rest too.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import zlib
+from array import array
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+import slidectl
+from slidectl import writing
+from slidectl.description.meshes import BadMesh
+from slidectl.errors import BadFile, Refused
+from slidectl.physics import mujoco_library
+from slidectl.physics.hulls import Hull, MeshSource
+from slidectl.simulation.kept_state import LEFT, Left, Method, Named, Ref, SavedObject
+from slidectl.simulation.snapshots import Snapshot, SpawnedAs
+
+MAGIC = b"slidectl snapshot\n"
+LARGEST = 1 << 30
+"""Bytes of the uncompressed content. A file from somebody else may pretend to be small."""
+_TAG = "~"
+_Packed = Any
+"""What JSON can say."""
+
+
+def write(snapshot: Snapshot, path: str) -> None:
+    """Put it into the file, whole or not at all. Raises Refused: it cannot be written."""
+    content = zlib.compress(json.dumps(_pack_all(snapshot), separators=(",", ":")).encode(), 1)
+    about = {
+        "slidectl": slidectl.__version__,
+        "mujoco": mujoco_library.VERSION,
+        "size": len(content),
+        "sha256": hashlib.sha256(content).hexdigest(),
+    }
+    try:
+        writing.replace(path, MAGIC + json.dumps(about).encode() + b"\n" + content)
+    except OSError as error:
+        raise Refused(f"cannot write the snapshot {path}: {error.strerror or error}") from None
+
+
+def read(path: str) -> Snapshot:
+    """The snapshot of the file. Raises BadFile: it is none, of another version, cut off, or damaged."""
+    try:
+        with open(path, "rb") as file:
+            if file.read(len(MAGIC)) != MAGIC:
+                raise BadFile("it is no snapshot of slidectl", path)
+            first, content = file.readline(1 << 16), file.read()
+    except OSError as error:
+        raise BadFile(f"cannot be read: {error.strerror or error}", path) from None
+    try:
+        about = json.loads(first)
+        versions = {name: about[name] for name in ("slidectl", "mujoco")}
+        size, digest = int(about["size"]), str(about["sha256"])
+    except (ValueError, LookupError, TypeError, RecursionError):
+        raise BadFile("the snapshot is cut off or damaged in its second line", path) from None
+    for name, here in (("slidectl", slidectl.__version__), ("mujoco", mujoco_library.VERSION)):
+        if versions[name] != here:
+            text = f"the snapshot was saved with {name} {versions[name]}, and this is {name} {here}"
+            raise BadFile(text, path, hint="save it anew with this version")
+    if len(content) < size:
+        raise BadFile(f"the snapshot is cut off: {len(content)} bytes of {size} are there", path)
+    if hashlib.sha256(content).hexdigest() != digest:
+        raise BadFile("the snapshot is damaged: its content is not what was written", path)
+    try:
+        return _unpack_all(json.loads(_expanded(content)))
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError, zlib.error) as error:
+        raise BadFile(f"the snapshot is damaged: {type(error).__name__}: {error}", path) from None
+
+
+def _expanded(content: bytes) -> bytes:
+    expander = zlib.decompressobj()
+    expanded = expander.decompress(content, LARGEST)
+    if expander.unconsumed_tail:
+        raise ValueError(f"more than {LARGEST} bytes")
+    return expanded
+
+
+def _pack_all(snapshot: Snapshot) -> _Packed:
+    values = {field.name: getattr(snapshot, field.name) for field in fields(Snapshot)}
+    robots = [{field.name: getattr(one, field.name) for field in fields(SpawnedAs)} for one in snapshot.robots]
+    for one in robots:
+        one["hulls"] = [
+            [*source, [hull.name, hull.stl] if isinstance(hull, Hull) else hull.reason]
+            for source, hull in one["hulls"].items()
+        ]
+    return _pack(values | {"robots": robots, "entries": [list(entry) for entry in snapshot.entries]})
+
+
+def _unpack_all(packed: _Packed) -> Snapshot:
+    values = _unpack(packed)
+    robots = [
+        SpawnedAs(**{**one, "hulls": dict(_hull(*hull) for hull in one["hulls"])}) for one in values.pop("robots")
+    ]
+    values["is_own"] = False
+    return Snapshot(robots=robots, entries=[SavedObject(*entry) for entry in values.pop("entries")], **values)
+
+
+def _hull(path: str, scale: tuple[float, float, float], content: Any) -> tuple[MeshSource, Hull | BadMesh]:
+    return MeshSource(path, scale), BadMesh(content, path) if isinstance(content, str) else Hull(*content)
+
+
+# -- values ------------------------------------------------------------------------------------------------------------
+
+
+def _pack(value: Any) -> _Packed:
+    """Numbers, texts, truth values, None, lists, and mappings of texts as they are; all else with its kind."""
+    kind = type(value)
+    if kind in (bool, int, float, str, type(None)):
+        return value
+    if kind is list:
+        return [_pack(one) for one in value]
+    if isinstance(value, dict):
+        if all(type(key) is str for key in value) and _TAG not in value:
+            return {key: _pack(one) for key, one in value.items()}
+        return {_TAG: "dict", "of": [[_pack(key), _pack(one)] for key, one in value.items()]}
+    if isinstance(value, Left):
+        return {_TAG: "left"}
+    if isinstance(value, Ref | Method | Named):
+        return {_TAG: kind.__name__, "of": [_pack(one) for one in value]}
+    if isinstance(value, tuple):
+        return {_TAG: "tuple", "of": [_pack(one) for one in value]}
+    if isinstance(value, bytes):
+        return {_TAG: "bytes", "of": base64.b64encode(value).decode()}
+    if isinstance(value, np.ndarray | array | memoryview):
+        numbers = np.asarray(value)
+        packed = base64.b64encode(numbers.tobytes()).decode()
+        return {_TAG: "numbers", "of": [numbers.dtype.str, list(numbers.shape), packed]}
+    raise Refused(f"no file holds a {kind.__module__}.{kind.__qualname__}")
+
+
+def _unpack(packed: _Packed) -> Any:
+    if isinstance(packed, list):
+        return [_unpack(one) for one in packed]
+    if not isinstance(packed, dict):
+        return packed
+    if _TAG not in packed:
+        return {key: _unpack(one) for key, one in packed.items()}
+    kind = packed[_TAG]
+    if kind == "left":
+        return LEFT
+    of = packed["of"]
+    if kind == "dict":
+        return {_unpack(key): _unpack(one) for key, one in of}
+    if kind == "tuple":
+        return tuple(map(_unpack, of))
+    if kind == "bytes":
+        return base64.b64decode(of)
+    if kind == "numbers":
+        dtype, shape, content = of
+        return np.frombuffer(base64.b64decode(content), np.dtype(str(dtype))).reshape(shape).copy()
+    return {"Ref": Ref, "Method": Method, "Named": Named}[kind](*map(_unpack, of))

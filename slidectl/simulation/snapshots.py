@@ -1,0 +1,352 @@
+"""Snapshots: the whole state of a simulation at one moment, from which it goes on with the same bits.
+
+Loading first makes robots and controllers as they were, where others are there now, from what made them; then it puts
+the numbers in. Where the same robots and controllers are there, it only puts the numbers in. How fast the world is
+asked to run, and whether it is paused, is left alone; so are clients, who wait for what is left of their durations.
+
+Who adds a part to robots or to the simulation registers it in `SpawnedRobot.kept` or `Simulation.kept`.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+from slidectl import description, names
+from slidectl.control import registry
+from slidectl.control.user_classes import is_of_a_user
+from slidectl.description import source_note
+from slidectl.errors import BadName, Refused, SlidectlError, UnknownName
+from slidectl.physics.hulls import Hulls
+from slidectl.rotations import Pose
+from slidectl.simulation.action_server import ActionGoal
+from slidectl.simulation.kept_state import Restoring, SavedObject, Saving
+from slidectl.simulation.spawned_robots import ParsedRobot, SpawnedRobot
+
+if TYPE_CHECKING:
+    from slidectl.simulation.simulation import Simulation
+
+PUT_BACK = "The simulation was put back to a time before this goal was sent"
+
+
+@dataclass(frozen=True)
+class SpawnedAs:
+    """What made a robot: enough to make it again."""
+
+    name: str
+    namespace: str
+    xml: str
+    is_controlled: bool
+    pose: Pose
+    note: str
+    caller: int
+    hulls: Hulls
+    made_parameters: list[str]
+    controllers: list[tuple[str, str]]
+    """Names and types in load order."""
+
+    @classmethod
+    def of(cls, robot: SpawnedRobot) -> SpawnedAs:
+        """What made this one."""
+        return cls(
+            robot.name,
+            robot.namespace,
+            robot.xml,
+            robot.is_controlled,
+            robot.body.spawn_pose,
+            robot.note,
+            robot.caller,
+            robot.body.hulls,
+            list(robot.made_parameters),
+            list(robot.parts.manager.loaded()) if robot.is_controlled else [],
+        )
+
+    def is_like(self, other: SpawnedAs) -> bool:
+        """Do both make the same robot, whatever its controllers are?"""
+        return (self.name, self.namespace, self.is_controlled, self.pose, self.xml) == (
+            other.name,
+            other.namespace,
+            other.is_controlled,
+            other.pose,
+            other.xml,
+        )
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """All of one moment. Nothing in it is changed by the simulation that goes on."""
+
+    time_ns: int
+    cycles: int
+    step_ns: int
+    gravity: tuple[float, float, float]
+    ground: bool
+    is_own: bool
+    """False for one that was read from a file."""
+    robots: list[SpawnedAs]
+    parameters: dict[str, Any]
+    world: dict[str, Any]
+    entries: list[SavedObject]
+    state: Any
+    """What is below `_tree`, with its objects in `entries`."""
+
+
+def take(simulation: Simulation) -> Snapshot:
+    """The state of now.
+
+    Raises:
+        Refused: a switch is under way, the world cannot go on, or it is in the middle of a cycle. CannotSave: a user's
+        class has what no snapshot holds.
+    """
+    simulation.loop.between_cycles("save a snapshot")
+    if simulation.run.trouble:
+        raise Refused(f"a world that cannot go on is not saved: {simulation.run.trouble}", "slidectl sim reset")
+    _check_settled(simulation, "save a snapshot")
+    simulation.loop.settle()
+    saving = Saving()
+    state = saving.value(_tree(simulation))
+    return Snapshot(
+        simulation.time_ns,
+        simulation.cycles,
+        simulation.timestep_ns,
+        simulation.world.gravity,
+        simulation.world.has_ground,
+        True,
+        [SpawnedAs.of(robot) for robot in simulation.robots],
+        simulation.parameters.tree(),
+        simulation.world.snapshot(),
+        saving.entries,
+        state,
+    )
+
+
+def put(simulation: Simulation, snapshot: Snapshot) -> list[str]:
+    """Be again what the snapshot is of, all or nothing. Returns the robots that were made again.
+
+    Goals that clients have sent since then end as PREEMPTED.
+
+    Raises:
+        Refused: a switch is under way, it is in the middle of a cycle, or the snapshot does not fit.
+    """
+    simulation.loop.between_cycles("load a snapshot")
+    _check_settled(simulation, "load a snapshot")
+    if snapshot.ground != simulation.world.has_ground:
+        option = "--ground" if snapshot.ground else "--no-ground"
+        text = f"the snapshot is of a world {'with' if snapshot.ground else 'without'} ground"
+        raise Refused(text, f"load it into a daemon that was started with {option}")
+    simulation.loop.settle()
+    present = [SpawnedAs.of(robot) for robot in simulation.robots]
+    is_sure = snapshot.is_own and _are_alike(present, snapshot.robots) and not _modules_of_users(simulation)
+    before = None
+    if not is_sure and not simulation.run.trouble:
+        with suppress(SlidectlError):
+            before = take(simulation)
+    try:
+        made = _put(simulation, snapshot)
+    except BaseException as error:
+        if before is not None:
+            _put(simulation, before)
+        if isinstance(error, ArithmeticError | AttributeError | LookupError | TypeError | ValueError):
+            raise Refused(f"the snapshot does not fit: {type(error).__name__}: {error}") from error
+        raise
+    simulation.run.trouble = ""
+    simulation.graph.clock_topic.publish_now(simulation.time_ns)
+    return made
+
+
+def _put(simulation: Simulation, snapshot: Snapshot) -> list[str]:
+    goals = _goals_since(simulation, snapshot)
+    clock, timers = simulation.graph.clock, simulation.graph.timers
+    before_ns, clock.time_ns, clock.cycles = clock.time_ns, snapshot.time_ns, snapshot.cycles
+    timers.rebase(before_ns, snapshot.time_ns)
+    if snapshot.step_ns != simulation.timestep_ns:
+        simulation.set_timestep(snapshot.step_ns * 1e-9)
+    simulation.world.set_gravity(snapshot.gravity)
+    made = _make(simulation, snapshot)
+    for goal in goals:
+        if goal.ended_ns is None:
+            goal.cancel(text=PUT_BACK)
+    live = _tree(simulation)
+    restoring = Restoring(snapshot.entries, timers, _modules_of_users(simulation))
+    state = restoring.value(snapshot.state, live)
+    for robot in simulation.robots:
+        robot.node.caution = state["robots"][robot.name]["caution"]
+        calls = state["robots"][robot.name]["calls"]
+        for call in robot.node.calls_below():
+            if call not in calls:
+                call.cancel()
+        for call in calls:
+            call.resume()
+    restoring.finish()
+    simulation.world.restore(snapshot.world)
+    return made
+
+
+def _tree(simulation: Simulation) -> dict[str, Any]:
+    """All of which the state is saved."""
+    return {"robots": {robot.name: _tree_of(robot) for robot in simulation.robots}, "simulation": simulation.kept}
+
+
+def _tree_of(robot: SpawnedRobot) -> dict[str, Any]:
+    """In an order in which what refers to others comes after them: goals have actions, and both have calls."""
+    parts = robot.parts
+    return {
+        "actions": robot.node.servers_below(),
+        **({"hardware": parts.hardware, "manager": parts.manager, "cycle": parts.cycle} if robot.is_controlled else {}),
+        "start": robot.body.start,
+        "caution": robot.node.caution,
+        "kept": robot.kept,
+        "calls": robot.node.calls_below(),
+    }
+
+
+def _check_settled(simulation: Simulation, action: str) -> None:
+    for robot in simulation.robots:
+        if robot.is_controlled and robot.services.is_busy:
+            raise Refused(
+                f"cannot {action}: a switch of controllers of {robot.name!r} is under way",
+                "let the world go on until it is done",
+            )
+
+
+def _goals_since(simulation: Simulation, snapshot: Snapshot) -> list[ActionGoal]:
+    """The open goals that the snapshot does not know."""
+    known = {entry.content["id"] for entry in snapshot.entries if entry.kind == ActionGoal.__qualname__}
+    servers = [server for robot in simulation.robots for server in robot.node.servers_below()]
+    return [goal for server in servers for goal in server.open_goals if goal.id not in known]
+
+
+def _modules_of_users(simulation: Simulation) -> list[ModuleType]:
+    """Those that define the controllers and the hardware that are there."""
+    found = {}
+    for robot in simulation.robots:
+        if robot.is_controlled:
+            managed = [robot.parts.manager.get(name) for name in robot.parts.manager.names()]
+            for one in (robot.parts.hardware, *managed):
+                if is_of_a_user(type(one)):
+                    found[type(one).__module__] = sys.modules[type(one).__module__]
+    return list(found.values())
+
+
+# -- robots and controllers as they were -------------------------------------------------------------------------------
+
+
+def _make(simulation: Simulation, snapshot: Snapshot) -> list[str]:
+    """Let the same robots and controllers be there, in the same order. Returns the robots that were made again."""
+    robots, wanted = simulation.robots, snapshot.robots
+    present = [SpawnedAs.of(robot) for robot in robots]
+    if _are_alike(present, wanted):
+        _replace_parameters(simulation, snapshot)
+        return []
+    for one in wanted:
+        for name, type_name in one.controllers:
+            _check_type(one.name, name, type_name)
+    same = _common([one.is_like(other) for one, other in zip(present, wanted, strict=False)])
+    for one in reversed(present[same:]):
+        robots.delete(one.name)
+    kept = {}
+    for one, other in zip(present[:same], wanted, strict=False):
+        count = _common([mine == its for mine, its in zip(one.controllers, other.controllers, strict=False)])
+        kept[one.name] = [name for name, _ in one.controllers[:count]]
+        if count < len(one.controllers):
+            robots.get(one.name).manager.keep_only(kept[one.name])
+    late = {name for one in wanted[same:] for name in one.made_parameters}
+    _replace_parameters(simulation, snapshot, late)
+    for one in wanted:
+        robot = robots.get(one.name) if one.name in robots else _spawn(simulation, one)
+        for name, _ in one.controllers:
+            if name not in kept.get(one.name, ()):
+                robot.manager.load_again(name)
+    _replace_parameters(simulation, snapshot)
+    return [one.name for one in wanted[same:]]
+
+
+def _are_alike(present: list[SpawnedAs], wanted: list[SpawnedAs]) -> bool:
+    """Are the same robots and controllers there?"""
+    pairs = zip(present, wanted, strict=False)
+    return len(present) == len(wanted) and all(
+        one.is_like(other) and one.controllers == other.controllers for one, other in pairs
+    )
+
+
+def _common(equal: list[bool]) -> int:
+    """How many are equal from the beginning."""
+    return next((place for place, one in enumerate(equal) if not one), len(equal))
+
+
+def _replace_parameters(simulation: Simulation, snapshot: Snapshot, without: set[str] = frozenset()) -> None:  # type: ignore[assignment]
+    tree = snapshot.parameters
+    for name in without:
+        tree = _without(tree, [part for part in name.split("/") if part])
+    simulation.parameters.replace(tree)
+
+
+def _without(tree: dict[str, Any], path: list[str]) -> dict[str, Any]:
+    """A copy of the tree without what stands there."""
+    first, *rest = path
+    if not rest or not isinstance(tree.get(first), dict):
+        return {key: value for key, value in tree.items() if key != first}
+    return {**tree, first: _without(tree[first], rest)}
+
+
+def _spawn(simulation: Simulation, one: SpawnedAs) -> SpawnedRobot:
+    paper = description.parse(source_note.join(one.xml, one.note))
+    parsed = ParsedRobot(one.name, names.check(one.namespace), paper, one.xml, one.note, one.caller, one.is_controlled)
+    return simulation.robots.spawn_read(parsed, one.pose, one.hulls)
+
+
+def _check_type(robot: str, name: str, type_name: str) -> None:
+    """Raises Refused: files of users are not imported because a snapshot names them."""
+    try:
+        registry.find(type_name)
+    except UnknownName:
+        raise Refused(
+            f"controller {name!r} of {robot!r} is a {type_name}, which is not known here",
+            "import its file first: slidectl daemon start --import FILE.py",
+        ) from None
+
+
+# -- by name -----------------------------------------------------------------------------------------------------------
+
+
+class Snapshots:
+    """The snapshots of one simulation, by name, in the order of their saving."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        self._simulation = simulation
+        self._kept: dict[str, Snapshot] = {}
+
+    def __iter__(self) -> Any:
+        return iter(tuple(self._kept.items()))
+
+    def get(self, name: str) -> Snapshot:
+        """Raises UnknownName."""
+        if name not in self._kept:
+            raise UnknownName("snapshot", name, list(self._kept))
+        return self._kept[name]
+
+    def save(self, name: str, first: Callable[[Snapshot], None] = lambda _: None) -> Snapshot:
+        """Keep the state of now under the name, after `first` has had it; one that had the name goes.
+
+        Raises as `take`, what `first` raises, and BadName; then nothing has changed.
+        """
+        if not names.is_legal(name) or "/" in name or name.startswith("~"):
+            raise BadName(name, "name of a snapshot: letters, digits and '_', and the first is a letter")
+        snapshot = take(self._simulation)
+        first(snapshot)
+        self._kept.pop(name, None)
+        self._kept[name] = snapshot
+        return snapshot
+
+    def load(self, name: str) -> list[str]:
+        """Be again what was saved. Returns the robots that were made again. Raises UnknownName, and as `put`."""
+        return put(self._simulation, self.get(name))
+
+    def delete(self, name: str) -> None:
+        """Forget it. Raises UnknownName."""
+        self.get(name)
+        del self._kept[name]
