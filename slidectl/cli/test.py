@@ -241,14 +241,16 @@ def _progress(ctx: Context, total: int) -> Iterator[Callable[[CaseResult], None]
     from slidectl.scenarios.case_run import BAD
 
     columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
-    with Progress(*columns, console=Console(stderr=True, highlight=False), transient=True) as bar:
+    console = Console(stderr=True, highlight=False)
+    # No thread that refreshes it: a fork would take over the locks that it holds.
+    with Progress(*columns, console=console, transient=True, auto_refresh=False) as bar:
         task = bar.add_task("", total=total)
         failures = Counter[str]()
 
         def advance(result: CaseResult) -> None:
             failures[result.verdict] += result.verdict in BAD
             text = ", ".join(f"{count} {verdict}" for verdict, count in failures.items() if count)
-            bar.update(task, advance=1, description=text)
+            bar.update(task, advance=1, description=text, refresh=True)
 
         yield advance
 
