@@ -42,6 +42,10 @@ class History:
         view: Any = memoryview(self._table)  # type: ignore[arg-type]
         self._view: memoryview[float] = view
 
+    def forget(self) -> None:
+        """The world is at another moment: what was before does not lead to it."""
+        self._table[TAKEN] = 0.0
+
     @property
     def address(self) -> int:
         """Where the block lies, until `begin`."""

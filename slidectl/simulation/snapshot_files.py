@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 import slidectl
-from slidectl import writing
+from slidectl import file_reads, writing
 from slidectl.description.meshes import BadMesh
 from slidectl.errors import BadFile, Refused
 from slidectl.physics import mujoco_library
@@ -42,21 +42,27 @@ def write(snapshot: Snapshot, path: str) -> None:
         "size": len(content),
         "sha256": hashlib.sha256(content).hexdigest(),
     }
+    whole = MAGIC + json.dumps(about).encode() + b"\n" + content
+    trouble = file_reads.read(f"writing of the snapshot {path}", lambda: _written(path, whole))
+    if trouble:
+        raise Refused(f"cannot write the snapshot {path}: {trouble}")
+
+
+def _written(path: str, content: bytes) -> str:
+    """Empty, or why it cannot be written."""
     try:
-        writing.replace(path, MAGIC + json.dumps(about).encode() + b"\n" + content)
+        writing.replace(path, content)
     except OSError as error:
-        raise Refused(f"cannot write the snapshot {path}: {error.strerror or error}") from None
+        return error.strerror or str(error)
+    return ""
 
 
 def read(path: str) -> Snapshot:
     """The snapshot of the file. Raises BadFile: it is none, of another version, cut off, or damaged."""
-    try:
-        with open(path, "rb") as file:
-            if file.read(len(MAGIC)) != MAGIC:
-                raise BadFile("it is no snapshot of slidectl", path)
-            first, content = file.readline(1 << 16), file.read()
-    except OSError as error:
-        raise BadFile(f"cannot be read: {error.strerror or error}", path) from None
+    text, trouble = file_reads.read(f"snapshot {path}", lambda: _content(path))
+    if trouble:
+        raise BadFile(trouble, path)
+    first, _, content = base64.b64decode(text).partition(b"\n")
     try:
         about = json.loads(first)
         versions = {name: about[name] for name in ("slidectl", "mujoco")}
@@ -75,6 +81,17 @@ def read(path: str) -> Snapshot:
         return _unpack_all(json.loads(_expanded(content)))
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError, zlib.error) as error:
         raise BadFile(f"the snapshot is damaged: {type(error).__name__}: {error}", path) from None
+
+
+def _content(path: str) -> tuple[str, str]:
+    """What follows the first line, in base64, and why it cannot be had."""
+    try:
+        with open(path, "rb") as file:
+            if file.read(len(MAGIC)) != MAGIC:
+                return "", "it is no snapshot of slidectl"
+            return base64.b64encode(file.read()).decode(), ""
+    except OSError as error:
+        return "", f"cannot be read: {error.strerror or error}"
 
 
 def _expanded(content: bytes) -> bytes:

@@ -20,7 +20,7 @@ from slidectl import description, names
 from slidectl.control import registry
 from slidectl.control.user_classes import is_of_a_user
 from slidectl.description import source_note
-from slidectl.errors import BadName, Refused, SlidectlError, UnknownName
+from slidectl.errors import BadName, Refused, SlidectlError, UnknownName, listing
 from slidectl.physics.hulls import Hulls
 from slidectl.rotations import Pose
 from slidectl.simulation.action_server import ActionGoal
@@ -183,6 +183,7 @@ def _put(simulation: Simulation, snapshot: Snapshot) -> list[str]:
             call.resume()
     restoring.finish()
     simulation.world.restore(snapshot.world)
+    simulation.loop.history.forget()
     return made
 
 
@@ -205,6 +206,9 @@ def _tree_of(robot: SpawnedRobot) -> dict[str, Any]:
 
 
 def _check_settled(simulation: Simulation, action: str) -> None:
+    """Raises Refused: a switch is under way, or there are faults."""
+    if faults := [fault["name"] for fault in simulation.faults.messages()]:
+        raise Refused(f"cannot {action} while there are faults: {listing(faults)}", "slidectl fault clear")
     for robot in simulation.robots:
         if robot.is_controlled and robot.services.is_busy:
             raise Refused(

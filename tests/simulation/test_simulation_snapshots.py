@@ -409,6 +409,19 @@ def test_what_does_not_fit_changes_nothing() -> None:
 # -- goals, waits and switches -----------------------------------------------------------------------------------------
 
 
+def test_with_faults_nothing_is_saved_or_loaded() -> None:
+    simulation = Simulation(engine="plain")
+    simulation.spawn(description.load("slider").xml, "slider")
+    simulation.save("before")
+    simulation.faults.add("slider/joint1", "sensor-bias", bias=0.1, name="crooked")
+    for action in (simulation.save, simulation.load):
+        with pytest.raises(Refused, match="while there are faults: crooked") as caught:
+            action("before")
+        assert caught.value.hint == "slidectl fault clear"
+    simulation.faults.remove()
+    simulation.load("before")
+
+
 def test_goals_go_on_as_they_were_and_those_sent_since_end() -> None:
     simulation, (build, _) = made("plain"), following("position")
     build(simulation)
