@@ -1,0 +1,140 @@
+"""action.yml, Dockerfile and the systemd unit: their commands are run, without the services they are for."""
+
+from __future__ import annotations
+
+import configparser
+import os
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import sysconfig
+import time
+import venv
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from daemon_fixture import Runtime
+
+from slidectl.client import Client
+from slidectl.errors import NoDaemon
+
+ROOT = Path(__file__).parent.parent
+LIMIT_S = 300
+
+
+def action_steps() -> dict[str, dict[str, Any]]:
+    """Those with a name, by it."""
+    action = yaml.safe_load((ROOT / "action.yml").read_text(encoding="utf-8"))
+    assert action["runs"]["using"] == "composite"
+    return {step["name"]: step for step in action["runs"]["steps"] if "name" in step}
+
+
+def run_step(step: dict[str, Any], values: dict[str, str], folder: Path, bin_folder: Path) -> int:
+    """As GitHub does it: expressions become environment variables, and bash stops at the first failure."""
+    variables = {
+        name: re.sub(r"\$\{\{ (\S+) \}\}", lambda match: values[match[1]], text)
+        for name, text in step.get("env", {}).items()
+    }
+    environment = {**os.environ, "PATH": f"{bin_folder}:{os.environ['PATH']}", **variables}
+    shell = ["bash", "--noprofile", "--norc", "-e", "-o", "pipefail", "-c", step["run"]]
+    return subprocess.run(shell, env=environment, cwd=folder, timeout=LIMIT_S).returncode
+
+
+def docker_lines() -> dict[str, list[str]]:
+    """What stands behind each word of the Dockerfile."""
+    lines: dict[str, list[str]] = {}
+    for line in (ROOT / "Dockerfile").read_text(encoding="utf-8").splitlines():
+        if line and not line.startswith("#"):
+            word, _, rest = line.partition(" ")
+            lines.setdefault(word, []).append(rest)
+    return lines
+
+
+@pytest.fixture
+def bare(tmp_path: Path) -> Path:
+    """The bin of an environment with all that slidectl needs, but without slidectl."""
+    venv.create(tmp_path / "venv", with_pip=True, symlinks=True)
+    [packages] = (tmp_path / "venv").glob("lib/python3*/site-packages")
+    for entry in Path(sysconfig.get_paths()["purelib"]).iterdir():
+        ours = entry.suffix == ".pth" or re.match(r"_?_?(slidectl|pip|editable)", entry.name)
+        if not ours and not (packages / entry.name).exists():
+            (packages / entry.name).symlink_to(entry)
+    return tmp_path / "venv" / "bin"
+
+
+@pytest.fixture
+def sources(tmp_path: Path) -> Path:
+    """A copy of what the repository holds."""
+    ignored = shutil.ignore_patterns(".git", ".venv", "__pycache__", "build", "dist", "results", ".*_cache")
+    return Path(shutil.copytree(ROOT, tmp_path / "src", ignore=ignored))
+
+
+def test_the_action_installs_slidectl(bare: Path, sources: Path, tmp_path: Path) -> None:
+    assert not (bare / "slidectl").exists()
+    step = action_steps()["Install slidectl"]
+    assert run_step(step, {"github.action_path": str(sources)}, tmp_path, bare) == 0
+    assert subprocess.run([bare / "slidectl", "version"], cwd=tmp_path, timeout=LIMIT_S).returncode == 0
+
+
+def test_the_action_runs_scenarios_and_keeps_what_failed(tmp_path: Path) -> None:
+    folder = tmp_path / "robots"
+    folder.mkdir()
+    shutil.copy(ROOT / "examples" / "scenarios" / "slider.yaml", folder)
+    values = {"inputs.scenarios": "robots", "inputs.arguments": "-n 1", "inputs.results": "kept"}
+    step = action_steps()["Run the scenarios"]
+    assert run_step(step, values, tmp_path, Path(sys.executable).parent) == 0
+    cases = ET.parse(tmp_path / "kept" / "results.xml").getroot().findall(".//testcase")
+    assert cases
+    assert [case for case in cases if case.find("failure") is not None] == []
+
+
+def test_the_image_installs_slidectl_and_runs_it_as_a_user(bare: Path, sources: Path) -> None:
+    lines = docker_lines()
+    install = next(line for line in lines["RUN"] if "pip install" in line).replace("/src", str(sources))
+    environment = {**os.environ, "PATH": f"{bare}:{os.environ['PATH']}"}
+    assert subprocess.run(["sh", "-ec", install], env=environment, timeout=LIMIT_S).returncode == 0
+    assert lines["USER"] == ["robot"]
+    assert any(f"useradd --create-home {lines['USER'][0]}" in line for line in lines["RUN"])
+    [entry], [command] = lines["ENTRYPOINT"], lines["CMD"]
+    words = [*yaml.safe_load(entry), *yaml.safe_load(command)]
+    assert shutil.which(words[0], path=str(bare)) == str(bare / "slidectl")
+    stays_until_it_is_asked_to_end([str(bare / words[0]), *words[1:]], "default")
+
+
+def test_the_unit_starts_a_daemon_that_ends_when_systemd_asks() -> None:
+    unit = configparser.ConfigParser(interpolation=None, strict=False)
+    unit.optionxform = str  # type: ignore[assignment,method-assign]
+    unit.read(ROOT / "packaging" / "slidectl@.service", encoding="utf-8")
+    words = shlex.split(unit["Service"]["ExecStart"].replace("%i", "unit"))
+    assert words[0] == "%h/.local/bin/slidectl"
+    stays_until_it_is_asked_to_end([str(Path(sys.executable).parent / "slidectl"), *words[1:]], "unit")
+
+
+def answering(runtime: Runtime, process: subprocess.Popen[str]) -> Client:
+    """A connection to the daemon, as soon as it answers."""
+    while True:
+        try:
+            return runtime.client()
+        except NoDaemon:
+            assert process.poll() is None, "it ended before it answered"
+            time.sleep(0.05)
+
+
+def stays_until_it_is_asked_to_end(command: list[str], instance: str) -> None:
+    """A daemon in the foreground, which answers, and ends with 0 at SIGTERM."""
+    runtime = Runtime(name=instance)
+    try:
+        process = subprocess.Popen(command, env=runtime.env, stderr=subprocess.PIPE, text=True)
+        with answering(runtime, process) as client:
+            assert client.call("/slidectl/status")["instance"] == instance
+        process.send_signal(signal.SIGTERM)
+        _, errors = process.communicate(timeout=LIMIT_S)
+        assert process.returncode == 0, errors
+    finally:
+        runtime.remove()
