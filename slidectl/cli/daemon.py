@@ -161,7 +161,6 @@ def restart(click_context: click.Context, /, **world: Any) -> None:
     Options that are not given are those that the old one was started with, and a line on stderr says which. JSON keys
     as those of start.
     """
-    import dataclasses
 
     from slidectl.daemon import lifecycle
 
@@ -172,8 +171,7 @@ def restart(click_context: click.Context, /, **world: Any) -> None:
     if old is not None:
         chosen = tuple(dict.fromkeys((*old.chosen, *given)))
         given_now = {name: getattr(options, name) for name in given}
-        # A journal is that of one run, and so is what it was replayed from.
-        options = dataclasses.replace(old, **{"journal": "", "replay": "", "until": None, **given_now}, chosen=chosen)
+        options = old.of_another(**given_now, chosen=chosen)
     options.check_journal()
     _stop(ctx)
     _start(ctx, options)

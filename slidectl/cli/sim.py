@@ -251,7 +251,6 @@ def fork(ctx: Context, name: str, other: str) -> None:
     It has the options and the speed of this one, and is paused where this one is. Which daemon is forked is said in
     front: 'slidectl -i first sim fork NAME -i other'. JSON keys: instance, pid, socket, time.
     """
-    from dataclasses import replace
     from tempfile import TemporaryDirectory
 
     from slidectl import paths
@@ -261,7 +260,7 @@ def fork(ctx: Context, name: str, other: str) -> None:
 
     place, source = paths.instance(other), ctx.call("/slidectl/status")
     options = lifecycle.options_of(ctx.client.daemon_pid) or DaemonOptions()
-    options = replace(options, rtf=source["speed"] or math.inf, paused=True, child=False)
+    options = options.of_another(rtf=source["speed"] or math.inf, paused=True, child=False)
     with TemporaryDirectory() as folder:
         file = os.path.join(folder, "snapshot")
         ctx.call("/slidectl/export_snapshot", {"name": name, "file": file})

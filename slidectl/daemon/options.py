@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from slidectl import paths
@@ -61,6 +61,10 @@ class DaemonOptions:
             name: tuple(value) if isinstance(value, list) else value for name, value in values.items()
         }
         return cls(**options)
+
+    def of_another(self, **changes: Any) -> DaemonOptions:
+        """Those of another daemon like this one: a journal is that of one run, and so is what it was replayed from."""
+        return replace(self, **{"journal": "", "replay": "", "until": None, **changes})
 
     def check_journal(self) -> None:
         """Raises Refused where there is a file already: it may be the journal of a run that is to be looked at."""

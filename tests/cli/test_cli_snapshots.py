@@ -16,9 +16,13 @@ CONTROLLERS = ("joint_state_controller", "joint1_position_controller", "joint2_p
 
 
 @pytest.fixture
-def runtime() -> Iterator[Runtime]:
-    with running_daemon(paused=True, rtf=math.inf) as daemon:
+def runtime(tmp_path: Path) -> Iterator[Runtime]:
+    """With a journal, which leads to the same state."""
+    journal = str(tmp_path / "run.journal")
+    with running_daemon(paused=True, rtf=math.inf, journal=journal) as daemon:
         yield daemon
+        daemon.stop()
+        assert "same" in CommandLine(daemon.folder).ok("replay", journal, "--check").splitlines()[0]
 
 
 @pytest.fixture
