@@ -52,7 +52,7 @@ class Entry(NamedTuple):
 
 COMMANDS = {
     "daemon": Entry("The daemon", "daemon", "Start, stop and watch the daemon that holds the world."),
-    "sim": Entry("The daemon", "sim", "Time of the world: status, pause, step, speed, reset; snapshots."),
+    "sim": Entry("The daemon", "sim", "Time of the world: status, pause, step, reset; snapshots."),
     "replay": Entry("The daemon", "replay", "Run again what a journal has, with the same bits."),
     "spawn": Entry("Robots", "spawn", "Put a robot into the world."),
     "delete": Entry("Robots", "robots", "Take robots out of the world."),

@@ -21,7 +21,7 @@ _SECONDS = r"(?i)(?P<number>\d+\.?\d*|\.\d+)(e[-+]?\d+)?\s*(?P<unit>s|ms)"
 
 @group(examples=["slidectl sim status", "slidectl sim step 0.5s", "slidectl sim reset --time"])
 def sim() -> None:
-    """Time of the world: status, pause, step, speed, reset; snapshots."""
+    """Time of the world: status, pause, step, reset; snapshots."""
 
 
 @sim.command("status", examples=["slidectl sim status", "slidectl sim status --json"])

@@ -54,9 +54,10 @@ class Packages:
         Raises:
             UnknownPackage: nowhere; the message lists where it looked.
         """
-        for folder in self.candidates(name):
-            self.note_own(name, folder)
-            return folder
+        found = self.candidates(name)
+        if found:
+            self.note_own(name, found[0])
+            return found[0]
         raise UnknownPackage(name, [*self.names(), *self._shipped()], self._looked())
 
     def note_own(self, name: str, folder: Path) -> None:
@@ -64,17 +65,15 @@ class Packages:
         if folder != self._shipped().get(name, folder):
             self.own[name] = folder
 
-    def candidates(self, name: str) -> Iterator[Path]:
-        """All folders that could be the package; `find` takes the first."""
-        if name in self.named:
-            yield self.named[name]
-        for folder in self._search_path():
-            if name in self._packages_below(folder):
-                yield self._packages_below(folder)[name]
-        for start in self.starts:
-            yield from self._above(name, start)
-        if name in self._shipped():
-            yield self._shipped()[name]
+    def candidates(self, name: str) -> list[Path]:
+        """All folders that could be the package; `find` takes the first.
+
+        A list: an interrupt is lost in a generator that is closed before its end.
+        """
+        below = [self._packages_below(folder) for folder in self._search_path()]
+        found = [packages[name] for packages in (self.named, *below) if name in packages]
+        found += [folder for start in self.starts for folder in self._above(name, start)]
+        return found + [shipped for known, shipped in self._shipped().items() if known == name]
 
     def names(self) -> list[str]:
         """The names of all packages that can be found without walking upwards."""

@@ -97,7 +97,7 @@ def _single(word: str, packages: Packages) -> Path:
     known = shipped()
     if word in known:
         return known[word]
-    if next(packages.candidates(word), None) is not None:
+    if packages.candidates(word):
         inside = sorted(path.name for path in below(packages.find(word)) if path.suffix == SUFFIX)
         hint = f"launch files: {listing(inside)}\nslidectl launch {word} {inside[0] if inside else 'FILE'}"
         raise UsageError(f"{word!r} is a package: which launch file of it?", hint)

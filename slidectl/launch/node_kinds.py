@@ -127,7 +127,7 @@ def find(node: Node, packages: Packages) -> Path:
         NotThere: no such package, no such program in it, or one that may not be executed. NeedsRos.
     """
     try:
-        folders = list(packages.candidates(node.package)) or [packages.find(node.package)]
+        folders = packages.candidates(node.package) or [packages.find(node.package)]
     except UnknownPackage as error:
         near = closest(node.kind, ["/".join(known) for known in COUNTERPARTS])
         here = f"did you mean {near!r}, which has a counterpart here?" if near else "it has no counterpart here either"

@@ -552,7 +552,7 @@ class World:
     def changing_friction(self) -> Iterator[None]:
         """Inside, somebody changes the friction of joints in the model: afterwards motors find their constraints."""
         yield
-        self.loads.motors.bind(self.model, self.data)
+        self._bind_loads()
         self._announce()
 
     def add_motors(self, body: Body, most_efforts: dict[str, float]) -> None:

@@ -274,7 +274,7 @@ def _find(ctx: Context, package: str, executable: str, debug: bool) -> Path:
     from slidectl.launch import node_kinds
 
     lookup = _lookup()
-    folders = list(lookup.candidates(package))
+    folders = lookup.candidates(package)
     ours = [*_PROGRAMS, *_USAGES, *COUNTERPARTS, *((tool, tool) for tool in _TOOLS), *_WINDOWS]
     here = sorted({name for known, name in ours if known == package})
     if not folders and not here:
