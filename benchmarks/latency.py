@@ -48,7 +48,20 @@ def measure() -> list[Row]:
             for speed, title, goals in ((1.0, "real time", (0.6, 1.5)), (0.0, "free-running", (0.2, None))):
                 client.call("/slidectl/set_speed", {"speed": speed})
                 rows += _effects(client, title, *goals)
+            rows.append(_lockstep(client))
     return rows
+
+
+def _lockstep(client: Client) -> Row:
+    """Cycles of a free-running world that waits for one client after each of them."""
+
+    def steps() -> None:
+        for _ in range(CALLS):
+            lock.step()
+
+    with client.lockstep() as lock:
+        fastest = min(timed(steps) for _ in range(ROUNDS))
+    return Row("lock-stepped cycles a second, one client", CALLS / fastest, "1/s", 8000.0, "higher")
 
 
 def _floor() -> Row:
