@@ -12,7 +12,7 @@ from typing import Any
 
 from slidectl.client import Client
 from slidectl.errors import Refused, SlidectlError
-from slidectl.scenarios.scenario_file import TEMPORARY, Case, Step
+from slidectl.scenarios.scenario_file import TEMPORARY, Case, ScenarioStep
 from slidectl.scenarios.step_commands import Commands, StepOutcome
 
 PASSED, FAILED, ERROR, XFAILED, XPASSED = "passed", "failed", "error", "xfailed", "xpassed"
@@ -59,7 +59,7 @@ class WallTimeUp(BaseException):
 class _Failed(Exception):
     """A step that failed."""
 
-    def __init__(self, step: Step, outcome: StepOutcome, time_s: float) -> None:
+    def __init__(self, step: ScenarioStep, outcome: StepOutcome, time_s: float) -> None:
         super().__init__(outcome.message)
         self.step = step
         self.outcome = outcome
@@ -88,7 +88,7 @@ class Stage:
 
 
 def run_case(
-    case: Case, commands: Commands, stage: Stage, sim_timeout: float, temporary: str, steps: Sequence[Step]
+    case: Case, commands: Commands, stage: Stage, sim_timeout: float, temporary: str, steps: Sequence[ScenarioStep]
 ) -> CaseResult:
     """Run the steps to the end, teardown included. Raises nothing but what is no failure of the case."""
     began_s = time.monotonic()
@@ -109,7 +109,7 @@ def run_case(
 class _CaseRunner:
     def __init__(
         self,
-        steps: Sequence[Step],
+        steps: Sequence[ScenarioStep],
         commands: Commands,
         stage: Stage,
         sim_timeout: float,
@@ -122,7 +122,7 @@ class _CaseRunner:
         self._sim_timeout = sim_timeout
         self._temporary = temporary
         self._result = result
-        self._background: list[tuple[Step, Any, list[StepOutcome]]] = []
+        self._background: list[tuple[ScenarioStep, Any, list[StepOutcome]]] = []
 
     def run(self) -> None:
         result = self._result
@@ -172,7 +172,7 @@ class _CaseRunner:
             record = json.loads(failure.outcome.output.strip().splitlines()[-1])
             result.detail = record if isinstance(record, dict) else {}
 
-    def _do(self, step: Step, most_s: float) -> None:
+    def _do(self, step: ScenarioStep, most_s: float) -> None:
         """Raises _Failed."""
         stage = self._stage
         outcome = StepOutcome(0)
@@ -200,7 +200,7 @@ class _CaseRunner:
         self._judge(step, outcome)
         self._result.steps += 1
 
-    def _run(self, step: Step) -> StepOutcome:
+    def _run(self, step: ScenarioStep) -> StepOutcome:
         words = [word.replace(TEMPORARY, self._temporary) for word in step.words]
         if not step.background:
             return self._commands.run(words, self._stage.client)
@@ -218,7 +218,7 @@ class _CaseRunner:
             if outcomes and outcomes[0].exit_code != _ENDED:
                 self._judge(step, outcomes[0])
 
-    def _judge(self, step: Step, outcome: StepOutcome) -> None:
+    def _judge(self, step: ScenarioStep, outcome: StepOutcome) -> None:
         if not step.fails and not outcome.exit_code:
             return
         if step.fails and outcome.exit_code:

@@ -70,7 +70,7 @@ STEP_KEYS = {
 
 
 @dataclass(frozen=True)
-class Step:
+class ScenarioStep:
     """A command line, and when. Without words it only waits for the time `at`."""
 
     words: tuple[str, ...]
@@ -100,7 +100,7 @@ class Case:
     timeout: float | None = None
     sim_timeout: float | None = None
     xfail: str = ""
-    steps: tuple[Step, ...] = ()
+    steps: tuple[ScenarioStep, ...] = ()
 
     @property
     def id(self) -> str:
@@ -251,7 +251,7 @@ class _Reader:
 
     # --- steps --------------------------------------------------------------------------------------------------
 
-    def _steps(self, tree: Mapping[str, Any], variables: Mapping[str, Any]) -> Iterator[Step]:
+    def _steps(self, tree: Mapping[str, Any], variables: Mapping[str, Any]) -> Iterator[ScenarioStep]:
         reached = 0.0
         for section in SECTIONS:
             for index, content in enumerate(tree.get(section) or ()):
@@ -271,7 +271,7 @@ class _Reader:
                     reached = 0.0
                 yield step
 
-    def _step(self, content: Any, path: KeyPath, section: str, variables: Mapping[str, Any]) -> Step | None:
+    def _step(self, content: Any, path: KeyPath, section: str, variables: Mapping[str, Any]) -> ScenarioStep | None:
         """Raises SlidectlError."""
         if isinstance(content, str):  # a whole command line, as `- sim pause`
             first, _, rest = content.strip().partition(" ")
@@ -297,7 +297,7 @@ class _Reader:
             own["within"] = None
         if words:
             self._check_words((*words,))
-        return Step(
+        return ScenarioStep(
             tuple(words), line, section, own.get("at"), own.get("within"), own.get("background") or False,
             own.get("fails") or False,
         )  # fmt: skip

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 from slidectl.client import Client
 from slidectl.errors import SlidectlError
 from slidectl.scenarios.case_run import BAD, ERROR, CaseResult, Stage, run_case
-from slidectl.scenarios.scenario_file import Case, Step
+from slidectl.scenarios.scenario_file import Case, ScenarioStep
 from slidectl.scenarios.step_commands import Commands
 
 LOG_LINES = 20
@@ -26,7 +26,7 @@ _WARM = (
 )
 
 
-class Stages(Protocol):
+class StageMaker(Protocol):
     """Makes a stage for each case."""
 
     def warm(self, cases: Sequence[Case], commands: Commands) -> None:
@@ -39,7 +39,7 @@ class Stages(Protocol):
 class CaseRuns:
     """Runs cases with these commands, for workers. `keep` is the folder for recordings of those that fail."""
 
-    def __init__(self, commands: Commands, stages: Stages, sim_timeout: float, keep: str | None) -> None:
+    def __init__(self, commands: Commands, stages: StageMaker, sim_timeout: float, keep: str | None) -> None:
         self._commands = commands
         self._stages = stages
         self._sim_timeout = sim_timeout
@@ -54,7 +54,7 @@ class CaseRuns:
             result.kept = [str(file) for file in self._files(case)]
         return result
 
-    def _try(self, case: Case, temporary: str, first: Step | None) -> CaseResult:
+    def _try(self, case: Case, temporary: str, first: ScenarioStep | None) -> CaseResult:
         steps = case.steps if first is None else (first, *case.steps)
         folder = tempfile.mkdtemp(dir=temporary)  # empty, whatever an earlier try has left
         try:
@@ -71,12 +71,12 @@ class CaseRuns:
         stem = self._stem(case)
         return sorted(file for file in stem.parent.glob("*") if file.stem == stem.name and file.suffix in _KEPT)
 
-    def _record(self, case: Case) -> Step:
+    def _record(self, case: Case) -> ScenarioStep:
         stem = self._stem(case)
         stem.parent.mkdir(parents=True, exist_ok=True)
         for old in self._files(case):
             old.unlink()
-        return Step(("record", "-a", "-x", _LEFT_OUT, "-O", f"{stem}{_suffix()}"), 0, "setup", background=True)
+        return ScenarioStep(("record", "-a", "-x", _LEFT_OUT, "-O", f"{stem}{_suffix()}"), 0, "setup", background=True)
 
 
 _LEFT_OUT = "/clock|/gazebo/(link|model)_states"
