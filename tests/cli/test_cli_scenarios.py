@@ -92,8 +92,9 @@ teardown:
     assert f"XPASSED {file}::wrongly known\n  it passed, and was known to fail: it never passes" in said
     assert said.rstrip().endswith("1 xfailed, 1 failed, 1 xpassed")
     assert (tmp_path / "torn_down.urdf").exists()
-    recording = next(path for path in kept.iterdir() if path.stem.endswith("far"))
+    [recording], [journal] = kept.glob("*far.mcap"), kept.glob("*far.journal")
     assert "/slider/joint_states" in slidectl.ok("bag", "info", str(recording))
+    assert "are the same" in slidectl.ok("replay", str(journal), "--check")
     schema = etree.XMLSchema(etree.parse(ROOT / "tests" / "data" / "junit.xsd"))
     document = etree.parse(xml)
     schema.assertValid(document)
