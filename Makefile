@@ -5,7 +5,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: docs help demo test fuzz lint types bench examples wheel clean
+.PHONY: docs help demo test fuzz lint types bench pictures examples wheel clean
 .DEFAULT_GOAL := help
 
 help:  ## this list
@@ -14,7 +14,7 @@ help:  ## this list
 $(STAMP): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "slidectl needs Python 3.11 or newer; give one with: make PYTHON=/path/to/python3.11 $(MAKECMDGOALS)" >&2; exit 1; }
 	@$(PYTHON) -m venv --clear $(VENV) || { echo "python's venv module does not work (on Debian: apt install python3-venv)" >&2; exit 1; }
-	@echo "installing slidectl into $(VENV): downloads about 220 MB, takes 850 MB of disk and some minutes"
+	@echo "installing slidectl into $(VENV): downloads about 300 MB, takes 1.1 GB of disk and some minutes"
 	@$(BIN)/python -m pip install --disable-pip-version-check --editable '.[dev]'
 	@$(BIN)/python -m compileall -q slidectl
 	@touch $@
@@ -38,6 +38,9 @@ types: $(STAMP)  ## mypy, strict
 
 bench: $(STAMP)  ## measure; prints a table and writes benchmarks/results/*.json
 	@$(BIN)/python -m benchmarks $(ARGS)
+
+pictures: $(STAMP)  ## make the pictures of README.md and docs/ anew; needs Chromium
+	@$(BIN)/python scripts/pictures.py
 
 examples: $(STAMP)  ## run every script and every scenario of examples/
 	@PATH="$(CURDIR)/$(BIN):$$PATH" bash examples/run_all.sh

@@ -35,6 +35,10 @@ NAMES = (
     "scenarios",
     "spawns",
     "snapshots",
+    "pictures",
+    "viewers",
+    "ros1",
+    "rosbridge",
     "compare",
 )
 HEADLINES = (

@@ -23,8 +23,8 @@ IN_FLIGHT = 100
 EFFECTS = 300
 ROUNDS = 5
 LINES = 3000
-_PUSH = 0.01
-_MOVED = 1e-7
+PUSH = 0.01
+MOVED = 1e-7
 _SERVICE = "/rosapi/get_time"
 _ECHO = """
 import json, select, socket, sys
@@ -147,8 +147,8 @@ def _rate(instance: Daemon, name: str, words: list[str], line: str, goal: float 
 
 
 def _effects(client: Client, title: str, p50_goal: float | None, p99_goal: float | None) -> list[Row]:
-    taken = [_effect(client, number) for number in range(EFFECTS)]
-    trips = [timed(lambda: _velocity(client)) for _ in range(EFFECTS)]
+    taken = [effect(client, number) for number in range(EFFECTS)]
+    trips = [timed(lambda: velocity(client)) for _ in range(EFFECTS)]
     note = f"one question takes {1e3 * statistics.median(trips):.2f} ms"
     return [
         Row(f"publish to effort, {title}: p50", 1e3 * statistics.median(taken), "ms", p50_goal, note=note),
@@ -156,17 +156,19 @@ def _effects(client: Client, title: str, p50_goal: float | None, p99_goal: float
     ]
 
 
-def _effect(client: Client, number: int) -> float:
+def effect(client: Client, number: int) -> float:
+    """Seconds from a publish of this client until the joint of RRBot moves."""
     time.sleep(0.01 + 0.003 * (number * 0.618 % 1))  # at any moment of a cycle
-    before = _velocity(client)
+    before = velocity(client)
     began = time.perf_counter()
-    client.publish("/rrbot/push/command", {"data": _PUSH if number % 2 else -_PUSH})
-    while abs(_velocity(client) - before) < _MOVED:
+    client.publish("/rrbot/push/command", {"data": PUSH if number % 2 else -PUSH})
+    while abs(velocity(client) - before) < MOVED:
         if time.perf_counter() - began > 5:
             raise RuntimeError("the joint does not move")
     return time.perf_counter() - began
 
 
-def _velocity(client: Client) -> float:
+def velocity(client: Client) -> float:
+    """Of joint1, rad/s."""
     answer = client.call("/gazebo/get_joint_properties", {"joint_name": "rrbot::joint1"})
     return float(answer["rate"][0])

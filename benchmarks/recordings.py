@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import subprocess
 import tempfile
@@ -15,12 +16,14 @@ from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer as BagWriter
 from rosbags.typesys import Stores, get_typestore
 
-from benchmarks.harness import RRBOT_CONTROLLERS, SLIDECTL, Row, daemon
+from benchmarks.cycles import STATES, hinge
+from benchmarks.harness import RRBOT_CONTROLLERS, SLIDECTL, Daemon, Row, daemon
 from slidectl.recording import codec
 from slidectl.recording.recording_files import create, opened
 
 MESSAGES = 20_000
 SECONDS = 5.0
+TOPICS = (10, 30, 100)
 TYPE = "sensor_msgs/JointState"
 MESSAGE: dict[str, Any] = {
     "header": {"seq": 1, "stamp": {"secs": 1, "nsecs": 2}, "frame_id": ""},
@@ -94,25 +97,51 @@ def _read(path: Path) -> None:
 
 
 def _recorder(folder: Path) -> list[Row]:
-    """All topics of RRBot at real time, `/clock` and two topics at 1 kHz among them."""
+    """All topics of RRBot at real time, `/clock` and two topics at 1 kHz among them; then topics of many robots."""
     with daemon() as instance:
         instance.run("spawn", "rrbot", "--controllers", "config/rrbot_control.yaml", "--start", *RRBOT_CONTROLLERS)
-        path = folder / "run.bag"
-        words = [SLIDECTL, "record", "-a", "-x", ".*image.*", "-O", str(path)]
-        recorder = subprocess.Popen(words, env=instance.environment, stderr=subprocess.PIPE, text=True)
-        assert recorder.stderr is not None
-        while "recording" not in recorder.stderr.readline():
-            pass
-        with instance.client() as client:
-            began, before = time.perf_counter(), client.call("/rosapi/get_time")["time"]
-            time.sleep(SECONDS)
-            after, wall_s = client.call("/rosapi/get_time")["time"], time.perf_counter() - began
-        recorder.send_signal(signal.SIGTERM)
-        lost = recorder.wait() != 0
-        with opened(path) as recording:
-            count = recording.summary().counts.total()
+        factor, count, lost = _record(instance, ["-a", "-x", ".*image.*"], folder / "run.bag")
+    note = f"{count / SECONDS:.0f} messages a second{f', {lost} lost' if lost else ', none lost'}"
+    title = "real-time factor while all topics of RRBot are recorded"
+    return [Row(title, factor, "", 0.99, "higher", note), *_many_topics(folder)]
+
+
+def _many_topics(folder: Path) -> list[Row]:
+    """Joint states of robots of one joint, each at 1 kHz, of which ever more are recorded."""
+    rows = []
+    with daemon() as instance, instance.client() as client:
+        for number in range(max(TOPICS)):
+            name = f"robot{number}"
+            xml = f"<robot name='{name}'><link name='world'/>{hinge('joint')}</robot>"
+            client.spawn_urdf(name, xml, {"position": {"x": float(number), "y": 0.0, "z": 0.0}})
+            client.params.set_all({f"/{name}/states": {"type": STATES, "publish_rate": 1000}})
+            client.controllers(f"/{name}").bring_up(["states"])
+        for count in TOPICS:
+            topics = [f"/robot{number}/joint_states" for number in range(count)]
+            factor, written, lost = _record(instance, topics, folder / f"many{count}.mcap")
+            what, is_goal = f"{count} topics at 1 kHz recorded", count == max(TOPICS)
+            note = f"{written / SECONDS:.0f} messages a second written"
+            rows += [
+                Row(f"{what}: lost", lost, "", 0.0 if is_goal else None, note=note),
+                Row(f"{what}: real-time factor", factor, "", 0.99 if is_goal else None, "higher"),
+            ]
+    return rows
+
+
+def _record(instance: Daemon, what: list[str], path: Path) -> tuple[float, int, int]:
+    """The real-time factor while a recorder runs, and how many messages it has written and lost."""
+    words = [SLIDECTL, "record", *what, "-O", str(path), "--json"]
+    recorder = subprocess.Popen(
+        words, env=instance.environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert recorder.stderr is not None
+    while "recording" not in recorder.stderr.readline():
+        pass
+    with instance.client() as client:
+        began, before = time.perf_counter(), client.call("/rosapi/get_time")["time"]
+        time.sleep(SECONDS)
+        after, wall_s = client.call("/rosapi/get_time")["time"], time.perf_counter() - began
+    recorder.send_signal(signal.SIGTERM)
+    done = json.loads(recorder.communicate()[0])
     simulated_s = after["secs"] - before["secs"] + 1e-9 * (after["nsecs"] - before["nsecs"])
-    note = f"{count / SECONDS:.0f} messages a second{', some lost' if lost else ', none lost'}"
-    return [
-        Row("real-time factor while all topics of RRBot are recorded", simulated_s / wall_s, "", 0.99, "higher", note)
-    ]
+    return simulated_s / wall_s, done["messages"], done["dropped"]

@@ -4,7 +4,8 @@ set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")"
 
 export RTF=max
-for script in slide.sh rrbot.sh two_robots.sh gravity.sh sine.sh trajectory.sh cart.sh cartpole.sh car.sh wrist.sh; do
+for script in slide.sh rrbot.sh two_robots.sh gravity.sh sine.sh trajectory.sh cart.sh cartpole.sh car.sh wrist.sh \
+    rospy_slide.sh roslibpy.sh; do
     echo "== examples/$script"
     bash "$script"
 done

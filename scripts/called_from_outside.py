@@ -27,6 +27,11 @@ command_class
     type_,
     list_frames,
     find_topics,
+    video,
+    teleop,
+    ros1,
+    websocket,
+    foxglove,
 )
 
 # cli.ros.command looks the ROS commands up by name.
@@ -53,7 +58,10 @@ reset_to
 
 # daemon.session calls an operation of the wire by its name; logging calls its handler.
 _advertise, _unadvertise, _subscribe, _unsubscribe, _call_service, _advertise_service, _unadvertise_service
-_service_response, _set_level, handleError
+_service_response, _set_level, _set_node, _cancel_call, handleError
+
+# gateways.process finds these by their names; asyncio calls a protocol.
+Ros1Gateway, WebSocketGateway, FoxgloveGateway, data_received
 
 # xacro and ast call these of its adapter and of the evaluator.
 eval_all, check_attrs, handle_macro_call, process_include, print_location, safe_eval, load_yaml
@@ -63,8 +71,17 @@ _boolop, _compare, _ifexp, _attribute, _subscript
 # numba puts these in the place of what they are registered for.
 _fmod, _physics_step, _update_controller, _put_element
 
-# Python asks modules for it.
+# viser calls it when a browser asks for it.
+request_share_url
+
+# pytest calls these of the plugin, and users its fixtures.
+pytest_addoption, pytest_configure, pytest_runtest_makereport, pytest_collect_file
+collect, runtest, repr_failure, reportinfo
+slidectl_client, slidectl_daemon
+
+# Python asks modules for it, and loaders of modules for these.
 __getattr__
+get_source, get_code
 
 # One of a row of indices.
 ACCELERATION

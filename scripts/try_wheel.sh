@@ -16,6 +16,7 @@ python="${PYTHON:-$root/.venv/bin/python}"
 
 cd "$work"
 "$slidectl" version
+if "$work/venv/bin/python" -c "import pytest" 2>/dev/null; then echo "the wheel brings pytest unasked" >&2; exit 1; fi
 test -f "$work"/venv/lib/python3*/site-packages/slidectl/py.typed
 "$slidectl" daemon start --rtf max
 "$slidectl" spawn slider --controllers config/slider_control.yaml
@@ -41,4 +42,13 @@ echo '<launch><include file="$(find my_slider)/launch/slider.launch" pass_all_ar
   > "$work/größe und weite/mine/launch/all.launch"
 SLIDECTL_PACKAGE_PATH="$work/größe und weite" "$slidectl" launch mine all.launch --detach
 "$slidectl" daemon stop
+
+# The extra for tests: pytest finds the plugin by itself.
+"$work/venv/bin/python" -m pip install --quiet --disable-pip-version-check "$(echo "$work"/slidectl-*.whl)[test]"
+cat > "$work/test_robot.py" <<'END'
+def test_robot(slidectl_client):
+    slidectl_client.spawn("slider")
+    assert slidectl_client.step(1000) == 1.0
+END
+"$work/venv/bin/python" -m pytest -q "$work/test_robot.py"
 echo "the wheel works from any folder"

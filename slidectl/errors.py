@@ -172,10 +172,10 @@ class UnknownName(SlidectlError):
 class AmbiguousName(UsageError):
     """A short name that fits more than one full name."""
 
-    def __init__(self, kind: str, name: str, matches: Sequence[str]) -> None:
-        super().__init__(
-            f"{quoted(name)} fits more than one {kind}: {listing(matches)}", "write the full name, or give --ns"
-        )
+    def __init__(
+        self, kind: str, name: str, matches: Sequence[str], hint: str = "write the full name, or give --ns"
+    ) -> None:
+        super().__init__(f"{quoted(name)} fits more than one {kind}: {listing(matches)}", hint)
         self.matches = list(matches)
 
 

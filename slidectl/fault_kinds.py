@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from slidectl.errors import UnknownName, UsageError
+from slidectl.errors import EXIT_USAGE, Refused, UnknownName, UsageError
 
 QUANTITIES = ("position", "velocity", "effort")
 """Of a joint, as its sensor measures them."""
@@ -31,18 +31,34 @@ class FaultOption(NamedTuple):
         if len(numbers) != (3 if self.form == "vector" else 1) or not all(map(_is_number, numbers)):
             what = "three numbers" if self.form == "vector" else "a finite number"
             raise UsageError(f"{name} ({self.text}) is {what}, not {value!r}")
-        if not all(self.lowest <= number <= self.highest for number in numbers):
-            bounds = f"{self.lowest:g} to {self.highest:g}" if self.highest < math.inf else f"at least {self.lowest:g}"
-            raise UsageError(f"{name} ({self.text}) is {bounds}, not {value:g}")
+        for number in numbers:
+            if not self.lowest <= number <= self.highest:
+                bounds = f"{self.lowest:g} to {self.highest:g}"
+                bounds = bounds if self.highest < math.inf else f"at least {self.lowest:g}"
+                raise UsageError(f"{name} ({self.text}) is {bounds}, not {number:g}")
         return tuple(map(float, numbers)) if self.form == "vector" else float(value)
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    try:
+        return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    except OverflowError:  # no float is as large
+        return False
 
 
 _SHORTEST_S = 1e-6
 _LIGHTEST_KG = 1e-9
+_HEAVIEST_KG = 1e9
+_FARTHEST_M = 1e6
+_STRONGEST = 1e12
+"""N or N m. What is far beyond leaves no finite numbers in the world."""
+
+
+class UnknownFaultKind(UnknownName):
+    """It is a wrong option, and not a thing that is missing."""
+
+    exit_code = EXIT_USAGE
+
 
 OPTIONS = {
     "of": FaultOption("what is measured wrongly: position, velocity, effort or all", "quantity"),
@@ -55,10 +71,10 @@ OPTIONS = {
     "limit": FaultOption("largest size of a command, in its unit", lowest=0.0),
     "friction": FaultOption("dry friction, N or N m", lowest=0.0),
     "damping": FaultOption("N s/m or N m s/rad", lowest=0.0),
-    "mass": FaultOption("kg", lowest=_LIGHTEST_KG),
-    "at": FaultOption("place on the link, in its frame, m", "vector"),
-    "force": FaultOption("N, in the axes of the world", "vector"),
-    "torque": FaultOption("N m, in the axes of the world", "vector"),
+    "mass": FaultOption("kg", lowest=_LIGHTEST_KG, highest=_HEAVIEST_KG),
+    "at": FaultOption("place on the link, in its frame, m", "vector", -_FARTHEST_M, _FARTHEST_M),
+    "force": FaultOption("N, in the axes of the world", "vector", -_STRONGEST, _STRONGEST),
+    "torque": FaultOption("N m, in the axes of the world", "vector", -_STRONGEST, _STRONGEST),
     "takes": FaultOption("s of simulated time that an update takes", lowest=_SHORTEST_S, highest=3600.0),
 }
 """All options of all kinds, by name."""
@@ -104,14 +120,20 @@ KINDS = {
 """All kinds, by name."""
 
 
+def check_span(start: float, end: float) -> None:
+    """Raises Refused unless there is time from `start` to `end`, simulated s."""
+    if end <= start:
+        raise Refused(f"a fault from {start:g} s to {end:g} s would never act")
+
+
 def checked_options(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
     """All options of a kind as they count: those that are given, and the defaults of the others.
 
     Raises:
-        UnknownName: no such kind. UsageError: an option that the kind has not, or needs; or a wrong value.
+        UnknownFaultKind: no such kind. UsageError: an option that the kind has not, or needs; or a wrong value.
     """
     if kind not in KINDS:
-        raise UnknownName("kind of fault", kind, list(KINDS))
+        raise UnknownFaultKind("kind of fault", kind, list(KINDS))
     own = KINDS[kind].options
     taken = f"{kind} takes {', '.join(own) or 'no options'}"
     if unknown := [name for name in given if name not in own]:

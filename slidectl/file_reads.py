@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from slidectl.errors import Refused, SlidectlError
+
 
 def from_disk(what: str, look: Callable[[], Any]) -> Any:  # noqa: ARG001
     """Look now."""
@@ -17,3 +19,27 @@ def from_disk(what: str, look: Callable[[], Any]) -> Any:  # noqa: ARG001
 
 read: Callable[[str, Callable[[], Any]], Any] = from_disk
 """Takes what is looked at, in words, and the function that looks. It gives what JSON can hold, and raises nothing."""
+
+
+def read_or_raise(what: str, look: Callable[[], Any]) -> Any:
+    """The same of what may raise a SlidectlError; that of a replay is a Refused with its text.
+
+    What `look` reads in its turn is a part of what it finds.
+    """
+    raised: list[SlidectlError] = []
+
+    def look_and_tell() -> tuple[Any, str]:
+        global read
+        outer, read = read, from_disk
+        try:
+            return look(), ""
+        except SlidectlError as error:
+            raised.append(error)
+            return None, str(error)
+        finally:
+            read = outer
+
+    found, trouble = read(what, look_and_tell)
+    if trouble:
+        raise raised[0] if raised else Refused(trouble)
+    return found

@@ -1,7 +1,8 @@
 """Measures of a motion: of the response to a step, of an error, of efforts, of contact. See docs/measures.md.
 
 Functions of arrays: `times` in s, in order, and values of the same length (n,). Between two samples a value is taken as
-linear, a force or an effort in question of a threshold as that of the earlier sample. Each returns a `Measured`.
+linear; where a force or an effort is compared with a threshold, each sample counts until the next one. Each returns a
+`Measured`.
 """
 
 from __future__ import annotations
@@ -45,6 +46,11 @@ class Measured(float):
         return made
 
 
+def measure_text(value: float, unit: str) -> str:
+    """A measure as text."""
+    return "never" if value == math.inf else f"{value:.6g} {unit}".rstrip()
+
+
 def samples(times: Any, *values: Any) -> tuple[Array, ...]:
     """Times and values as arrays (n,). A value that is one number counts for all times.
 
@@ -66,6 +72,13 @@ def samples(times: Any, *values: Any) -> tuple[Array, ...]:
         if len(wrong):
             raise NoMeasure(f"the value at {moments[wrong[0]]:g} s is {array[wrong[0]]:g}")
     return moments, *arrays
+
+
+def _check_finite(**numbers: float | None) -> None:
+    """Raises NoMeasure for a number that is nan or infinite. None was not given."""
+    for name, value in numbers.items():
+        if value is not None and not math.isfinite(value):
+            raise NoMeasure(f"the {name.replace('_', ' ')} is {value:g}")
 
 
 # --- the response to a step -------------------------------------------------------------------------------------------
@@ -91,8 +104,9 @@ def step(times: Any, values: Any, set_point: float | None = None, start: float |
         start: without it, the last sample within a thousandth of the step of the first value, before the motion.
 
     Raises:
-        NoMeasure: there is none.
+        NoMeasure: there is none, or one of these is not finite.
     """
+    _check_finite(set_point=set_point, start=start)
     moments, numbers = samples(times, values)
     final = float(numbers[-1] if set_point is None else set_point)
     begin = 0
@@ -161,15 +175,15 @@ def settling_time(
     Raises:
         NoMeasure: there is no step.
     """
+    _check_finite(band=band)
     found, moments, parts = _response(times, values, set_point, start)
-    distances = np.abs(parts - 1.0) - band
-    outside = np.flatnonzero(distances > 0)
+    outside = np.flatnonzero(np.abs(parts - 1.0) > band)
     if not len(outside):
         return Measured(0.0, found.start)
     last = int(outside[-1])
     if last == len(moments) - 1:
         return Measured(math.inf)
-    settled = _crossing(moments, distances, last)
+    settled = _crossing(moments, parts - 1.0 - math.copysign(band, parts[last] - 1.0), last)
     return Measured(settled - found.start, settled)
 
 
@@ -186,11 +200,12 @@ def steady_state_error(times: Any, values: Any, set_point: Any) -> Measured:
     """How far the mean of the last tenth of the time is from the mean of the set point there; never below 0."""
     moments, numbers, wanted = samples(times, values, set_point)
     since = moments[-1] - END * (moments[-1] - moments[0])
-    here = moments >= since
-    ends, errors = moments[here], (wanted - numbers)[here]
-    length = ends[-1] - ends[0]
+    errors, here = wanted - numbers, moments > since
+    ends = np.append(since, moments[here])
+    errors = np.append(np.interp(since, moments, errors), errors[here])
+    length = ends[-1] - since
     mean = _integral_of_product(ends, errors, np.ones_like(errors)) / length if length > 0 else errors.mean()
-    return Measured(abs(float(mean)), ends[0])
+    return Measured(abs(float(mean)), since)
 
 
 def rms(times: Any, values: Any, set_point: Any = 0.0) -> Measured:
@@ -239,6 +254,7 @@ def saturation_time(times: Any, efforts: Any, limit: float) -> Measured:
 
 def contact_time(times: Any, forces: Any, threshold: float = 0.0) -> Measured:
     """Seconds during which the size of the force was above the threshold, N."""
+    _check_finite(threshold=threshold)
     moments, numbers = samples(times, forces)
     return _time_of(moments, np.abs(numbers) > threshold)
 
@@ -249,7 +265,7 @@ def limit_hits(times: Any, positions: Any, lower: float = -math.inf, upper: floa
     A beginning at the bound does not count, and one that stays near (within 1 mm or 1 mrad) counts once. Raises
     NoMeasure: there is no bound.
     """
-    if not (lower > -math.inf or upper < math.inf):
+    if math.isnan(lower) or math.isnan(upper) or not (lower > -math.inf or upper < math.inf):
         raise NoMeasure("limit hits need a lower or an upper bound")
     moments, numbers = samples(times, positions)
     distances = np.minimum(numbers - lower, upper - numbers)

@@ -11,6 +11,8 @@ from collections.abc import Iterable, Iterator
 
 from slidectl.errors import AmbiguousName, BadName, UnknownName
 
+OWN_NODE = "/slidectl"
+"""The node, and the namespace, of what ROS and Gazebo have not."""
 LONGEST = 1000
 """Characters of a name, with all that stands above it. What is longer is an error or an attack."""
 
@@ -22,6 +24,11 @@ _PARAMETER = r"(?=.)/?(?:[^\s\x00-\x1f\x7f/~][^\s\x00-\x1f\x7f/]*(?:/(?!\Z)|\Z))
 def is_legal(name: str) -> bool:
     """True for a legal graph name (no double or trailing slash; `/` alone is the root; not longer than LONGEST)."""
     return len(name) <= LONGEST and bool(re.match(_LEGAL, name))
+
+
+def is_component(name: str) -> bool:
+    """True for what is one part of a graph name: a letter, then letters, digits and '_'."""
+    return len(name) <= LONGEST and bool(re.match(_COMPONENT, name))
 
 
 def check(name: str) -> str:
@@ -59,7 +66,7 @@ def check_robot(name: str) -> str:
     """The name itself. Raises BadName unless it can be a robot's: one component of a name."""
     if len(name) > LONGEST:
         raise TooLong(name)
-    if not re.match(_COMPONENT, name):
+    if not is_component(name):
         raise BadName(name, "name of a robot: a letter, then letters, digits and '_'", "give it another name (-n NAME)")
     return name
 

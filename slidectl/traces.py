@@ -18,6 +18,7 @@ import numpy as np
 
 from slidectl import measures, names
 from slidectl.errors import UnknownName, UsageError, listing
+from slidectl.fault_kinds import QUANTITIES
 from slidectl.field_path import Fields, Selection, select
 from slidectl.measures import Array, Measured, NoMeasure
 
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from slidectl.client import Client
     from slidectl.recording.recording_files import Recording
 
-QUANTITIES = ("position", "velocity", "effort")
 _JOINT_STATE = "sensor_msgs/JointState"
 _SECOND = 10**9
 _LONGEST_QUEUE = 1_000_000
@@ -37,7 +37,7 @@ _NOW = 1e-9
 
 
 @dataclass
-class Signal:
+class JointOrFieldTrace:
     """Values over simulated time (s), arrays of one length (n,). SI units."""
 
     name: str
@@ -56,7 +56,7 @@ class Signal:
     max_effort: float = math.nan
     """Bounds of a joint, where they are known."""
 
-    def since(self, time: float) -> Signal:
+    def since(self, time: float) -> JointOrFieldTrace:
         """The samples from then on."""
         here = self.times >= time - 1e-9
         cut: dict[str, Any] = {name: each[here] for name, each in vars(self).items() if isinstance(each, np.ndarray)}
@@ -77,7 +77,32 @@ class Signal:
         """
         if name not in MEASURES:
             raise UnknownName("measure", name, list(MEASURES))
-        return MEASURES[name].take(self, _Wish(set_point, start, band))
+        return MEASURES[name].take(self, MeasureOptions(set_point, start, band))
+
+    def holds(self, condition: str, wanted: float, tolerance: float = 0.0) -> tuple[bool, Measured]:
+        """Whether every value is `near` (within the tolerance), `above` or `below` a number, or `equals` it.
+
+        Returns:
+            That, and the value that is farthest from it, or closest to where it is not so any more.
+
+        Raises:
+            UnknownName: no such condition. NoMeasure: there are no samples.
+        """
+        values = self.values
+        excesses = {
+            "near": np.maximum(wanted - tolerance - values, values - (wanted + tolerance)),
+            "above": wanted - values,
+            "below": values - wanted,
+            "equals": np.abs(values - wanted),
+        }
+        if condition not in excesses:
+            raise UnknownName("condition", condition, list(excesses))
+        if not len(values):
+            raise NoMeasure("there are no samples")
+        excess = excesses[condition]
+        worst = int(np.argmax(np.where(np.isnan(excess), np.inf, excess)))
+        holds = excess[worst] < 0 if condition in ("above", "below") else excess[worst] <= 0
+        return bool(holds), Measured(values[worst], self.times[worst])
 
     def unit_of(self, name: str) -> str:
         """The unit of a measure; empty for a count, and where the unit of the values is not known."""
@@ -86,10 +111,15 @@ class Signal:
         return own.get(unit, unit)
 
 
-class _Wish(NamedTuple):
+class MeasureOptions(NamedTuple):
+    """As `JointOrFieldTrace.measure` has them."""
+
     set_point: float | None
     start: float | None
     band: float
+
+
+_Take = Callable[[JointOrFieldTrace, MeasureOptions], Measured]
 
 
 class Measure(NamedTuple):
@@ -97,22 +127,22 @@ class Measure(NamedTuple):
 
     help: str
     unit: str
-    take: Callable[[Signal, _Wish], Measured]
+    take: _Take
 
 
-def _of_step(measure: Callable[..., Measured]) -> Callable[[Signal, _Wish], Measured]:
-    def take(trace: Signal, wish: _Wish) -> Measured:
-        if wish.set_point is None and trace.set_points is not None and len(trace.set_points):
-            wish = wish._replace(set_point=float(trace.set_points[-1]))
-        more = {"band": wish.band} if measure is measures.settling_time else {}
-        return measure(trace.times, trace.values, wish.set_point, wish.start, **more)
+def _of_step(measure: Callable[..., Measured]) -> _Take:
+    def take(trace: JointOrFieldTrace, options: MeasureOptions) -> Measured:
+        if options.set_point is None and trace.set_points is not None and len(trace.set_points):
+            options = options._replace(set_point=float(trace.set_points[-1]))
+        more = {"band": options.band} if measure is measures.settling_time else {}
+        return measure(trace.times, trace.values, options.set_point, options.start, **more)
 
     return take
 
 
-def _of_error(measure: Callable[..., Measured]) -> Callable[[Signal, _Wish], Measured]:
-    def take(trace: Signal, wish: _Wish) -> Measured:
-        set_point = trace.set_points if wish.set_point is None else wish.set_point
+def _of_error(measure: Callable[..., Measured]) -> _Take:
+    def take(trace: JointOrFieldTrace, options: MeasureOptions) -> Measured:
+        set_point = trace.set_points if options.set_point is None else options.set_point
         if set_point is None:
             raise NoMeasure("an error needs what the value was to be: a set point")
         return measure(trace.times, trace.values, set_point)
@@ -120,8 +150,8 @@ def _of_error(measure: Callable[..., Measured]) -> Callable[[Signal, _Wish], Mea
     return take
 
 
-def _of_joint(measure: Callable[[Signal, Any], Measured]) -> Callable[[Signal, _Wish], Measured]:
-    def take(trace: Signal, _: _Wish) -> Measured:
+def _of_joint(measure: Callable[[JointOrFieldTrace, Any], Measured]) -> _Take:
+    def take(trace: JointOrFieldTrace, _: MeasureOptions) -> Measured:
         if trace.efforts is None:
             raise NoMeasure(f"{trace.name} has no effort: that is measured of a joint")
         return measure(trace, trace.efforts)
@@ -182,7 +212,7 @@ def _find_joint(text: str, known: Sequence[str], namespace: str) -> tuple[str, s
     return None
 
 
-def _joint_trace(name: str, quantity: str, rows: Array, about: Mapping[str, Any]) -> Signal:
+def _joint_trace(name: str, quantity: str, rows: Array, about: Mapping[str, Any]) -> JointOrFieldTrace:
     """Of rows of time, position, velocity and effort (n, 4), and what is known of the joint (slidectl/JointInfo)."""
     length = {"prismatic": "m", "revolute": "rad", "continuous": "rad"}.get(str(about.get("type")), "")
     effort = {"m": "N", "rad": "N·m"}.get(length, "")
@@ -192,7 +222,7 @@ def _joint_trace(name: str, quantity: str, rows: Array, about: Mapping[str, Any]
     bounds = {key: about[key] for key in ("lower", "upper") if is_position and about.get(key) is not None}
     if about.get("max_effort") is not None:
         bounds["max_effort"] = about["max_effort"]
-    return Signal(
+    return JointOrFieldTrace(
         name if is_position else f"{name}/{quantity}", rows[:, 0], columns[quantity], units[quantity],
         columns["velocity"], columns["effort"], effort, **bounds
     )  # fmt: skip
@@ -233,9 +263,11 @@ class _Samples:
         """Raises UsageError: no number. NoElement: its array is too short."""
         self.rows.append([time_ns / _SECOND, *(number(path.take(message)) for path in self._paths)])
 
-    def trace(self) -> Signal:
+    def trace(self) -> JointOrFieldTrace:
         rows = np.array(self.rows, dtype=np.float64).reshape(len(self.rows), 1 + len(self._paths))
-        return Signal(self.name, rows[:, 0], rows[:, 1], set_points=rows[:, 2] if len(self._paths) > 1 else None)
+        return JointOrFieldTrace(
+            self.name, rows[:, 0], rows[:, 1], set_points=rows[:, 2] if len(self._paths) > 1 else None
+        )
 
 
 # --- live -------------------------------------------------------------------------------------------------------------
@@ -250,7 +282,8 @@ def live(
     set_point: str = "",
     namespace: str = "/",
     timeout: float | None = None,
-) -> Signal:
+    begun: Callable[[], object] = lambda: None,
+) -> JointOrFieldTrace:
     """A trace of the last or of the next simulated seconds; without either, of this moment alone.
 
     A joint has a sample a cycle in the seconds to come, and one in ten cycles in those past, as far as they are kept. A
@@ -259,6 +292,7 @@ def live(
     Args:
         set_point: a field of the same topic, which says what the value is to be.
         timeout: wall seconds; the client's when not given.
+        begun: called when the samples of a joint are asked for: what it publishes takes effect after the first one.
 
     Raises:
         UnknownName, AmbiguousName, Unused: no such joint or topic. UsageError: the past of a topic, or no number.
@@ -289,12 +323,16 @@ def live(
     full, quantity = found
     robot, joint = joints[full]
     request = {"robot": robot, "joint": joint["name"], "last": last if last or duration else _NOW, "duration": duration}
-    samples = a2b_base64(client.call("/slidectl/trace", request, timeout=timeout)["samples"])
+    call = client.call_async("/slidectl/trace", request)
+    begun()
+    samples = a2b_base64(client.answer(call, timeout=timeout)["samples"])
     rows = np.frombuffer(samples, dtype="<f8").reshape(-1, 1 + len(QUANTITIES))
     return _joint_trace(full, quantity, rows, joint)
 
 
-def _of_topic(client: Client, found: dict[str, Any], duration: float, set_point: str, timeout: float | None) -> Signal:
+def _of_topic(
+    client: Client, found: dict[str, Any], duration: float, set_point: str, timeout: float | None
+) -> JointOrFieldTrace:
     """`found` is what a name of a topic means (slidectl/Resolve)."""
     types = {
         entry["type"]: list(zip(entry["fieldnames"], entry["fieldtypes"], entry["fieldarraylen"], strict=True))
@@ -329,7 +367,7 @@ def _of_topic(client: Client, found: dict[str, Any], duration: float, set_point:
 
 def recorded(
     recording: Recording, target: str, *, last: float = 0.0, set_point: str = "", namespace: str = "/"
-) -> Signal:
+) -> JointOrFieldTrace:
     """A trace of a whole recording, or of its last seconds. A joint is one of its sensor_msgs/JointState messages.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Writing a file whole: what stood there stays until all of the new is on the disk.
+"""Writing a file whole: what stood there stays until all of the new is on the disk; and what kind a name asks for.
 
 Knows nothing of what is written.
 """
@@ -10,8 +10,13 @@ import stat
 from contextlib import suppress
 
 
-def write_whole(path: str | os.PathLike[str], text: str) -> None:
-    """Put the text (UTF-8) into the file; one that exists keeps its permissions.
+def file_kind(path: str | os.PathLike[str]) -> str:
+    """The ending of a file's name in small letters, with its dot; empty where there is none."""
+    return os.path.splitext(os.fspath(path))[1].lower()
+
+
+def write_whole(path: str | os.PathLike[str], text: str | bytes) -> None:
+    """Put the text (UTF-8) or the bytes into the file; one that exists keeps its permissions.
 
     A link stays, and what it points to is written. Pipes, devices, and files that are not to be replaced by another
     are written in place.
@@ -19,15 +24,15 @@ def write_whole(path: str | os.PathLike[str], text: str) -> None:
     Raises:
         OSError: it cannot be written.
     """
-    target = os.path.realpath(path)
+    target, content = os.path.realpath(path), text.encode() if isinstance(text, str) else text
     there = os.stat(path) if os.path.exists(path) else None
     if there is None:
-        replace(target, text.encode())
+        replace(target, content)
     elif _is_replaceable(target, there):
-        replace(target, text.encode(), stat.S_IMODE(there.st_mode))
+        replace(target, content, stat.S_IMODE(there.st_mode))
     else:
         with open(path, "wb") as file:
-            file.write(text.encode())
+            file.write(content)
 
 
 def replace(target: str | os.PathLike[str], content: bytes, mode: int | None = None) -> None:

@@ -7,6 +7,7 @@ with running_daemon(rtf=math.inf) as daemon:
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
@@ -69,6 +70,9 @@ class Runtime:
 
     def remove(self) -> None:
         """End whatever runs here and remove the folder."""
+        for lock in self.folder.glob("slidectl/*/*gateway-*.lock"):
+            with suppress(ProcessLookupError, ValueError, KeyError):
+                os.kill(json.loads(lock.read_text(encoding="ascii"))["pid"], signal.SIGKILL)
         for lock in self.folder.glob("slidectl/*/*lock"):
             _end(lock)
         shutil.rmtree(self.folder, ignore_errors=True)

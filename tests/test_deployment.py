@@ -11,7 +11,6 @@ import signal
 import subprocess
 import sys
 import sysconfig
-import time
 import venv
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -20,8 +19,8 @@ from typing import Any
 import pytest
 import yaml
 from daemon_fixture import Runtime
+from waiting import eventually
 
-from slidectl.client import Client
 from slidectl.errors import NoDaemon
 
 ROOT = Path(__file__).parent.parent
@@ -86,7 +85,11 @@ def test_the_action_runs_scenarios_and_keeps_what_failed(tmp_path: Path) -> None
     folder = tmp_path / "robots"
     folder.mkdir()
     shutil.copy(ROOT / "examples" / "scenarios" / "slider.yaml", folder)
-    values = {"inputs.scenarios": "robots", "inputs.arguments": "-n 1", "inputs.results": "kept"}
+    values = {
+        "inputs.scenarios": "robots",
+        "inputs.arguments": "-n 1 -k 'slider and not arm'",
+        "inputs.results": "kept",
+    }
     step = action_steps()["Run the scenarios"]
     assert run_step(step, values, tmp_path, Path(sys.executable).parent) == 0
     cases = ET.parse(tmp_path / "kept" / "results.xml").getroot().findall(".//testcase")
@@ -116,14 +119,12 @@ def test_the_unit_starts_a_daemon_that_ends_when_systemd_asks() -> None:
     stays_until_it_is_asked_to_end([str(Path(sys.executable).parent / "slidectl"), *words[1:]], "unit")
 
 
-def answering(runtime: Runtime, process: subprocess.Popen[str]) -> Client:
-    """A connection to the daemon, as soon as it answers."""
-    while True:
-        try:
-            return runtime.client()
-        except NoDaemon:
-            assert process.poll() is None, "it ended before it answered"
-            time.sleep(0.05)
+def answers(runtime: Runtime) -> bool:
+    try:
+        runtime.client().close()
+    except NoDaemon:
+        return False
+    return True
 
 
 def stays_until_it_is_asked_to_end(command: list[str], instance: str) -> None:
@@ -131,7 +132,8 @@ def stays_until_it_is_asked_to_end(command: list[str], instance: str) -> None:
     runtime = Runtime(name=instance)
     try:
         process = subprocess.Popen(command, env=runtime.env, stderr=subprocess.PIPE, text=True)
-        with answering(runtime, process) as client:
+        eventually(lambda: answers(runtime), "it does not answer")
+        with runtime.client() as client:
             assert client.call("/slidectl/status")["instance"] == instance
         process.send_signal(signal.SIGTERM)
         _, errors = process.communicate(timeout=LIMIT_S)

@@ -15,7 +15,7 @@ from daemon_fixture import Runtime
 EXAMPLES = Path(__file__).parent.parent / "examples"
 SCRIPTS = (
     "slide.sh", "rrbot.sh", "two_robots.sh", "gravity.sh", "sine.sh", "trajectory.sh", "cart.sh", "cartpole.sh",
-    "car.sh", "wrist.sh", "demo.py",
+    "car.sh", "wrist.sh", "rospy_slide.sh", "roslibpy.sh", "demo.py",
 )  # fmt: skip
 
 

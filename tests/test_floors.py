@@ -13,13 +13,15 @@ PACKAGE = Path(__file__).parent.parent / "slidectl"
 
 FLOORS = {
     "errors": 0, "names": 0, "expressions": 0, "fault_kinds": 0, "field_path": 0, "file_reads": 0, "paths": 0,
-    "rotations": 0, "writing": 0, "msgs": 0, "measures": 1,
+    "logfile": 1,
+    "rotations": 0, "web_access": 0, "writing": 0, "msgs": 0, "measures": 1,
     "description": 1, "control": 1, "client": 1, "recording": 1,
-    "physics": 2, "launch": 2, "traces": 2,
+    "physics": 2, "launch": 2, "traces": 2, "values": 2,
     "simulation": 3, "check": 3,
-    "daemon": 4,
+    "daemon": 4, "viewing": 4, "gateways": 4,
     "scenarios": 5,
     "cli": 6,
+    "pytest_plugin": 7,
 }  # fmt: skip
 
 # Beside each other, and all the same one of them is below the other.
@@ -27,12 +29,13 @@ FLOORS = {
 SAME_FLOOR = {
     ("client", "description"),
     ("control", "description"),
-    ("msgs", "names"),
+    *(("msgs", room) for room in ("expressions", "field_path", "names")),
     *((room, "errors") for room in FLOORS if not FLOORS[room]),
 }
 
 FORBIDDEN = {
     "errors": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
+    "logfile": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "names": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "expressions": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "fault_kinds": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
@@ -40,8 +43,10 @@ FORBIDDEN = {
     "file_reads": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "paths": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "rotations": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
+    "web_access": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml"},
     "writing": {"click", "lxml", "mujoco", "numpy", "rosbags", "yaml", "socket"},
     "measures": {"click", "mujoco", "rosbags", "yaml", "socket"},
+    "values": {"click", "lxml", "mujoco", "numpy", "rosbags", "socket"},
     "traces": {"click", "mujoco", "rosbags", "yaml", "socket"},
     "msgs": {"click", "mujoco", "socket"},
     "description": {"click", "mujoco", "socket"},
@@ -53,8 +58,11 @@ FORBIDDEN = {
     "launch": {"asyncio", "click", "mujoco", "socket", "threading"},
     "check": {"click", "mujoco", "socket"},
     "daemon": {"click", "asyncio", "threading"},
+    "viewing": {"asyncio", "click", "threading"},
+    "gateways": {"click", "mujoco"},
     "scenarios": {"asyncio", "click", "mujoco", "socket"},
     "cli": {"mujoco", "asyncio"},
+    "pytest_plugin": {"asyncio", "click", "mujoco", "numpy", "socket", "threading", "yaml"},
 }
 
 # The daemon's life cycle and journals are all that the command line takes from the daemon's floor directly.
@@ -65,11 +73,14 @@ CLI_MAY_TAKE = {
     "fault_kinds",
     "field_path",
     "file_reads",
+    "logfile",
     "paths",
     "rotations",
+    "web_access",
     "writing",
     "measures",
     "traces",
+    "values",
     "msgs",
     "description",
     "recording",
@@ -78,6 +89,8 @@ CLI_MAY_TAKE = {
     "check",
     "launch",
     "scenarios",
+    "viewing",
+    "gateways",
     "cli",
 }
 
@@ -149,7 +162,7 @@ def test_every_room_has_a_floor() -> None:
 def test_the_command_line_has_no_private_door() -> None:
     doors = {
         f"slidectl.daemon.{door}"
-        for door in ("cleaning", "health", "journal", "journal_replay", "lifecycle", "options")
+        for door in ("cleaning", "health", "journal", "journal_replay", "lifecycle", "options", "replay_recording")
     }
     for path in sorted((PACKAGE / "cli").rglob("*.py")):
         assert rooms_used(path) <= CLI_MAY_TAKE, path

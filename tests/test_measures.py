@@ -87,6 +87,14 @@ def test_integrals_are_exact_for_what_is_linear_between_uneven_samples() -> None
     assert measures.energy([0.0, 2.0], [3.0, 3.0], [-1.0, -1.0]) == -6.0
 
 
+def test_the_time_between_two_samples_is_that_of_the_line_through_them() -> None:
+    times = [0.0, 1.0, 2.0, 3.0]
+    assert measures.settling_time(times, [0.0, 1.10, 0.99, 1.0]) == pytest.approx(1.0 + 0.08 / 0.11)
+    assert measures.settling_time(times, [0.0, 0.90, 1.01, 1.0]) == pytest.approx(1.0 + 0.08 / 0.11)
+    error = measures.steady_state_error([0.0, 0.5, 1.0], [0.0, 0.0, 1.0], 1.0)
+    assert (float(error), error.time) == pytest.approx((0.1, 0.9))
+
+
 def test_times_of_saturation_and_contact_are_those_of_rectangles() -> None:
     times, force = [0.0, 1.0, 2.0, 4.0, 5.0], [0.0, 10.0, -10.0, 0.5, 0.0]
     saturated = measures.saturation_time(times, force, 10.0)
@@ -115,6 +123,11 @@ def test_a_bound_is_hit_again_only_after_it_was_left() -> None:
         (lambda: measures.settling_time([0, 1], [0.0, 1.0], start=3.0), "after the last sample"),
         (lambda: measures.saturation_time([0, 1], [0.0, 1.0], math.nan), "largest effort"),
         (lambda: measures.limit_hits([0, 1], [0.0, 1.0]), "bound"),
+        (lambda: measures.overshoot([0, 1], [0.0, 1.0], math.nan), "set point is nan"),
+        (lambda: measures.settling_time([0, 1], [0.0, 1.0], 1.0, math.nan), "start is nan"),
+        (lambda: measures.settling_time([0, 1], [0.0, 1.0], band=math.nan), "band is nan"),
+        (lambda: measures.contact_time([0, 1], [0.0, 1.0], math.nan), "threshold is nan"),
+        (lambda: measures.limit_hits([0, 1], [0.0, 2.0], math.nan, 1.0), "bound"),
     ],
 )
 def test_what_does_not_suffice_is_said(take: Any, said: str) -> None:

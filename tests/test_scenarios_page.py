@@ -8,7 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from slidectl.scenarios.scenario_file import SCENARIO_KEYS, STEP_KEYS, WORLD_KEYS
+from slidectl.scenarios.scenario_file import BASELINE_KEYS, SCENARIO_KEYS, STEP_KEYS, WORLD_KEYS
 
 ROOT = Path(__file__).parent.parent
 PAGE = (ROOT / "docs" / "scenarios.md").read_text(encoding="utf-8")
@@ -24,12 +24,12 @@ def test_every_scenario_of_the_page_ends_as_it_says(tmp_path: Path) -> None:
     assert [result["message"] for result in results if result["verdict"] not in ("passed", "xfailed")] == [], (
         done.stderr
     )
-    assert len(results) == 6
+    assert len(results) == 8
     assert [result["id"] for result in results if result["verdict"] == "xfailed"] == [
         f"{tmp_path}/goals.yaml::beyond the end"
     ]
 
 
 def test_the_page_names_every_key() -> None:
-    for key in (*SCENARIO_KEYS, *STEP_KEYS, *WORLD_KEYS):
+    for key in (*SCENARIO_KEYS, *STEP_KEYS, *WORLD_KEYS, *BASELINE_KEYS):
         assert re.search(rf"`{key}[`:]", PAGE), key

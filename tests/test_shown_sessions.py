@@ -5,6 +5,7 @@ Numbers may differ; a line `...` stands for any lines. Every fenced `python` blo
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -88,7 +89,7 @@ PROGRAM = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 PROGRAMS = [
     pytest.param(program, id=f"{page.name}-{index}")
     for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
-    if page.name not in ("python.md", "extending.md")  # run by test_python_page.py and test_extending_page.py
+    if page.name not in ("python.md", "extending.md", "pytest.md")  # run by test_python_page.py and their own tests
     for index, program in enumerate(PROGRAM.findall(page.read_text(encoding="utf-8")))
 ]
 SLIDER = (
@@ -102,6 +103,12 @@ SLIDER = (
 def test_the_programs_of_a_page_run(program: str, environment: dict[str, str]) -> None:
     for command in SLIDER:
         subprocess.run(["bash", "-c", command], cwd=ROOT, env=environment, check=True, capture_output=True)
+    if "9090" in program:  # a gateway of the test's own, on any port
+        started = subprocess.run(
+            [*("slidectl", "gateway", "websocket", "start", "--port", "0", "--json")],
+            env=environment, check=True, capture_output=True, text=True,
+        )  # fmt: skip
+        program = program.replace("9090", json.loads(started.stdout)["address"].rpartition(":")[2])
     variables = {**environment, "SLIDECTL_SOCKET": f"{environment['XDG_RUNTIME_DIR']}/slidectl/default/socket"}
     done = subprocess.run([sys.executable, "-c", program], env=variables, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr

@@ -30,7 +30,7 @@ from slidectl.description.gazebo_tags import TRANSMISSIONS, transmissions_named
 from slidectl.description.models import read_file
 from slidectl.description.parameter_trees import leaves, merge, nest
 from slidectl.description.robot import Notice, Robot, Verdict
-from slidectl.errors import BadFile, NotThere, Refused, closest, listing
+from slidectl.errors import BadFile, NotThere, Refused, UnknownName, closest, listing
 
 Tree = dict[str, Any]
 Judgement = tuple[str, Verdict, str]
@@ -122,6 +122,33 @@ def unknown(tree: Mapping[str, Any], source: ParameterFile) -> list[Notice]:
     """
     ControllerCheck(source, []).check(tree)
     return [notice for notice in source.findings.sorted() if notice.text.startswith((_UNKNOWN, _UNKNOWN_TO_HARDWARE))]
+
+
+def check_named(files: Sequence[str], controllers: Sequence[str]) -> None:
+    """Judge the controllers that a step names, by the files that spawns have loaded so far, its own at the end.
+
+    Raises:
+        BadFile: a file is broken, or nobody has the type of one (file, line). UnknownName: one is in none of the files.
+    """
+    from slidectl.client import spawning
+    from slidectl.description import yaml_tree
+
+    findings = Findings()
+    known: set[str] = set()
+    for file in files:
+        path = str(spawning.find(file))
+        text = read_file(Path(path))
+        checker = ControllerCheck(ParameterFile(path, controllers_file.places(text, path), findings), [])
+        checker.check(controllers_file.plain(yaml_tree.read(text, path)))
+        known |= checker.found.keys()
+    for name in controllers:
+        meant = [full for full in known if full.endswith(f"/{name.strip('/')}")]
+        if not meant:
+            where = f"in {', '.join(dict.fromkeys(files))}" if files else "anywhere: no spawn has --controllers FILE"
+            raise UnknownName("controller", name, sorted(full.rpartition("/")[2] for full in known), where)
+        for notice in findings.sorted(("wrong",)):
+            if notice.subject in [f"{full}/type" for full in meant]:
+                raise BadFile(f"{notice.subject}: {notice.text}", notice.file, notice.line)
 
 
 # --- the file ---------------------------------------------------------------------------------------------------------

@@ -257,12 +257,11 @@ class _LaunchCheck:
         self.findings.broken += own.broken
 
     def _asked(self, spawns: Sequence[SpawnModel]) -> model.Asked:
-        """How transmissions count by the parameter, for a robot that these nodes spawn."""
+        """What the parameters say of a robot that these nodes spawn."""
 
-        def asked(robot: Robot) -> object:
+        def asked(robot: Robot) -> Iterator[object]:
             homes = [task.home(robot, self.tasks) for task in spawns] or [description.namespace_of(robot, robot.name)]
-            found = (self.values.get(names.join(home, TRANSMISSIONS)) for home in homes)
-            return next((how for how in found if how is not None), None)
+            return (self.values.get(names.join(home, TRANSMISSIONS)) for home in homes)
 
         return asked
 

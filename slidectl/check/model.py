@@ -27,7 +27,17 @@ from slidectl.description.mesh_files import MeshFiles
 from slidectl.description.packages import Packages, is_file
 from slidectl.description.parser import parse_tree
 from slidectl.description.report import Report
-from slidectl.description.robot import ControlPlugin, Joint, Link, Notice, Robot, TransmissionInfo, Verdict, WheelDrive
+from slidectl.description.robot import (
+    MOVING,
+    ControlPlugin,
+    Joint,
+    Link,
+    Notice,
+    Robot,
+    TransmissionInfo,
+    Verdict,
+    WheelDrive,
+)
 from slidectl.description.transmissions import driving
 from slidectl.description.xml_tree import Comment, Element
 from slidectl.errors import BadFile, BadName, SlidectlError, UnknownName
@@ -37,10 +47,8 @@ _TIMESTEP_S = 0.001  # the daemon's own
 _EXPRESSION = re.compile(r"\$\{(.*?)\}", re.DOTALL)
 _WORD = re.compile(r"[A-Za-z_]\w*")
 
-Asked = Callable[[Robot], object]
-"""The value of the parameter TRANSMISSIONS in a robot's namespace; None: it is not set."""
-
-_MOVING = ("revolute", "continuous", "prismatic")
+Asked = Callable[[Robot], Iterator[object]]
+"""The values of the parameter TRANSMISSIONS where a robot may be; None: it is not set. The first that is set counts."""
 
 # attribute -> (unit of a joint that slides, unit of one that turns, what it does)
 _MEANINGS = {
@@ -171,7 +179,7 @@ def _tell_transmissions(root: Element, meshes: MeshFiles, asked: Asked) -> bool:
     """Have the plugin say what the parameter does, where it says nothing itself. Whether it has been done."""
     with suppress(SlidectlError):  # what is broken is told of when it is checked
         robot = parse_tree(root, meshes, Report())
-        how = asked(robot)
+        how = next((value for value in asked(robot) if value is not None), None)
         if how is not None and (robot.plugin is None or robot.plugin.transmissions is None):
             set_transmissions(root, transmissions_named(str(how)))
             return True
@@ -263,7 +271,7 @@ class _Joints:
     def tell(self, findings: Findings) -> None:
         """What is missing, limits and transmissions, and limits that look like degrees."""
         for joint in self.robot.joints.values():
-            for text in self._missing(joint) if joint.type in _MOVING else ():
+            for text in self._missing(joint) if joint.type in MOVING else ():
                 findings.add("used", f"joint {joint.name!r}", f"note: {text}", joint.file or "", joint.line)
 
     def _missing(self, joint: Joint) -> Iterator[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from slidectl import names
@@ -52,18 +52,40 @@ def check(
     for module in imports:
         registry.add_module(module)
     findings = Findings(missing)
+    kind, words = _resolved(words, text, packages)
+    _refuse_what_does_not_fit(kind, words, arguments, parameter_files)
     source = words[0]
-    kind: kinds.Kind = "launch"
-    if len(words) > 1 and source not in models.shipped() and not is_file(Path(source)):
-        # PACKAGE FILE: launch files are found as launch finds them.
-        if kinds.of_name(words[1]) not in ("launch", None):
-            from slidectl.launch import files
+    if kind == "launch":
+        from slidectl.check import launch_check
 
-            words = [shown(files.find_in_package(source, words[1], packages)), *words[2:]]
-            source = words[0]
-            kind = _kind(source, text)
+        launch_check.check(words, arguments, packages, findings, text, ask_others, strict)
+    elif kind == "controllers":
+        controllers.check(source, None, findings, text)
+    elif kind == "scene":
+        findings.is_drivable = scenes.check(sdf.find(source, packages), packages, findings, text, strict)
+        findings.tell_missing()
     else:
-        kind = _kind(source, text)
+        _check_model(source, arguments, packages, parameter_files, text, findings, ask_others, strict, transmissions)
+    return findings
+
+
+def _resolved(words: Sequence[str], text: bytes | None, packages: Packages) -> tuple[kinds.Kind, Sequence[str]]:
+    """What the words mean; PACKAGE FILE becomes the path, unless it is a launch file, which launch finds itself."""
+    source = words[0]
+    if len(words) > 1 and source not in models.shipped() and not is_file(Path(source)):
+        if kinds.of_name(words[1]) in ("launch", None):
+            return "launch", words
+        from slidectl.launch import files
+
+        words = [shown(files.find_in_package(source, words[1], packages)), *words[2:]]
+    return _kind(words[0], text), words
+
+
+def _refuse_what_does_not_fit(
+    kind: kinds.Kind, words: Sequence[str], arguments: Mapping[str, str], parameter_files: Sequence[Path]
+) -> None:
+    """Raises UsageError for words, files and arguments that a file of this kind does not take."""
+    source = words[0]
     if kind != "launch" and len(words) > 1:
         hint = "slidectl check --help shows the order of arguments"
         if kind == "model" and kinds.of_name(words[1]) == "controllers":
@@ -72,40 +94,46 @@ def check(
     if kind != "model" and parameter_files:
         what = "SDF" if kind == "scene" else f"a file of {kind}"
         raise UsageError(f"--controllers goes with a model; {source} is {what}")
-    if kind == "launch":
-        from slidectl.check import launch_check
+    takes_none = {"controllers": f"{source}, a file of parameters", "scene": f"{source}: SDF takes no arguments"}
+    if kind in takes_none:
+        for name in arguments:
+            raise UsageError(f"{name}:= has no meaning for {takes_none[kind]}")
 
-        launch_check.check(words, arguments, packages, findings, text, ask_others, strict)
-        return findings
-    if kind == "controllers":
-        for name in arguments:
-            raise UsageError(f"{name}:= has no meaning for {source}, a file of parameters")
-        controllers.check(source, None, findings, text)
-        return findings
-    if kind == "scene":
-        for name in arguments:
-            raise UsageError(f"{name}:= has no meaning for {source}: SDF takes no arguments")
-        findings.is_drivable = scenes.check(sdf.find(source, packages), packages, findings, text, strict)
-        findings.tell_missing()
-        return findings
+
+def _check_model(
+    source: str,
+    arguments: Mapping[str, str],
+    packages: Packages,
+    parameter_files: Sequence[Path],
+    text: bytes | None,
+    findings: Findings,
+    ask_others: bool,
+    strict: bool,
+    transmissions: str | None,
+) -> None:
+    """A model, and the files of its controllers."""
     title = source if text is not None else None
     read = text.decode("utf-8", "replace") if text is not None else source
     if text is None and (path := models.shipped().get(source)) is not None:
         read = shown(path)  # the shortest path that leads there
     texts = {file: models.read_file(file) for file in parameter_files}
-    trees = [tree for file, content in texts.items() if (tree := _tree(content, str(file))) is not None]
-
-    def asked(robot: Robot) -> object:
-        namespace = namespace_of(robot, robot.name)
-        placed = (controllers_file.retarget(tree, namespace)[0] for tree in reversed(trees))
-        found = (controllers_file.at(tree, names.join(namespace, TRANSMISSIONS)) for tree in placed)
-        return next((how for how in found if how is not None), None)
-
+    asked = _asked([tree for file, content in texts.items() if (tree := _tree(content, str(file))) is not None])
     robot = model.check(read, arguments, packages, findings, ask_others, title, strict, transmissions, asked)
     usable = [controllers.check(file, robot, findings, content) for file, content in texts.items()]
     findings.is_drivable = robot is not None and (any(usable) or not usable)
     findings.tell_missing()
-    return findings
+
+
+def _asked(trees: Sequence[Tree]) -> model.Asked:
+    """What files of parameters say, the last first."""
+
+    def asked(robot: Robot) -> Iterator[object]:
+        namespace = namespace_of(robot, robot.name)
+        for tree in reversed(trees):
+            placed, _ = controllers_file.retarget(tree, namespace)
+            yield controllers_file.at(placed, names.join(namespace, TRANSMISSIONS))
+
+    return asked
 
 
 def _tree(text: bytes, file: str) -> Tree | None:

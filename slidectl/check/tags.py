@@ -92,9 +92,9 @@ class TracedElement(Element):
         """As Element.title: to be named is not to be read."""
         return plain(self).title
 
-    def error(self, message: str, hint: str | None = None) -> BadFile:
+    def error(self, message: str, hint: str | None = None, kind: type[BadFile] = BadFile) -> BadFile:
         self.trace.at_fault = self
-        return Element.error(self, message, hint)
+        return Element.error(self, message, hint, kind)
 
 
 def plain(element: Element) -> Element:

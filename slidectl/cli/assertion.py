@@ -17,12 +17,12 @@ import numpy as np
 from slidectl import traces
 from slidectl.cli import completion
 from slidectl.cli.bag import open_recording
-from slidectl.cli.commands import command, simulated_seconds, wait_for_world_s
+from slidectl.cli.commands import command, finite, simulated_seconds, wait_for_world_s
 from slidectl.cli.context import Context
 from slidectl.cli.topic_streams import paused, way_on
 from slidectl.errors import Refused, UsageError
-from slidectl.measures import NoMeasure
-from slidectl.traces import MEASURES, Signal
+from slidectl.measures import NoMeasure, measure_text
+from slidectl.traces import MEASURES, JointOrFieldTrace
 
 _BOUND = re.compile(r"\s*(<=|>=|==|=|<|>)\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S*)\s*\Z")
 _HOLDS: dict[str, Callable[[float, float], bool]] = {
@@ -39,6 +39,9 @@ _UNITS = {
     "m/s": ("m/s", 1.0), "rad/s": ("rad/s", 1.0),
 }  # fmt: skip
 """What may stand behind a number -> the unit of a measure, and the factor."""
+_POSSIBLE = {"value": ("m", "rad", "m/s", "rad/s", "N", "N·m", "J"), "effort": ("N", "N·m")}
+"""The units that a measure may have where that of the values is not known."""
+_OF_FORCES = ("contact", "peak-force")
 _DEFAULT_TOLERANCE = 0.01
 
 
@@ -63,6 +66,18 @@ def _bound(_click: click.Context, _param: click.Parameter, text: str | None) -> 
     return _Bound(text.strip(), relation, float(number), unit)
 
 
+def _number(text: str | None) -> float | None:
+    try:
+        return None if text is None else float(text)
+    except ValueError:
+        return None
+
+
+def _set_point(click_context: click.Context, param: click.Parameter, text: str | None) -> str | None:
+    finite(click_context, param, _number(text))
+    return text
+
+
 class _Verdict(NamedTuple):
     """What became of one condition. `text` is the sentence about it."""
 
@@ -74,7 +89,7 @@ class _Verdict(NamedTuple):
     unit: str = ""
     time: float | None = None
 
-    def record(self, trace: Signal) -> dict[str, Any]:
+    def record(self, trace: JointOrFieldTrace) -> dict[str, Any]:
         begin, end = (float(trace.times[0]), float(trace.times[-1])) if len(trace.times) else (None, None)
         about = {**self._asdict(), "message": self.text, "target": trace.name, "start": begin, "end": end}
         keys = ("target", "condition", "expected", "holds", "measured", "unit", "time", "start", "end", "message")
@@ -88,8 +103,28 @@ def _measure_options(function: Callable[..., None]) -> Callable[..., None]:
     return function
 
 
+def _conditions(
+    last: float | None, duration: float | None, file: str | None, **given: Any
+) -> tuple[dict[str, float], dict[str, _Bound]]:
+    """Those on values, and those on measures. Raises UsageError for options that do not go together."""
+    values = {kind: given[kind] for kind in ("near", "above", "below", "equals") if given[kind] is not None}
+    bounds = {name: bound for name in MEASURES if (bound := given[name.replace("-", "_")]) is not None}
+    if not values and not bounds:
+        raise UsageError("no condition", f"give --near, --above, --below, --equals, --{', --'.join(MEASURES)}")
+    if given["tol"] is not None and "near" not in values:
+        raise UsageError("--tol goes with --near only")
+    if duration and (last or file):
+        raise UsageError("--for is of the time to come; it goes with neither --last nor --from")
+    if bounds and not (last or duration or file):
+        raise UsageError(
+            f"--{next(iter(bounds))} is measured over a time", "give --last S, --for S, or --from FILE of a recording"
+        )
+    return values, bounds
+
+
 @command(
     "assert",
+    check_words=_conditions,
     examples=[
         "slidectl assert 'joint_states/position[0]' --near 1.0 --tol 0.02",
         "slidectl assert joint1 --overshoot '<5%' --settling '<2s' --last 10",
@@ -98,19 +133,22 @@ def _measure_options(function: Callable[..., None]) -> Callable[..., None]:
     ],
 )
 @click.argument("target", shell_complete=completion.topics)
-@click.option("--near", type=float, metavar="X", help="Within --tol of X.")
-@click.option("--above", type=float, metavar="X", help="Greater than X.")
-@click.option("--below", type=float, metavar="X", help="Less than X.")
-@click.option("--equals", type=float, metavar="X", help="Exactly X.")
-@click.option("--tol", type=click.FloatRange(min=0), metavar="T", help="How far --near may be off (0.01).")
+@click.option("--near", type=float, callback=finite, metavar="X", help="Within --tol of X.")
+@click.option("--above", type=float, callback=finite, metavar="X", help="Greater than X.")
+@click.option("--below", type=float, callback=finite, metavar="X", help="Less than X.")
+@click.option("--equals", type=float, callback=finite, metavar="X", help="Exactly X.")
+@click.option("--tol", type=click.FloatRange(min=0), callback=finite, metavar="T",
+              help="How far --near may be off (0.01).")  # fmt: skip
 @_measure_options
-@click.option("--set-point", metavar="X|FIELD", help="What the value is to be: a number, or a field of the same topic.")
-@click.option("--since", type=float, metavar="T", help="Simulated time of the step; else when the motion began.")
-@click.option("--band", type=click.FloatRange(0, 100, min_open=True), default=2.0, metavar="PERCENT",
+@click.option("--set-point", callback=_set_point, metavar="X|FIELD",
+              help="What the value is to be: a number, or a field of the same topic.")  # fmt: skip
+@click.option("--since", type=float, callback=finite, metavar="T",
+              help="Simulated time of the step; else when the motion began.")  # fmt: skip
+@click.option("--band", type=click.FloatRange(0, 100, min_open=True), default=2.0, callback=finite, metavar="PERCENT",
               help="Half the width of the band of --settling, of the step (2).")  # fmt: skip
-@click.option("--effort-limit", type=float, metavar="X", help="Of --saturation; else the joint's.")
-@click.option("--lower", type=float, metavar="X", help="Bound of --limit-hits; else the joint's.")
-@click.option("--upper", type=float, metavar="X", help="Bound of --limit-hits; else the joint's.")
+@click.option("--effort-limit", type=float, callback=finite, metavar="X", help="Of --saturation; else the joint's.")
+@click.option("--lower", type=float, callback=finite, metavar="X", help="Bound of --limit-hits; else the joint's.")
+@click.option("--upper", type=float, callback=finite, metavar="X", help="Bound of --limit-hits; else the joint's.")
 @click.option("--last", type=float, callback=simulated_seconds, metavar="S", help="Of the last S simulated seconds.")
 @click.option("--for", "duration", type=float, callback=simulated_seconds, metavar="S",
               help="Of the next S simulated seconds.")  # fmt: skip
@@ -127,9 +165,7 @@ def assert_(
     exits 1 when one does not hold, or cannot be measured. docs/measures.md has the definitions. JSON keys, a line a
     condition: target, condition, expected, holds, measured, unit, time (when it was so), start, end, message.
     """
-    values = {kind: given[kind] for kind in ("near", "above", "below", "equals") if given[kind] is not None}
-    bounds = {name: bound for name in MEASURES if (bound := given[name.replace("-", "_")]) is not None}
-    _check(values, bounds, last, duration, file, given["tol"])
+    values, bounds = _conditions(last, duration, file, **given)
     trace = _trace(ctx, target, last or 0.0, duration or 0.0, file, given["set_point"])
     known = {"lower": given["lower"], "upper": given["upper"], "max_effort": given["effort_limit"]}
     trace = replace(trace, **{name: value for name, value in known.items() if value is not None})
@@ -146,28 +182,9 @@ def assert_(
         raise Refused("\n".join(failed))
 
 
-def _check(
-    values: dict[str, float],
-    bounds: dict[str, _Bound],
-    last: float | None,
-    duration: float | None,
-    file: str | None,
-    tolerance: float | None,
-) -> None:
-    """Raises UsageError for options that do not go together."""
-    if not values and not bounds:
-        raise UsageError("no condition", f"give --near, --above, --below, --equals, --{', --'.join(MEASURES)}")
-    if tolerance is not None and "near" not in values:
-        raise UsageError("--tol goes with --near only")
-    if duration and (last or file):
-        raise UsageError("--for is of the time to come; it goes with neither --last nor --from")
-    if bounds and not (last or duration or file):
-        raise UsageError(
-            f"--{next(iter(bounds))} is measured over a time", "give --last S, --for S, or --from FILE of a recording"
-        )
-
-
-def _trace(ctx: Context, name: str, last: float, duration: float, file: str | None, set_point: str | None) -> Signal:
+def _trace(
+    ctx: Context, name: str, last: float, duration: float, file: str | None, set_point: str | None
+) -> JointOrFieldTrace:
     field = "" if set_point is None or _number(set_point) is not None else set_point
     if file is not None:
         with open_recording(ctx, file) as recording:
@@ -181,41 +198,29 @@ def _trace(ctx: Context, name: str, last: float, duration: float, file: str | No
     return traces.live(ctx.client, name, last=last, duration=duration, **how)
 
 
-def _number(text: str | None) -> float | None:
-    try:
-        return None if text is None else float(text)
-    except ValueError:
-        return None
-
-
-def _of_value(trace: Signal, kind: str, wanted: float, tolerance: float | None, whole: bool) -> _Verdict:
+def _of_value(trace: JointOrFieldTrace, kind: str, wanted: float, tolerance: float | None, whole: bool) -> _Verdict:
     """The last value, or of all the one that is worst."""
     allowed = _DEFAULT_TOLERANCE if tolerance is None else tolerance
     expected = f"{kind} {wanted:g}" + (f" ± {allowed:g}" if kind == "near" else "")
-    if not len(trace.values):
-        return _Verdict(kind, expected, False, f"there are no samples, expected {expected}")
-    times, values = (trace.times, trace.values) if whole else (trace.times[-1:], trace.values[-1:])
-    excess = {
-        "near": np.maximum(wanted - allowed - values, values - (wanted + allowed)),
-        "above": wanted - values,
-        "below": values - wanted,
-        "equals": np.abs(values - wanted),
-    }[kind]
-    worst = int(np.argmax(np.where(np.isnan(excess), np.inf, excess)))
-    value, time = float(values[worst]), float(times[worst])
-    holds = bool(excess[worst] < 0 if kind in ("above", "below") else excess[worst] <= 0)
-    shown = f"{_shown(value, trace.unit)} at {time:.3f} s"
+    part = trace if whole else replace(trace, times=trace.times[-1:], values=trace.values[-1:])
+    try:
+        holds, worst = part.holds(kind, wanted, allowed)
+    except NoMeasure as error:
+        return _Verdict(kind, expected, False, f"{error.message}, expected {expected}")
+    shown = f"{measure_text(worst, trace.unit)} at {worst.time:.3f} s"
     text = f"{shown} ({expected})" if holds else f"{shown}, expected {expected}"
     if whole:
-        text += f" at all times from {times[0]:.3f} to {times[-1]:.3f} s"
-    return _Verdict(kind, expected, holds, text, value, trace.unit, time)
+        text += f" at all times from {trace.times[0]:.3f} to {trace.times[-1]:.3f} s"
+    return _Verdict(kind, expected, holds, text, float(worst), trace.unit, worst.time)
 
 
-def _of_measure(trace: Signal, name: str, bound: _Bound, given: dict[str, Any]) -> _Verdict:
+def _of_measure(trace: JointOrFieldTrace, name: str, bound: _Bound, given: dict[str, Any]) -> _Verdict:
     unit = trace.unit_of(name)
+    if name in _OF_FORCES and trace.unit not in ("", "N", "N·m"):
+        raise UsageError(f"--{name} is of a force or a torque, and {trace.name} is in {trace.unit}")
     base, factor = _UNITS.get(bound.unit, (unit, 1.0))
-    if base != unit and (unit or not MEASURES[name].unit):  # of a field whose unit nobody knows it is believed
-        what = f"is in {unit}" if unit else "is a number"
+    if base != unit and (unit or base not in _POSSIBLE.get(MEASURES[name].unit, ())):
+        what = f"is in {unit}" if unit else "has the unit of the values" if MEASURES[name].unit else "is a number"
         raise UsageError(f"--{name} {what}, and {bound.text!r} is not", "leave the unit out for SI units")
     try:
         measured = trace.measure(name, _number(given["set_point"]), given["since"], given["band"] / 100.0)
@@ -223,13 +228,7 @@ def _of_measure(trace: Signal, name: str, bound: _Bound, given: dict[str, Any]) 
         return _Verdict(name, bound.text, False, f"{name} cannot be measured: {error.message}", unit=unit)
     holds = _HOLDS[bound.relation](measured, bound.number * factor)
     when = "" if math.isnan(measured.time) or math.isinf(measured) else f" at {measured.time:.3f} s"
-    shown = f"{name} {_shown(measured, unit)}{when}"
+    shown = f"{name} {measure_text(measured, unit)}{when}"
     text = f"{shown} ({bound.text})" if holds else f"{shown}, expected {bound.text}"
     time = None if math.isnan(measured.time) else measured.time
     return _Verdict(name, bound.text, holds, text, None if math.isinf(measured) else float(measured), unit, time)
-
-
-def _shown(value: float, unit: str) -> str:
-    if value == math.inf:
-        return "never"
-    return f"{value:.6g} {unit}".rstrip()

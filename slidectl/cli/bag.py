@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import math
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
@@ -12,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from slidectl import names
 from slidectl.cli import completion, output
-from slidectl.cli.commands import Variadic, group
+from slidectl.cli.commands import Variadic, finite, group
 from slidectl.cli.context import Context
-from slidectl.cli.topic_streams import Schema
-from slidectl.errors import Refused, UnknownName, UsageError
+from slidectl.errors import Refused, UsageError
+from slidectl.msgs.schema import Schema
 
 if TYPE_CHECKING:
     from slidectl.recording.flat_rows import Rows
@@ -30,7 +30,7 @@ def bag() -> None:
     """Recordings: info, diff, filter, export, reindex."""
 
 
-def open_recording(ctx: Context, file: str) -> Recording:
+def open_recording(ctx: Context, file: str | Path) -> Recording:
     """The recording; says when it was not closed. Raises BadFile, NoMcap."""
     from slidectl.recording.recording_files import opened
 
@@ -113,20 +113,25 @@ def _info_text(record: dict[str, Any]) -> str:
 @click.argument("run", shell_complete=completion.files)
 @click.argument("baseline", shell_complete=completion.files)
 @click.option("--fields", cls=Variadic, metavar="F[=TOL]...", help="Only these topics or fields, with tolerances.")
-@click.option("--tol", type=click.FloatRange(min=0), default=0.0, metavar="T", help="How far numbers may be off (0).")
+@click.option("--tol", type=click.FloatRange(min=0), default=0.0, callback=finite, metavar="T",
+              help="How far numbers may be off (0).")  # fmt: skip
 @click.option("--update-baseline", is_flag=True, help="Make the run the baseline instead.")
 @click.pass_obj
 def diff(ctx: Context, run: str, baseline: str, fields: tuple[str, ...], tol: float, update_baseline: bool) -> None:
     """Tell where a recording first differs from a baseline.
 
-    BASELINE is a recording, or a folder with one of the same name. Compared are the messages of the baseline's topics
-    but /rosout, or of --fields, that were published at the same simulated time, exactly or within a tolerance. Exits 1
-    on a difference. JSON keys, a line a field that differs: topic, field, time, value, baseline, tolerance.
+    BASELINE is a recording, a folder with one of the same name, or a .csv file of --baseline in 'slidectl test'.
+    Compared are the messages of the baseline's topics but /rosout, or of --fields, that were published at the same
+    simulated time, exactly or within a tolerance; of a .csv file all columns. Exits 1 on a difference. JSON keys, a
+    line a field that differs: topic, field, time, value, baseline, tolerance.
     """
-    from slidectl.recording.comparison import compare_file
+    from slidectl.recording.comparison import compare_file, tolerances_of
 
-    tolerances = {name: tol if text == "" else _tolerance(text) for name, _, text in (f.partition("=") for f in fields)}
-    found = compare_file(Path(run), Path(baseline), list(tolerances), tolerances if fields else tol, update_baseline)
+    tolerances = tolerances_of(fields, tol)
+    found = compare_file(
+        Path(run), Path(baseline), list(tolerances), tolerances or tol, update_baseline,
+        lambda path: open_recording(ctx, path),
+    )  # fmt: skip
     if ctx.format != "text":
         for difference in found:
             ctx.emit(difference._asdict())
@@ -134,16 +139,6 @@ def diff(ctx: Context, run: str, baseline: str, fields: tuple[str, ...], tol: fl
         raise Refused("\n".join(map(str, found)), "to keep this run as the baseline: --update-baseline")
     if ctx.format == "text":
         ctx.done({}, f"{baseline}: {'updated' if update_baseline else 'no difference'}")
-
-
-def _tolerance(text: str) -> float:
-    try:
-        tolerance = float(text)
-    except ValueError:
-        tolerance = -1.0
-    if not 0 <= tolerance < math.inf:
-        raise UsageError(f"{text!r} is no tolerance: a number of 0 or more")
-    return tolerance
 
 
 # --- copies -----------------------------------------------------------------------------------------------------------
@@ -221,7 +216,7 @@ def _condition(text: str | None, recording: Recording) -> Callable[[Record], boo
     """Raises UsageError: it is no expression, or no topic has the fields that it names."""
     if text is None:
         return lambda _record: True
-    from slidectl.cli.templates import Filter
+    from slidectl.msgs.templates import Filter
 
     filters: dict[int, Filter] = {}
     refusal: UsageError | None = None
@@ -287,12 +282,8 @@ def export(
 
 
 def _wanted(recording: Recording, topics: tuple[str, ...]) -> set[str]:
-    """Raises UnknownName."""
-    known = recording.topics
-    for topic in topics:
-        if topic not in known:
-            raise UnknownName("topic", topic, known, f"in {recording.path}")
-    return set(topics or known)
+    """Raises UnknownName, AmbiguousName."""
+    return {names.resolve(topic, recording.topics, kind="topic") for topic in topics} or set(recording.topics)
 
 
 def _write_csv(path: Path | None, rows: Rows, columns: list[str]) -> int:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Callable, Sequence
 from functools import cache
 from itertools import takewhile
@@ -25,6 +26,13 @@ Callback = Callable[[click.Context, click.Parameter, Any], Any]
 # --- callbacks of options -------------------------------------------------------------------------------------------
 
 
+def finite(_click: click.Context, _param: click.Parameter, value: float | None) -> float | None:
+    """The value of an option, or a usage error for nan, which click's ranges let through, and infinity."""
+    if value is not None and not math.isfinite(value):
+        raise click.BadParameter(f"{value:g} is not a finite number")
+    return value
+
+
 def positive_seconds(_click: click.Context, _param: click.Parameter, value: float | None) -> float | None:
     """The value of an option in seconds, or a usage error unless it is above 0."""
     if value is not None and not value > 0:
@@ -37,6 +45,20 @@ def simulated_seconds(click_context: click.Context, param: click.Parameter, valu
     if value == math.inf:
         raise click.BadParameter("the simulated time never gets there; leave the option out for no limit")
     return positive_seconds(click_context, param, value)
+
+
+def pixel_size(smallest: int, largest: int) -> Callback:
+    """The callback of an option in pixels from side to side and from top to bottom, as 800x600: two numbers."""
+
+    def parse(_click: click.Context, _param: click.Parameter, value: str | None) -> tuple[int, int] | None:
+        if value is None:
+            return None
+        match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", value)
+        if match is None or not all(smallest <= int(side) <= largest for side in match.groups()):
+            raise click.BadParameter(f"{value!r} is no size from {smallest}x{smallest} to {largest}x{largest}")
+        return int(match[1]), int(match[2])
+
+    return parse
 
 
 def wait_for_world_s(simulated_s: float) -> float:
@@ -165,7 +187,15 @@ class _Shared(click.Command):
 
 
 class Command(_Shared):
-    """A command. Override `is_value` to let more tokens that begin with `-` be values (expressions, say)."""
+    """A command. Override `is_value` to let more tokens that begin with `-` be values (expressions, say).
+
+    `check_words` takes the parameters by name, and raises SlidectlError for those that the command refuses in any
+    world: for who checks a command line and does not run it.
+    """
+
+    def __init__(self, *args: Any, check_words: Callable[..., object] | None = None, **attributes: Any) -> None:
+        super().__init__(*args, **attributes)
+        self.check_words = check_words
 
     def is_value(self, token: str) -> bool:
         """True when `token`, which begins with `-` and is no option of this command, is a value."""

@@ -7,7 +7,7 @@ and must not import the client, YAML or rich before they are needed.
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from slidectl.cli import output
@@ -42,6 +42,8 @@ class Context:
         self.verbose = 0
         self.timeout: float | None = None
         """Wall seconds of `--timeout`; None when it was not given."""
+        self.up: Callable[[], None] | None = None
+        """In a scenario: to be called by a command that goes on in the background, when it is up."""
         for option in list(vars(self)) if shell else ():
             setattr(self, option, getattr(shell, option))
         self._shell = shell
@@ -100,6 +102,13 @@ class Context:
     def wait_limit(self, default_s: float) -> float:
         """How long this command may wait: `--timeout` if given, else `default_s` (wall seconds)."""
         return default_s if self.timeout is None else self.timeout
+
+    def pause(self, seconds: float) -> None:
+        """Wait on the client's clock, and notice at once when the daemon goes away. Raises NoDaemon."""
+        client = self.client
+        deadline = client.monotonic() + seconds
+        while (left := deadline - client.monotonic()) > 0:
+            next(client.events(left), None)
 
     def call(self, service: str, request: dict[str, Any] | None = None, timeout: float | None = None) -> dict[str, Any]:
         """Call a service. Raises Refused, TimedOut or NoDaemon as Client.call does."""

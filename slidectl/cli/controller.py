@@ -9,17 +9,17 @@ import functools
 import json
 import os
 from collections.abc import Callable, Sequence
-from time import monotonic, sleep
+from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from slidectl.cli import completion, robots
-from slidectl.cli.commands import Variadic, group
+from slidectl.cli.commands import Variadic, finite, group, simulated_seconds, wait_for_world_s
 from slidectl.cli.context import Context
 from slidectl.cli.param import store
 from slidectl.cli.topic_streams import paused, way_on
-from slidectl.client.client import BEST_EFFORT, STRICT, UNLOADED, Manager, each
+from slidectl.client.client import BEST_EFFORT, STARTED, STRICT, UNLOADED, Manager, claimed_text, each
 from slidectl.errors import AmbiguousName, NoDaemon, Refused, TimedOut, UnknownName, UsageError, listing
 from slidectl.names import join, parent, resolve
 
@@ -168,12 +168,6 @@ def _rows(manager: Manager, with_unloaded: bool) -> list[dict[str, Any]]:
     missing = sorted(set(manager.configured()) - {one["name"] for one in loaded})
     blank = {"manager": manager.namespace, "state": UNLOADED, "claimed_resources": []}
     return loaded + [{**blank, "name": name, "type": manager.type_parameter(name)} for name in missing]
-
-
-def claimed_text(resources: Sequence[dict[str, Any]]) -> str:
-    """`EffortJointInterface: joint1 joint2`, several parted by semicolons."""
-    parts = ((item["hardware_interface"].rpartition("::")[2], item["resources"]) for item in resources)
-    return "; ".join(f"{interface}: {' '.join(names)}" if names else interface for interface, names in parts)
 
 
 def _times_text(times: dict[str, Any] | None) -> str:
@@ -442,6 +436,45 @@ def unspawn(ctx: Context, manager: str | None, rest: str | None, names: tuple[st
         each(target.unload, [name for name in reversed(local) if name in report.before])
 
 
+@controller.command(
+    "plot",
+    examples=[
+        "slidectl controller plot joint1_position_controller --step 1.0",
+        "slidectl controller plot joint1_position_controller --step 1.0 --for 5 --save step.svg",
+    ],
+)
+@_cm
+@click.argument("name", shell_complete=completion.controllers)
+@click.option("--step", type=float, required=True, callback=finite, metavar="X", help="The new set point.")
+@click.option("--for", "duration", type=float, callback=simulated_seconds, default=10.0, metavar="S",
+              help="Follow it for S simulated seconds (10).")  # fmt: skip
+@click.option("--save", metavar="FILE", shell_complete=completion.files,
+              help="Into a file: .svg, .png, .pdf, .html or .csv.")  # fmt: skip
+@click.pass_obj
+def plot(ctx: Context, manager: str | None, name: str, step: float, duration: float, save: str | None) -> None:
+    """Give a controller a set point and plot the step response.
+
+    Set point, state, error and effort, and the measures of docs/measures.md, in one picture. The joint moves. JSON
+    keys: controller, set_point, unit, start, rise, overshoot, settling, error, effort_peak (null where it is never
+    reached or cannot be measured), file.
+    """
+    from slidectl.cli import plot as plotting
+    from slidectl.viewing.step_response import step_response
+
+    plotting.check(ctx, save)
+    found, (local,) = owner(ctx, manager, [name])
+    if found.states().get(local) not in STARTED:
+        raise Refused(f"{local} does not run", f"start it: slidectl controller spawn {local}")
+    if (status := ctx.call("/slidectl/status"))["paused"]:
+        ctx.say(f"{paused(status)}; this waits until it goes on: {way_on(status)}")
+    limit = ctx.wait_limit(wait_for_world_s(duration))
+    response = step_response(ctx.client, found.namespace, local, step, duration, limit)
+    measured = {key.replace("-", "_"): value for key, value in response.measured.items()}
+    known = {key: value if value is not None and isfinite(value) else None for key, value in measured.items()}
+    about = {"controller": local, "set_point": step, "unit": response.unit, "start": response.start}
+    plotting.show(ctx, response.plot, save, records=[{**about, **known, "file": save}])
+
+
 @controller.command("config", examples=["slidectl controller config config/slider_control.yaml"])
 @_cm
 @click.argument("file", shell_complete=completion.files)
@@ -602,13 +635,13 @@ def _nowhere(candidates: Sequence[Manager], places: dict[str, dict[str, str]]) -
 
 def wait_for_owner(context: Context, manager: str | None, controllers: Sequence[str]) -> None:
     """Return when a controller manager knows all the controllers. Raises TimedOut with what is missing."""
-    limit = context.wait_limit(WAIT_S)
-    deadline = monotonic() + limit
+    limit, client = context.wait_limit(WAIT_S), context.client
+    deadline = client.monotonic() + limit
     while True:
         try:
             owner(context, manager, controllers)
             return
         except (Refused, UnknownName) as missing:
-            if monotonic() >= deadline:
+            if client.monotonic() >= deadline:
                 raise TimedOut(f"still so after {limit:g} s: {missing.message}", missing.hint) from None
-            sleep(min(_LOOK_AGAIN_S, max(0.0, deadline - monotonic())))
+            context.pause(min(_LOOK_AGAIN_S, deadline - client.monotonic()))

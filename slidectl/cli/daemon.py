@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
-from slidectl.cli import completion, output
+from slidectl.cli import completion, gateway_commands, output
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
+from slidectl.cli.gateway_commands import PORTS
 from slidectl.cli.sim import status_text
 from slidectl.errors import NoDaemon, Refused
 
@@ -72,7 +73,7 @@ def _options(click_context: click.Context, world: dict[str, Any]) -> tuple[Daemo
     from slidectl.daemon import options
 
     source = click_context.get_parameter_source
-    given = [name for name in click_context.params if source(name) is click.core.ParameterSource.COMMANDLINE]
+    given = [name for name in world if source(name) is click.core.ParameterSource.COMMANDLINE]
     world |= {"rtf": options.rtf(world["rtf"]), "imports": tuple(map(module_or_file, world["imports"]))}
     world["journal"] = world["journal"] and os.path.abspath(os.path.expanduser(world["journal"]))
     return options.DaemonOptions(**world, chosen=tuple(given)), given
@@ -86,17 +87,47 @@ def module_or_file(word: str) -> str:
     return word
 
 
-@daemon.command("start", examples=["slidectl daemon start", "slidectl -i other daemon start --rtf max"])
+def _gateways(function: Callable[..., Any]) -> Callable[..., Any]:
+    """An option for each gateway, with the port or without."""
+    for kind, port in reversed(PORTS.items()):
+        function = click.option(
+            f"--{kind}",
+            kind,
+            type=click.IntRange(0, 65535),
+            is_flag=False,
+            flag_value=port,
+            metavar="[PORT]",
+            help=f"Start the {kind} gateway too (port {port}).",
+        )(function)
+    return function
+
+
+@daemon.command(
+    "start",
+    examples=[
+        "slidectl daemon start",
+        "slidectl -i other daemon start --rtf max",
+        "slidectl daemon start --websocket 9090 --ros1 --foxglove",
+    ],
+)
 @_world
+@_gateways
 @click.pass_context
 def start(click_context: click.Context, /, **world: Any) -> None:
     """Start the daemon in the background; returns when it answers.
 
-    One that runs already stays as it is (exit code 0). JSON keys: instance, pid, socket, log, already.
+    One that runs already stays as it is (exit code 0). JSON keys: instance, pid, socket, log, already. For each
+    gateway an object follows, as 'slidectl gateway' has it.
     """
     ctx: Context = click_context.obj
+    gateways = {kind: world.pop(kind) for kind in PORTS}
     options, given = _options(click_context, world)
     already = _start(ctx, options)
+    for kind, port in gateways.items():
+        if port is not None:
+            is_other = gateway_commands.start(ctx, kind, {"port": port}) and port != PORTS[kind]
+            if is_other:
+                ctx.warn(f"the {kind} gateway runs already, so port {port} had no effect")
     if already and given:
         names = ", ".join("--import" if name == "imports" else f"--{name}" for name in given)
         ctx.warn(f"it runs already, so {names} had no effect")
@@ -134,10 +165,11 @@ def run(click_context: click.Context, /, **world: Any) -> None:
 @daemon.command("stop", examples=["slidectl daemon stop"])
 @click.pass_obj
 def stop(ctx: Context) -> None:
-    """Stop the daemon; returns when its process has ended, and so have the nodes of detached launches.
+    """Stop the daemon; returns when its process has ended, and so have its gateways and the nodes of detached launches.
 
     When none runs there is nothing to do (exit code 0). JSON keys: instance, pid (null when none ran), socket, log.
     """
+    gateway_commands.stop_all(ctx)
     pid = _stop(ctx)
     how = "does not run" if pid is None else f"stopped, it was process {pid}"
     ctx.done(place(ctx, pid), f"daemon {ctx.paths.name}: {how}")
@@ -156,7 +188,7 @@ def _stop(ctx: Context) -> int | None:
 @_world
 @click.pass_context
 def restart(click_context: click.Context, /, **world: Any) -> None:
-    """Stop the daemon if it runs, and start a new one with an empty world.
+    """Stop the daemon if it runs, and start a new one with an empty world. Its gateways go on with the new one.
 
     Options that are not given are those that the old one was started with, and a line on stderr says which. JSON keys
     as those of start.

@@ -120,7 +120,7 @@ def pid_file(path: str | None) -> Iterator[None]:
 
 
 def wait(paths: InstancePaths, limit_s: float, say: Callable[[str], None]) -> None:
-    """Until the detached launches and recordings of a daemon that has ended have ended too. Raises TimedOut."""
+    """Until the detached launches, recordings and playings of a daemon that has ended have ended. Raises TimedOut."""
     began = time.monotonic()
     told = False
     for log in sorted(log for what in KINDS for log in paths.folder.glob(f"{paths.prefix}{what}-*.log")):

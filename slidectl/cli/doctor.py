@@ -21,7 +21,7 @@ def doctor(ctx: Context) -> None:
     from slidectl.daemon.health import BROKEN, findings
 
     broken = 0
-    for one in findings(ctx.paths):
+    for one in findings(lambda: ctx.paths):
         remedy = "".join(f"\n{'':>23}-> {line}" for line in one.remedy.splitlines())
         ctx.emit(one._asdict(), f"{one.state:<9}  {one.check + ':':<12}{one.finding}{remedy}")
         broken += one.state == BROKEN

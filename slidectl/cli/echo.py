@@ -11,10 +11,11 @@ import click
 from slidectl.cli import completion, output
 from slidectl.cli.commands import command, simulated_seconds
 from slidectl.cli.context import Context
-from slidectl.cli.forms import CsvForm, YamlForm
-from slidectl.cli.topic_streams import PUBLISHERS, Event, Schema, Stream, look_up, nanoseconds
+from slidectl.cli.topic_streams import PUBLISHERS, Event, Stream, look_up, nanoseconds
 from slidectl.errors import TimedOut, UsageError
 from slidectl.field_path import Selection, select
+from slidectl.msgs.forms import CsvForm, YamlForm
+from slidectl.msgs.schema import Schema
 
 _CLEAR = "\033[2J\033[;H"
 
@@ -94,7 +95,7 @@ def predicate(condition: str | None, schema: Schema) -> Keep:
     """The test of `--filter`. Raises UsageError before the first message when it is not valid."""
     if condition is None:
         return lambda _message: True
-    from slidectl.cli.templates import Filter
+    from slidectl.msgs.templates import Filter
 
     return Filter(condition, schema)
 

@@ -12,7 +12,7 @@ import click
 from slidectl.cli import completion
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
-from slidectl.fault_kinds import KINDS, OPTIONS, QUANTITIES
+from slidectl.fault_kinds import KINDS, OPTIONS, QUANTITIES, check_span, checked_options
 
 _COLUMNS = ("name", "kind", "target", "from", "to", "seed", "options", "state", "count")
 
@@ -56,8 +56,15 @@ def fault() -> None:
     """Faults on purpose, of joints, links, controllers and topics."""
 
 
+def _check_words(kind: str, start: float | None, end: float | None, **given: Any) -> None:
+    """Raises SlidectlError for what is no fault at any time; the daemon looks for itself."""
+    checked_options(kind, {name: given[name] for name in OPTIONS if given[name] is not None})
+    check_span(start or 0.0, math.inf if end is None else end)
+
+
 @fault.command(
     "add",
+    check_words=_check_words,
     examples=[
         "slidectl fault add slider/joint1 --kind sensor-noise --sd 0.001 --seed 7 --from 2 --to 5",
         "slidectl fault add joint1 --kind joint-stuck",
@@ -68,10 +75,14 @@ def fault() -> None:
 @click.argument("target", shell_complete=completion.completer(_targets))
 @click.option("--kind", required=True, metavar="KIND", shell_complete=completion.completer(lambda _: KINDS),
               help="What goes wrong; 'slidectl fault kinds' lists them.")  # fmt: skip
-@click.option("--from", "start", type=float, metavar="TIME", help="Simulated time of the world, s; now.")
-@click.option("--to", "end", type=float, metavar="TIME", help="The same; until it is removed.")
-@click.option("--seed", type=int, default=0, metavar="N", help="Of its random numbers (0).")
-@click.option("--name", default="", metavar="NAME", help="How it is listed; one is made of the kind.")
+@click.option(
+    "--from", "start", type=float, metavar="TIME", help="When it begins, simulated s (default: the next cycle)."
+)
+@click.option(
+    "--to", "end", type=float, metavar="TIME", help="When it ends, simulated s (default: when it is removed)."
+)
+@click.option("--seed", type=int, default=0, metavar="N", help="Seed of its random numbers (0).")
+@click.option("--name", default="", metavar="NAME", help="Its name in the list (default: made from the kind).")
 @_kind_options
 @click.pass_obj
 def add(ctx: Context, /, target: str, kind: str, start: float | None, end: float | None, **given: Any) -> None:

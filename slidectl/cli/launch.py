@@ -10,12 +10,12 @@ import select
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from slidectl.cli import completion
+from slidectl.cli import completion, output
 from slidectl.cli.commands import command, positive_seconds
 from slidectl.cli.context import DEFAULT_TIMEOUT_S, Context
 from slidectl.cli.spawn import package_lookup, pairs, tell_own_packages
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from slidectl.cli.detached import Background
     from slidectl.daemon.lifecycle import Beginning
     from slidectl.description.packages import Packages
-    from slidectl.launch.execution import Execution
+    from slidectl.launch.execution import DaemonAccess, Execution
     from slidectl.launch.nodes.gazebo import WorldSettings
     from slidectl.launch.plan import LaunchPlan
     from slidectl.launch.task import Task
@@ -95,16 +95,44 @@ def launch(ctx: Context, /, words: tuple[str, ...], packages: tuple[str, ...], *
     file that is shipped; - is standard input. JSON keys: event, text, and those of the event.
     """
     from slidectl.cli import launch_text
+    from slidectl.launch import execution, node_kinds
+
+    asked = ["--" + name.replace("_of", "").replace("_", "-") for name in _LISTINGS if given[name]]
+    if len(asked) > 1:
+        raise UsageError(f"{' and '.join(asked)} exclude each other")
+    plan, lookup, title = load_plan(words, packages, given)
+    if launch_text.tell_plan(ctx, plan, given):
+        return
+    master = ros_master(ctx)
+    tasks = node_kinds.tasks(plan, lookup, gather=True, has_master=bool(master))
+    if given["dry_run"] or plan.missing:  # where something is not there, a daemon is not begun before the rest is known
+        execution.look_ahead(plan, tasks, lookup, run_commands=False)
+    tell_own_packages(ctx, lookup)
+    if given["dry_run"] or given["args_of"]:
+        launch_text.tell_tasks(ctx, plan, tasks, given["args_of"])
+        return
+    _run(ctx, plan, tasks, lookup, title, given, master)
+
+
+def ros_master(ctx: Context) -> str:
+    """The URI by which programs of ROS 1 reach the daemon, where its gateway runs; else nothing."""
+    from slidectl.gateways import process
+
+    gateway = process.find(ctx.paths if ctx.up is None else ctx.client.paths, "ros1")
+    return "" if gateway is None else gateway.address
+
+
+def load_plan(
+    words: Sequence[str], packages: Sequence[str], given: Mapping[str, Any]
+) -> tuple[LaunchPlan, Packages, str]:
+    """What the words of a launch come to, where its packages are, and how it is called. Raises SlidectlError."""
     from slidectl.description.missing import Missing
-    from slidectl.launch import execution, files, loader, node_kinds
+    from slidectl.launch import files, loader
 
     lookup = package_lookup(packages, "launch")
     names = [word for word in words if ":=" not in word]
     given_arguments = pairs([word for word in words if ":=" in word], ":=", "launch")
     arguments = {name: value.strip() for name, value in given_arguments.items()}
-    asked = ["--" + name.replace("_of", "").replace("_", "-") for name in _LISTINGS if given[name]]
-    if len(asked) > 1:
-        raise UsageError(f"{' and '.join(asked)} exclude each other")
     sources = files.find(names, lookup)
     plan = loader.load(
         sources,
@@ -115,17 +143,7 @@ def launch(ctx: Context, /, words: tuple[str, ...], packages: tuple[str, ...], *
         namespace=join("/", os.environ.get("ROS_NAMESPACE", "").strip("/")),
         missing=Missing("all" if given["keep_going"] else "nodes" if given["skip_unknown"] else "nothing"),
     )
-    if launch_text.tell_plan(ctx, plan, given):
-        return
-    tasks = node_kinds.tasks(plan, lookup, gather=True)
-    if given["dry_run"] or plan.missing:  # where something is not there, a daemon is not begun before the rest is known
-        execution.look_ahead(plan, tasks, lookup, run_commands=False)
-    tell_own_packages(ctx, lookup)
-    if given["dry_run"] or given["args_of"]:
-        launch_text.tell_tasks(ctx, plan, tasks, given["args_of"])
-        return
-    title = " ".join(source.shown for source in sources)
-    _run(ctx, plan, tasks, lookup, title, given)
+    return plan, lookup, " ".join(source.shown for source in sources)
 
 
 # --- running ---------------------------------------------------------------------------------------------------------
@@ -193,25 +211,48 @@ class LaunchDaemon:
             self.context.detail(f"daemon {self.context.paths.name}: stopped")
 
 
+class _WorldOfScenario:
+    """The world in which a step acts is there already, and stays."""
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+
+    def begin(self, settings: WorldSettings) -> bool:  # noqa: ARG002 - the node sets up the world that is there
+        return False
+
+    def connect(self) -> tuple[Client, bool]:
+        return self._client, False
+
+    def stop(self) -> None:
+        pass
+
+
 def _run(
-    ctx: Context, plan: LaunchPlan, tasks: Sequence[Task], packages: Packages, title: str, given: dict[str, Any]
+    ctx: Context,
+    plan: LaunchPlan,
+    tasks: Sequence[Task],
+    packages: Packages,
+    title: str,
+    given: dict[str, Any],
+    master: str,
 ) -> None:
     from slidectl.cli.detached import Background, pid_file
     from slidectl.cli.launch_text import Terminal
     from slidectl.launch.execution import Execution
-    from slidectl.launch.supervision import Interrupted, Interrupts
+    from slidectl.launch.supervision import Interrupted, Interrupts, WorldWatch
     from slidectl.launch.task import Options, Run
 
     background = None
     if given["detach"] and any(task.needs_presence for task in tasks):
         background = Background(ctx.paths, "launch")
         background.fork()
-    paths = ctx.paths
+    paths = ctx.paths if ctx.up is None else ctx.client.paths
     # For the programs of nodes, so that commands of this kind in them reach the same daemon, by the same slidectl.
     environment = {
         "SLIDECTL_PYTHON": sys.executable,
         "SLIDECTL_SOCKET": paths.socket_text if paths.prefix else "",
         "SLIDECTL_INSTANCE": "" if paths.prefix else paths.name,
+        **({"ROS_MASTER_URI": master} if master else {}),
     }
     options = Options(
         given["output_of_all"], given["required"], given["strict"], given["sigint_timeout"], given["sigterm_timeout"]
@@ -219,13 +260,17 @@ def _run(
     try:
         with Interrupts() as interrupts, pid_file(given["pid_file"]):
             run = Run(plan, packages, Terminal(ctx), options, interrupts, str(paths.folder / "launch"), environment)
-            daemon = LaunchDaemon(ctx, child=not given["detach"], wait=given["wait"])
-            _drive(Execution(run, tasks, daemon), title, given["detach"], background)
+            daemon: DaemonAccess = LaunchDaemon(ctx, child=not given["detach"], wait=given["wait"])
+            if ctx.up is not None:
+                daemon, run.watch = _WorldOfScenario(ctx.client), WorldWatch(ctx.client)
+            _drive(Execution(run, tasks, daemon), title, given["detach"], background, ctx.up)
     except Interrupted as interrupted:  # before there was anything to end
         _interrupted(interrupted.number, was_up=False)
 
 
-def _drive(execution: Execution, title: str, detach: bool, background: Background | None) -> None:
+def _drive(
+    execution: Execution, title: str, detach: bool, background: Background | None, up: Callable[[], None] | None
+) -> None:
     """Up, watched, down. A detached launch that needs nobody to stay is left as it is."""
     from slidectl.launch.supervision import Interrupted
 
@@ -233,6 +278,8 @@ def _drive(execution: Execution, title: str, detach: bool, background: Backgroun
     try:
         execution.bring_up()
         _tell_running(execution, title, detach, background)
+        if up is not None:
+            up()
         leave = detach and background is None
         if background is not None:
             background.everything_runs()
@@ -241,6 +288,9 @@ def _drive(execution: Execution, title: str, detach: bool, background: Backgroun
     except Interrupted as interrupted:
         _interrupted(interrupted.number, execution.is_up)
         execution.judge()
+    except KeyboardInterrupt:  # so a scenario ends, which is held to its nodes
+        execution.judge()
+        raise
     finally:
         if leave:
             execution.run.client.close()
@@ -261,10 +311,6 @@ def _interrupted(number: int, was_up: bool) -> None:
         raise Refused(f"ended by {signal.Signals(number).name} before everything ran")
 
 
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"
-
-
 def _tell_running(execution: Execution, title: str, detach: bool, background: Background | None) -> None:
     from slidectl.launch.nodes.programs import reason
 
@@ -272,14 +318,14 @@ def _tell_running(execution: Execution, title: str, detach: bool, background: Ba
     controllers = run.call("/slidectl/status")["controllers_running"]
     died = {task.node.full_name: reason(code) for task, code in execution.died.items()}
     missing = run.plan.missing.lines()
-    how = f"runs without {_count(len(missing), 'thing')}, listed below" if missing else "everything runs"
+    how = f"runs without {output.count(len(missing), 'thing')}, listed below" if missing else "everything runs"
     if died:
         how = f"these nodes died: {', '.join(f'{name} ({why})' for name, why in died.items())}; the rest runs"
     end = "Ctrl-C ends it" if execution.stays else "nothing is left to watch, so the launch ends"
     if detach:
         end = "slidectl daemon stop ends it" if run.owns_daemon or background is None else f"kill {os.getpid()} ends it"
         end += "" if background is None else f"; its log is {background.log}"
-    what = f"{_count(execution.nodes, 'node')}, {_count(controllers, 'controller')} running"
+    what = f"{output.count(execution.nodes, 'node')}, {output.count(controllers, 'controller')} running"
     run.console.step(
         "running", f"{title}: {how} ({what}); {end}", files=run.plan.files, nodes=execution.nodes,
         controllers_running=controllers, died=died,

@@ -71,6 +71,7 @@ COMMANDS = {
     "record": Entry("Topics, services, parameters", "record", "Record topics into a file."),
     "play": Entry("Topics, services, parameters", "play", "Publish the messages of recordings again."),
     "bag": Entry("Topics, services, parameters", "bag", "Recordings: info, diff, filter, export, reindex."),
+    "plot": Entry("Topics, services, parameters", "plot", "Plot fields over simulated time."),
     "topic": Entry("Topics, services, parameters", "topic", "List, inspect and measure topics."),
     "hz": Entry("Topics, services, parameters", "topic_measure", "Measure how often messages come."),
     "service": Entry("Topics, services, parameters", "service", "List, inspect and call services."),
@@ -79,9 +80,17 @@ COMMANDS = {
     "tf": Entry("Topics, services, parameters", "tf", "Show the frames and the transforms between them."),
     "msg": Entry("Topics, services, parameters", "msg", "Show message types."),
     "srv": Entry("Topics, services, parameters", "msg", "Show service types."),
+    "view": Entry("Seeing", "view", "Show the world in a browser."),
+    "gui": Entry("Seeing", "view", "Show the world in a browser."),
+    "render": Entry("Seeing", "render", "Draw the world into a picture."),
+    "video": Entry("Seeing", "render", "Draw the world into a video."),
+    "top": Entry("Seeing", "top", "Watch controllers, joints, topics and the log."),
+    "teleop": Entry("Seeing", "teleop", "Drive a base, or move a joint, by keys."),
+    "graph": Entry("Seeing", "node_graph", "Show the graph of nodes and topics."),
+    "gateway": Entry("Other protocols", "gateway_commands", "Let ROS 1 nodes, rosbridge clients and Foxglove in."),
     "ros": Entry("The ROS commands", "ros.command", "Run a ROS command word for word."),
     "ros-commands": Entry("The ROS commands", "ros.command", "Print shell functions named as the ROS commands."),
-    "test": Entry("slidectl", "test", "Run scenarios: files of steps, held to what they say."),
+    "test": Entry("slidectl", "test", "Run scenarios: files of steps that a robot must pass."),
     "shell": Entry("slidectl", "shell", "Run many commands in one process."),
     "doctor": Entry("slidectl", "doctor", "Look whether slidectl can run here."),
     "completion": Entry("slidectl", "completion", "Print the completion script of a shell."),
@@ -240,7 +249,7 @@ def guard(action: Callable[[], None], context: Context, words: Sequence[str] = (
     except click.exceptions.Exit as leaving:
         return leaving.exit_code
     except output.ClosedPipe:
-        return EXIT_DONE
+        return EXIT_INTERRUPTED if output.terminal_is_closed() else EXIT_DONE
     except (KeyboardInterrupt, click.Abort):
         return EXIT_INTERRUPTED
     except BrokenPipeError as error:
@@ -248,7 +257,9 @@ def guard(action: Callable[[], None], context: Context, words: Sequence[str] = (
             return EXIT_DONE
         return _report(NoDaemon(f"the connection broke: {error}"), context, words)
     except Exception as error:
-        return EXIT_INTERRUPTED if _was_interrupted(error) else _report(error, context, words)
+        if _was_interrupted(error) or output.terminal_is_closed():  # SIGHUP may come after what cannot be written
+            return EXIT_INTERRUPTED
+        return _report(error, context, words)
 
 
 def _was_interrupted(error: BaseException | None) -> bool:

@@ -5,6 +5,7 @@ Pure text building and the one function that writes to stdout. It knows no comma
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import sys
@@ -47,6 +48,19 @@ def reader_has_gone() -> bool:
     return any(event & (select.POLLERR | select.POLLHUP) for _, event in poll.poll(0))
 
 
+def terminal_is_closed() -> bool:
+    """True when standard output is a terminal that is gone."""
+    import termios
+
+    try:
+        termios.tcgetattr(sys.stdout.fileno())
+    except termios.error as error:
+        return bool(error.args[0] == errno.EIO)
+    except (OSError, ValueError):  # no file
+        return False
+    return False
+
+
 def check_reader() -> None:
     """Raises ClosedPipe when the reader has gone: for what goes on without end and may have nothing to write."""
     if reader_has_gone():
@@ -61,6 +75,11 @@ def is_terminal(stream: TextIO) -> bool:
 def wants_colour(stream: TextIO) -> bool:
     """True on a terminal unless NO_COLOR is set (https://no-color.org)."""
     return is_terminal(stream) and not os.environ.get("NO_COLOR")
+
+
+def count(number: int, what: str) -> str:
+    """`1 topic`, `2 topics`."""
+    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def megabytes(size: int) -> str:

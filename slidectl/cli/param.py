@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slidectl import names
-from slidectl.cli import completion, output, values
+from slidectl import names, values
+from slidectl.cli import completion, output
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
 from slidectl.errors import AmbiguousName, BadFile, Refused, UnknownName, UsageError, closest, listing
@@ -286,7 +286,7 @@ def _scalar(value: Any) -> str | None:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        from slidectl.cli.forms import is_plain
+        from slidectl.msgs.forms import is_plain
 
         return value if is_plain(value) else None
     if isinstance(value, int | float) and _PLAIN_NUMBER.match(repr(value)):

@@ -7,17 +7,17 @@ import os
 from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from slidectl import msgs, names
-from slidectl.cli import completion
+from slidectl.cli import completion, output
 from slidectl.cli.bag import open_recording
-from slidectl.cli.commands import command, positive_seconds
+from slidectl.cli.commands import command, finite, positive_seconds
 from slidectl.cli.context import Context
 from slidectl.cli.topic_streams import CLOCK, nanoseconds, paused, way_on
-from slidectl.errors import MessageRefused, Refused, UnknownName, UsageError
+from slidectl.errors import MessageRefused, Refused, UsageError
 
 if TYPE_CHECKING:
     from slidectl.cli.detached import Background
@@ -29,7 +29,7 @@ _AHEAD, _AHEAD_BYTES = 1000, 4 * 1024 * 1024
 _FIRST_DELAY_NS = _SECOND // 5
 """Simulated time from now to the first message, rosbag's --delay: its time must still be to come."""
 _MOST_TOLD = 5
-_SECONDS = click.FloatRange(min=0)
+_SECONDS: dict[str, Any] = {"type": click.FloatRange(min=0), "callback": finite, "metavar": "S"}
 
 
 @command(
@@ -44,8 +44,8 @@ _SECONDS = click.FloatRange(min=0)
 @click.option(
     "-r", "--rate", type=float, default=1.0, callback=positive_seconds, metavar="FACTOR", help="FACTOR times as fast."
 )
-@click.option("-s", "--start", type=_SECONDS, default=0.0, metavar="S", help="Begin S seconds after its start.")
-@click.option("-u", "--until", type=_SECONDS, metavar="S", help="End S seconds after its start.")
+@click.option("-s", "--start", default=0.0, help="Begin S seconds after its start.", **_SECONDS)
+@click.option("-u", "--until", help="End S seconds after its start.", **_SECONDS)
 @click.option("-l", "--loop", is_flag=True, help="Again and again, until Ctrl-C.")
 @click.option("--at-recorded-times", is_flag=True, help="At the very simulated times of the recording.")
 @click.option("--clock", is_flag=True, help="Also the recorded /clock, which the world itself publishes.")
@@ -90,11 +90,10 @@ def play(
     with ExitStack() as stack:
         recordings = [stack.enter_context(open_recording(ctx, file)) for file in files]
         known = sorted({topic for recording in recordings for topic in recording.topics})
-        for topic in topics:
-            if topic not in known:
-                raise UnknownName("topic", topic, known, f"in {', '.join(files)}")
-        left_out = {"/rosout", "/rosout_agg", *(() if clock else (CLOCK,))} - set(topics)
-        wanted = set(topics or known) - left_out
+        chosen = {names.resolve(topic, known, kind="topic") for topic in topics}
+        renames = {names.resolve(old, known, kind="topic"): new for old, new in renames.items()}
+        left_out = {"/rosout", "/rosout_agg", *(() if clock else (CLOCK,))} - chosen
+        wanted = (chosen or set(known)) - left_out
         begin_ns, last_ns = span_ns(recordings)
         player = _Player(ctx, renames, background)
         for channel in (channel for recording in recordings for channel in recording.channels):
@@ -121,8 +120,10 @@ def _sorted(words: tuple[str, ...]) -> tuple[list[str], dict[str, str]]:
     files, renames = [], {}
     for word in words:
         old, given, new = word.partition(":=")
+        if given and not new:
+            raise UsageError(f"{word} names no topic", "slidectl play FILE OLD:=NEW")
         if given:
-            renames[names.check(names.join("/", old))] = names.check(names.join("/", new))
+            renames[old] = names.check(names.join("/", new))
         else:
             files.append(word)
     if not files:
@@ -212,8 +213,7 @@ class _Player:
         if self.late:
             text = f"{self.late} messages came after their time, and were published at once"
             self._ctx.warn(f"{text}; in a world that is paused when the playing begins none is late")
-        count, topics = self.published, len(self._topics)
-        messages = f"{count} message{'' if count == 1 else 's'} on {topics} topic{'' if topics == 1 else 's'}"
+        messages = f"{output.count(self.published, 'message')} on {output.count(len(self._topics), 'topic')}"
         self._ctx.done(record, f"played {messages}, {seconds:.3f} s")
         if self.refused:
             raise Refused(f"{self.refused} messages were refused")

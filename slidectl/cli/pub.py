@@ -18,13 +18,14 @@ from slidectl import names
 from slidectl.cli import completion
 from slidectl.cli.commands import Command, command, positive_seconds
 from slidectl.cli.context import Context
-from slidectl.cli.topic_streams import SUBSCRIBERS, Schema, Target, details, look_up
-from slidectl.cli.values import check_quotes, documents_of, documents_on_stdin, is_numeric, read
+from slidectl.cli.topic_streams import SUBSCRIBERS, Target, details, look_up
 from slidectl.errors import BadFile, SlidectlError, TimedOut, UnknownName, Unused, UsageError
 from slidectl.msgs.fill import fields_from, fill
+from slidectl.msgs.schema import Schema
+from slidectl.values import check_quotes, documents_of, documents_on_stdin, is_numeric, read
 
 if TYPE_CHECKING:
-    from slidectl.cli.templates import Template
+    from slidectl.msgs.templates import Template
 
 Values = Sequence[Any]
 """What a message is made of: one mapping of fields, or one value for each field."""
@@ -274,9 +275,7 @@ class Publication:
         """Stay connected, so that a latched message stays. Raises TimedOut after `--timeout`, NoDaemon."""
         self._ctx.say(f"{self._target.topic} is latched; Ctrl-C ends it")
         limit = self._ctx.wait_limit(math.inf)
-        deadline = self._ctx.client.monotonic() + limit
-        while (left := deadline - self._ctx.client.monotonic()) > 0:
-            next(self._ctx.client.events(left), None)
+        self._ctx.pause(limit)
         raise TimedOut(f"{self._target.topic} was latched for {limit:g} s")
 
     def _wait_for(self, index: int) -> None:
@@ -287,8 +286,7 @@ class Publication:
         late = self._ctx.client.monotonic() - due
         if late > _FELL_BEHIND_S:
             self._began += late
-        while (left := due - self._ctx.client.monotonic()) > 0:
-            next(self._ctx.client.events(left), None)
+        self._ctx.pause(due - self._ctx.client.monotonic())
 
     def _send(self, values: Values, template: Template | None) -> None:
         client, target = self._ctx.client, self._target
@@ -306,7 +304,7 @@ def template_of(schema: Schema, values: Values, expressions: bool = False) -> Te
     """None for values without text: nothing in them can be an expression or stand for the time."""
     if is_numeric(list(values)):
         return None
-    from slidectl.cli.templates import Template
+    from slidectl.msgs.templates import Template
 
     return Template(schema, values, expressions)
 

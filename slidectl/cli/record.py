@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slidectl.cli import completion, output
-from slidectl.cli.commands import command
+from slidectl.cli.commands import command, finite
 from slidectl.cli.context import Context
 from slidectl.cli.topic_streams import nanoseconds
 from slidectl.errors import MessageRefused, NoDaemon, Refused, SlidectlError, UnknownName, UsageError
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 _LOOK_EVERY_S = 0.2
 _FLUSH_EVERY_S = 1.0
+_PROGRESS_EVERY_S = 1.0
 _QUEUE = 100_000
 _DURATION = re.compile(r"(\d+\.?\d*|\.\d+)([smh]?)\Z")
 _UNITS = {"": 1, "s": 1, "m": 60, "h": 3600}
@@ -41,12 +42,24 @@ def _duration(_click: click.Context, _param: click.Parameter, value: str | None)
     return float(match[1]) * _UNITS[match[2]]
 
 
+def _chosen(topics: tuple[str, ...], **given: Any) -> tuple[_Choice, Path]:
+    """What is recorded, and where. Raises UsageError."""
+    from slidectl.recording.recording_files import check_kind
+
+    path = Path(given["file"] if given["file"] is not None else time.strftime("%Y-%m-%d-%H-%M-%S"))
+    path = path if path.suffix else path.with_name(f"{path.name}.bag")
+    choice = _Choice(topics, given)
+    check_kind(path, given["compression"])
+    return choice, path
+
+
 @command(
+    check_words=_chosen,
     examples=[
         "slidectl record -a -O run.mcap",
         "slidectl record joint_states /rosout -O run.bag --duration 10",
         "slidectl record -e '/rrbot/.*/state' -O states.bag --detach",
-    ]
+    ],
 )
 @click.argument("topics", nargs=-1, metavar="[TOPIC]...", shell_complete=completion.topics)
 @click.option("-a", "--all", "every", is_flag=True, help="All topics, those too that come later.")
@@ -55,12 +68,14 @@ def _duration(_click: click.Context, _param: click.Parameter, value: str | None)
 @click.option("-O", "--output-name", "file", metavar="FILE", help="The file; its suffix says .bag or .mcap.")
 @click.option("--force", is_flag=True, help="Write over a file that is there.")
 @click.option("--duration", callback=_duration, metavar="T", help="End after so much simulated time: 30, 5m, 1h.")
-@click.option("--size", type=click.FloatRange(min=0, min_open=True), metavar="MB", help="End at this size, 10^6 bytes.")
+@click.option("--size", type=click.FloatRange(min=0, min_open=True), callback=finite, metavar="MB",
+              help="End at this size, 10^6 bytes.")  # fmt: skip
 @click.option("--split", is_flag=True, help="Go on in a new file where --duration or --size would end it.")
 @click.option("--max-splits", type=click.IntRange(min=1), metavar="N", help="Keep only the last N files.")
 @click.option("-l", "--limit", type=click.IntRange(min=1), metavar="N", help="At most N messages of each topic.")
 @click.option("--compression", metavar="KIND", default="none", help=".bag: bz2, lz4; .mcap: lz4, zstd (none).")
 @click.option("--repeat-latched", is_flag=True, help="Latched messages again in each file of a split.")
+@click.option("--progress", is_flag=True, help="Print each second how much has come.")
 @click.option("--detach", is_flag=True, help="Return when it records; it goes on in the background.")
 @click.option("--pid", "pid_file", metavar="FILE", help="Write the process id to FILE.")
 @click.pass_obj
@@ -74,17 +89,18 @@ def record(ctx: Context, /, topics: tuple[str, ...], **given: Any) -> None:
     second, which 'slidectl bag reindex' completes. With --detach the process id is printed; 'kill PID' ends it, and so
     does the daemon's end.
 
-    JSON keys: files, messages, topics, seconds (simulated), bytes, dropped.
+    JSON keys: files, messages, topics, seconds (simulated), bytes, dropped; of --progress: messages, topics, seconds.
     """
-    choice = _Choice(ctx, topics, given)
-    path = _path(given["file"])
+    choice, path = _chosen(topics, **given)
+    choice.resolve(ctx)
     from slidectl.cli.detached import Background, pid_file
     from slidectl.launch.supervision import Interrupted, Interrupts
     from slidectl.recording.split_files import SplitFiles
 
     background = None
+    client = ctx.client  # without a daemon no file is touched
     if given["detach"]:
-        ctx.client.close()
+        client.close()
         background = Background(ctx.paths, "recording")
         background.fork()
         ctx.close()
@@ -105,15 +121,6 @@ def record(ctx: Context, /, topics: tuple[str, ...], **given: Any) -> None:
             recorder.end()
 
 
-def _path(given: str | None) -> Path:
-    path = Path(given if given is not None else time.strftime("%Y-%m-%d-%H-%M-%S"))
-    return path if path.suffix else path.with_name(f"{path.name}.bag")
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"
-
-
 def _readable(path: Path) -> int:
     """How many messages a file has that was not completed."""
     from slidectl.recording.recording_files import opened
@@ -128,8 +135,8 @@ def _readable(path: Path) -> int:
 class _Choice:
     """Which topics are recorded."""
 
-    def __init__(self, ctx: Context, topics: tuple[str, ...], given: dict[str, Any]) -> None:
-        """Raises UsageError, and UnknownName for a short name that fits no topic."""
+    def __init__(self, topics: tuple[str, ...], given: dict[str, Any]) -> None:
+        """Raises UsageError."""
         if given["every"] == bool(topics):
             raise UsageError("give the topics, or -a for all", "slidectl topic list shows them")
         if given["split"] and not (given["duration"] or given["size"]):
@@ -138,8 +145,12 @@ class _Choice:
             raise UsageError("--max-splits goes with --split")
         self._exclude = None if given["exclude"] is None else _compiled(given["exclude"])
         self._patterns = [_compiled(text) for text in topics] if given["regex"] else []
-        self.named = [] if given["regex"] else [self._full(ctx, name) for name in topics]
+        self.named = [] if given["regex"] else list(topics)
         self._every = given["every"]
+
+    def resolve(self, ctx: Context) -> None:
+        """Make the names full. Raises UnknownName for a short one that fits no topic."""
+        self.named = [self._full(ctx, name) for name in self.named]
 
     @staticmethod
     def _full(ctx: Context, name: str) -> str:
@@ -171,6 +182,7 @@ class _Recorder:
         self._choice = choice
         self._out = out
         self._limit = given["limit"]
+        self._tells_progress = given["progress"]
         self._length_s = None if given["split"] else given["duration"]
         self._subscriptions: dict[str, Subscription] = {}
         self._codecs: dict[str, Codec] = {}
@@ -178,9 +190,10 @@ class _Recorder:
         self._topics_call: str | None = None
         self._failure: OSError | SlidectlError | None = None
         self._left_out: set[str] = set()
+        self._progress_at = 0.0
 
     def what(self) -> str:
-        return _count(len(self._subscriptions), "topic")
+        return output.count(len(self._subscriptions), "topic")
 
     def begin(self) -> None:
         """Returns when everything that is there is subscribed."""
@@ -242,8 +255,9 @@ class _Recorder:
             with self._status() as tell:
                 while not is_over() and not self._is_done():
                     look_at = client.monotonic() + _LOOK_EVERY_S
-                    while (left := look_at - client.monotonic()) > 0 and not is_over() and not self._is_done():
-                        next(client.events(left), None)
+                    for _ in client.events(_LOOK_EVERY_S):
+                        if is_over() or self._is_done() or client.monotonic() >= look_at:
+                            break
                     self._look_for_topics()
                     if client.monotonic() >= flush_at:
                         self._flush()
@@ -251,6 +265,9 @@ class _Recorder:
                     tell()
             if is_over():  # what was published up to now is on its way
                 client.call("/rosapi/get_time")
+        except KeyboardInterrupt:  # so the background of a scenario ends
+            client.call("/rosapi/get_time")
+            raise
         except NoDaemon:
             with suppress(NoDaemon):  # a daemon that ends has sent what was published
                 deque(client.events(0.0), maxlen=0)
@@ -281,7 +298,10 @@ class _Recorder:
 
     @contextmanager
     def _status(self) -> Iterator[Callable[[], None]]:
-        """A line on the terminal that says how far it is."""
+        """A line on the terminal that says how far it is, or one a second on stdout where that is wanted."""
+        if self._tells_progress:
+            yield self._progress
+            return
         if not output.is_terminal(sys.stderr) or self._ctx.quiet:
             yield lambda: None
             return
@@ -291,10 +311,22 @@ class _Recorder:
         with Console(stderr=True, highlight=False).status("", spinner="line") as status:
             yield lambda: status.update(Text(self._so_far()))
 
-    def _so_far(self) -> str:
+    def _progress(self) -> None:
+        now = self._ctx.client.monotonic()
+        if now >= self._progress_at:
+            self._progress_at = now + _PROGRESS_EVERY_S
+            counts = self._out.counts
+            record = {"messages": counts.total(), "topics": len(counts), "seconds": self._seconds()}
+            self._ctx.done(record, self._so_far())
+
+    def _seconds(self) -> float:
         out = self._out
-        seconds = 0.0 if out.first_ns is None else (out.last_ns - out.first_ns) / 1e9
-        return f"{_count(out.counts.total(), 'message')} of {_count(len(out.counts), 'topic')}, {seconds:.3f} s"
+        return 0.0 if out.first_ns is None else (out.last_ns - out.first_ns) / 1e9
+
+    def _so_far(self) -> str:
+        out, seconds = self._out, self._seconds()
+        messages, topics = output.count(out.counts.total(), "message"), output.count(len(out.counts), "topic")
+        return f"{messages} of {topics}, {seconds:.3f} s"
 
     def end(self) -> None:
         """Complete the file and say what is in it.
@@ -308,22 +340,20 @@ class _Recorder:
             out.close()
         except OSError as error:
             self._failure = self._failure or error
-        size = out.bytes
-        names = ", ".join(map(str, out.files))
-        seconds = 0.0 if out.first_ns is None else (out.last_ns - out.first_ns) / 1e9
-        record = {
-            "files": [str(path) for path in out.files], "messages": out.counts.total(), "topics": len(out.counts),
-            "seconds": seconds, "bytes": size, "dropped": dropped,
-        }  # fmt: skip
-        self._ctx.done(record, f"{names}: {self._so_far()}, {output.megabytes(size)}")
-        if isinstance(self._failure, SlidectlError):
-            raise self._failure
-        if self._failure is not None:
-            kept = _readable(out.path)
+        if isinstance(self._failure, OSError):
+            kept, why = _readable(out.path), self._failure.strerror or self._failure
             raise Refused(
-                f"cannot write {out.path}: {self._failure.strerror or self._failure}; "
-                f"{kept} of its messages are in it and can be read",
+                f"cannot write {out.path}: {why}; of the {self._so_far()} that came, {kept} messages can be read in it",
                 f"complete it with: slidectl bag reindex {out.path}" if kept else None,
             )
+        size = out.bytes
+        names = ", ".join(map(str, out.files))
+        record = {
+            "files": [str(path) for path in out.files], "messages": out.counts.total(), "topics": len(out.counts),
+            "seconds": self._seconds(), "bytes": size, "dropped": dropped,
+        }  # fmt: skip
+        self._ctx.done(record, f"{names}: {self._so_far()}, {output.megabytes(size)}")
+        if self._failure is not None:
+            raise self._failure
         if dropped:
             raise Refused(f"{dropped} messages were lost: they came faster than they could be written")

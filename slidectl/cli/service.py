@@ -11,12 +11,12 @@ from slidectl import names
 from slidectl.cli import completion, output
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
-from slidectl.cli.forms import YamlForm
 from slidectl.cli.pub import now, template_of
-from slidectl.cli.topic_streams import Typedefs, from_typedefs
-from slidectl.cli.values import check_quotes, documents_on_stdin, read
 from slidectl.errors import Refused, UsageError
 from slidectl.msgs.fill import field_paths, fields_from, fill
+from slidectl.msgs.forms import YamlForm
+from slidectl.msgs.schema import Typedefs, from_typedefs
+from slidectl.values import check_quotes, documents_on_stdin, read
 
 CALL_TIMEOUT_S = 60.0
 
@@ -129,8 +129,9 @@ def call(ctx: Context, name: str, given: tuple[str, ...], stdin: bool) -> None:
     """Call a service and print its response.
 
     VALUE is YAML: one mapping of fields ('{}' for the defaults), or one value for each field. Exits 1 when the call
-    fails, or when the response has a field 'ok' or 'success' that is false; the reasons go to stderr. It
-    waits for a minute at most, or for --timeout. With --json it prints the response as one object.
+    fails, or when the response has a field 'ok' or 'success' that is false, or a result of simulation_interfaces
+    that is not RESULT_OK; the reasons go to stderr. It waits for a minute at most, or for --timeout. With --json it
+    prints the response as one object.
     """
     found = ctx.resolve("service", name)
     full, parts = found["name"], found["typedefs"]
@@ -166,11 +167,15 @@ def _requests(given: Sequence[str], stdin: bool) -> Iterator[Sequence[Any]]:
 
 # --- what rosservice shares -----------------------------------------------------------------------------------------
 
+_RESULT_OK = 1
+"""Of simulation_interfaces/Result."""
+
 
 class Answer(NamedTuple):
     """What came of a call.
 
-    `refusal`: when the response says no (a false `ok` or `success`) the lines that say so, with the reasons.
+    `refusal`: when the response says no (a false `ok` or `success`, or a result) the lines that say so, with the
+    reasons.
     `reasons`: the warnings and errors of the call.
     """
 
@@ -183,13 +188,17 @@ def call_service(ctx: Context, full: str, request: dict[str, Any]) -> Answer:
     """Call it. Raises as Client.call; TimedOut after a minute."""
     response = ctx.call(full, request, ctx.wait_limit(CALL_TIMEOUT_S))
     given = ctx.client.reasons
-    verdict = next((field for field in ("ok", "success") if response.get(field) is False), None)
+    verdict = next((f"{field}: false" for field in ("ok", "success") if response.get(field) is False), None)
+    texts = [response.get(field) for field in ("message", "status_message")]
+    result = response.get("result")
+    if isinstance(result, dict) and result.keys() == {"result", "error_message"} and result["result"] != _RESULT_OK:
+        verdict, texts = f"result {result['result']}", [result["error_message"]]
     if verdict is None:
         return Answer(response, [], given)
-    reasons = [str(response[field]) for field in ("message", "status_message") if response.get(field)]
+    reasons = [str(text) for text in texts if text]
     reasons += [reason for reason in given if reason not in reasons][-2:]
     lines = [f"  {line}" for reason in reasons for line in reason.splitlines()]
-    return Answer(response, [f"{full} answered {verdict}: false", *lines], given)
+    return Answer(response, [f"{full} answered {verdict}", *lines], given)
 
 
 def ask_each(ctx: Context, question: str, services: Iterable[str], key: str) -> dict[str, str]:

@@ -19,8 +19,9 @@ from slidectl.cli import completion, output
 from slidectl.cli.commands import command
 from slidectl.cli.context import Context
 from slidectl.cli.main import guard, invoke, root
-from slidectl.cli.values import bounded
 from slidectl.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_NO_DAEMON, BadFile, UsageError
+from slidectl.paths import with_package
+from slidectl.values import bounded
 
 _LEAVE = ("exit", "quit")
 _DAEMON_CHANGES = frozenset(("daemon", "launch"))
@@ -76,6 +77,8 @@ def _run_line(context: Context, line: str) -> int:
         words.extend(_words(line))
         if words[:1] == ["shell"]:
             raise UsageError("a shell within a shell", "run its lines here")
+        if "--detach" in words:
+            raise click.exceptions.Exit(_run_apart(context, words))
         if words:
             invoke(words, own)
 
@@ -86,6 +89,24 @@ def _run_line(context: Context, line: str) -> int:
     if code in (EXIT_NO_DAEMON, EXIT_INTERRUPTED) or not _DAEMON_CHANGES.isdisjoint(words):
         context.close()  # the daemon is gone, or the connection may be in the middle of something
     return code
+
+
+def _run_apart(context: Context, words: list[str]) -> int:
+    """Run a line in a process of its own, which may fork and leave as the shell may not; its exit code."""
+    import subprocess
+
+    said = {
+        "--instance": context.instance, "--socket": context.socket, "--ns": context.namespace,
+        "--output": context.format, "--timeout": context.timeout,
+    }  # fmt: skip
+    options = [word for name, value in said.items() if value is not None for word in (name, str(value))]
+    options += ["--quiet"] * context.quiet + ["--verbose"] * context.verbose
+    stdin = None if sys.stdin is sys.__stdin__ else subprocess.DEVNULL
+    argv = [sys.executable, "-P", "-m", "slidectl", *options, *words]
+    with subprocess.Popen(argv, stdin=stdin, env=with_package(os.environ)) as process:
+        while True:
+            with suppress(KeyboardInterrupt):  # the process gets it too, and says what comes of it
+                return process.wait()
 
 
 def _run_script(context: Context, file: str | None, keep_going: bool) -> int:

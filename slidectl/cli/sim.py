@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import re
 from contextlib import suppress
 from typing import Any
@@ -17,6 +16,7 @@ from slidectl.errors import Refused, TimedOut, UsageError
 
 _STEPS = r"\d+"
 _SECONDS = r"(?i)(?P<number>\d+\.?\d*|\.\d+)(e[-+]?\d+)?\s*(?P<unit>s|ms)"
+_FORK_LIMIT_S = 60.0
 
 
 @group(examples=["slidectl sim status", "slidectl sim step 0.5s", "slidectl sim reset --time"])
@@ -46,6 +46,7 @@ def status_text(answer: dict[str, Any]) -> str:
     lines = {
         "time": f"{answer['time']:.3f} s, cycle {answer['cycles']} of {1000 * answer['timestep']:g} ms",
         "state": "running" if not answer["paused"] else f"paused: {trouble}" if trouble else "paused",
+        **({"held by": " ".join(answer["holders"])} if answer.get("holders") else {}),
         **({"lock-step": f"with {' '.join(answer['lockstep'])}"} if answer.get("lockstep") else {}),
         "speed": f"{speed_text(answer['speed'])} asked, {answer['speed_reached'] or 0:.3g} reached",
         "engine": answer["engine"],
@@ -123,8 +124,18 @@ def parse_speed(text: str) -> float:
     return value
 
 
+def _steps(amount: str | None, until: str | None) -> dict[str, Any]:
+    """The request of /slidectl/step. Raises UsageError."""
+    if until is None:
+        return parse_amount(amount or "1")
+    if amount is not None:
+        raise UsageError(f"give an amount ({amount}) or --until, not both")
+    return {"until": _time(until)}
+
+
 @sim.command(
     "step",
+    check_words=_steps,
     examples=["slidectl sim step", "slidectl sim step 100", "slidectl sim step 0.5s", "slidectl sim step --until 12.5"],
 )
 @click.argument("amount", required=False, metavar="[N|SECONDSs]")
@@ -137,13 +148,10 @@ def step(ctx: Context, amount: str | None, until: str | None) -> None:
     Pauses the world first if it runs. Without --timeout it waits a minute longer than the steps take at a tenth of
     real time.
     """
-    if until is not None:
-        if amount is not None:
-            raise UsageError(f"give an amount ({amount}) or --until, not both")
-        request = {"until": _time(until)}
+    request = _steps(amount, until)
+    if "until" in request:
         seconds = max(0.0, request["until"] - ctx.call("/slidectl/status")["time"])
     else:
-        request = parse_amount(amount or "1")
         seconds = request["seconds"] or request["cycles"] * 1e-3
     limit = ctx.wait_limit(wait_for_world_s(seconds))
     try:
@@ -201,7 +209,7 @@ _FILE: dict[str, Any] = {"metavar": "FILE", "shell_complete": completion.files}
 def save(ctx: Context, name: str, file: str | None) -> None:
     """Keep the whole state of the world under a name, until the daemon stops.
 
-    One that had the name goes. JSON keys: name, time, file (null without --to).
+    One that had the name is replaced. JSON keys: name, time, file (null without --to).
     """
     time = ctx.client.save(name, file)
     ctx.done(
@@ -251,31 +259,11 @@ def fork(ctx: Context, name: str, other: str) -> None:
     It has the options and the speed of this one, and is paused where this one is. Which daemon is forked is said in
     front: 'slidectl -i first sim fork NAME -i other'. JSON keys: instance, pid, socket, time.
     """
-    from tempfile import TemporaryDirectory
-
     from slidectl import paths
-    from slidectl.client import Client
     from slidectl.daemon import lifecycle
-    from slidectl.daemon.options import DaemonOptions
 
-    place, source = paths.instance(other), ctx.call("/slidectl/status")
-    options = lifecycle.options_of(ctx.client.daemon_pid) or DaemonOptions()
-    options = options.of_another(rtf=source["speed"] or math.inf, paused=True, child=False)
-    with TemporaryDirectory() as folder:
-        file = os.path.join(folder, "snapshot")
-        ctx.call("/slidectl/export_snapshot", {"name": name, "file": file})
-        pid, already = lifecycle.start(place, options, ctx.wait_limit(30.0))
-        if already:
-            hint = f"load it there: slidectl sim save {name} --to FILE; slidectl -i {other} sim load --from FILE"
-            raise Refused(f"a daemon {other} runs already, as process {pid}", hint)
-        try:
-            with Client(socket=place.socket_text, timeout=ctx.wait_limit(60.0)) as client:
-                time = client.load(file=file)
-                if not source["paused"]:
-                    client.call("/gazebo/unpause_physics")
-        except BaseException:
-            lifecycle.stop(place)
-            raise
+    place = paths.instance(other)
+    pid, time = lifecycle.fork(ctx.client, name, place, ctx.wait_limit(_FORK_LIMIT_S))
     record = {"instance": other, "pid": pid, "socket": place.socket_text, "time": time}
     ctx.done(record, f"daemon {other}: started, process {pid}, from {name} at {time:.3f} s")
 

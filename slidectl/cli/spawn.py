@@ -29,7 +29,21 @@ if TYPE_CHECKING:
     from slidectl.description.sdf import Scene
 
 
+def _check_words(
+    model: str, arguments: tuple[str, ...], packages: tuple[str, ...], joints: tuple[str, ...], **_: Any
+) -> None:
+    """Raises SlidectlError for words that are wrong, and for a model that is not there."""
+    from slidectl.description import models, sdf
+
+    _positions(joints)
+    places = package_lookup(packages)
+    source, _given = in_package(model, arguments, places)
+    if source != "-":
+        models.read_file(sdf.find(source, places) if spawning.is_scene(source) else models.find(source))
+
+
 @command(
+    check_words=_check_words,
     examples=[
         "slidectl spawn slider --controllers config/slider_control.yaml",
         "slidectl spawn slider -n left --at 0 1 0 --controllers config/slider_control.yaml"
@@ -39,7 +53,7 @@ if TYPE_CHECKING:
         "slidectl spawn rrbot_description rrbot.xacro",
         "slidectl spawn house.world --at 2 0 0",
         "slidectl spawn model://table -n desk",
-    ]
+    ],
 )
 @click.argument("model", shell_complete=completion.models)
 @click.argument("arguments", nargs=-1, metavar="[FILE] [KEY:=VALUE]...")
@@ -90,7 +104,6 @@ def spawn(
     """
     if name is not None:
         names.check_robot(name)
-    from slidectl.description import source_note
     from slidectl.description.missing import Missing
 
     missing = Missing("all" if keep_going else "nothing")
@@ -102,14 +115,7 @@ def spawn(
         _spawn_scene(ctx, spawning.scene(source, places, missing), name, at, fixed, strict)
         _tell_left_out(ctx, missing)
         return
-    text, title = source, None
-    if source == "-":  # it may be a parameter's, as `slidectl param get` prints it: the daemon knows its sources
-        text, title = standard_input(), "<stdin>"
-        note = ctx.call("/slidectl/sources", {"digest": source_note.digest(text)})["note"]
-        text = source_note.join(text, note)
-    document = spawning.document(text, given, name, places, missing, title)
-    tell_own_packages(ctx, places)
-    missing.refuse()
+    document = _document(ctx, source, given, name, places, missing)
     xml = spawning.with_transmissions(document, transmissions, _rooted(document.xml, document.file, fixed))
     pose = spawning.pose(at, "--at")
     wanted, namespace = spawning.identity(xml, document, name, strict, positions)
@@ -128,12 +134,7 @@ def spawn(
     for warning in warnings:
         ctx.warn(warning)
     try:
-        if keep_going:
-            there = _bring_up_each(manager, there, missing)
-        else:
-            manager.loaded(loads)
-            if there:
-                manager.start(there)
+        there = _bring_up(manager, there, loads, missing)
     except Refused:
         _tell(ctx, wanted)
         raise
@@ -207,6 +208,23 @@ def pairs(words: Sequence[str], sign: str, command: str = "spawn") -> dict[str, 
             hint = f"slidectl {command} --help shows the order of arguments"
             raise UsageError(f"{word!r} is not KEY{sign}VALUE", hint)
     return {key: value for key, _, value in (word.partition(sign) for word in words)}
+
+
+def _document(
+    ctx: Context, source: str, given: dict[str, str], name: str | None, places: Packages, missing: Missing
+) -> Document:
+    """The robot in a file or on standard input, with all that its file names. Raises BadFile, NotThere."""
+    from slidectl.description import source_note
+
+    text, title = source, None
+    if source == "-":  # it may be a parameter's, as `slidectl param get` prints it: the daemon knows its sources
+        text, title = standard_input(), "<stdin>"
+        note = ctx.call("/slidectl/sources", {"digest": source_note.digest(text)})["note"]
+        text = source_note.join(text, note)
+    document = spawning.document(text, given, name, places, missing, title)
+    tell_own_packages(ctx, places)
+    missing.refuse()
+    return document
 
 
 def _positions(words: Sequence[str]) -> dict[str, float]:
@@ -334,8 +352,16 @@ def _configured(manager: Manager, start: Sequence[str], missing: Missing) -> lis
     return [name for name in start if name in known]
 
 
-def _bring_up_each(manager: Manager, names: Sequence[str], missing: Missing) -> list[str]:
-    """Load and start one after the other, and leave out those that cannot be; the names of the others."""
+def _bring_up(manager: Manager, names: list[str], loads: dict[str, str], missing: Missing) -> list[str]:
+    """Start the controllers whose `loads` are under way, or each that can be where the others are left out.
+
+    Returns their names.
+    """
+    if not missing.keeps_going:
+        manager.loaded(loads)
+        if names:
+            manager.start(names)
+        return names
     there = []
     for name in names:
         try:

@@ -6,31 +6,48 @@ import io
 import os
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import redirect_stdout
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from slidectl.cli.commands import Variadic, common_options
+from slidectl.cli.commands import Command, Variadic, common_options
 from slidectl.cli.context import Context
 from slidectl.cli.main import COMMANDS, described, invoke, load, root
-from slidectl.errors import EXIT_DONE, EXIT_INTERRUPTED, BadFile, UnknownName, UsageError
-from slidectl.scenarios.step_commands import StepArgument, StepCommand, StepOption, StepOutcome
+from slidectl.errors import EXIT_DONE, EXIT_INTERRUPTED, SlidectlError, UsageError
+from slidectl.scenarios.step_commands import CheckedWords, StepArgument, StepCommand, StepOption, StepOutcome
 
 if TYPE_CHECKING:
     from slidectl.client import Client
 
-_NO_STEPS = ("daemon", "shell", "test", "ros-commands", "completion", "version", "doctor", "launch")
-"""Commands about other things than the world of a scenario, which is there already."""
+_NO_STEPS = (
+    "daemon",
+    "shell",
+    "test",
+    "ros-commands",
+    "completion",
+    "version",
+    "doctor",
+    "gui",
+    "teleop",
+    "top",
+    "view",
+)
+"""Commands about other things than the world of a scenario, which is there already, or for a terminal."""
+_BRING_OTHERS = ("param", "controller config", "service call", "launch", "ros", "sim load")
+"""Commands, and groups, after which there may be controllers, or parameters of some, that no file of a spawn has."""
 _NO_ROS_STEPS = ("roscore", "roslaunch", "rosrun")
 _PLACE = re.compile(r"\[?([A-Z]+)\]?(\.\.\.)?\Z")
 _KEPT_OUTPUT = 20_000
 
 
 class StepRunner:
-    """`scenarios.step_commands.Commands` by click."""
+    """`scenarios.step_commands.Commands` by click. `live`: for worlds that have a daemon, which programs can reach."""
+
+    def __init__(self, live: bool = False) -> None:
+        self._live = live
 
     @cached_property
     def known(self) -> dict[str, StepCommand]:
@@ -41,12 +58,12 @@ class StepRunner:
                 found |= {shape.name: shape for shape in _shapes(name, load(name, entry))}
         return found
 
-    def check(self, words: Sequence[str]) -> None:
-        """Raises SlidectlError for words that click would not take, and for files of controllers that are wrong."""
+    def check(self, words: Sequence[str]) -> CheckedWords:
+        """Raises SlidectlError for words that click would not take or no step has, and for wrong files of launches."""
         context = Context()
         try:
             with redirect_stdout(io.StringIO()):
-                leaf, values = _parsed(words, context)
+                leaf, command, values = _parsed(words, context)
         except click.exceptions.Exit:
             raise UsageError(f"{words[-1]!r} prints something and does nothing", "leave it out") from None
         except click.ClickException as error:
@@ -56,14 +73,40 @@ class StepRunner:
             raise UsageError("a step acts in the world of its scenario", "leave out --instance and --socket")
         if values.get("detach"):
             raise UsageError("--detach leaves a process behind", "to go on meanwhile: background: true")
+        if leaf == "sim fork" or values.get("keep"):
+            what = "--keep" if values.get("keep") else leaf
+            raise UsageError(f"{what} leaves a daemon behind", "a scenario has a world of its own")
         if leaf == "ros" and words[1] in _NO_ROS_STEPS:
             raise UsageError(f"{words[1]} brings up a world, and a scenario has its own", "spawn what is needed")
-        if leaf == "spawn":
-            _check_spawn(values)
+        if leaf == "launch":
+            return _check_launch(values, self._live)
+        refusal = None
+        if isinstance(command, Command) and command.check_words is not None:
+            try:
+                command.check_words(**values)
+            except SlidectlError as error:
+                refusal = error
+        spawns = leaf == "spawn"
+        file = values["controllers"] if spawns else None
+        others = values["keep_going"] if spawns else leaf == "controller load" and values["source"] is not None
+        return CheckedWords(
+            controllers=file or "",
+            named=tuple(values["start"]) if spawns else _named(leaf, values),
+            brings_others=self._live  # it may have them already
+            or others
+            or leaf.startswith(_BRING_OTHERS),
+            model=values["model"] if spawns else "",
+            refusal=refusal,
+        )
 
-    def run(self, words: Sequence[str], client: Client) -> StepOutcome:
+    def stays(self, words: Sequence[str]) -> bool:
+        """Of all commands only a launch does."""
+        return words[0] == "launch"
+
+    def run(self, words: Sequence[str], client: Client, up: Callable[[], None] = lambda: None) -> StepOutcome:
         """Run a command line with the connection; results are records as JSON, unless the words say otherwise."""
         shell = Context()
+        shell.up = up
         shell._client = client
         shell.format = "json"
         own = Context(shell)
@@ -90,6 +133,14 @@ class StepRunner:
         return StepOutcome(code, f"exit code {code}: {output.strip()}" if code else "", "", output)
 
 
+def _named(leaf: str, values: Mapping[str, Any]) -> tuple[str, ...]:
+    """The controllers that a manager must know, without their namespaces."""
+    if not leaf.startswith("controller ") or values.get("wait") or not values.get("strict", True):
+        return ()
+    full = [name for key in ("names", "to_start", "to_stop") for name in values.get(key) or ()]
+    return tuple(name.rpartition("/")[2] for name in full)
+
+
 def _written() -> int:
     """How much has been printed, where that goes into a file, as it does in a worker of scenarios."""
     try:
@@ -105,8 +156,8 @@ def _output_since(begin: int) -> str:
         return ""
 
 
-def _parsed(words: Sequence[str], context: Context) -> tuple[str, dict[str, object]]:
-    """The name of the command that the words mean, and its parameters. Raises what click raises."""
+def _parsed(words: Sequence[str], context: Context) -> tuple[str, click.Command, dict[str, Any]]:
+    """The command that the words mean, its name before it, and its parameters. Raises what click raises."""
     command: click.Command = root
     above, rest, names = click.Context(root, info_name="slidectl", obj=context), list(words), ""
     while isinstance(command, click.Group):
@@ -117,7 +168,7 @@ def _parsed(words: Sequence[str], context: Context) -> tuple[str, dict[str, obje
         command, names = found, f"{names} {name}".strip()
         if isinstance(command, click.Group):
             above = click.Context(command, info_name=name, parent=above)
-    return names, command.make_context(names.split()[-1], rest, parent=above).params
+    return names, command, command.make_context(names.split()[-1], rest, parent=above).params
 
 
 def _shapes(name: str, command: click.Command) -> Iterator[StepCommand]:
@@ -161,27 +212,20 @@ def _option(param: click.Option) -> StepOption:
     )  # fmt: skip
 
 
-def _check_spawn(values: dict[str, object]) -> None:
-    """The model and the controllers, as far as they can be judged without a world. Raises SlidectlError."""
-    from slidectl.check import controllers
-    from slidectl.check.findings import Findings
-    from slidectl.client import spawning
+def _check_launch(values: Mapping[str, Any], live: bool) -> CheckedWords:
+    """Raises SlidectlError: nodes are programs, which need a daemon, and there is none."""
+    from slidectl.cli.launch import load_plan
+    from slidectl.launch import execution, node_kinds
+    from slidectl.launch.nodes.programs import Process
 
-    file = values.get("controllers")
-    if not isinstance(file, str):
-        return
-    findings = Findings()
-    path = spawning.find(file)
-    controllers.check(path, None, findings)
-    for broken in findings.broken:
-        raise broken
-    for notice in findings.sorted(("wrong",)):
-        raise BadFile(f"{notice.subject}: {notice.text}", notice.file, notice.line)
-    from slidectl.description import controllers_file
-
-    tree = controllers_file.read(path)
-    known = {name for inner in [tree, *tree.values()] if isinstance(inner, dict) for name in inner}
-    wanted = values.get("start")
-    for name in wanted if isinstance(wanted, tuple) else ():
-        if name.rpartition("/")[2] not in known and name not in known:
-            raise UnknownName("controller", name, sorted(known), f"in {file}")
+    try:
+        plan, lookup, _ = load_plan(values["words"], values["packages"], values)
+        tasks = node_kinds.tasks(plan, lookup, gather=True)
+        execution.look_ahead(plan, tasks, lookup, run_commands=False)
+    except SlidectlError as refusal:
+        return CheckedWords(brings_others=True, refusal=refusal)
+    programs = [task for task in tasks if isinstance(task, Process)]
+    if programs and not live:
+        text = f"{programs[0].node.kind} is a program of its own, which needs a daemon"
+        raise programs[0].error(text, "slidectl test --daemon runs the scenario in a daemon")
+    return CheckedWords(starts_programs=bool(programs), brings_others=True)

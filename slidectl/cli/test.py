@@ -5,12 +5,14 @@ Reading, checking and running them is slidectl.scenarios'.
 
 from __future__ import annotations
 
+import ast
 import os
 import re
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -18,18 +20,23 @@ import click
 from slidectl.cli import completion, output
 from slidectl.cli.commands import command, positive_seconds, simulated_seconds
 from slidectl.cli.context import Context
-from slidectl.errors import EXIT_INTERRUPTED, EXIT_REFUSED, BadFile, UsageError
+from slidectl.errors import EXIT_INTERRUPTED, EXIT_REFUSED, BadFile, UsageError, listing
+from slidectl.expressions import evaluate, parsed
 from slidectl.writing import write_whole
 
 if TYPE_CHECKING:
     from slidectl.scenarios.case_run import CaseResult
     from slidectl.scenarios.scenario_file import Case
+    from slidectl.scenarios.stages import CaseRuns, StageMaker
     from slidectl.scenarios.step_commands import Commands
 
 TIMEOUT_S = 60.0
 SIM_TIMEOUT_S = 600.0
 _COLOURS = {"passed": "green", "xfailed": "yellow", "failed": "red", "error": "red", "xpassed": "red"}
 _WORDS = re.compile(r"\(|\)|[^\s()]+")
+_MOST_WORDS = 100
+_OPERATORS = ("and", "or", "not", "(", ")")
+_ALLOWED = (ast.BoolOp, ast.UnaryOp, ast.Name, ast.boolop, ast.Not, ast.expr_context)
 
 
 @command(
@@ -43,8 +50,9 @@ _WORDS = re.compile(r"\(|\)|[^\s()]+")
 )
 @click.argument("paths", nargs=-1, metavar="FILE|FOLDER|FILE::CASE...", shell_complete=completion.files)
 @click.option(
-    "-n", "--workers", type=click.IntRange(min=1), metavar="N", help="So many at a time; by default one a core."
-)
+    "-n", "--workers", type=click.IntRange(min=1), metavar="N",
+    help="How many cases run at the same time (default: one per core).",
+)  # fmt: skip
 @click.option("-k", "--keyword", metavar="EXPR", help="Only cases that have this in their names; and, or, not, ( ).")
 @click.option("--tag", "tags", multiple=True, metavar="TAG", help="Only cases with this tag; may repeat.")
 @click.option("--maxfail", type=click.IntRange(min=1), metavar="N", help="Stop after so many failures.")
@@ -61,7 +69,11 @@ _WORDS = re.compile(r"\(|\)|[^\s()]+")
 @click.option(
     "--junitxml", metavar="FILE", shell_complete=completion.files, help="Write the results as JUnit XML, too."
 )
-@click.option("--keep-failed", metavar="FOLDER", help="Keep a recording of each case that fails, in this folder.")
+@click.option(
+    "--keep-failed", metavar="FOLDER", help="Keep a recording and a journal of each case that fails, in this folder."
+)
+@click.option("--baseline", metavar="FOLDER", help="Compare each case that passes with an earlier run, kept there.")
+@click.option("--update-baseline", is_flag=True, help="Make the runs the baselines where these differ or are missing.")
 @click.option("--daemon", "live", is_flag=True, help="Run in the daemon of -i, which holds no robots, one at a time.")
 @click.option("--schema", is_flag=True, help="Print the JSON schema of scenarios.")
 @click.pass_context
@@ -78,21 +90,23 @@ def test(
     only_check: bool,
     junitxml: str | None,
     keep_failed: str | None,
+    baseline: str | None,
+    update_baseline: bool,
     live: bool,
     schema: bool,
 ) -> None:
-    """Run scenarios: files of steps, held to what they say.
+    """Run scenarios: files of steps that a robot must pass.
 
     Each case runs in a process and a world of its own, without a daemon, as fast as the machine can, and gives the same
     bits on every run. All files are checked before anything runs. A folder means all .yaml and .yml files below it.
     Exits 0 when all passed or failed as known (xfail), 1 when something failed, and 2 when a file is wrong or nothing
     was chosen. Ctrl-C ends what runs, with its teardown, and reports what ran (130). JSON keys: id, verdict, sim_time,
-    wall_time, steps, step, section, line, message, hint, detail, failed_at, log, kept.
+    wall_time, steps, step, section, line, message, hint, detail, failed_at, log, kept, baseline, was_ended.
     """
     ctx: Context = click_context.obj
     from slidectl.cli.step_runner import StepRunner
 
-    commands = StepRunner()
+    commands = StepRunner(live)
     if schema:
         from slidectl.scenarios.scenario_schema import FILE
 
@@ -100,30 +114,38 @@ def test(
         return
     if not paths:
         raise UsageError("which scenarios?", "slidectl test FILE or FOLDER")
-    cases = _chosen(_read(ctx, paths, commands), keyword, tags)
+    if update_baseline and baseline is None:
+        raise UsageError("--update-baseline needs the folder", "--baseline FOLDER")
+    read, known = _read(ctx, paths, commands)
+    cases = _chosen(read, keyword, tags)
     if only_check:
-        ctx.say(f"{_count(len(cases), 'case')} checked, nothing wrong")
+        ctx.say(f"{output.count(len(cases), 'case')} checked, nothing wrong")
         return
     if not cases:
         raise UsageError("no case is left", "see which there are: slidectl test --list " + " ".join(paths))
     if only_list:
-        rows = [
-            {"id": case.id, "tags": list(case.tags), "xfail": case.xfail, "steps": len(case.steps)} for case in cases
-        ]
-        if ctx.format == "text":
-            output.write("\n".join(case.id for case in cases))
-        else:
-            ctx.emit_rows(rows, ["id", "tags", "xfail", "steps"])
+        _list(ctx, cases)
         return
-    results, interrupted = _run(ctx, cases, commands, workers, timeout, sim_timeout, maxfail, keep_failed, live)
-    if junitxml is not None:
-        from slidectl.scenarios.junit import junit
+    from slidectl.scenarios import stages
+    from slidectl.scenarios.baselines import Baselines
 
-        try:
-            write_whole(junitxml, junit(cases, results).decode())
-        except OSError as error:
-            raise BadFile(f"cannot be written: {error.strerror or error}", junitxml) from None
+    baselines = None if baseline is None else Baselines(baseline, update_baseline)
+    stage = _stage(ctx, live)
+    if keep_failed is not None:
+        with _written(keep_failed):
+            os.makedirs(keep_failed, exist_ok=True)
+    if junitxml is not None and not (Path(junitxml).is_fifo() or Path(junitxml).is_char_device()):
+        _write_junit(junitxml, cases, [])  # a path that cannot be written is told of before anything runs
+    runner = stages.CaseRuns(commands, stage, sim_timeout, keep_failed, baselines)
+    count = 1 if live else workers or len(os.sched_getaffinity(0))
+    results, interrupted = _run(ctx, cases, lambda: stage.warm(cases, commands), runner, count, timeout, maxfail)
+    if baselines is not None and not interrupted:
+        for case, result in baselines.without_case(known):
+            cases.append(case)
+            results.append(result)
     failed = _tell(ctx, cases, results)
+    if junitxml is not None:
+        _write_junit(junitxml, cases, results)
     if interrupted:
         click_context.exit(EXIT_INTERRUPTED)
     if failed:
@@ -133,28 +155,29 @@ def test(
 # --- which ----------------------------------------------------------------------------------------------------------
 
 
-def _read(ctx: Context, paths: Sequence[str], commands: Commands) -> list[Case]:
-    """The cases of all files. Raises BadFile with all that is wrong."""
+def _read(ctx: Context, paths: Sequence[str], commands: Commands) -> tuple[list[Case], list[Case]]:
+    """The cases that are named, and all of their files. Raises BadFile with all that is wrong."""
     from slidectl.scenarios import scenario_file
 
     slips: list[BadFile] = []
     cases: list[Case] = []
+    known: list[Case] = []
     for file, wanted in scenario_file.find(paths):
         found = scenario_file.read(file, commands, slips)
+        known += found
         mine = [case for case in found if not wanted or case.name == wanted]
         if found and not mine:
-            known = ", ".join(case.name for case in found)
-            slips.append(BadFile(f"has no case {wanted!r}", file, hint=f"cases: {known}"))
+            there = listing(case.name for case in found if case.name)
+            slips.append(BadFile(f"has no case {wanted!r}", file, hint=f"cases: {there}"))
         cases += [case for case in mine if case not in cases]
     if not slips:
-        return cases
+        return cases, known
     if ctx.format == "json":
         for slip in slips:
             ctx.emit({"file": slip.file, "line": slip.line, "error": slip.reason, "hint": slip.hint})
     more = "\n".join(map(str, slips[1:]))
     hint = "\n".join(filter(None, [slips[0].hint, more]))
-    error = BadFile(slips[0].reason, slips[0].file, slips[0].line, hint or None)
-    raise error
+    raise BadFile(slips[0].reason, slips[0].file, slips[0].line, hint or None)
 
 
 def _chosen(cases: Sequence[Case], keyword: str | None, tags: Sequence[str]) -> list[Case]:
@@ -162,70 +185,75 @@ def _chosen(cases: Sequence[Case], keyword: str | None, tags: Sequence[str]) -> 
     known = {tag for case in cases for tag in case.tags}
     for tag in tags:
         if tag not in known:
-            from slidectl.errors import UnknownName
-
-            raise UnknownName("tag", tag, sorted(known))
+            raise UsageError(f"no case has the tag {tag!r}", f"tags: {', '.join(sorted(known)) or 'none'}")
     return [case for case in cases if fits(case) and (not tags or set(tags) & set(case.tags))]
+
+
+def _list(ctx: Context, cases: Sequence[Case]) -> None:
+    if ctx.format == "text":
+        output.write("\n".join(case.id for case in cases))
+        return
+    rows = [{"id": case.id, "tags": list(case.tags), "xfail": case.xfail, "steps": len(case.steps)} for case in cases]
+    ctx.emit_rows(rows, ["id", "tags", "xfail", "steps"])
 
 
 def _keyword(text: str) -> Callable[[Case], bool]:
     """The test of `-k`: words that a case's id, name or tags hold, with and, or, not. Raises UsageError."""
-    words = _WORDS.findall(text)
+    words = {f"word{index}": word for index, word in enumerate(_WORDS.findall(text))}
+    tree = None
+    with suppress(SyntaxError):
+        tree = parsed(" ".join(word if word in _OPERATORS else name for name, word in words.items()))
+    if tree is None or len(words) > _MOST_WORDS or not all(isinstance(node, _ALLOWED) for node in ast.walk(tree)):
+        raise UsageError(f"-k takes words with and, or, not and ( ), not {text!r}")
 
     def fits(case: Case) -> bool:
         name = " ".join([case.id, case.scenario, *case.tags]).lower()
-        kept = ("and", "or", "not", "(", ")")
-        return bool(eval(" ".join(word if word in kept else str(word.lower() in name) for word in words)))
+        return bool(evaluate(tree, {variable: word.lower() in name for variable, word in words.items()}))
 
-    try:
-        compile(" ".join(word if word in ("and", "or", "not", "(", ")") else "x" for word in words), "-k", "eval")
-    except SyntaxError:
-        raise UsageError(f"-k takes words with and, or, not and ( ), not {text!r}") from None
     return fits
 
 
 # --- running --------------------------------------------------------------------------------------------------------
 
 
+def _stage(ctx: Context, live: bool) -> StageMaker:
+    from slidectl.scenarios import live as daemon_stage
+    from slidectl.scenarios import stages
+
+    ctx.close()
+    return daemon_stage.Live(ctx.paths.socket_text) if live else stages.InProcess()
+
+
 def _run(
     ctx: Context,
     cases: Sequence[Case],
-    commands: Commands,
-    workers: int | None,
+    warm: Callable[[], None],
+    runner: CaseRuns,
+    count: int,
     timeout: float,
-    sim_timeout: float,
     maxfail: int | None,
-    keep_failed: str | None,
-    live: bool,
 ) -> tuple[list[CaseResult], bool]:
-    """The results of those that ran, and whether Ctrl-C ended it."""
+    """The results of those that ran, `count` at a time, and whether Ctrl-C ended it."""
     from slidectl.launch.supervision import Interrupted, Interrupts
-    from slidectl.scenarios import live as daemon_stage
-    from slidectl.scenarios import stages
     from slidectl.scenarios.case_run import BAD
     from slidectl.scenarios.workers import WorkerPool
 
-    ctx.close()
-    stage = daemon_stage.Live(ctx.paths.socket_text) if live else stages.InProcess()
-    stage.warm(cases, commands)
-    runner = stages.CaseRuns(commands, stage, sim_timeout, keep_failed)
-    count = 1 if live else workers or len(os.sched_getaffinity(0))
     results: list[CaseResult] = []
     failures = 0
-    with (
-        suppress(Interrupted),
-        Interrupts() as interrupts,
-        interrupts.held(),
-        _progress(ctx, len(cases)) as advance,
-        WorkerPool(runner.run, count, timeout, lambda: bool(interrupts.received)) as pool,
-    ):
-        for result in pool.results(cases):
-            results.append(result)
-            advance(result)
-            failures += result.verdict in BAD
-            if maxfail is not None and failures >= maxfail:
-                break
-        results += pool.ended()
+    with suppress(Interrupted), Interrupts() as interrupts:
+        warm()
+        with (
+            interrupts.held(),
+            _progress(ctx, len(cases)) as advance,
+            WorkerPool(runner.run, count, timeout, lambda: bool(interrupts.received)) as pool,
+        ):
+            for result in pool.results(cases):
+                results.append(result)
+                advance(result)
+                failures += result.verdict in BAD
+                if maxfail is not None and failures >= maxfail:
+                    break
+            results += pool.ended()
     return results, bool(interrupts.received)
 
 
@@ -255,6 +283,23 @@ def _progress(ctx: Context, total: int) -> Iterator[Callable[[CaseResult], None]
         yield advance
 
 
+@contextmanager
+def _written(path: str) -> Iterator[None]:
+    """Inside, it is written. Raises BadFile."""
+    try:
+        yield
+    except OSError as error:
+        raise BadFile(f"cannot be written: {error.strerror or error}", path) from None
+
+
+def _write_junit(path: str, cases: Sequence[Case], results: Sequence[CaseResult]) -> None:
+    """Raises BadFile."""
+    from slidectl.scenarios.junit import junit
+
+    with _written(path):
+        write_whole(path, junit(cases, results).decode())
+
+
 # --- telling --------------------------------------------------------------------------------------------------------
 
 
@@ -282,6 +327,8 @@ def _tell(ctx: Context, cases: Sequence[Case], results: Sequence[CaseResult]) ->
             "\n"
             + "\n".join([f"{result.verdict.upper()} {case.id}", *(f"  {line}" for line in _lines(told(case, result)))])
         )
+    if written := [result.baseline for _, result in ran if result.baseline]:
+        output.write("\n" + "\n".join(written))
     counts = Counter(result.verdict for _, result in ran)
     text = ", ".join(f"{counts[verdict]} {verdict}" for verdict in _COLOURS if counts[verdict])
     missing = len(cases) - len(ran)
@@ -291,7 +338,3 @@ def _tell(ctx: Context, cases: Sequence[Case], results: Sequence[CaseResult]) ->
 
 def _lines(texts: Sequence[str]) -> list[str]:
     return [line for text in texts for line in text.splitlines()]
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"

@@ -1,182 +1,24 @@
-"""`slidectl tf`: the frames of /tf and /tf_static, and the transforms between them.
-
-Plain arithmetic on tuples: translations x y z in m, quaternions x y z w.
-"""
+"""`slidectl tf`: the frames of /tf and /tf_static, and the transforms between them."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import click
 
-from slidectl import names
 from slidectl.cli import output
 from slidectl.cli.commands import group, positive_seconds
 from slidectl.cli.context import Context
 from slidectl.cli.topic_streams import PUBLISHERS, Stream, users_of
-from slidectl.errors import AmbiguousName, Refused, SlidectlError, UnknownName
-from slidectl.rotations import IDENTITY, Quaternion, Vector, conjugate, multiply, normalized
+from slidectl.errors import Refused, SlidectlError
+from slidectl.viewing.transform_tree import MOVING, STATIC, FramePose, Frames, View, roll_pitch_yaw
 
-MOVING, STATIC = "/tf", "/tf_static"
 PATIENCE_S = 3.0
 # A publisher repeats itself; when a frame has come so often, all that publish as fast have had their turn.
 _ROUNDS = 3
-
-
-# --- frames ---------------------------------------------------------------------------------------------------------
-
-
-class FramePose(NamedTuple):
-    """Where a frame is in another one."""
-
-    translation: Vector
-    rotation: Quaternion
-
-
-class Edge(NamedTuple):
-    """A frame's place in its parent. `time_ns` is its stamp; a static one holds for all times."""
-
-    parent: str
-    pose: FramePose
-    time_ns: int
-    is_static: bool
-
-
-class View(NamedTuple):
-    """A pose between two frames, and the time up to which it is known (None when nothing on the way moves)."""
-
-    pose: FramePose
-    time_ns: int | None
-
-
-ORIGIN = FramePose((0.0, 0.0, 0.0), IDENTITY)
-
-
-class Frames:
-    """The latest transform of every frame."""
-
-    def __init__(self) -> None:
-        self.edges: dict[str, Edge] = {}
-
-    def add(self, message: Mapping[str, Any], is_static: bool) -> None:
-        """Take in a tf2_msgs/TFMessage; newer transforms replace older ones."""
-        for stamped in message["transforms"]:
-            header = stamped["header"]
-            child = _plain(stamped["child_frame_id"])
-            time_ns = header["stamp"]["secs"] * 10**9 + header["stamp"]["nsecs"]
-            self.edges[child] = Edge(_plain(header["frame_id"]), _pose(stamped["transform"]), time_ns, is_static)
-
-    @property
-    def names(self) -> list[str]:
-        """All frames, sorted."""
-        return sorted({*self.edges, *(edge.parent for edge in self.edges.values())})
-
-    @property
-    def roots(self) -> list[str]:
-        """Frames without a parent, sorted."""
-        return [name for name in self.names if name not in self.edges]
-
-    def children(self, name: str) -> list[str]:
-        """Frames whose parent is `name`, sorted."""
-        return sorted(child for child, edge in self.edges.items() if edge.parent == name)
-
-    def way_up(self, name: str) -> list[str]:
-        """The frame, its parent and so on to the root."""
-        way = [name]
-        while way[-1] in self.edges and self.edges[way[-1]].parent not in way:
-            way.append(self.edges[way[-1]].parent)
-        return way
-
-    def find(self, name: str, namespace: str = "/") -> str:
-        """The frame that `name` means: one below the namespace, else the unique end of a frame's name.
-
-        Raises:
-            UnknownName: it lists the frames there are. AmbiguousName: several end so.
-        """
-        known = self.names
-        try:
-            full = names.resolve(name, [f"/{frame}" for frame in known], kind="frame", namespace=namespace)
-        except AmbiguousName as error:
-            raise AmbiguousName("frame", name, [match[1:] for match in error.matches]) from None
-        except UnknownName:
-            raise UnknownName("frame", name, known) from None
-        return full[1:]
-
-    def are_connected(self, one: str, other: str) -> bool:
-        """True when both are known, by their full names, and have the same root."""
-        known = self.names
-        one, other = one.removeprefix("/"), other.removeprefix("/")
-        return one in known and other in known and self.way_up(one)[-1] == self.way_up(other)[-1]
-
-    def look_up(self, reference: str, target: str) -> View:
-        """The pose of `target` in `reference`.
-
-        Raises:
-            UnknownName: no such frame. Refused: they are not in one tree.
-        """
-        for name in (reference, target):
-            if name not in self.names:
-                raise UnknownName("frame", name, self.names)
-        up, down = self.way_up(reference), self.way_up(target)
-        if up[-1] != down[-1]:
-            raise Refused(f"{reference} and {target} are not connected", f"their roots are {up[-1]} and {down[-1]}")
-        common = next(name for name in up if name in down)
-        up, down = up[: up.index(common)], down[: down.index(common)]
-        times = [edge.time_ns for edge in map(self.edges.__getitem__, up + down) if not edge.is_static]
-        pose = compose(inverse(self._along(up)), self._along(down))
-        return View(pose, min(times) if times else None)
-
-    def _along(self, way: Iterable[str]) -> FramePose:
-        """The pose of the first frame of the way in the parent of the last one."""
-        pose = ORIGIN
-        for name in way:
-            pose = compose(self.edges[name].pose, pose)
-        return pose
-
-
-def _plain(frame: str) -> str:
-    # Frames of tf 1 may begin with a slash, those of tf2 never do.
-    return frame.removeprefix("/")
-
-
-def _pose(transform: Mapping[str, Mapping[str, float]]) -> FramePose:
-    t, q = transform["translation"], transform["rotation"]
-    return FramePose((t["x"], t["y"], t["z"]), normalized((q["x"], q["y"], q["z"], q["w"])))
-
-
-def rotate(q: Quaternion, v: Vector) -> Vector:
-    """The vector rotated by a unit quaternion."""
-    x, y, z, _ = multiply(multiply(q, (*v, 0.0)), conjugate(q))
-    return x, y, z
-
-
-def compose(outer: FramePose, inner: FramePose) -> FramePose:
-    """The pose of `inner`'s frame where `outer` says how its parent stands."""
-    ox, oy, oz = outer.translation
-    x, y, z = rotate(outer.rotation, inner.translation)
-    return FramePose((ox + x, oy + y, oz + z), multiply(outer.rotation, inner.rotation))
-
-
-def inverse(pose: FramePose) -> FramePose:
-    """The pose of the parent in the frame."""
-    back = conjugate(pose.rotation)
-    tx, ty, tz = rotate(back, pose.translation)
-    return FramePose((-tx, -ty, -tz), back)
-
-
-def roll_pitch_yaw(q: Quaternion) -> Vector:
-    """Fixed-axis angles in rad (URDF's rpy); at a pitch of 90 degrees the yaw is 0."""
-    x, y, z, w = q
-    sine = 2 * (x * z - w * y)
-    if abs(sine) >= 1.0 - 1e-9:
-        sign = -1.0 if sine > 0 else 1.0
-        return sign * 2 * math.atan2(x, w), sign * math.pi / 2, 0.0
-    roll = math.atan2(2 * (y * z + w * x), 1 - 2 * (x * x + y * y))
-    yaw = math.atan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
-    return roll, -math.asin(sine), yaw
 
 
 # --- commands -------------------------------------------------------------------------------------------------------

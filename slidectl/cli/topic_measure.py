@@ -14,11 +14,12 @@ from typing import Any
 import click
 
 from slidectl.cli import completion, output
-from slidectl.cli.commands import command, simulated_seconds
+from slidectl.cli.commands import command, finite, simulated_seconds
 from slidectl.cli.context import Context
 from slidectl.cli.echo import predicate
-from slidectl.cli.topic_streams import PUBLISHERS, Event, Schema, Stream, Target, look_up, nanoseconds
+from slidectl.cli.topic_streams import PUBLISHERS, Event, Stream, Target, look_up, nanoseconds
 from slidectl.errors import NoDaemon, Refused, TimedOut
+from slidectl.msgs.schema import Schema
 from slidectl.msgs.sizes import size
 
 Record = dict[str, Any]
@@ -313,8 +314,8 @@ def _options(function: Callable[..., None]) -> Callable[..., None]:
 @_options
 @click.option("--filter", "condition", metavar="EXPR", help="Count only messages for which it is true, as in echo.")
 @click.option("--wall-time", is_flag=True, help="Rates on the computer's clock.")
-@click.option("--min", "least", type=float, metavar="HZ", help="Exit 1 when the last rate is below.")
-@click.option("--max", "most", type=float, metavar="HZ", help="Exit 1 when the last rate is above.")
+@click.option("--min", "least", type=float, callback=finite, metavar="HZ", help="Exit 1 when the last rate is below.")
+@click.option("--max", "most", type=float, callback=finite, metavar="HZ", help="Exit 1 when the last rate is above.")
 @click.pass_obj
 def hz(
     ctx: Context,

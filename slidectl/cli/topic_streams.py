@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from slidectl.cli.output import check_reader
-from slidectl.msgs.schema import TIMES, Field
+from slidectl.msgs.schema import Schema, Typedefs, from_typedefs
 
 if TYPE_CHECKING:
     from slidectl.cli.context import Context
@@ -24,43 +24,6 @@ CLOCK = "/clock"
 _SILENCE_S = 1.0
 _ASK_AGAIN_S = 5.0
 _LOOK_EVERY_S = 0.2
-
-Typedefs = list[dict[str, Any]]
-
-
-# --- types ----------------------------------------------------------------------------------------------------------
-
-
-class Schema:
-    """The message type `root` and every type that it is made of."""
-
-    def __init__(self, root: str, types: Mapping[str, tuple[Field, ...]]) -> None:
-        self.root = root
-        self.types = types
-
-    def fields(self, type_name: str) -> tuple[Field, ...]:
-        """The fields of a type, in order; none for a primitive."""
-        return self.types.get(type_name, ())
-
-    def field(self, type_name: str, name: str) -> Field | None:
-        """The field of that name, if there is one."""
-        return next((field for field in self.fields(type_name) if field.name == name), None)
-
-    @property
-    def has_header(self) -> bool:
-        """True when the type has a std_msgs/Header called `header`: the message has a stamp."""
-        return self.field(self.root, "header") == Field("header", "std_msgs/Header")
-
-
-def from_typedefs(typedefs: Iterable[Mapping[str, Any]]) -> Schema:
-    """The schema of a `typedefs` list (rosapi/TypeDef); the first one is the root."""
-    types = {
-        str(entry["type"]): tuple(map(Field, entry["fieldnames"], entry["fieldtypes"], entry["fieldarraylen"]))
-        for entry in typedefs
-        if entry["type"] not in TIMES
-    }
-    return Schema(next(iter(types), ""), types)
-
 
 # --- names ----------------------------------------------------------------------------------------------------------
 

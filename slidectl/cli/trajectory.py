@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slidectl import names
-from slidectl.cli import completion, values
+from slidectl import names, values
+from slidectl.cli import completion
 from slidectl.cli.action import cancel_goals, run
 from slidectl.cli.commands import Variadic, group, simulated_seconds
 from slidectl.cli.context import Context
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 Message = dict[str, Any]
 
-TYPE = "control_msgs/FollowJointTrajectory"
 _FARTHEST = 1e6
 """rad or m. Polynomials to much larger positions overflow."""
 _TIMES = ("time", "time_from_start")
@@ -37,10 +36,9 @@ _DURATIONS = (("secs", "nsecs"), ("sec", "nanosec"))
 
 
 def _controllers(ctx: Context) -> dict[str, str]:
-    """Full name of each trajectory controller -> its action."""
-    from slidectl.client.action_client import goal_topics
+    from slidectl.client.trajectory_goals import trajectory_controllers
 
-    return {names.parent(name): name for name, kind in goal_topics(ctx.client.topics()).items() if kind == TYPE}
+    return trajectory_controllers(ctx.client.topics())
 
 
 _controller = click.argument("controller", metavar="CONTROLLER", shell_complete=completion.completer(_controllers))
@@ -98,23 +96,18 @@ def plan(ctx: Context, controller: str, targets: tuple[str, ...], duration: floa
     The other joints go to their desired positions of this moment. All come to rest at the end, by a polynomial
     without jumps of velocity and acceleration. JSON keys as for send.
     """
+    from slidectl.client.trajectory_goals import desired_positions, goal_to
+
     wanted = dict(_target(text) for text in targets)
     cycle_s = ctx.call("/slidectl/status")["timestep"]
     if duration < cycle_s:
         raise UsageError(f"--duration {duration:g}: it takes at least one control cycle, {cycle_s:g} s")
     with _action(ctx, controller) as action:
-        now = _desired(ctx, action)
+        now = desired_positions(ctx.client, names.parent(action.name))
         for joint in wanted:
             if joint not in now:
                 raise UnknownName("joint", joint, list(now), f"of {names.parent(action.name)}")
-        zeros = [0.0] * len(now)
-        point = {
-            "positions": list((now | wanted).values()),
-            "velocities": zeros,
-            "accelerations": zeros,
-            "time_from_start": _duration(duration, "--duration"),
-        }
-        _run(ctx, action, {"trajectory": {"joint_names": list(now), "points": [point]}}, wait)
+        _run(ctx, action, goal_to(now | wanted, duration), wait)
 
 
 @trajectory.command("hold", examples=["slidectl trajectory hold arm_controller"])
@@ -125,9 +118,11 @@ def hold(ctx: Context, controller: str) -> None:
 
     JSON key: controller.
     """
+    from slidectl.client.trajectory_goals import hold as hold_joints
+
     with _action(ctx, controller) as action:
         full = names.parent(action.name)
-        ctx.client.deliver(f"{full}/command", {})
+        hold_joints(ctx.client, full)
     ctx.done({"controller": full}, f"{full}: the joints hold their positions")
 
 
@@ -151,8 +146,11 @@ def state(ctx: Context, controller: str) -> None:
 
     JSON keys of each joint: joint, desired, actual, error, desired_velocity, actual_velocity.
     """
+    from slidectl.client.trajectory_goals import desired_positions
+
     with _action(ctx, controller) as action:
-        _desired(ctx, action)  # a controller that does not run says so; it would publish no state
+        # A controller that does not run says so; it would publish no state.
+        desired_positions(ctx.client, names.parent(action.name))
         with ctx.client.subscribe(f"{names.parent(action.name)}/state") as states:
             now = states.get()
     columns = {
@@ -309,13 +307,6 @@ def _action(ctx: Context, controller: str) -> Action:
     known = _controllers(ctx)
     full = names.resolve(controller, known, kind="trajectory controller", namespace=ctx.namespace)
     return Action(ctx.client, known[full])
-
-
-def _desired(ctx: Context, action: Action) -> dict[str, float]:
-    """The desired position of each joint at this moment. Raises Refused: the controller does not run."""
-    now = ctx.call("/rosapi/get_time")["time"]
-    answer = ctx.call(f"{names.parent(action.name)}/query_state", {"time": now})
-    return dict(zip(answer["name"], answer["position"], strict=True))
 
 
 def _run(ctx: Context, action: Action, goal: Message, wait: bool) -> None:

@@ -10,28 +10,49 @@ from typing import Any
 import click
 
 from slidectl.cli import completion, output, robots
-from slidectl.cli.commands import command, simulated_seconds, wait_for_world_s
+from slidectl.cli.commands import command, finite, simulated_seconds, wait_for_world_s
 from slidectl.cli.context import Context
 from slidectl.cli.topic_streams import PUBLISHERS, look_up, nanoseconds, paused, way_on
 from slidectl.errors import Refused, SlidectlError, TimedOut, UsageError
 from slidectl.field_path import Selection
 
 
+def _condition(
+    near: float | None, above: float | None, below: float | None, equals: str | None, tol: float | None, **_: Any
+) -> tuple[str, Any]:
+    """The condition and its value. Raises UsageError."""
+    conditions: dict[str, Any] = {"near": near, "above": above, "below": below, "equals": equals}
+    given = [(name, value) for name, value in conditions.items() if value is not None]
+    if len(given) != 1:
+        raise UsageError("give exactly one of --near, --above, --below and --equals")
+    ((condition, value),) = given
+    with suppress(ValueError, TypeError):  # of --equals: a number, true and false are what they say, all else is text
+        read = json.loads(value)
+        value = read if isinstance(read, bool | int | float | str) else value
+    if tol is not None and condition != "near":
+        raise UsageError("--tol goes with --near only")
+    return condition, value
+
+
 @command(
+    check_words=_condition,
     examples=[
         "slidectl wait 'joint_states/position[0]' --near 1.0 --tol 0.02 --for 0.5 --within 15",
         "slidectl wait 'joint_states/velocity[0]' --below -0.05 --within 5 --json",
-    ]
+    ],
 )
 @click.argument("target", metavar="TOPIC/FIELD[I]", shell_complete=completion.topics)
-@click.option("--near", type=float, metavar="X", help="Within --tol of X.")
-@click.option("--above", type=float, metavar="X", help="Greater than X.")
-@click.option("--below", type=float, metavar="X", help="Less than X.")
+@click.option("--near", type=float, callback=finite, metavar="X", help="Within --tol of X.")
+@click.option("--above", type=float, callback=finite, metavar="X", help="Greater than X.")
+@click.option("--below", type=float, callback=finite, metavar="X", help="Less than X.")
 @click.option("--equals", metavar="X", help="Exactly X: a number, true, false or text.")
-@click.option("--tol", type=click.FloatRange(min=0), metavar="T", help="How far --near may be off (0.01).")
 @click.option(
-    "--for", "hold", type=click.FloatRange(min=0), default=0.0, metavar="S", help="Must hold for S simulated seconds."
+    "--tol", type=click.FloatRange(min=0), callback=finite, metavar="T", help="How far --near may be off (0.01)."
 )
+@click.option(
+    "--for", "hold", type=click.FloatRange(min=0), default=0.0, callback=finite, metavar="S",
+    help="Must hold for S simulated seconds.",
+)  # fmt: skip
 @click.option("--within", type=float, callback=simulated_seconds, metavar="S", help="Fail after S simulated seconds.")
 @click.pass_obj
 def wait(
@@ -52,16 +73,7 @@ def wait(
     clock (4); without it that is a minute, plus ten times --within and --for. JSON keys: topic, field, expected,
     reached, value, closest, time.
     """
-    conditions: dict[str, Any] = {"near": near, "above": above, "below": below, "equals": equals}
-    given = [(name, value) for name, value in conditions.items() if value is not None]
-    if len(given) != 1:
-        raise UsageError("give exactly one of --near, --above, --below and --equals")
-    ((condition, value),) = given
-    with suppress(ValueError, TypeError):  # of --equals: a number, true and false are what they say, all else is text
-        read = json.loads(value)
-        value = read if isinstance(read, bool | int | float | str) else value
-    if tol is not None and condition != "near":
-        raise UsageError("--tol goes with --near only")
+    condition, value = _condition(near, above, below, equals, tol)
     found = look_up(ctx, target, PUBLISHERS)
     request = {
         "topic": found.topic,
@@ -88,8 +100,9 @@ def wait(
             )
         answer = ctx.client.answer(call, timeout=max(0.0, deadline - ctx.client.monotonic()))
     except TimedOut as error:
-        text = f"{_where(request)} was not {_expected(request)} within {limit:g} s of wall time"
-        raise TimedOut(text, error.hint) from None
+        # A scenario may end it before.
+        ending = f" within {limit:g} s of wall time" if ctx.client.monotonic() >= deadline else ""
+        raise TimedOut(f"{_where(request)} was not {_expected(request)}{ending}", error.hint) from None
     _tell(ctx, request, answer)
 
 

@@ -183,7 +183,7 @@ class Client:
             line = _line(answer | {"values": handler(request["args"]), "result": True})
         except Exception as error:  # the caller's, not ours; also about a response that is no JSON
             line = _line(answer | {"values": str(error) or type(error).__name__, "result": False})
-        self._link.send(line, time.monotonic() + self.timeout)
+        self._link.send(line, self.monotonic() + self.timeout)
 
     # --- topics -------------------------------------------------------------------------------------------------
 
@@ -312,9 +312,9 @@ class Client:
 
     # --- names --------------------------------------------------------------------------------------------------
 
-    def topics(self) -> dict[str, str]:
+    def topics(self, *, timeout: float | None = None) -> dict[str, str]:
         """Every topic with its type."""
-        answer = self.call("/rosapi/topics")
+        answer = self.call("/rosapi/topics", timeout=timeout)
         return dict(zip(answer["topics"], answer["types"], strict=True))
 
     def services(self) -> list[str]:
@@ -593,6 +593,15 @@ class Client:
             raise Refused(answer["message"])
         return float(answer["time"])
 
+    def sleep(self, seconds: float, *, timeout: float | None = None) -> float:
+        """Wait until so many simulated seconds have passed. Returns the simulated time in s.
+
+        `timeout` is in wall seconds; a minute plus ten times the simulated ones when not given. Raises TimedOut, also
+        for a world that is paused.
+        """
+        limit = 60.0 + 10.0 * seconds if timeout is None else timeout
+        return float(self.call("/slidectl/sleep", {"duration": seconds}, timeout=limit)["time"])
+
     def save(self, name: str, file: str | None = None) -> float:
         """Keep the whole state of the world under a name, and write it to the file as well if there is one.
 
@@ -757,6 +766,13 @@ class Client:
     def fileno(self) -> int:
         """The socket, for a `select` of the caller's."""
         return self._link.fileno()
+
+    def call_back(self, action: Callable[[], object] | None) -> bool:
+        """In a world in this process: call it between two cycles whenever something has come while others wait.
+
+        None: no more. False where the world is in another process, and `fileno` says when something has come.
+        """
+        return self._link.call_back(action)
 
     def _send(self, **message: Any) -> None:
         """Raises BadLine: one that the daemon would not take. TimedOut, NoDaemon."""
@@ -1009,9 +1025,7 @@ class Manager:
 
     def configured(self) -> list[str]:
         """Controllers that have a `type` parameter here, loaded or not."""
-        prefix = self.namespace.rstrip("/") + "/"
-        inside = (name.removeprefix(prefix) for name in self.client.params.names() if name.startswith(prefix))
-        return [name.removesuffix("/type") for name in inside if name.endswith("/type") and name.count("/") == 1]
+        return configured(self.client.params.names(), self.namespace)
 
     def known(self) -> list[str]:
         """Controllers that are loaded or could be."""
@@ -1090,6 +1104,19 @@ class Manager:
         failed = [f"{name} is {states.get(name, UNLOADED)}" for name in wanted if states.get(name) not in STARTED]
         if failed:
             raise Refused(f"did not start: {', '.join(failed)}", "slidectl daemon logs says why")
+
+
+def configured(parameters: Sequence[str], namespace: str) -> list[str]:
+    """Controllers of a namespace that have a `type` among these parameters."""
+    prefix = namespace.rstrip("/") + "/"
+    inside = (name.removeprefix(prefix) for name in parameters if name.startswith(prefix))
+    return [name.removesuffix("/type") for name in inside if name.endswith("/type") and name.count("/") == 1]
+
+
+def claimed_text(resources: Sequence[Message]) -> str:
+    """`EffortJointInterface: joint1 joint2`, several parted by semicolons."""
+    parts = ((item["hardware_interface"].rpartition("::")[2], item["resources"]) for item in resources)
+    return "; ".join(f"{interface}: {' '.join(claimed)}" if claimed else interface for interface, claimed in parts)
 
 
 def each(action: Callable[[str], None], wanted: Sequence[str]) -> None:

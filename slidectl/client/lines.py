@@ -6,6 +6,7 @@ Encoding, decoding and cutting a stream of bytes into lines of bounded length. K
 from __future__ import annotations
 
 import json
+import json.encoder
 import re
 from collections import deque
 from typing import Any
@@ -15,9 +16,17 @@ from slidectl.errors import UsageError
 LONGEST_LINE = 16 * 1024 * 1024
 """Bytes of a line, in both directions."""
 _QUOTED = 60
+_MOST_VALUES = 100_000
+_MOST_MAPPINGS = 20_000
+"""A mapping may stand for a message with all its default values."""
 
-_encode = json.JSONEncoder(allow_nan=False, check_circular=False, separators=(",", ":")).encode
+_ENCODER = json.JSONEncoder(allow_nan=False, check_circular=False, separators=(",", ":"))
+# `JSONEncoder.encode` makes this object anew for each message, which takes as long as a short message itself.
+_pieces = json.encoder.c_make_encoder(  # type: ignore[attr-defined]
+    None, _ENCODER.default, json.encoder.encode_basestring_ascii, None, ":", ",", False, False, False
+)
 _encode_all = json.JSONEncoder(check_circular=False, separators=(",", ":")).encode
+_decode = json.JSONDecoder().decode
 _TEXTS_AND_NUMBERS = re.compile(r'"(?:[^"\\]|\\.)*"|-?Infinity|NaN')
 _IN_JSON = {"NaN": "null", "Infinity": "1e999", "-Infinity": "-1e999"}
 
@@ -29,7 +38,7 @@ class BadLine(UsageError):
 def encode(message: dict[str, Any]) -> bytes:
     """The object as one line. NaN becomes null, as rosbridge sends it; infinities stay, see `numbers_of_json`."""
     try:
-        text = _encode(message)
+        text = "".join(_pieces(message, 0))
     except ValueError:  # there are some, which is rare
         text = numbers_of_json(_encode_all(message))
     return (text + "\n").encode("ascii")
@@ -40,10 +49,28 @@ def numbers_of_json(text: str) -> str:
     return _TEXTS_AND_NUMBERS.sub(lambda match: _IN_JSON.get(match[0], match[0]), text)
 
 
+def check_size(line: bytes) -> None:
+    """Raises BadLine for one that would take long to read.
+
+    Text is quick to read, values are not: a message of more than so many holds up the world. They are counted by what
+    stands between them, without looking whether that is inside of a text.
+    """
+    if len(line) < _MOST_VALUES:
+        return
+    values = line.count(b",") + line.count(b"[")
+    mappings = line.count(b"{")
+    if values + mappings > _MOST_VALUES:
+        raise BadLine(f"a line with {values + mappings} values, and {_MOST_VALUES} is the most")
+    if mappings > _MOST_MAPPINGS:
+        raise BadLine(f"a line with {mappings} mappings, and {_MOST_MAPPINGS} is the most")
+
+
 def decode(line: bytes) -> dict[str, Any]:
     """The object that the line holds. Raises BadLine."""
     try:
-        value = json.loads(line)
+        # json.loads does the same when it has looked for other encodings and byte order marks, which takes as long.
+        is_plain = line.startswith(b"{")
+        value = _decode(line.decode("utf-8", "surrogatepass")) if is_plain else json.loads(line)
     except (ValueError, RecursionError) as error:
         raise BadLine(f"a line that is no JSON ({error}): {_beginning(line)}") from None
     if not isinstance(value, dict):
@@ -75,7 +102,11 @@ class LineBuffer:
         if whole and self._rest:
             whole[0] = b"".join((self._rest, whole[0]))  # one copy: the line may have 16 MiB
             self._rest.clear()
-        self.lines.extend(line for line in whole if line and not line.isspace())
+        for line in whole:
+            if line and not line.isspace():
+                self.lines.append(line)
+        if not rest:
+            return
         self._rest += rest
         if len(self._rest) > self._longest:
             self._rest.clear()

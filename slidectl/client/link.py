@@ -9,6 +9,7 @@ import os
 import select
 import struct
 import time
+from collections.abc import Callable
 from socket import AF_UNIX, SO_PEERCRED, SOL_SOCKET, socket
 from typing import Any, Protocol
 
@@ -16,7 +17,8 @@ from slidectl.client.lines import LineBuffer, decode
 from slidectl.errors import NoDaemon, Refused, TimedOut
 from slidectl.paths import DEFAULT_INSTANCE, InstancePaths, check_private
 
-_CHUNK = 256 * 1024
+_CHUNK = 64 * 1024
+"""Bytes of one receive. Python makes room for as many each time, and more than 128 KiB would be mapped and unmapped."""
 _GRACE_S = 0.25
 """How long after a deadline what has arrived is still taken in. It ends, however fast other things go on arriving."""
 _LONGEST_WAIT_S = 1e6
@@ -53,6 +55,9 @@ class ClientLink(Protocol):
     def fileno(self) -> int:
         """What a `select` takes."""
 
+    def call_back(self, action: Callable[[], object] | None) -> bool:
+        """Call it when something has come while others wait; whether that is done here."""
+
     def send(self, line: bytes, deadline: float) -> None:
         """Hand over a line. Raises TimedOut, NoDaemon."""
 
@@ -73,6 +78,7 @@ class SocketLink:
         self.last_status = ""
         """The text of the status that came last, which says why the daemon goes away when it does."""
         self._socket = self._connect(deadline)
+        self._to_wait = (self._socket.fileno(),)
         self.daemon_pid, uid = peer(self._socket)
         if uid != os.geteuid():
             self.close()
@@ -88,6 +94,10 @@ class SocketLink:
 
     def fileno(self) -> int:
         return self._socket.fileno()
+
+    def call_back(self, action: Callable[[], object] | None) -> bool:  # noqa: ARG002
+        """Whether it is called when something has come: a process that waits for its socket need not be."""
+        return False
 
     def _connect(self, deadline: float) -> socket:
         connection = socket(AF_UNIX)
@@ -131,11 +141,14 @@ class SocketLink:
         rest: bytes | memoryview = line
         while rest:
             try:
-                rest = memoryview(rest)[self._socket.send(rest) :]
+                count = self._socket.send(rest)
+                if count == len(rest):
+                    return
+                rest = memoryview(rest)[count:]
             except BlockingIOError:
                 # A daemon whose answers we do not take stops reading from us, so take them while we wait.
                 left = deadline - time.monotonic()
-                readable, writable, _ = select.select([self], [self], [], _for_select(left))
+                readable, writable, _ = select.select(self._to_wait, self._to_wait, (), _for_select(left))
                 if not readable and not writable:
                     raise TimedOut("the daemon does not read what is sent to it") from None
                 if readable:
@@ -151,7 +164,7 @@ class SocketLink:
             if self._closed:
                 raise self._gone()
             left = deadline - time.monotonic()
-            if left < -_GRACE_S or not select.select([self], [], [], _for_select(left))[0]:
+            if left < -_GRACE_S or not select.select(self._to_wait, (), (), _for_select(left))[0]:
                 return None
             self._read()
         return decode(lines.popleft())

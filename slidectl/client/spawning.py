@@ -63,11 +63,11 @@ def identity(
         BadFile: the model is broken. BadName. UnknownName, Refused: a joint that is not there, or cannot be there.
     """
     from slidectl import description
-    from slidectl.description.robot import check_position
+    from slidectl.description.robot import MOVING, check_position
 
     robot = description.parse(xml, model.file, strict=strict)
     chosen = names.check_robot(robot.name if name is None else name)
-    moving = {one.name: one for one in robot.joints.values() if one.type in ("revolute", "continuous", "prismatic")}
+    moving = {one.name: one for one in robot.joints.values() if one.type in MOVING}
     for joint, position in (joints or {}).items():
         if joint not in moving:
             raise UnknownName("moving joint", joint, list(moving), f"on robot {chosen!r}")

@@ -145,6 +145,9 @@ class ControllerBase:
     def publish(self, time_ns: int, period_s: float) -> None:
         """Publish what the last update made due; called only while a publisher of its parts is wanted."""
 
+    def check_restored(self) -> None:
+        """Raises Refused: what a snapshot has put in does not fit together. Machine code checks no index."""
+
     # Requests: what the manager calls.
 
     def init_request(self, hw: RobotHW, root: NodeHandle, node: NodeHandle) -> None:

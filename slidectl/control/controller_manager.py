@@ -469,6 +469,7 @@ class ControllerManager:
         switch = self._switch
         if switch is None:
             return
+        ok = True
         with self._node.answering(switch.reasons):
             try:
                 with watched_hardware(self._hw):
@@ -476,11 +477,11 @@ class ControllerManager:
             except Refused as failure:
                 self._node.log("fatal", described(failure))
                 switch.give_up(time_ns)
-                finished = True
+                finished, ok = True, False
         self._refresh()
         if finished:
             self._switch = None
-            switch.on_done(True)
+            switch.on_done(ok)
 
     def restart_running(self, time_ns: int) -> None:
         """Stop and start every running controller, one after the other."""
@@ -733,8 +734,8 @@ class ControllerManager:
     ) -> bool:
         """Arm a switch, to be carried out at the end of the next cycle. False: refused, nothing changes.
 
-        `on_done(True)` follows when it is finished, even if what should start was aborted. `timeout_s` is simulated
-        time that the hardware has to get ready; 0 is for ever.
+        `on_done(True)` follows when it is finished, even if what should start was aborted; `on_done(False)` when the
+        hardware failed. `timeout_s` is simulated time that the hardware has to get ready; 0 is for ever.
         """
         try:
             self._switch = self._armed(start, stop, strictness, start_asap, timeout_s, on_done)

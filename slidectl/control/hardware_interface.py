@@ -190,6 +190,11 @@ class JointCommands(ResourceManager[J]):
     declared: ClassVar[JointInterface]
     handle_type: ClassVar[type[JointHandle]] = JointHandle
 
+    @classmethod
+    def commands_of(cls, handle: JointHandle) -> list[tuple[JointHandle, str]]:
+        """A handle of this interface, with the name of each attribute that is a command."""
+        return [(handle, attribute) for attribute in ("command", *cls.declared.beside)]
+
 
 class JointCommandInterface(JointCommands[JointHandle]):
     """Those that take one command."""
@@ -312,11 +317,11 @@ class RobotHW:
         """The handles of claimed joints, each with the name of an attribute that is a command."""
         found = ((self._interfaces[claim.hardware_interface], claim.resources) for claim in claims)
         return [
-            (interface.get_handle(name), attribute)
+            command
             for interface, names in found
             if isinstance(interface, JointCommands)
             for name in names
-            for attribute in ("command", *interface.declared.beside)
+            for command in interface.commands_of(interface.get_handle(name))
         ]
 
     def interface_names(self) -> list[str]:

@@ -6,6 +6,7 @@ classes come from files, from modules, and from installed packages by their entr
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from functools import cache
 from importlib import import_module
@@ -28,6 +29,8 @@ BASE_CLASS = "controller_interface::ControllerBase"
 ENTRY_POINTS = "slidectl.controllers"
 """The group in which an installed package names its controllers: a type, and `module:Class`."""
 _known: dict[str, ControllerClass] = {}
+_registered: set[str] = set()
+"""Modules that were added: their classes are known, and a further simulation of this process adds them again."""
 
 
 class UnknownType(UnknownName):
@@ -152,6 +155,7 @@ def add_module(name: str) -> list[str]:
     """
     _import_shipped()
     before = dict(_known)
+    was_registered = name in _registered and name in sys.modules
     try:
         module = user_classes.import_named(name)
         found = user_classes.classes_of(module)
@@ -163,8 +167,9 @@ def add_module(name: str) -> list[str]:
         raise
     added = [type_name for type_name, cls in _known.items() if before.get(type_name) is not cls]
     added += hardware_types.add_all(module, _type_in(module, ""))
-    if not added:
+    if not added and not was_registered:
         raise BadFile("there is no controller in it, and no hardware", module.__file__ or name)
+    _registered.add(name)
     return added
 
 

@@ -20,6 +20,7 @@ from types import FunctionType, ModuleType
 from typing import Any
 
 from slidectl import file_reads
+from slidectl.control import user_modules
 from slidectl.control.controller_interface import Controller, ControllerBase, MultiInterfaceController
 from slidectl.control.hardware_interface import JointHandle
 from slidectl.errors import BadFile, Refused, SlidectlError, UnknownName, UsageError, listing
@@ -202,6 +203,7 @@ def run_file(file: str, name: str = "") -> ModuleType:
     module.__package__ = getattr(before, "__package__", None)  # for its relative imports
     sys.modules[name] = module  # dataclasses look up the module of their class
     sys.path.insert(0, str(path.parent))
+    user_modules.watch(name, is_file=True)
     try:
         with _importing(file), limit:
             exec(code, vars(module))
@@ -234,6 +236,7 @@ def import_named(name: str) -> ModuleType:
     """
     if name.endswith(".py"):
         return run_file(name)
+    user_modules.watch(name, is_file=False)
     with _importing(name), limit:
         return import_module(name)
 

@@ -16,10 +16,10 @@ import time
 from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Any
 
-from slidectl.daemon.logfile import LogFile
 from slidectl.daemon.options import Start
 from slidectl.daemon.place import Place, holder
 from slidectl.errors import EXIT_DONE, Refused, SlidectlError
+from slidectl.logfile import LogFile
 
 if TYPE_CHECKING:
     from slidectl.daemon.main_loop import Daemon
@@ -88,7 +88,7 @@ def _begin(start: Start, stack: ExitStack) -> Daemon | None:
     listener = place.listen()
     gc.disable()  # what is imported stays; looking through it for garbage would only take time
     # MuJoCo's package looks for a way to draw when it is imported. Nothing is drawn here, and the search takes 30 ms.
-    os.environ.setdefault("MUJOCO_GL", "disable")
+    os.environ["MUJOCO_GL"] = "disable"
     from slidectl.daemon.main_loop import Daemon
 
     daemon = Daemon(start, place, listener, log, began_s)

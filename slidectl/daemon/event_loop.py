@@ -18,6 +18,8 @@ ONCE = select.EPOLLET | PEER_CLOSED
 
 _LONGEST_WAIT_S = 1e6
 """`select` takes no wait of any length; who asks for a longer one is called sooner."""
+_EPOLL_S = 0.001
+"""In what epoll's own wait counts, rounded up."""
 
 Handler = Callable[[int], None]
 """Takes the events that are ready: a mix of READ, WRITE, PEER_CLOSED and HANG_UP."""
@@ -55,14 +57,17 @@ class EventLoop:
         return bool(self._soon or select.select(self._waiting, (), (), 0.0)[0])
 
     def poll(self, timeout_s: float | None) -> None:
-        """Serve what is ready, waiting at most `timeout_s` for it (None: until something is)."""
+        """Serve what is ready, waiting at most `timeout_s` for it, or a millisecond less; None: until something is."""
         if self._soon:
             self._soon.popleft()()
             timeout_s = 0.0
-        bounded_s = None if timeout_s is None else min(timeout_s, _LONGEST_WAIT_S)
-        if bounded_s != 0.0 and not select.select(self._waiting, (), (), bounded_s)[0]:
+        wait_s = _LONGEST_WAIT_S if timeout_s is None else min(timeout_s, _LONGEST_WAIT_S)
+        epoll_s = 0.0
+        if wait_s > 2.0 * _EPOLL_S:  # one system call; who asks again waits for the rest exactly, which takes two
+            epoll_s = wait_s - _EPOLL_S
+        elif wait_s and not select.select(self._waiting, (), (), wait_s)[0]:
             return
-        for fd, events in self._epoll.poll(0):
+        for fd, events in self._epoll.poll(epoll_s):
             handler = self._handlers.get(fd)
             if handler is not None:  # an earlier handler of this round may have closed it
                 handler(events)

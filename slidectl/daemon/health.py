@@ -14,12 +14,15 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import partial
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import NamedTuple
 
 from slidectl import __version__, paths
+from slidectl.client import Client
+from slidectl.client.link import command
 from slidectl.daemon import lifecycle
 from slidectl.errors import SlidectlError
 from slidectl.paths import InstancePaths
@@ -53,23 +56,34 @@ class Finding(NamedTuple):
     remedy: str = ""
 
 
-def findings(instance: InstancePaths) -> Iterator[Finding]:
-    """What all checks find, in their order. Raises nothing."""
-    for name, check in _CHECKS.items():
-        try:
-            for one in check(instance):
-                yield Finding(name, *one)
-        except SlidectlError as error:
-            yield Finding(name, BROKEN, error.message, error.hint or "")
-        except Exception as error:  # a machine may be broken in any way, and the report must come out
-            yield Finding(name, BROKEN, f"{type(error).__name__}: {error}")
+def findings(find: Callable[[], InstancePaths]) -> Iterator[Finding]:
+    """What all checks find, in their order, of the machine and of the instance that `find` gives. Raises nothing."""
+    for name, check in _OF_MACHINE.items():
+        yield from _finding(name, check)
+    try:
+        instance = find()
+    except SlidectlError as error:
+        yield Finding("sockets", BROKEN, error.message, error.hint or "")
+        return
+    for name, look in _OF_INSTANCE.items():
+        yield from _finding(name, partial(look, instance))
+
+
+def _finding(name: str, check: Callable[[], _Found]) -> Iterator[Finding]:
+    try:
+        for one in check():
+            yield Finding(name, *one)
+    except SlidectlError as error:
+        yield Finding(name, BROKEN, error.message, error.hint or "")
+    except Exception as error:  # a machine may be broken in any way, and the report must come out
+        yield Finding(name, BROKEN, f"{type(error).__name__}: {error}")
 
 
 _Found = Iterator[tuple[str, ...]]
 """State, finding, remedy."""
 
 
-def _python(_instance: InstancePaths) -> _Found:
+def _python() -> _Found:
     here = f"{platform.python_version()} at {sys.executable}"
     if sys.version_info < _PYTHON:
         yield BROKEN, here, f"slidectl needs Python {'.'.join(map(str, _PYTHON))} or newer"
@@ -79,7 +93,7 @@ def _python(_instance: InstancePaths) -> _Found:
         yield OK, f"{here}; slidectl {__version__}"
 
 
-def _libraries(_instance: InstancePaths) -> _Found:
+def _libraries() -> _Found:
     there = []
     for name, module in _NEEDED.items():
         try:
@@ -100,14 +114,14 @@ def _libraries(_instance: InstancePaths) -> _Found:
             yield OK, f"without {name}: {use}", f"where you want that: {remedy}"
 
 
-def _mujoco(_instance: InstancePaths) -> _Found:
+def _mujoco() -> _Found:
     from slidectl.simulation.simulation import Simulation
 
     Simulation().step(10)
     yield OK, "a world was made and stepped"
 
 
-def _compiled(_instance: InstancePaths) -> _Found:
+def _compiled() -> _Found:
     from slidectl.simulation.compiled import object_file
 
     if not object_file.is_possible():
@@ -129,35 +143,43 @@ def _sockets(instance: InstancePaths) -> _Found:
 
 
 def _daemons(instance: InstancePaths) -> _Found:
-    from slidectl.client import Client
-
+    """The one that is meant, and the others of this user."""
     pid = lifecycle.running(instance)
     if pid is None:
         yield OK, f"{instance.name}: does not run"
         if instance.socket.exists():
             yield LOOK, f"{instance.socket_text} was left by a daemon that was killed", "the next start replaces it"
     else:
-        theirs: list[str] = []
-        with Client(socket=instance.socket_text, timeout=5.0) as client:
-            client.on_other_version = theirs.append
-            status = client.call("/slidectl/status")
-        where = f"{instance.name}: process {pid}, {status['time']:.3f} s, {status['engine']}"
-        if theirs:
-            remedy = "slidectl daemon restart"
-            yield LOOK, f"{where}; it is of version {theirs[0]}, this command of {__version__}", remedy
-        else:
-            yield OK, where
-        if status.get("trouble"):
-            yield LOOK, f"{instance.name}: {status['trouble']}", "slidectl daemon logs"
+        yield from _daemon(instance, pid, BROKEN)
     folder = Path(paths.runtime_folder())
     for other in sorted(folder.iterdir()) if folder.is_dir() else []:
         one = paths.InstancePaths(other, other / "socket")
-        if other.name != instance.name and one.socket.exists():
-            runs = lifecycle.running(one)
-            if runs is None:
+        if one.socket_text != instance.socket_text and one.socket.exists():
+            pid = lifecycle.running(one)
+            if pid is None:
                 yield LOOK, f"{other.name}: was killed, its files are left", "slidectl daemon clean"
             else:
-                yield OK, f"{other.name}: process {runs}"
+                yield from _daemon(one, pid, LOOK)
+
+
+def _daemon(instance: InstancePaths, pid: int, silent: str) -> _Found:
+    """One that runs. `silent` is the state of one that does not answer."""
+    theirs: list[str] = []
+    try:
+        with Client(socket=instance.socket_text, timeout=5.0) as client:
+            client.on_other_version = theirs.append
+            status = client.call("/slidectl/status")
+    except SlidectlError as error:
+        yield silent, f"{instance.name}: process {pid}: {error.message}", error.hint or ""
+        return
+    where = f"{instance.name}: process {pid}, {status['time']:.3f} s, {status['engine']}"
+    if theirs:
+        remedy = command(instance, "daemon restart")
+        yield LOOK, f"{where}; it is of version {theirs[0]}, this command of {__version__}", remedy
+    else:
+        yield OK, where
+    if status.get("trouble"):
+        yield LOOK, f"{instance.name}: {status['trouble']}", command(instance, "daemon logs")
 
 
 def _disk(instance: InstancePaths) -> _Found:
@@ -180,7 +202,7 @@ def _disk(instance: InstancePaths) -> _Found:
             yield OK, text
 
 
-def _descriptors(_instance: InstancePaths) -> _Found:
+def _descriptors() -> _Found:
     most, largest = resource.getrlimit(resource.RLIMIT_NOFILE)
     if most < _FEW_FILES:
         more = _MANY_FILES if largest == resource.RLIM_INFINITY else min(largest, _MANY_FILES)
@@ -190,7 +212,7 @@ def _descriptors(_instance: InstancePaths) -> _Found:
         yield OK, f"at most {most} open files"
 
 
-def _punctuality(_instance: InstancePaths) -> _Found:
+def _punctuality() -> _Found:
     """How late a wait of a millisecond ends, with the timer slack that the daemon asks for."""
     libc = ctypes.CDLL(None)
     slack = Path("/proc/self/timerslack_ns")
@@ -212,7 +234,7 @@ def _punctuality(_instance: InstancePaths) -> _Found:
         yield OK, text
 
 
-def _packages(_instance: InstancePaths) -> _Found:
+def _packages() -> _Found:
     for variable in ("SLIDECTL_PACKAGE_PATH", "ROS_PACKAGE_PATH", "GAZEBO_MODEL_PATH"):
         folders = [folder for folder in os.environ.get(variable, "").split(os.pathsep) if folder]
         gone = [folder for folder in folders if not os.path.isdir(folder)]
@@ -228,7 +250,7 @@ def _packages(_instance: InstancePaths) -> _Found:
             yield OK, f"{variable} is not set"
 
 
-def _ros(_instance: InstancePaths) -> _Found:
+def _ros() -> _Found:
     here = {name: os.environ[name] for name in ("ROS_DISTRO", "ROS_MASTER_URI", "ROS_NAMESPACE") if name in os.environ}
     text = ", ".join(f"{name}={value}" for name, value in here.items()) or "no variables of ROS"
     tool = shutil.which("rostopic")
@@ -238,8 +260,10 @@ def _ros(_instance: InstancePaths) -> _Found:
         yield OK, text
 
 
-_CHECKS: dict[str, Callable[[InstancePaths], _Found]] = {
-    "python": _python, "libraries": _libraries, "mujoco": _mujoco, "compiled": _compiled, "sockets": _sockets,
-    "daemons": _daemons, "disk": _disk, "files": _descriptors, "timers": _punctuality,
-    "packages": _packages, "ros": _ros,
+_OF_MACHINE: dict[str, Callable[[], _Found]] = {
+    "python": _python, "libraries": _libraries, "mujoco": _mujoco, "compiled": _compiled, "files": _descriptors,
+    "timers": _punctuality, "packages": _packages, "ros": _ros,
+}  # fmt: skip
+_OF_INSTANCE: dict[str, Callable[[InstancePaths], _Found]] = {
+    "sockets": _sockets, "daemons": _daemons, "disk": _disk,
 }  # fmt: skip

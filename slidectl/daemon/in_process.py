@@ -21,9 +21,9 @@ from slidectl.daemon.journal import Journal
 from slidectl.daemon.outbox import Channel, Outbox, Publications
 from slidectl.daemon.session import Session
 from slidectl.errors import NoDaemon, Refused, TimedOut
+from slidectl.names import OWN_NODE
 from slidectl.simulation.simulation import Simulation
 
-NODE = "/slidectl"
 _CHUNK = 64 * 1024
 _LONGEST_SLICE = 10_000
 """Cycles between two looks at what is not the world: signals, and clients that are not waited for."""
@@ -54,6 +54,8 @@ class InProcessWorld:
         self.publications = _NotedPublications(self)
         self.connections: list[InProcessConnection] = []
         self.end_ns: int | None = None
+        self.end_hint = ""
+        """What TimedOut then says one could do."""
         self.log: deque[str] = deque(maxlen=_KEPT_LINES)
         self.stopping = ""
         """Why the world ends; empty as long as it goes on."""
@@ -64,7 +66,7 @@ class InProcessWorld:
         self._waiting: list[InProcessConnection] = []
         graph = self.simulation.graph
         graph.log.sink = self._keep_line
-        graph.services.advertise("/slidectl/shutdown", "slidectl/Shutdown", NODE, self._shut_down)
+        graph.services.advertise("/slidectl/shutdown", "slidectl/Shutdown", OWN_NODE, self._shut_down)
 
     def connect(self) -> InProcessConnection:
         """A connection of its own. Raises NoDaemon: the world has ended."""
@@ -96,7 +98,8 @@ class InProcessWorld:
         try:
             while not connection.has_lines and not self.stopping and self._wall_s < deadline:
                 if not self._look_after_others():
-                    self._go_on(min([deadline, *(one.due_s for one in self.connections if one.on_lines)]))
+                    others = (one.due_s for one in self.connections if one.on_lines and one not in self._waiting)
+                    self._go_on(min([deadline, *others, self._wall_s + self.publications.release()]))
         finally:
             self._waiting.pop()
 
@@ -114,20 +117,27 @@ class InProcessWorld:
         if self.end_ns is not None:
             left = (self.end_ns - simulation.time_ns) // simulation.timestep_ns
             if left <= 0:
-                raise TimedOut(f"the simulated time is up: {simulation.time_ns * 1e-9:g} s")
+                raise TimedOut(f"the simulated time is up: {simulation.time_ns * 1e-9:g} s", self.end_hint)
             cycles = min(cycles, left)
         self._news = False
         self._wall_s += self._step(simulation.run.allowed(cycles)) * period_s
 
     def _stand_still(self, deadline: float) -> None:
-        """No cycle can come, so nothing does until the deadline."""
-        left_s = deadline - self._wall_s
+        """No cycle can come, so nothing does until the deadline, or until who holds the world is let go."""
+        run = self.simulation.run
+        lockstep = run.lockstep if run.requests or not run.paused else None
+        awaited = [] if lockstep is None else lockstep.awaited()
+        for member in awaited:
+            if lockstep is not None and self._still_s >= member.timeout_s:
+                lockstep.let_go(member)
+                return
+        left_s = min([max(0.0, deadline - self._wall_s), *(member.timeout_s - self._still_s for member in awaited)])
         if self._still_s + left_s > _LONGEST_STILL_S:
-            trouble = self.simulation.run.trouble
+            trouble = run.trouble
             why = f" ({trouble})" if trouble else ""
             raise TimedOut(f"the simulation is paused{why}, and nobody lets it go on", "first: slidectl sim resume")
         self._still_s += left_s
-        self._wall_s = deadline
+        self._wall_s += left_s
 
     def _step(self, cycles: int) -> int:
         """How many were done. A fault of ours holds the world and is told."""
@@ -143,8 +153,7 @@ class InProcessWorld:
         """It has something to read: if somebody reads it, the slice ends with the cycle that runs, in both engines."""
         if not self._news and (connection.on_lines is not None or connection in self._waiting):
             self._news = True
-            if self.simulation.loop.in_cycle:
-                self.simulation.graph.timers.soon(lambda: None)  # a runner stops after a cycle in which one is due
+            self.simulation.loop.end_burst()
 
     def _is_enough(self) -> bool:
         return self._news
@@ -186,7 +195,7 @@ class _NotedPublications(Publications):
     """Says when a channel has something new for its readers."""
 
     def __init__(self, world: InProcessWorld) -> None:
-        super().__init__()
+        super().__init__(world.simulation.run, world.monotonic)
         self._world = world
 
     def note(self, channel: Channel) -> None:
@@ -195,6 +204,11 @@ class _NotedPublications(Publications):
             assert isinstance(reader, InProcessConnection)
             if reader.is_prompt:
                 self._world.note_news(reader)
+
+    def hold(self, channel: Channel) -> None:
+        if channel not in self.held:  # the slice that runs may be longer than the throttle
+            self._world.simulation.loop.end_burst()
+        super().hold(channel)
 
 
 class InProcessConnection:
@@ -213,6 +227,7 @@ class InProcessConnection:
         self.due_s = math.inf
         """When it is called on the world's clock although nothing has come."""
         graph = world.simulation.graph
+        self.node = node
         self.session = Session(self, graph, world.publications, world.unexpected, node, os.getsid(0), world.journal)
         self.outbox = Outbox(self.session.report, world.publications)
         self.open = True
@@ -269,6 +284,11 @@ class InProcessLink:
     def fileno(self) -> int:
         """Raises Refused: there is none."""
         raise Refused("a client of a world in the same process has no socket", "wait for it with `wait_until`")
+
+    def call_back(self, action: Callable[[], object] | None) -> bool:
+        """Call it between two cycles whenever something has come while another one waits."""
+        self.connection.on_lines = action
+        return True
 
     def send(self, line: bytes, deadline: float) -> None:  # noqa: ARG002
         """Carry out a line, now. Raises NoDaemon."""

@@ -22,10 +22,13 @@ from typing import TYPE_CHECKING, Any
 
 import slidectl
 from slidectl import file_reads
+from slidectl.control import user_modules
 from slidectl.control.node_handle import Message
+from slidectl.control.user_modules import UserModule
 from slidectl.daemon.options import DaemonOptions
 from slidectl.description.meshes import BadMesh
 from slidectl.errors import BadFile, Refused, UsageError
+from slidectl.names import OWN_NODE
 from slidectl.physics.hulls import Hull, Hulls, MeshSource
 from slidectl.simulation.clock import SECOND
 from slidectl.simulation.pending import Pending
@@ -35,14 +38,13 @@ if TYPE_CHECKING:
     from slidectl.simulation import Simulation
 
 FORMAT = 1
-_NODE = "/slidectl"
 _LIBRARIES = ("mujoco", "numpy", "numba")
 PICTURE = "sensor_msgs/Image"
 _OF_THE_PROCESS = ("child", "journal", "replay", "until")
 """Options of a daemon that do not say how its world is."""
 _READS = re.compile(
     r"/rosapi/(?!set_param$|delete_param$).*|/gazebo/get_[^/]*|.*/controller_manager/list_[^/]*"
-    r"|/slidectl/(status|resolve|list_robots|update_times|shutdown)"
+    r"|/slidectl/(status|resolve|list_robots|scene|update_times|shutdown|get_[^/]*)"
 )
 """Services that look and change nothing, and answer at once."""
 _LINE = re.compile(rb'\{"cycle":(\d+),"client":(\d+),"line":(.*)\Z', re.DOTALL)
@@ -61,6 +63,8 @@ class Journal:
         self.trouble = ""
         """Why nothing is written any more."""
         self._clients: dict[Session, int] = {}
+        """The numbers of those that are connected and have sent something."""
+        self._clients_so_far = 0
         self._size = 0
         self._simulation: Simulation | None = None
         self._log: Callable[[str], None] = lambda _: None
@@ -72,13 +76,16 @@ class Journal:
         file_reads.read = self._read
         chosen = {name: value for name, value in asdict(options).items() if name not in _OF_THE_PROCESS}
         self._write(_text({"slidectl_journal": FORMAT, **written_by(), "options": chosen}))
+        for module in user_modules.imported.values():
+            self._note_module(module)
         if self.trouble:
             raise Refused(f"cannot write the journal {path}: {self.trouble}")
+        user_modules.listeners.append(self._note_module)
 
     def watch(self, simulation: Simulation) -> None:
         """This is the simulation. What reads its meshes is set already."""
         self._simulation = simulation
-        self._log = lambda text: simulation.graph.log("error", _NODE, text)
+        self._log = lambda text: simulation.graph.log("error", OWN_NODE, text)
         read_meshes = simulation.read_meshes
 
         def read(sources: Sequence[MeshSource]) -> Pending:
@@ -100,6 +107,7 @@ class Journal:
             os.close(self._file)
         self.trouble = "it is closed"
         file_reads.read = file_reads.from_disk
+        user_modules.listeners.remove(self._note_module)
 
     # --- what comes from outside --------------------------------------------------------------------------------
 
@@ -109,7 +117,8 @@ class Journal:
             return
         number = self._clients.get(session)
         if number is None:
-            number = self._clients[session] = len(self._clients) + 1
+            self._clients_so_far += 1
+            number = self._clients[session] = self._clients_so_far
             self._note("client", number, node=session.node)
         # As it came; but only UTF-8 can stand in the file.
         is_plain = line[:1] == b"{" and line[1:2] != b"\0"
@@ -117,7 +126,7 @@ class Journal:
         self._write(b'{"cycle":%d,"client":%d,"line":%b' % (self._cycle, number, text))
 
     def _matters(self, message: Message) -> bool:
-        """Whether the world may be another one for it."""
+        """True when the line can change the world."""
         operation, topic = message["op"], str(message.get("topic"))
         if operation in (
             "subscribe",
@@ -131,8 +140,9 @@ class Journal:
 
     def gone(self, session: Session) -> None:
         """A client has gone."""
-        if session in self._clients:
-            self._note("gone", self._clients[session])
+        number = self._clients.pop(session, None)
+        if number is not None:
+            self._note("gone", number)
 
     def took_too_long(self) -> None:
         """Users' code was ended by the limit of wall time."""
@@ -142,6 +152,9 @@ class Journal:
         found = look()
         self._note("read", what, found=found)
         return found
+
+    def _note_module(self, module: UserModule) -> None:
+        self._note("module", module)
 
     def _take_meshes(self, done: Pending) -> Hulls:
         """They are taken into the world now."""

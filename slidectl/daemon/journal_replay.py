@@ -14,8 +14,9 @@ from contextlib import nullcontext
 from typing import Any, NoReturn
 
 from slidectl import file_reads
-from slidectl.control import user_classes
+from slidectl.control import user_classes, user_modules
 from slidectl.control.duration import from_seconds
+from slidectl.control.user_modules import UserModule
 from slidectl.daemon import journal, time_limit
 from slidectl.daemon.journal import Contents, mesh_of
 from slidectl.daemon.outbox import Outbox, Publications
@@ -34,6 +35,10 @@ from slidectl.simulation.simulation import Simulation
 _UNREPEATABLE = "code of users that looks at the wall time, random numbers or other files is not repeatable"
 
 
+_BY_ITSELF = frozenset(("limit", "module"))
+"""Entries that are not carried out, but taken when the world comes to them."""
+
+
 class ReplayDiffers(Refused):
     """The replay is not the run that the journal is of."""
 
@@ -50,6 +55,8 @@ class Replay:
         self.differs = ""
         self.states = 0
         """How many states were compared."""
+        self.after_entry: Callable[[], None] = lambda: None
+        """Called when an entry of the journal was carried out."""
         self._until_ns = NEVER if until is None else from_seconds(until)
         self._at = 0
         """Index of the entry that is carried out."""
@@ -67,6 +74,7 @@ class Replay:
         self._unexpected: Callable[[str], None] = lambda _: None
         file_reads.read = self._read
         user_classes.limit = self._limit
+        user_modules.give(UserModule(*entry["module"]) for entry in contents.entries if "module" in entry)
         self._look_ahead()
         self.simulation = self._beginning()
 
@@ -94,6 +102,8 @@ class Replay:
         self._renderer.close()
         file_reads.read = file_reads.from_disk
         user_classes.limit = nullcontext()
+        self._limit.close()
+        user_modules.given.clear()
 
     def run(
         self, unexpected: Callable[[str], None], publications: Publications | None = None, check: bool = False
@@ -125,7 +135,7 @@ class Replay:
         entries = self.contents.entries
         while True:
             self._at = self._next
-            while self._at < len(entries) and "limit" in entries[self._at]:  # taken when it comes
+            while self._at < len(entries) and not _BY_ITSELF.isdisjoint(entries[self._at]):
                 self._at += 1
             if self._at == len(entries):
                 return False
@@ -135,6 +145,7 @@ class Replay:
                 self._fail("code of a user that took too long then does not now")
             self._advance()
             self._carry_out(entries[self._at])
+            self.after_entry()
             if self.differs and check:
                 raise ReplayDiffers(self.differs, _UNREPEATABLE)
 
@@ -198,6 +209,8 @@ class Replay:
 
     def _look_ahead(self) -> None:
         """Users' code is ended where it was, and only there: this machine may be slower."""
+        while self._peek("module"):
+            self._next += 1
         is_limited = self._peek("limit")
         self._limit.most_s = time_limit.LIMIT_S if is_limited else math.inf
 
@@ -290,6 +303,7 @@ class _Nobody:
 
     unread = 0
     is_overfull = False
+    node = "nobody"
 
     def __init__(self, publications: Publications) -> None:
         self.outbox = Outbox(lambda *_: b"", publications)

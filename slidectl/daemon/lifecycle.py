@@ -6,6 +6,7 @@ The lock says whether a daemon lives, its socket whether it answers; nothing els
 from __future__ import annotations
 
 import json
+import math
 import os
 import select
 import signal
@@ -170,6 +171,39 @@ def stop(paths: InstancePaths, timeout: float = 10.0) -> int | None:
     with suppress(ChildProcessError):  # a long-lived starter is its parent still
         os.waitpid(pid, os.WNOHANG)
     return pid
+
+
+def fork(source: Client, name: str, paths: InstancePaths, timeout: float) -> tuple[int, float]:
+    """Start a daemon that goes on from a snapshot of that of `source`, with its options and speed, paused where it is.
+
+    Returns:
+        Its process id, and its simulated time in s.
+
+    Raises:
+        Refused: there is no such snapshot, or a daemon runs there. And what `start` raises.
+    """
+    from tempfile import TemporaryDirectory
+
+    status = source.call("/slidectl/status")
+    options = options_of(source.daemon_pid) or DaemonOptions()
+    options = options.of_another(rtf=status["speed"] or math.inf, paused=True, child=False)
+    with TemporaryDirectory() as folder:
+        file = os.path.join(folder, "snapshot")
+        source.call("/slidectl/export_snapshot", {"name": name, "file": file})
+        pid, already = start(paths, options, timeout)
+        if already:
+            load = command(paths, "sim load --from FILE")
+            hint = f"load it there: {command(source.paths, f'sim save {name} --to FILE')}; {load}"
+            raise Refused(f"a daemon {paths.name} runs already, as process {pid}", hint)
+        try:
+            with Client(socket=paths.socket_text, timeout=timeout) as client:
+                time_s = client.load(file=file)
+                if not status["paused"]:
+                    client.call("/gazebo/unpause_physics")
+        except BaseException:
+            stop(paths)
+            raise
+    return pid, time_s
 
 
 def _has_ended(process: int | None, pid: int, paths: InstancePaths) -> bool:

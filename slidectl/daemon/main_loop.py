@@ -22,7 +22,6 @@ from slidectl.daemon import journal
 from slidectl.daemon.event_loop import READ, EventLoop
 from slidectl.daemon.journal import Journal
 from slidectl.daemon.journal_replay import Replay, other_versions
-from slidectl.daemon.logfile import LogFile
 from slidectl.daemon.mesh_reader import MeshReader
 from slidectl.daemon.options import Start
 from slidectl.daemon.pacing import Pacer
@@ -31,13 +30,14 @@ from slidectl.daemon.place import Place, TakenOver
 from slidectl.daemon.server import Server
 from slidectl.daemon.time_limit import TimeLimit
 from slidectl.errors import SlidectlError
+from slidectl.logfile import LogFile
+from slidectl.names import OWN_NODE
 from slidectl.paths import shown
 from slidectl.simulation.clock import SECOND
 from slidectl.simulation.loop import FAILED
 from slidectl.simulation.simulation import Simulation
 from slidectl.simulation.spawned_robots import SpawnedRobot
 
-NODE = "/slidectl"
 _TIDY_EVERY_S = 1.0
 _LOOK_EVERY_S = 5.0
 """Between two looks whether the files by which this daemon is found are still there."""
@@ -76,10 +76,10 @@ class Daemon:
         self.simulation.monitor = self._status
         graph = self.simulation.graph
         graph.log.sink = self._keep_line
-        graph.services.advertise("/slidectl/shutdown", "slidectl/Shutdown", NODE, self._shut_down)
+        graph.services.advertise("/slidectl/shutdown", "slidectl/Shutdown", OWN_NODE, self._shut_down)
         self._loop = EventLoop()
         self._pacer = Pacer(self.simulation.loop, clients_wait=self._loop.is_ready)
-        self._server = Server(listener, self._loop, graph, self._unexpected)
+        self._server = Server(listener, self._loop, graph, self._unexpected, self.simulation.run)
         self._mesh_reader = MeshReader(self._loop, self._unexpected)
         self._pictures = PictureQueue(self._loop, self.simulation.world)
         if replay is not None:
@@ -142,7 +142,7 @@ class Daemon:
         """A fault of ours in a cycle holds the world and is told, instead of ending it."""
         self._unexpected(FAILED)
         self.simulation.run.hold(f"{FAILED}, see the log", FAILED)
-        self.simulation.graph.log("fatal", NODE, f"{FAILED}; the simulation is paused, see the log")
+        self.simulation.graph.log("fatal", OWN_NODE, f"{FAILED}; the simulation is paused, see the log")
         return 0.0
 
     def _tidy(self) -> None:

@@ -49,7 +49,7 @@ class DaemonOptions:
             raise UsageError(f"the real-time factor is above 0 or 'max', not {self.rtf:g}")
         if not 1e-6 <= self.timestep <= 1:
             raise UsageError(f"the time step is between 1e-6 s and 1 s, not {self.timestep:g}")
-        if not all(math.isfinite(component) for component in self.gravity):
+        if len(self.gravity) != 3 or not all(math.isfinite(component) for component in self.gravity):
             raise UsageError("gravity is three finite numbers in m/s²")
         if self.engine not in ENGINES:
             raise UsageError(f"there is no engine {self.engine!r}", f"choose one of: {', '.join(ENGINES)}")

@@ -8,14 +8,17 @@ Those without a throttle share the lines of the topic; one with a throttle has l
 from __future__ import annotations
 
 import heapq
+import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from itertools import islice
 from typing import Any, Protocol
 
 from slidectl.client.lines import LONGEST_LINE, encode
 from slidectl.errors import MessageRefused
+from slidectl.simulation.loop import RunState
 from slidectl.simulation.topics import Topics, TopicSubscription
 
 DEFAULT_QUEUE = 1000
@@ -37,6 +40,7 @@ class Reader(Protocol):
     """Whoever gets lines: a connection."""
 
     outbox: Outbox
+    node: str
 
     @property
     def unread(self) -> int:
@@ -56,8 +60,13 @@ class Reader(Protocol):
 class Publications:
     """The lines of all topics that clients read. `fresh` are the channels with lines that no reader was woken for."""
 
-    def __init__(self) -> None:
+    def __init__(self, run: RunState | None = None, monotonic: Callable[[], float] = time.monotonic) -> None:
+        """`run` is told of news for those who wait for them; `monotonic` is the clock of throttles, in s."""
+        self.run = run or RunState()
+        self.monotonic = monotonic
         self.fresh: dict[Channel, None] = {}
+        self.held: dict[Channel, None] = {}
+        """Those with a message that came sooner than their throttle allows."""
         self.kept = 0
         """Bytes of all channels."""
         self.last = 0
@@ -82,11 +91,28 @@ class Publications:
     def note(self, channel: Channel) -> None:
         """It has a new line."""
         self.fresh[channel] = None
+        if self.run.news_wanted:
+            for reader in channel.readers:
+                self.run.note_news(reader.node)
         if self.kept > MOST_BYTES_IN_ALL:
             self.tidy()
             while self.kept > MOST_BYTES_IN_ALL:
                 largest = max(self._channels, key=lambda one: one.size)
                 largest.give_up((largest.first + largest.end + 1) // 2)
+
+    def hold(self, channel: Channel) -> None:
+        """It has a message whose time is still to come."""
+        self.held[channel] = None
+
+    def release(self) -> float:
+        """Take in the held messages whose time has come. Returns the s until the next; infinity when none is held."""
+        now, left_s = self.monotonic(), math.inf
+        for channel in list(self.held):
+            if channel.due_s <= now:
+                channel.release()
+            else:
+                left_s = min(left_s, channel.due_s - now)
+        return left_s
 
     def leave(self, channel: Channel, reader: Reader) -> None:
         """It reads the channel no more."""
@@ -95,6 +121,7 @@ class Publications:
         if not channel.readers:
             self._channels.pop(channel, None)
             self.fresh.pop(channel, None)
+            self.held.pop(channel, None)
             key = channel.topic, channel.stamp is not None
             if self._shared.get(key) is channel:
                 del self._shared[key]
@@ -108,7 +135,8 @@ class Publications:
 class Channel:
     """The lines of one topic that its readers may still want, the newest. `first` and `end` count lines since ever.
 
-    With `period_s` two of them are at least so many wall seconds apart. `stamp` gives the simulated time that stands
+    With `period_s` two of them are at least so many wall seconds apart: the newest message of that time waits for its
+    end, so that a reader has the last one of a topic that falls silent. `stamp` gives the simulated time that stands
     in each of them, None for lines without it.
     """
 
@@ -128,7 +156,9 @@ class Channel:
         self.lines: list[tuple[int, bytes]] = []
         """Those from `first` to before `end`, each with its number."""
         self._publications = publications
-        self._next_s = 0.0
+        self.due_s = -math.inf
+        """When the next line may come, on the clock of throttles."""
+        self._held: tuple[Message, Stamp | None] | None = None
         self._tidy_at = _TIDY_EVERY
 
     def take(self, message: Message) -> None:
@@ -138,12 +168,29 @@ class Channel:
             MessageRefused: what came in fitted a line, but not all text is as long when it is sent.
         """
         if self.period_s:
-            now = time.monotonic()
-            if now < self._next_s:
+            now = self._publications.monotonic()
+            if now < self.due_s:
+                time = None if self.stamp is None else self.stamp()
+                self._held = message, None if time is None else lambda: time
+                self._publications.hold(self)
                 return
-            self._next_s = now + self.period_s
+            self.due_s = now + self.period_s
+            self._forget_held()
         self.put(_line(self.topic, message, self.stamp))
         self._publications.note(self)
+
+    def release(self) -> None:
+        """The time of the held message has come."""
+        if (held := self._held) is not None:
+            self._forget_held()
+            self.due_s = self._publications.monotonic() + self.period_s
+            with suppress(MessageRefused):  # it is told to whoever publishes such a message when none waits
+                self.put(_line(self.topic, *held))
+                self._publications.note(self)
+
+    def _forget_held(self) -> None:
+        self._held = None
+        self._publications.held.pop(self, None)
 
     def put(self, line: bytes) -> None:
         """A new line. Those that nobody can get any more make room."""
@@ -227,6 +274,8 @@ class Outbox:
         self.unbounded += len(line)
         self._publications.last += 1
         self._own.append((self._publications.last, line, None))
+        if self._publications.run.news_wanted:
+            self._publications.run.note_news()
 
     def join(self, share: Share) -> None:
         """The lines of this share are to be sent from now on."""
@@ -253,6 +302,8 @@ class Outbox:
     def take(self, most: int) -> bytes:
         """The next lines as one piece of about `most` bytes, with a report before the first line after a gap."""
         waiting = [share for share in self._shares if share.waits]
+        if not waiting:
+            return self._take_own(most)
         losses = {share: lost for share in waiting if (lost := share.skip())}
         if losses or self._own:
             return self._make_piece(waiting, losses, most)
@@ -265,6 +316,17 @@ class Outbox:
         piece = self._make_piece(waiting, losses, most)
         self._publications.piece = (key, piece, [share.next for share in waiting])
         return piece
+
+    def _take_own(self, most: int) -> bytes:
+        """Answers alone: there is nothing to put in order."""
+        taken: list[bytes] = []
+        size = 0
+        while self._own and size < most:
+            line = self._own.popleft()[1]
+            taken.append(line)
+            size += len(line)
+        self.unbounded -= size
+        return b"".join(taken)
 
     def _make_piece(self, waiting: list[Share], losses: dict[Share, int], most: int) -> bytes:
         taken: list[bytes] = []
@@ -345,7 +407,9 @@ class Feed:
         if bool(channel.period_s) == bool(period_s) and channel.stamp == stamp:
             self._share.limit = limit
             channel.period_s = period_s
+            channel.due_s = min(channel.due_s, self._publications.monotonic() + period_s)
             return
+        channel.release()
         self._reader.outbox.retire(self._share)
         self._publications.leave(channel, self._reader)
         self._subscription.redirect(self._begin_to_read().take)

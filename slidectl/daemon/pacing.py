@@ -53,7 +53,7 @@ class Pacer:
         self._due_s = 0.0
         self._is_free = False
         self._group = 1
-        self._group_s = 0.0
+        self._period_s = 0.0
         self._chunk = 1
         self._simulated_s = 0.0
         self._marks: deque[tuple[float, float]] = deque(maxlen=_MARKS)
@@ -70,14 +70,14 @@ class Pacer:
     def turn(self) -> float | None:
         """Run what is due. Returns the wall seconds until more is due; None: not before somebody asks."""
         simulation, run = self._simulation, self._simulation.run
-        if run.paused and not run.requests:
+        if not run.asked(1):
             self._mode = None
             self._marks.clear()
             return None
         if run.lockstep is not None and not run.allowed(1):
             return self._wait_for_members(run.lockstep)
         self._held_since_s = math.inf
-        mode = (math.inf if run.paused else run.speed, simulation.step_ns)
+        mode = (math.inf if run.paused or run.holders else run.speed, simulation.step_ns)
         if mode != self._mode:
             self._begin(mode)
         return self._run_freely() if self._is_free else self._run_paced()
@@ -101,7 +101,7 @@ class Pacer:
         self._is_free = period_s * _LONGEST_CHUNK < _SHORTEST_WAIT_S
         self._simulation.enough = None
         self._group = 1 if self._is_free else max(1, int(_SHORTEST_WAIT_S / period_s))
-        self._group_s = self._group * period_s
+        self._period_s = period_s
         self._due_s = self._clock()
         self._marks.clear()
         self._mark(self._due_s)
@@ -111,12 +111,13 @@ class Pacer:
         self._marks.append((now_s, self._simulated_s))
         self._next_mark_s = now_s + _MARK_EVERY_S
 
-    def _run_freely(self) -> float:
+    def _run_freely(self) -> float | None:
         run, step, clock = self._simulation.run, self._simulation.step, self._clock
         now = clock()
         end = now + FREE_SLICE_S
         self._simulation.enough = lambda: clock() >= end  # cycles may suddenly take a thousand times as long
-        while now < end and (asked := run.allowed(self._chunk)):
+        asked = run.allowed(self._chunk)
+        while asked:
             done = step(asked)
             began, now = now, clock()
             if not done:
@@ -127,9 +128,10 @@ class Pacer:
             if now >= self._next_mark_s:
                 self._mark(now)
             self._chunk = max(1, min(_LONGEST_CHUNK, int(_CHUNK_S / max(duration, 1e-9))))
-            if self._clients_wait():
+            asked = run.allowed(self._chunk)
+            if now >= end or (asked and self._clients_wait()):
                 break
-        return 0.0
+        return 0.0 if asked else self.turn()
 
     def _run_paced(self) -> float:
         step, clock, group = self._simulation.step, self._clock, self._group
@@ -141,18 +143,23 @@ class Pacer:
             self._give_up_what_is_too_late(now)
         end = now + CATCH_UP_SLICE_S
         while self._due_s <= now < end:
+            asked = allowed(group)
+            if not asked:  # clients in lock-step are waited for
+                return 0.0
             late = now - self._due_s
             self.lateness.append(late)
-            if late > self._group_s:
+            if late > group * self._period_s:
                 self.overruns += 1
-            done = step(allowed(group))
+            done = step(asked)
             began, now = now, clock()
-            self.durations.append((now - began) / group)
+            if not done:
+                return 0.0
+            self.durations.append((now - began) / done)
             self._simulated_s += done * self._step_s
             if now >= self._next_mark_s:
                 self._mark(now)
-            self._due_s += self._group_s
-            if done < group:
+            self._due_s += done * self._period_s
+            if done < asked:
                 return 0.0
         return max(0.0, self._due_s - now)
 

@@ -20,7 +20,9 @@ from slidectl.client.link import peer
 from slidectl.daemon.event_loop import HANG_UP, ONCE, PEER_CLOSED, READ, WRITE, EventLoop
 from slidectl.daemon.outbox import Outbox, Publications, Reader
 from slidectl.daemon.session import Session
+from slidectl.names import OWN_NODE
 from slidectl.simulation.graph import Graph
+from slidectl.simulation.loop import RunState
 
 if TYPE_CHECKING:
     from slidectl.daemon.journal import Journal
@@ -63,12 +65,17 @@ class Server:
     """Connections on `listener`, with the graph behind them."""
 
     def __init__(
-        self, listener: socket.socket, loop: EventLoop, graph: Graph, unexpected: Callable[[str], None]
+        self,
+        listener: socket.socket,
+        loop: EventLoop,
+        graph: Graph,
+        unexpected: Callable[[str], None],
+        run: RunState,
     ) -> None:
         self.loop = loop
         self.graph = graph
         self.unexpected = unexpected
-        self.publications = Publications()
+        self.publications = Publications(run)
         self.journal: Journal | None = None
         """Notes what clients do, from before the first of them."""
         self.busy = Busy()
@@ -114,6 +121,9 @@ class Server:
     def wait(self, most_s: float | None) -> float | None:
         """How long the loop may wait for clients when it has nothing else to do for `most_s`."""
         busy = self.busy
+        if self.publications.held:
+            left_s = self.publications.release()
+            most_s = left_s if most_s is None else min(most_s, left_s)
         if busy.with_input or busy.with_output or busy.with_messages:
             return 0.0
         if not self.publications.fresh:
@@ -187,7 +197,7 @@ class Server:
 
     def _pause_listening(self, why: str) -> None:
         if why != self._paused_for:  # it is tried again and again
-            self.graph.log("warn", "/slidectl", why)
+            self.graph.log("warn", OWN_NODE, why)
         self._paused_for = why
         self._pause()
 
@@ -199,7 +209,7 @@ class Server:
             self.connections[Connection(connection, self, pid, self._serial)] = None
             return
         reason = f"this daemon belongs to uid {os.geteuid()}; processes of uid {uid} may not use it"
-        self.graph.log("warn", "/slidectl", f"refused a connection of process {pid}: {reason}")
+        self.graph.log("warn", OWN_NODE, f"refused a connection of process {pid}: {reason}")
         with connection, suppress(OSError):
             connection.send(encode({"op": "status", "level": "error", "msg": reason}))
 
@@ -214,12 +224,13 @@ class Connection:
         self._loop = server.loop
         self._busy = server.busy
         self._incoming = LineBuffer()
+        self.node = f"/slidectl_{pid}_{serial}"
         self._session = Session(
             self,
             server.graph,
             server.publications,
             server.unexpected,
-            f"/slidectl_{pid}_{serial}",
+            self.node,
             _session_of(pid),
             server.journal,
         )
@@ -337,7 +348,8 @@ class Connection:
             except OSError:
                 self._stop_sending()
                 break
-            self._chunk = memoryview(chunk)[count:]  # no copy: a piece may be 16 MiB, and go out in a hundred parts
+            # No copy of the rest: a piece may be 16 MiB, and go out in a hundred parts.
+            self._chunk = memoryview(chunk)[count:] if count < len(chunk) else b""
             self._blocked = bool(self._chunk)
             sent += count
         self._settle()

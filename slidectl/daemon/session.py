@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import slidectl
 from slidectl import msgs, names
-from slidectl.client.lines import LONGEST_LINE, BadLine, decode, encode
+from slidectl.client.lines import LONGEST_LINE, BadLine, check_size, decode, encode
 from slidectl.control.duration import from_stamp
 from slidectl.control.node_handle import Reasons
 from slidectl.daemon.outbox import Feed, Publications, Reader
@@ -32,7 +32,8 @@ Message = dict[str, Any]
 
 _OPERATIONS = (
     "advertise", "unadvertise", "publish", "subscribe", "unsubscribe", "call_service", "advertise_service",
-    "unadvertise_service", "service_response", "set_level",
+    "unadvertise_service", "service_response", "set_level", "set_node",
+    "cancel_call",
 )  # fmt: skip
 """Each is a method of the session, with an underscore before its name."""
 _MOST_OPEN_CALLS = 1000
@@ -43,12 +44,11 @@ _LONGEST_LATE, _MOST_LATE = 4096, 8 * 1024 * 1024
 
 What answers at once is bounded otherwise: a connection with so much unread is not listened to.
 """
-_MOST_VALUES = 100_000
-_MOST_MAPPINGS = 20_000
-"""A mapping may stand for a message with all its default values."""
 _LONGEST_ENVELOPE = 4096
 _ENVELOPE = re.compile(r'"(op|id|service)"\s*:\s*("(?:[^"\\\x00-\x1f]|\\["\\/bfnrt])*"|-?\d{1,18}(?=\s*[,}]))')
 _LONGEST_ID = 1000
+_GIVEN_NODE = re.compile(r"/slidectl(_\d+)+")
+"""What a connection is called that does not name its node."""
 _DEEPEST_ID = 200
 """Characters of an id that is a list or a mapping: enough to number things with, too few to nest deeply."""
 _LARGEST_NUMBER = 1e9
@@ -81,7 +81,8 @@ class Session:
         self._level = LEVELS["warning"]
         self._publishers: dict[str, TopicPublisher] = {}
         self._feeds: dict[str, Feed] = {}
-        self._calls: set[Pending] = set()
+        self._calls: dict[Pending, Any] = {}
+        """Those that are not answered yet, each with its id."""
         self._timed: dict[Timer, int] = {}
         """Messages that wait for their time, each with the bytes of its line."""
         self._line_bytes = 0
@@ -102,7 +103,7 @@ class Session:
         self._line_bytes = len(line)
         try:
             try:
-                _check_size(line)
+                check_size(line)
             except BadLine:
                 message = _envelope(line)
                 raise
@@ -275,9 +276,15 @@ class Session:
         request = self._by_name(service, message.get("args") or {})
         pending = self._graph.services.call(service, request)
         if not pending.done:
-            self._calls.add(pending)
+            self._calls[pending] = message.get("id")
         call_id, reasons = _returned(message), self._graph.log.reasons
         pending.then(lambda answered: self._answer(answered, service, call_id, reasons))
+
+    def _cancel_call(self, message: Message) -> None:
+        """Nobody waits for the answers of the calls with this id any more, and none come."""
+        for pending in [pending for pending, given in self._calls.items() if given == message.get("id")]:
+            del self._calls[pending]
+            pending.cancel()
 
     def _by_name(self, service: str, values: Any) -> Any:
         """Arguments may come as a list, in the order of the fields."""
@@ -289,7 +296,7 @@ class Session:
         return {field.name: value for field, value in zip(fields, values, strict=False)}
 
     def _answer(self, pending: Pending, service: str, call_id: Message, reasons: Reasons | None) -> None:
-        self._calls.discard(pending)
+        self._calls.pop(pending, None)
         response: Message = {"op": "service_response", **call_id, "service": service}
         if reasons:
             response["reasons"] = reasons
@@ -346,6 +353,17 @@ class Session:
         else:
             pending.reject(Refused(values if isinstance(values, str) else "the provider failed"))
 
+    def _set_node(self, message: Message) -> None:
+        """Raises Refused: the connection has topics, services or calls by the name that it had until now."""
+        if self._publishers or self._feeds or self._services or self._calls or self._graph.knows_node(self.node):
+            raise Refused(f"this connection is the node {self.node} already", "set_node is its first op")
+        name = _name(message, "node")
+        if _GIVEN_NODE.fullmatch(name):
+            raise Refused(f"{name} is a name that the daemon gives", "choose another one")
+        self._graph.claim_node(name)
+        self._graph.close_node(self.node)  # what services keep of it by that name ends
+        self.node = self._connection.node = name
+
     def _set_level(self, message: Message) -> None:
         level = _text(message, "level")
         if level not in LEVELS:
@@ -386,22 +404,6 @@ def _name(message: Message, key: str) -> str:
     if len(given) > names.LONGEST:
         raise names.TooLong(given)
     return names.join("/", given)
-
-
-def _check_size(line: bytes) -> None:
-    """Raises BadLine for one that would take long to read, with as much of the message as tells what it is.
-
-    Text is quick to read, values are not: a message of more than so many holds up the world. They are counted by what
-    stands between them, without looking whether that is inside of a text.
-    """
-    if len(line) < _MOST_VALUES:
-        return
-    values = line.count(b",") + line.count(b"[")
-    mappings = line.count(b"{")
-    if values + mappings > _MOST_VALUES:
-        raise BadLine(f"a line with {values + mappings} values, and {_MOST_VALUES} is the most")
-    if mappings > _MOST_MAPPINGS:
-        raise BadLine(f"a line with {mappings} mappings, and {_MOST_MAPPINGS} is the most")
 
 
 def _envelope(line: bytes) -> Message:

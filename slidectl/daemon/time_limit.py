@@ -64,6 +64,10 @@ class TimeLimit(AbstractContextManager[None]):
                 self._has_ended = False
                 self.on_end()
 
+    def close(self) -> None:
+        """No signal comes any more."""
+        self._set_timer(0.0)
+
     def _set_timer(self, period_s: float) -> None:
         self._tick_s = period_s
         signal.setitimer(signal.ITIMER_REAL, period_s, period_s)

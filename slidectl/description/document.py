@@ -92,8 +92,11 @@ def _opened(
 
 def _is_xacro(model: models.ModelText, root: Element) -> bool:
     """By its suffix, or because it has tags or attributes of xacro."""
-    if model.path is not None and model.path.suffix.lower() == ".xacro":
-        return True
+    return (model.path is not None and model.path.suffix.lower() == ".xacro") or has_xacro(root)
+
+
+def has_xacro(root: Element) -> bool:
+    """Whether there are tags or attributes of xacro."""
     return any(name.startswith("xacro:") for element in root.walk() for name in (element.tag, *element.attributes))
 
 

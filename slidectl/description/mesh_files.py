@@ -10,10 +10,19 @@ from urllib.parse import unquote
 
 from slidectl import file_reads
 from slidectl.description.packages import Packages, UnknownPackage, is_file
+from slidectl.errors import BadFile
 
 SUFFIXES = (".stl", ".obj", ".dae")
 
 _USABLE = "a path is relative to the robot's file, else it is absolute or begins with package://, model:// or file://"
+
+
+class MissingMesh(BadFile):
+    """A mesh that collides is not there."""
+
+
+class UnknownMesh(BadFile):
+    """A mesh that collides is of a kind that is not read."""
 
 
 class MeshFiles:

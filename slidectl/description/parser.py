@@ -15,7 +15,7 @@ from typing import Any, cast, get_args
 
 from slidectl.description import element_values, xml_tree
 from slidectl.description.gazebo_tags import GazeboReader
-from slidectl.description.mesh_files import SUFFIXES, MeshFiles
+from slidectl.description.mesh_files import SUFFIXES, MeshFiles, MissingMesh, UnknownMesh
 from slidectl.description.packages import Packages
 from slidectl.description.report import Report, one_line
 from slidectl.description.rigid_bodies import WORLD, Weigher
@@ -293,10 +293,11 @@ class _LinkReader:
             self._leave_out(shape, owner, f"<mesh> with scale {shape.get('scale')!r} has no volume")
             return None
         path, why = self.meshes.locate(uri, shape.file)
+        trouble: type[MissingMesh | UnknownMesh] = MissingMesh
         if path is not None and not uri.strip().lower().endswith(SUFFIXES):
-            path, why = None, f"is of no known kind; known: {', '.join(SUFFIXES)}"
+            path, why, trouble = None, f"is of no known kind; known: {', '.join(SUFFIXES)}", UnknownMesh
         if path is None and needed:
-            raise shape.error(f"{owner}: mesh {uri!r}: {why}")
+            raise shape.error(f"{owner}: mesh {uri!r}: {why}", kind=trouble)
         if path is None:
             self.report.wrong(shape, f"{owner} is not drawn: {one_line(why)}")
         return Mesh(uri, str(path) if path is not None else None, scale)

@@ -16,6 +16,8 @@ from slidectl.errors import Refused
 
 Vector = tuple[float, float, float]
 JointType = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]
+MOVING = ("revolute", "continuous", "prismatic")
+"""Types of joints with one position."""
 Verdict = Literal["used", "converted", "ignored", "wrong"]
 Transmissions = Literal["gazebo", "real"]
 """Whether joints are driven as gazebo_ros_control does it, or through their transmissions."""

@@ -91,9 +91,9 @@ class Element:
             self.mesh_name = self.attributes["filename"]
         self.attributes["filename"] = file
 
-    def error(self, message: str, hint: str | None = None) -> BadFile:
+    def error(self, message: str, hint: str | None = None, kind: type[BadFile] = BadFile) -> BadFile:
         """A BadFile at this element's place, to be raised."""
-        return BadFile(message, self.file, self.line, hint)
+        return kind(message, self.file, self.line, hint)
 
 
 def read(source: str | bytes, file: str, most_bytes: int = MOST_BYTES) -> Element:

@@ -104,6 +104,37 @@ def _namespace(document: yaml.Node) -> str:
     return "".join(f"/{name}" for name in written.split("/") if name)
 
 
+class MergedPairs:
+    """The keys and values of the mappings of one file, with what `<<` merges into them."""
+
+    def __init__(self, file: str) -> None:
+        self.file = file
+        self.flat: dict[int, list[Pair]] = {}
+
+    def of(self, node: yaml.MappingNode) -> list[Pair]:
+        """Keys and values with what `<<` merges in; what is written in the mapping itself goes before that.
+
+        PyYAML's own flattening is exponential in the depth of merges within merges; this one reads each mapping once.
+        """
+        if id(node) not in self.flat:
+            own = [(key, value) for key, value in node.value if key.tag != _MERGE]
+            self.flat[id(node)] = own
+            if len(own) < len(node.value):
+                merged = [pair for key, value in node.value if key.tag == _MERGE for pair in self._merged(value)]
+                taken = {_text(key) for key, _ in own}
+                more = {_text(key): (key, value) for key, value in reversed(merged) if _text(key) not in taken}
+                self.flat[id(node)] = [*own, *more.values()]
+        return self.flat[id(node)]
+
+    def _merged(self, node: yaml.Node) -> list[Pair]:
+        """What one `<<` gives: a mapping's pairs, or those of a list of mappings, the first going first."""
+        sources: list[Any] = node.value if isinstance(node, yaml.SequenceNode) else [node]
+        for source in sources:
+            if not isinstance(source, yaml.MappingNode):
+                raise BadFile("`<<` merges mappings only", self.file, _line(source))
+        return [pair for source in sources for pair in self.of(source)]
+
+
 class _Reader:
     def __init__(
         self, file: str, notices: list[Notice], loader: type[yaml.SafeLoader] = _Loader, *, rooted: bool = False
@@ -113,7 +144,7 @@ class _Reader:
         self.rooted = rooted
         self.count = 0
         self.loader = loader("")
-        self.flat: dict[int, list[Pair]] = {}
+        self.pairs = MergedPairs(file).of
 
     def read(self, text: str | bytes) -> Tree:
         tree: Tree = {}
@@ -178,29 +209,6 @@ class _Reader:
         if self.rooted and key.startswith("/"):
             tree = {f"/{name.lstrip('/')}": below for name, below in tree.items()}
         return tree
-
-    def pairs(self, node: yaml.MappingNode) -> list[Pair]:
-        """Keys and values with what `<<` merges in; what is written in the mapping itself goes before that.
-
-        PyYAML's own flattening is exponential in the depth of merges within merges; this one reads each mapping once.
-        """
-        if id(node) not in self.flat:
-            own = [(key, value) for key, value in node.value if key.tag != _MERGE]
-            self.flat[id(node)] = own
-            if len(own) < len(node.value):
-                merged = [pair for key, value in node.value if key.tag == _MERGE for pair in self.merged(value)]
-                taken = {_text(key) for key, _ in own}
-                more = {_text(key): (key, value) for key, value in reversed(merged) if _text(key) not in taken}
-                self.flat[id(node)] = [*own, *more.values()]
-        return self.flat[id(node)]
-
-    def merged(self, node: yaml.Node) -> list[Pair]:
-        """What one `<<` gives: a mapping's pairs, or those of a list of mappings, the first going first."""
-        sources: list[Any] = node.value if isinstance(node, yaml.SequenceNode) else [node]
-        for source in sources:
-            if not isinstance(source, yaml.MappingNode):
-                raise self.error(source, "`<<` merges mappings only")
-        return [pair for source in sources for pair in self.pairs(source)]
 
     def place(self, node: yaml.Node, path: str, found: dict[str, int], depth: int) -> None:
         """Note the lines of what is below `node`, as deep and as far as values are read."""

@@ -93,7 +93,7 @@ class Execution:
         run.parameters = look_ahead(run.plan, self.tasks, run.packages)  # takes as long as a daemon's start
         client, run.owns_daemon = self.daemon.connect()
         run.connect(client)
-        run.watch.add(client.fileno(), lambda: None)
+        run.watch.listen(client, lambda: None)
         if not run.owns_daemon:
             self._found = set(self._robots())
         _prepare(run, run.parameters)
@@ -141,7 +141,7 @@ class Execution:
         self.begun.append(task)
         why = self._attempt(task)
         if why is not None:
-            self._waiting.append(_Waiting(task, why, time.monotonic() + task.patience_s))
+            self._waiting.append(_Waiting(task, why, self.run.client.monotonic() + task.patience_s))
         elif self._waiting:
             self._look_again()
 
@@ -190,7 +190,7 @@ class Execution:
                 if self._waits_in_vain(entry):
                     self._waiting.remove(entry)
                     self._fail(entry.task, Refused(f"there is no {_bare(entry.reason)}"))
-                elif time.monotonic() >= entry.until:
+                elif self.run.client.monotonic() >= entry.until:
                     if not entry.task.goes_on_waiting(self.run):
                         limit = f"within {entry.task.patience_s:g} s"
                         self._waiting.remove(entry)
@@ -282,7 +282,7 @@ class Execution:
     def judge(self) -> None:
         """Raise Refused when a node has ended badly so far."""
         self._judge_required()
-        died = {task: code for task, code in self._ended.items() if code}
+        died = {task: code for task in self.begun if isinstance(task, Process) and (code := self._ended.get(task))}
         if died:
             names = ", ".join(f"{task.node.full_name} ({reason(code)})" for task, code in died.items())
             raise Refused(f"these nodes died: {names}")

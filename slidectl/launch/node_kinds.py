@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -39,7 +40,11 @@ COUNTERPARTS = {
     ("topic_tools", "mux"): "topic_tools:Mux",
     ("twist_mux", "twist_mux"): "topic_tools:TwistMux",
 }
-"""Package and type of the nodes that have one, without the windows, which are all those of rviz and rqt."""
+"""Package and type of the nodes that have one, without the windows, which are all those of rviz and rqt.
+
+RViz itself is a program where it can reach the daemon.
+"""
+RVIZ = ("rviz", "rviz")
 _TOOLS = ("rostopic", "rosservice", "rosparam")
 _VIEWER = "left_out:Viewer"
 _DO_WITHOUT_ARGUMENTS = (_VIEWER, "left_out:Window", "gazebo:Gazebo")
@@ -47,9 +52,15 @@ _SKIP = "--skip-unknown leaves such nodes out"
 
 
 def tasks(
-    plan: LaunchPlan, packages: Packages, gather: bool = False, nodes: Sequence[Node] | None = None
+    plan: LaunchPlan,
+    packages: Packages,
+    gather: bool = False,
+    nodes: Sequence[Node] | None = None,
+    has_master: bool = False,
 ) -> list[Task]:
     """What to do for each node of the plan, or for some `nodes` of it, in order. Nothing is started.
+
+    `has_master`: a gateway is there by which programs of ROS 1 reach the daemon. Then RViz is one, if it is installed.
 
     Nodes that can neither be done nor run, or whose arguments need what is not there, are left out and noted as
     missing; with `gather` the caller refuses that, after looking for more.
@@ -60,7 +71,7 @@ def tasks(
     found = []
     for node in plan.nodes if nodes is None else nodes:
         try:
-            found.append(_task(node, plan, packages))
+            found.append(_task(node, plan, packages, has_master))
         except NotThere as error:
             plan.missing.note(error, f"the node {node.full_name} is left out", is_node=not node.absent)
         except BadFile:
@@ -83,8 +94,12 @@ def _entry(package: str, kind: str) -> str | None:
     return COUNTERPARTS.get((package, kind)) or COUNTERPARTS.get((package, kind.removesuffix(".py")))
 
 
-def _task(node: Node, plan: LaunchPlan, packages: Packages) -> Task:
+def _task(node: Node, plan: LaunchPlan, packages: Packages, has_master: bool) -> Task:
     entry = _entry(node.package, node.type)
+    if has_master and (node.package, node.type) == RVIZ and not node.absent and (rviz := _rviz(node, packages)):
+        from slidectl.launch.nodes.programs import Process
+
+        return Process(node, plan, [rviz])
     if node.absent and entry not in _DO_WITHOUT_ARGUMENTS:
         raise node.absent[0]
     if entry is not None:
@@ -99,6 +114,15 @@ def _task(node: Node, plan: LaunchPlan, packages: Packages) -> Task:
         return ToolProcess(node, plan)
     program = find(node, packages.starting_at(os.path.dirname(node.file) or "/"))
     return Process(node, plan, [str(program)])
+
+
+def _rviz(node: Node, packages: Packages) -> str | None:
+    """Distributions have it on the PATH, ROS's own in its folders."""
+    program = shutil.which(node.type)
+    if program is None:
+        with suppress(BadFile):
+            program = str(find(node, packages))
+    return program
 
 
 def _point_out(node: Node, plan: LaunchPlan) -> None:

@@ -6,6 +6,7 @@ One thread, the main one, since signals are heard there. Knows nothing of launch
 
 from __future__ import annotations
 
+import math
 import os
 import sched
 import selectors
@@ -16,12 +17,17 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from slidectl.client import Client
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _CHUNK = 65536
 """Bytes of one read: as many as a pipe holds."""
 _LONGEST_LINE = 65536
+_LOOK_EVERY_S = 0.01
+"""Simulated seconds between two looks at descriptors, in a scenario."""
 
 Action = Callable[[], None]
 
@@ -113,6 +119,14 @@ class Watch:
         if descriptor in self._selector.get_map():
             self._selector.unregister(descriptor)
 
+    def listen(self, client: Client, action: Action) -> None:
+        """Do it whenever something has come for the client."""
+        self.add(client.fileno(), action)
+
+    def ignore(self, client: Client) -> None:
+        """Look no more whether something has come for it."""
+        self.remove(client.fileno())
+
     def later(self, seconds: float, action: Action) -> None:
         """Do it once, after so many seconds."""
         self._timers.enter(seconds, 0, action)
@@ -125,6 +139,30 @@ class Watch:
             if key.fd in self._selector.get_map():  # an earlier action may have removed it
                 key.data()
         self._timers.run(blocking=False)
+
+
+class WorldWatch(Watch):
+    """The same in a scenario: on the clock of a client whose waits let the world go on, or others have their turn."""
+
+    def __init__(self, client: Client) -> None:
+        super().__init__()
+        self._timers = sched.scheduler(client.monotonic)
+        self._client = client
+
+    def listen(self, client: Client, action: Action) -> None:
+        """As a Watch does. A world in this process does it between two cycles, whoever waits."""
+        if not client.call_back(action):
+            super().listen(client, action)
+
+    def ignore(self, client: Client) -> None:
+        if not client.call_back(None):
+            super().ignore(client)
+
+    def turn(self, most_s: float | None = None) -> None:
+        super().turn(0.0)
+        waits = [most_s, self._timers.run(blocking=False), _LOOK_EVERY_S if self._selector.get_map() else None]
+        next(self._client.events(min((wait_s for wait_s in waits if wait_s is not None), default=math.inf)), None)
+        super().turn(0.0)
 
 
 class Child:
@@ -247,8 +285,10 @@ def run(arguments: Sequence[str], environment: Mapping[str, str], most_bytes: in
 def _signals_deferred() -> Iterator[None]:
     """A signal that comes meanwhile is taken at the end: an exception inside `Popen` would lose the new process."""
     came: list[int] = []
-    handled = [number for number in SIGNALS if callable(signal.getsignal(number))]
-    previous = {number: signal.signal(number, lambda number, _frame: came.append(number)) for number in handled}
+    previous: dict[int, Any] = {}
+    with suppress(ValueError):  # in a thread, which hears none
+        for heard in [number for number in SIGNALS if callable(signal.getsignal(number))]:
+            previous[heard] = signal.signal(heard, lambda number, _frame: came.append(number))
     try:
         yield
     finally:

@@ -20,6 +20,7 @@ _DATA = os.path.join(os.path.dirname(__file__), "data")
 # Type names come from clients too: nothing but two plain words may become a path.
 _LEGAL = re.compile(r"[A-Za-z]\w{0,99}/[A-Za-z]\w{0,99}", re.ASCII)
 _LONGEST_SHOWN = 120
+_RULE = "=" * 80
 _LINE = re.compile(r"(?P<type>[\w/]+)(?P<array>\[\d*\])?\s+(?P<name>[A-Za-z]\w*)\s*(?:=(?P<value>.*))?")
 _SEPARATOR = re.compile(r"^---[ \t]*$", re.MULTILINE)
 _ACTION_TEXTS = {
@@ -280,7 +281,7 @@ def rosbags_text(name: str) -> str | None:
     if full not in _rosbags_store().fielddefs:
         return None
     text: str = _rosbags_store().generate_msgdef(full)[0]  # followed by the texts of the types in it
-    return text.partition("=" * 80)[0]
+    return text.partition(_RULE)[0]
 
 
 # Types as text, and their md5 sums: as `rosmsg` and `rossrv` print them
@@ -289,6 +290,26 @@ def rosbags_text(name: str) -> str | None:
 def definition(type_name: str) -> str:
     """The text of the type's `.msg` file. Raises UnknownName."""
     return definition_of(type_name).text
+
+
+@cache
+def full_definition(type_name: str) -> str:
+    """The text of the type and of those that it is made of, as recordings and ROS's connections have it.
+
+    Raises UnknownName.
+    """
+    texts = {name: definition(name).rstrip("\n") for name in _parts(type_name, {})}
+    first, *rest = texts
+    return "\n\n".join([texts[first], *(f"{_RULE}\nMSG: {name}\n{texts[name]}" for name in rest)]) + "\n"
+
+
+def _parts(type_name: str, found: dict[str, None]) -> Iterator[str]:
+    if type_name not in found:
+        found[type_name] = None
+        yield type_name
+        for field in fields(type_name):
+            if field.type not in PRIMITIVES:
+                yield from _parts(field.type, found)
 
 
 def service_definition(name: str) -> str:

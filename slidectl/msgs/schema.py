@@ -5,7 +5,8 @@ Plain records and tables: nothing here reads a definition.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
 
 SCALAR = -1
 
@@ -34,3 +35,38 @@ class Field(NamedTuple):
     def type_text(self) -> str:
         """The type as a definition writes it: `float64`, `float64[]`, `float64[9]`."""
         return self.type + ("" if self.array == SCALAR else f"[{self.array or ''}]")
+
+
+Typedefs = list[dict[str, Any]]
+"""rosapi/TypeDef of a type and of all that it is made of."""
+
+
+class Schema:
+    """The message type `root` and every type that it is made of."""
+
+    def __init__(self, root: str, types: Mapping[str, tuple[Field, ...]]) -> None:
+        self.root = root
+        self.types = types
+
+    def fields(self, type_name: str) -> tuple[Field, ...]:
+        """The fields of a type, in order; none for a primitive."""
+        return self.types.get(type_name, ())
+
+    def field(self, type_name: str, name: str) -> Field | None:
+        """The field of that name, if there is one."""
+        return next((field for field in self.fields(type_name) if field.name == name), None)
+
+    @property
+    def has_header(self) -> bool:
+        """True when the type has a std_msgs/Header called `header`: the message has a stamp."""
+        return self.field(self.root, "header") == Field("header", "std_msgs/Header")
+
+
+def from_typedefs(typedefs: Iterable[Mapping[str, Any]]) -> Schema:
+    """The schema of a `typedefs` list (rosapi/TypeDef); the first one is the root."""
+    types = {
+        str(entry["type"]): tuple(map(Field, entry["fieldnames"], entry["fieldtypes"], entry["fieldarraylen"]))
+        for entry in typedefs
+        if entry["type"] not in TIMES
+    }
+    return Schema(next(iter(types), ""), types)

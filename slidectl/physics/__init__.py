@@ -3,6 +3,17 @@
 Knows no topics, no clients and no wall time.
 """
 
+import os
+
+from slidectl.errors import Refused
+
+try:
+    import mujoco  # noqa: F401 - with OpenGL, as MUJOCO_GL says
+except Exception as error:
+    if os.environ.get("MUJOCO_GL", "disable") == "disable":  # which the daemon sets itself
+        raise
+    raise Refused(f"MuJoCo cannot be used with MUJOCO_GL={os.environ['MUJOCO_GL']}: {error}", "unset it") from None
+
 from slidectl.physics.body import Body
 from slidectl.physics.mujoco_library import EngineError, take_warnings
 from slidectl.physics.robot_hw import MujocoRobotHW

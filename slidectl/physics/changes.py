@@ -1,6 +1,7 @@
 """Changes of a robot's joints and masses that can be taken back: a stuck joint, another friction, a payload.
 
 Each is put on with `hold`, again before every step, since the model may have been rebuilt; `release` leaves no trace.
+`check` raises Refused where it would do nothing.
 """
 
 from __future__ import annotations
@@ -33,6 +34,14 @@ class StuckJoint:
         """Where it is stuck; None while it is not."""
         self._lasting: float | None = None
         self._dynamics: list[Any] = []
+
+    def check(self) -> None:
+        """It can always be."""
+
+    @property
+    def is_held(self) -> bool:
+        """Is it put on?"""
+        return self._position is not None
 
     def hold(self) -> None:
         """Before the step, after everybody has said what the joint is to do."""
@@ -69,20 +78,26 @@ class StuckJoint:
 
 
 class JointFriction:
-    """Another dry friction (N or N·m), another damping (N·s/m or N·m·s/rad), or both; None: as it is.
-
-    Raises Refused: a motor drives the joint.
-    """
+    """Another dry friction (N or N·m), another damping (N·s/m or N·m·s/rad), or both; None: as it is."""
 
     def __init__(self, world: World, body: Body, joint: str, friction: float | None, damping: float | None) -> None:
-        if joint in world.loads.motors.of(body) and body.lasting_motors.get(joint) != math.inf:
-            text = f"{joint} is driven by a motor, which takes the place of its friction"
-            raise Refused(text, "with gains in gazebo_ros_control/pid_gains it is driven by efforts")
         self._world = world
         self._body = body
         self._joint = joint
         self._asked = friction, damping
         self._before: tuple[float, float] | None = None
+
+    def check(self) -> None:
+        """Raises Refused: a motor drives the joint."""
+        motors, lasting = self._world.loads.motors.of(self._body), self._body.lasting_motors
+        if self._joint in motors and lasting.get(self._joint) != math.inf:
+            text = f"{self._joint} is driven by a motor, which takes the place of its friction"
+            raise Refused(text, "with gains in gazebo_ros_control/pid_gains it is driven by efforts")
+
+    @property
+    def is_held(self) -> bool:
+        """Is it put on?"""
+        return self._before is not None
 
     def hold(self) -> None:
         """Before each step."""
@@ -114,10 +129,7 @@ _OF_MASS = ("body_mass", "body_ipos", "body_iquat", "body_inertia", "body_gravco
 
 
 class Payload:
-    """A point mass (kg) at a place of a link (m, in the link's frame).
-
-    Raises Refused: the robot is one free link.
-    """
+    """A point mass (kg) at a place of a link (m, in the link's frame)."""
 
     def __init__(self, world: World, body: Body, link: str, mass: float, at: Vector) -> None:
         self._world = world
@@ -130,8 +142,17 @@ class Payload:
         self._before: dict[str, Any] = {}
         self._links: list[tuple[str, LinkPlace, LinkPlace]] = []
         """Of all links of the body: where they are without it, and with it."""
-        if world.model.body_simple[self.body] and world.model.body_dofnum[self.body] > 1:
-            raise Refused(f"{body.name!r} is one free link, {link}: MuJoCo takes its mass as constant")
+
+    def check(self) -> None:
+        """Raises Refused: the robot is one free link."""
+        model = self._world.model
+        if model.body_simple[self.body] and model.body_dofnum[self.body] > 1:
+            raise Refused(f"{self._body.name!r} is one free link, {self._link}: MuJoCo takes its mass as constant")
+
+    @property
+    def is_held(self) -> bool:
+        """Is it put on, in this model or in one before?"""
+        return bool(self._before)
 
     @property
     def body(self) -> int:
@@ -178,7 +199,7 @@ class Payload:
                 getattr(model, name)[body] = value
             self._tell(model, body, is_simple=bool(model.body_simple[body]))
         self._put_links_back()
-        self._model = None
+        self._model, self._before = None, {}
 
     def _put_links_back(self) -> None:
         """Those that no rebuild of the model has found anew."""

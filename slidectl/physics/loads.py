@@ -82,6 +82,8 @@ class Wrench:
     torque: Vector
     start_ns: int
     duration_ns: int
+    source: str = ""
+    """Who put it on, for those who take it back."""
 
 
 def _is_over(force: JointForce | Wrench, now_ns: int) -> bool:
@@ -155,7 +157,8 @@ class Loads:
         time, wrenches = self._acted
         forces = [[one.body.name, one.joint, one.effort, one.start_ns, one.duration_ns] for one in self.joint_forces]
         pushes = [
-            [one.body.name, one.link, one.force, one.torque, one.start_ns, one.duration_ns] for one in self.wrenches
+            [one.body.name, one.link, one.force, one.torque, one.start_ns, one.duration_ns, one.source]
+            for one in self.wrenches
         ]
         bounds, velocities = self.motors.captured()
         return {

@@ -20,13 +20,14 @@ from typing import IO, TYPE_CHECKING, Any, NamedTuple
 import mujoco
 import numpy as np
 
+from slidectl.description import link_colours
 from slidectl.errors import Refused
 from slidectl.physics.body import Array
 from slidectl.physics.touching import link_of
 from slidectl.rotations import Pose, rotate
 
 if TYPE_CHECKING:
-    from slidectl.description.robot import Camera, Link
+    from slidectl.description.robot import Camera
     from slidectl.physics.world import World
 
 INSTALL = "install OpenGL for programs without a screen: apt install libegl1 (with a driver: libgl1-mesa-dri)"
@@ -34,15 +35,8 @@ _LIBRARIES = {"egl": ("libEGL.so.1",), "osmesa": ("libOSMesa.so.8", "libOSMesa.s
 _ANSWER = struct.Struct("<?I")
 """Whether a picture follows, or the reason why there is none; and its length."""
 _PIECE = 1 << 20
-_PLAIN = (0.7, 0.7, 0.7, 1.0)
 _AMBIENT = 0.4
 """Of the light that is everywhere; that of Gazebo's worlds."""
-_GAZEBO = {
-    "Red": (1.0, 0.0, 0.0), "Green": (0.0, 1.0, 0.0), "Blue": (0.0, 0.0, 1.0), "Yellow": (1.0, 1.0, 0.0),
-    "Orange": (1.0, 0.5088, 0.0468), "Purple": (1.0, 0.0, 1.0), "Turquoise": (0.0, 1.0, 1.0), "White": (1.0, 1.0, 1.0),
-    "Black": (0.0, 0.0, 0.0), "DarkGrey": (0.175, 0.175, 0.175), "FlatBlack": (0.1, 0.1, 0.1), "Grey": (0.7, 0.7, 0.7),
-}  # fmt: skip
-"""Colours of Gazebo's materials."""
 
 
 class PictureRequest(NamedTuple):
@@ -175,19 +169,13 @@ def _colours(world: World) -> Array:
     """Red, green, blue and alpha of each shape, by its link."""
     model = world.model
     robots = {world.body(name).root_id: world.body(name) for name in world.names()}
-    colours = np.tile(np.array(_PLAIN), (model.ngeom, 1))
+    colours = np.tile(np.array(link_colours.PLAIN), (model.ngeom, 1))
     for geom in range(model.ngeom):
         body = robots.get(int(model.body_rootid[model.geom_bodyid[geom]]))
         link = body.robot.links.get(link_of(model, geom, body.name)) if body is not None else None
         if link is not None:
-            colours[geom] = _colour(link)
+            colours[geom] = link_colours.of_link(link)
     return colours
-
-
-def _colour(link: Link) -> tuple[float, ...]:
-    named = _GAZEBO.get((link.surface.material or "").removeprefix("Gazebo/"))
-    materials = [shape.material for shape in link.visuals if shape.material is not None]
-    return (*named, 1.0) if named else next((one.rgba for one in materials if one.rgba is not None), _PLAIN)
 
 
 # --- the process ------------------------------------------------------------------------------------------------------

@@ -19,6 +19,7 @@ from slidectl.control.hardware_interface import ForceTorqueData, ImuData
 from slidectl.description.robot import ForceTorque, Imu, Sensor
 from slidectl.physics.touching import link_of
 from slidectl.rotations import (
+    ORIGIN,
     Pose,
     Quaternion,
     Vector,
@@ -91,8 +92,23 @@ def acceleration(world: World, robot: str, link: str, origin: Pose) -> tuple[Vec
     Raises:
         UnknownName.
     """
+    felt, _, attitude = _accelerations(world, robot, link, origin)
+    return felt, attitude
+
+
+def link_acceleration(world: World, robot: str, link: str) -> tuple[Vector, Vector]:
+    """Linear (of the frame's origin) and angular acceleration of a link in the last step, in the world's axes.
+
+    Raises UnknownName.
+    """
+    felt, turning, _ = _accelerations(world, robot, link, ORIGIN)
+    return add(felt, world.gravity), turning
+
+
+def _accelerations(world: World, robot: str, link: str, origin: Pose) -> tuple[Vector, Vector, Quaternion]:
+    """What is felt there, the angular acceleration, and the attitude at that time."""
     model, data, place = world.model, world.data, world.body(robot).link(link)
-    world.feel()
+    world.compute_body_forces()
     found, moving, kind = np.zeros(6), np.zeros(6), mujoco.mjtObj.mjOBJ_XBODY
     mujoco.mj_objectAcceleration(model, data, kind, place.body, found, 0)
     mujoco.mj_objectVelocity(model, data, kind, place.body, moving, 0)
@@ -103,7 +119,7 @@ def acceleration(world: World, robot: str, link: str, origin: Pose) -> tuple[Vec
     arm, attitude = rotate((x, y, z, w), at), multiply((x, y, z, w), turn)
     spin = (wx, wy, wz)
     felt = add((lx, ly, lz), add(cross((ax, ay, az), arm), cross(spin, cross(spin, arm))))
-    return felt, attitude
+    return felt, (ax, ay, az), attitude
 
 
 def sensor_pose(world: World, robot: str, sensor: Sensor) -> Pose:
@@ -161,7 +177,7 @@ def force_torque(world: World, robot: str, sensor: ForceTorque, time_ns: int) ->
     As Gazebo has it: what the child link puts on the joint, or the other way round when the sensor says so.
     """
     model, data, body = world.model, world.data, world.body(robot).link(sensor.link).body
-    world.feel()
+    world.compute_body_forces()
     anchor = data.xpos[body]
     # By the parent on the child, about the centre of mass of the whole robot.
     torque, force = data.cfrc_int[body, :3].copy(), data.cfrc_int[body, 3:].copy()
@@ -216,6 +232,20 @@ def touches(world: World, robot: str, link: str) -> list[Touch]:
                 Touch(names[own], names[1 - own], position, normal, _vector(force), max(0.0, -float(contact.dist)))
             )
     return found
+
+
+def contacts(world: World) -> Iterator[tuple[Vector, Vector]]:
+    """Points at which something touches, in m, and the forces there in N: on a robot by the ground, or on the second.
+
+    In world axes, of the last step.
+    """
+    model, data = world.model, world.data
+    wrench = np.zeros(6)
+    for index in range(data.ncon):
+        contact = data.contact[index]
+        mujoco.mj_contactForce(model, data, index, wrench)
+        sign = -1.0 if model.geom_bodyid[contact.geom[1]] == 0 else 1.0
+        yield _vector(contact.pos), _vector(sign * (wrench[:3] @ contact.frame.reshape(3, 3)))
 
 
 def _vector(array: Array) -> Vector:

@@ -51,7 +51,7 @@ _OF_MODEL = {
 }
 """Arrays by the kind of their rows, as `Body.part` names it. Of the model: where roots were put, and each robot's own
 weights."""
-_FELT = ("cacc", "cfrc_int", "xpos", "xquat", "xmat", "xipos", "ximat", "subtree_com", "cvel")
+_OF_LAST_STEP = ("cacc", "cfrc_int", "xpos", "xquat", "xmat", "xipos", "ximat", "subtree_com", "cvel")
 """What sensors make their values of: the last step computed it, and the state after that step does not give it back."""
 _PLACED = ("body_pos", "body_quat")
 
@@ -257,7 +257,7 @@ class World:
     def _use(self, model: Any, data: Any) -> None:
         self.model, self.data = model, data
         self._observer = Observer(model, data)
-        self._felt_at = math.nan
+        self._forces_at = math.nan
         """MuJoCo's time after the step whose accelerations and forces are in `data`, where `restore` has put them."""
         self._advance = partial(mujoco.mj_step, model, data)
         self.step = self._advance if self.loads.is_empty else self._step_with_loads
@@ -380,11 +380,11 @@ class World:
 
     def snapshot(self) -> dict[str, Any]:
         """The state of this moment as plain data and arrays of numbers, for `restore`."""
-        self.feel()
+        self.compute_body_forces()
         return {
             "robots": list(self._bodies),
             "time": float(self.data.time),
-            "data": {name: getattr(self.data, name).copy() for name in (*_OF_DATA, *_FELT)},
+            "data": {name: getattr(self.data, name).copy() for name in (*_OF_DATA, *_OF_LAST_STEP)},
             "model": {name: getattr(self.model, name).copy() for name in _PLACED},
             "loads": self.loads.snapshot(),
         }
@@ -401,7 +401,7 @@ class World:
             raise Refused(f"the snapshot is of other robots: {listing(snapshot['robots'])}")
         for array, values in pairs:
             array[:] = values
-        self.data.time = self._felt_at = snapshot["time"]
+        self.data.time = self._forces_at = snapshot["time"]
         self.loads.motors.release(self.model)
         self.loads.restore(snapshot["loads"], self._bodies)
         self._bind_loads()
@@ -409,9 +409,9 @@ class World:
         self._announce_all()
         self._observer.invalidate()
 
-    def feel(self) -> None:
+    def compute_body_forces(self) -> None:
         """Compute in `data` the accelerations of bodies and the forces between them in the last step."""
-        if self._felt_at != self.data.time:
+        if self._forces_at != self.data.time:
             mujoco.mj_rnePostConstraint(self.model, self.data)  # writes nothing else
 
     def link_pose(self, name: str, link: str) -> Pose:
@@ -495,8 +495,15 @@ class World:
         self._loads_changed()
 
     def add_wrench(
-        self, name: str, link: str, force: Vector, torque: Vector, start_ns: int = 0, duration_ns: int = -1
-    ) -> Wrench:
+        self,
+        name: str,
+        link: str,
+        force: Vector,
+        torque: Vector,
+        start_ns: int = 0,
+        duration_ns: int = -1,
+        source: str = "",
+    ) -> None:
         """A force (N) and torque (N·m), world's axes, on a link's centre of mass, as long as `add_joint_force` says.
 
         Raises:
@@ -504,14 +511,12 @@ class World:
         """
         body = self.body(name)
         body.link(link)
-        wrench = Wrench(body, link, finite(force), finite(torque), start_ns, duration_ns)
-        self.loads.wrenches.append(wrench)
+        self.loads.wrenches.append(Wrench(body, link, finite(force), finite(torque), start_ns, duration_ns, source))
         self._loads_changed()
-        return wrench
 
-    def drop_wrench(self, wrench: Wrench) -> None:
-        """End this one, if it acts still."""
-        self.loads.keep(lambda force: force is not wrench)
+    def drop_wrenches(self, source: str) -> None:
+        """End those that have this source."""
+        self.loads.keep(lambda force: isinstance(force, JointForce) or force.source != source)
         self._loads_changed()
 
     def clear_joint_forces(self, name: str, joint: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from binascii import a2b_base64, b2a_base64
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -17,7 +17,6 @@ from slidectl.msgs.definitions import parse_message
 from slidectl.msgs.schema import BYTES, FLOATS, INTEGER_RANGES, PRIMITIVES, SCALAR, TIMES, Field
 
 _SECTION = re.compile(r"^=+\s*\nMSG: *(\S+) *\n", re.MULTILINE)
-_RULE = "=" * 80
 
 Convert = Callable[[Any], Any]
 
@@ -110,25 +109,13 @@ class Codec:
 @cache
 def of(type_name: str) -> Codec:
     """The codec of a type that slidectl knows. Raises UnknownName."""
-    texts = {name: msgs.definition(name).rstrip("\n") for name in _parts(type_name, {})}
-    first, *rest = texts
-    sections = [texts[first], *(f"{_RULE}\nMSG: {name}\n{texts[name]}" for name in rest)]
-    return Codec(type_name, "\n\n".join(sections) + "\n", msgs.md5(type_name))
+    return Codec(type_name, msgs.full_definition(type_name), msgs.md5(type_name))
 
 
 def definitions(root: str, text: str) -> dict[str, str]:
     """Type -> definition, out of one in which those of nested types follow, each behind a line of its own."""
     first, *rest = _SECTION.split(text)
     return {root: first, **dict(zip(rest[::2], rest[1::2], strict=True))}
-
-
-def _parts(type_name: str, found: dict[str, None]) -> Iterator[str]:
-    if type_name not in found:
-        found[type_name] = None
-        yield type_name
-        for field in msgs.fields(type_name):
-            if field.type not in PRIMITIVES:
-                yield from _parts(field.type, found)
 
 
 def _long(type_name: str) -> str:

@@ -1,21 +1,32 @@
-"""Golden traces: a recording against an earlier one of the same run, exactly or within tolerances."""
+"""Golden traces: a run against an earlier one of the same, exactly or within tolerances.
+
+A baseline is a recording, or a table of chosen fields as a CSV file: small, read without a library, and shown line by
+line by version control, with numbers that stand for their bits.
+"""
 
 from __future__ import annotations
 
+import csv
+import io
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from slidectl import names, writing
-from slidectl.errors import BadFile, Refused, UnknownName, cut
-from slidectl.field_path import Selection, select
-from slidectl.recording.recording_files import COMPRESSIONS, Record, Recording, opened
+from slidectl.errors import BadFile, Refused, UnknownName, UsageError, cut, listing
+from slidectl.field_path import Fields, NoElement, Selection, select
+from slidectl.recording.recording_files import COMPRESSIONS, Record, RecordedTopic, Recording, opened
 
 LEFT_OUT = ("/rosout",)
 """Topics that are not compared unless a field of them is asked for."""
+TABLE = ".csv"
+"""The suffix of a table."""
+_FIRST_COLUMNS = ["time", "topic"]
+_NOTHING = "nothing"
+_UPDATE = "make it of this run: --update-baseline"
 _SECOND = 10**9
 _SHOWN = 60
 
@@ -41,6 +52,21 @@ class Difference(NamedTuple):
         return f"{place} at {self.time:.9g} s: {one}, baseline: {other}{allowed}"
 
 
+def tolerances_of(fields: Sequence[str], tolerance: float) -> dict[str, float]:
+    """`TOPIC/FIELD[I]` or `TOPIC/FIELD[I]=TOL` each, as field -> tolerance. Raises UsageError."""
+    found = {}
+    for name, sign, text in (field.partition("=") for field in fields):
+        found[name] = _tolerance(text) if sign else tolerance
+    return found
+
+
+def _tolerance(text: str) -> float:
+    with suppress(ValueError):
+        if 0 <= (tolerance := float(text)) < math.inf:
+            return tolerance
+    raise UsageError(f"{text!r} is no tolerance: a number of 0 or more")
+
+
 def compare(
     run: Recording,
     baseline: Recording,
@@ -57,12 +83,12 @@ def compare(
         tolerances: how far numbers may be off, of all or by field as it stands in `fields`; 0 compares exactly.
 
     Raises:
-        UnknownName, AmbiguousName: not in the baseline. BadRecording.
+        UnknownName, AmbiguousName, UsageError: not in the baseline. NoElement: in no message of it. BadRecording.
     """
     found: list[Difference] = []
     for wanted in fields or [topic for topic in baseline.topics if topic not in LEFT_OUT]:
         allowed = tolerances if isinstance(tolerances, float | int) else tolerances.get(wanted, 0.0)
-        topic, field = _named(wanted, baseline)
+        topic, field = _named(wanted, baseline.topics, f"in {baseline.path}")
         found += itertools.islice(_differences(run, baseline, topic, field, allowed), 1)
     return sorted(found, key=lambda difference: difference.time)
 
@@ -73,33 +99,211 @@ def compare_file(
     fields: Sequence[str] = (),
     tolerances: float | Mapping[str, float] = 0.0,
     update: bool = False,
+    open_file: Callable[[Path], Recording] = opened,
 ) -> list[Difference]:
-    """`compare` with a .bag or .mcap file, or with that of the run's name in a folder; `update` puts the run there.
+    """`compare` with a file, or with that of the run's name in a folder; `update` puts the run there.
+
+    Of a baseline that is a .csv file the columns are compared, or `fields`.
+
+    Args:
+        open_file: opens what is compared, and may warn of what is damaged.
 
     Raises:
-        BadFile: there is no such baseline. Refused: it cannot be written. And what `compare` raises.
+        BadFile: there is no such baseline. Refused: it cannot be written, or the run is not complete. And what
+            `compare` raises.
     """
-    kept = baseline if baseline.suffix in COMPRESSIONS else baseline / run.name
+    kept = baseline if baseline.suffix in (*COMPRESSIONS, TABLE) else baseline / run.name
+    if not update and not kept.exists():
+        raise BadFile("there is no such baseline", str(kept), hint=_UPDATE)
+    if kept.suffix == TABLE:
+        return _compare_table(run, kept, fields, tolerances, update, open_file)
     if update:
-        opened(run).close()
-        try:
-            kept.parent.mkdir(parents=True, exist_ok=True)
-            writing.replace(kept, run.read_bytes())
-        except OSError as error:
-            raise Refused(f"cannot write {kept}: {error.strerror or error}") from None
+        with opened(run) as recording:
+            _check_complete(recording)
+        _put(kept, run.read_bytes())
         return []
-    if not kept.exists():
-        raise BadFile("there is no such baseline", str(kept), hint="make it of this run: --update-baseline")
-    with opened(run) as one, opened(kept) as other:
+    with open_file(run) as one, open_file(kept) as other:
         return compare(one, other, fields, tolerances)
 
 
-def _named(text: str, baseline: Recording) -> tuple[str, str]:
+def _check_complete(run: Recording) -> None:
+    """Raises Refused."""
+    run.refuse_written()
+    if run.damage:
+        text = f"{run.path} is no baseline: {run.damage}"
+        raise Refused(text, f"record it again, or complete it: slidectl bag reindex {run.path}")
+
+
+def _compare_table(
+    run: Path, kept: Path, fields: Sequence[str], tolerances: float | Mapping[str, float], update: bool,
+    open_file: Callable[[Path], Recording],
+) -> list[Difference]:  # fmt: skip
+    golden = GoldenTable.read(kept) if kept.exists() else GoldenTable()
+    wanted = fields or golden.columns
+    if not wanted:
+        raise UsageError("which fields are to be in the baseline?", "--fields joint_states/position")
+    with open_file(run) as recording:
+        if update:
+            _check_complete(recording)
+        types = {channel.topic: (_types_in(recording, channel), channel.type) for channel in recording.channels}
+        of_all = tolerances if isinstance(tolerances, float | int) else 0.0
+        own = {} if isinstance(tolerances, float | int) else tolerances
+        table = GoldenTable({field: own.get(field, of_all) for field in wanted}, types, f"in {run}")
+        for one in recording.records(table.topics):
+            table.add(one.channel.topic, one.time_ns, recording.message(one))
+    if update:
+        table.write(kept)
+        return []
+    return table.differences(golden, str(kept))
+
+
+def _types_in(recording: Recording, channel: RecordedTopic) -> Fields:
+    return lambda name: recording.codec(channel).types.get(name, ())
+
+
+def _put(path: Path, content: bytes) -> None:
+    """Raises Refused."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        writing.replace(path, content)
+    except OSError as error:
+        raise Refused(f"cannot write {path}: {error.strerror or error}") from None
+
+
+def _named(text: str, topics: Iterable[str], where: str) -> tuple[str, str]:
     """Topic and field. Raises UnknownName, AmbiguousName."""
     for name, field in names.cut_from_field(text):
         with suppress(UnknownName):
-            return names.resolve(name, baseline.topics, kind="topic"), field
-    raise UnknownName("topic", text, baseline.topics, f"in {baseline.path}")
+            return names.resolve(name, topics, kind="topic"), field
+    raise UnknownName("topic", text, sorted(topics), where)
+
+
+# --- tables -----------------------------------------------------------------------------------------------------------
+
+
+class GoldenTable:
+    """A row a message, with its time in s and its topic; a column a number or text, `TOPIC/FIELD[I]`.
+
+    Args:
+        fields: what is in it, by names as the command line has them, each with its tolerance.
+        topics: those that there are, each with its type and what that and the types in it are made of.
+        where: for messages, where these topics are.
+
+    Raises:
+        UnknownName, AmbiguousName: no such topic or field.
+    """
+
+    def __init__(
+        self,
+        fields: Mapping[str, float] | None = None,
+        topics: Mapping[str, tuple[Fields, str]] | None = None,
+        where: str = "",
+    ) -> None:
+        self.rows: list[dict[str, str]] = []
+        self._tolerances: dict[str, float] = {}
+        """Columns, in the order in which they came first."""
+        self._selections: dict[str, list[tuple[str, Selection, float]]] = {}
+        for wanted, tolerance in (fields or {}).items():
+            topic, path = _named(wanted, topics or {}, where)
+            fields_of, type_name = (topics or {})[topic]
+            chosen = (path, select(fields_of, type_name, path), tolerance)
+            self._selections.setdefault(topic, []).append(chosen)
+
+    @property
+    def topics(self) -> set[str]:
+        """Those that it has fields of."""
+        return set(self._selections)
+
+    @property
+    def columns(self) -> list[str]:
+        """The names of its fields."""
+        return list(self._tolerances)
+
+    def add(self, topic: str, time_ns: int, message: Any) -> None:
+        """A message of one of its topics."""
+        row = {"time": repr(time_ns / _SECOND), "topic": topic}
+        for path, selection, tolerance in self._selections[topic]:
+            value = selection.take(message)
+            for leaf, item, _ in _leaves(path, value, value):
+                column = f"{topic}/{leaf}"
+                row[column] = "nan" if item is None else str(item)
+                self._tolerances.setdefault(column, tolerance)
+        self.rows.append(row)
+
+    def differences(self, golden: GoldenTable, where: str) -> list[Difference]:
+        """The first difference of each column, the earliest first. Raises Refused: `golden` has other columns."""
+        new, gone = (
+            [column for column in one.columns if column not in other.columns]
+            for one, other in ((self, golden), (golden, self))
+        )
+        if new or gone:
+            counts = [f"{what} {listing(columns)}" for what, columns in (("without", new), ("with", gone)) if columns]
+            raise Refused(f"{where} has other fields than this run: {', '.join(counts)}", _UPDATE)
+        found: dict[tuple[str, str], Difference] = {}
+        for topic in dict.fromkeys(row["topic"] for row in (*golden.rows, *self.rows)):
+            ours, theirs = ([row for row in table.rows if row["topic"] == topic] for table in (self, golden))
+            for one, other in itertools.zip_longest(ours, theirs):
+                if one is None or other is None or one["time"] != other["time"]:
+                    is_ours = other is None or (one is not None and float(one["time"]) < float(other["time"]))
+                    found[topic, ""] = _unpaired(topic, float((one if is_ours else other)["time"]), is_ours)
+                    break
+                for column, tolerance in self._tolerances.items():
+                    value, expected = (row.get(column) or _NOTHING for row in (one, other))
+                    if value != expected and not _is_same(_number(value), _number(expected), tolerance):
+                        field = column.removeprefix(f"{topic}/")
+                        difference = Difference(topic, field, float(one["time"]), value, expected, tolerance)
+                        found.setdefault((topic, field), difference)
+        return sorted(found.values(), key=lambda difference: difference.time)
+
+    def write(self, path: Path) -> None:
+        """Put it there, at once or not at all. Raises Refused."""
+        text = io.StringIO(newline="")
+        table = csv.DictWriter(text, [*_FIRST_COLUMNS, *self.columns], restval="", lineterminator="\n")
+        table.writeheader()
+        table.writerows(self.rows)
+        _put(path, text.getvalue().encode())
+
+    @classmethod
+    def read(cls, path: Path) -> GoldenTable:
+        """Raises BadFile: it cannot be read, is no such table, or is cut off."""
+        found, line = cls(), 1
+        try:
+            text = path.read_bytes().decode()
+            rows = csv.reader(io.StringIO(text, newline=""))
+            header = next(rows, [])
+            if header[:2] != _FIRST_COLUMNS:
+                what = f"is no table of a run: it begins with {','.join(_FIRST_COLUMNS)}"
+                raise BadFile(what if text else "is empty", str(path), hint=_UPDATE)
+            found._tolerances = dict.fromkeys(header[2:], 0.0)
+            for row in rows:
+                line = rows.line_num
+                if len(row) != len(header):
+                    raise BadFile("is cut off", str(path), line, hint=_UPDATE)
+                float(row[0])
+                found.rows.append(dict(zip(header, row, strict=True)))
+        except OSError as error:
+            raise BadFile(error.strerror or str(error), str(path)) from None
+        except (ValueError, csv.Error) as error:
+            raise BadFile(f"cannot be read as a table: {error}", str(path), line, hint=_UPDATE) from None
+        if not text.endswith("\n"):
+            raise BadFile("is cut off", str(path), line, hint=_UPDATE)
+        return found
+
+
+def _unpaired(topic: str, time_s: float, is_ours: bool) -> Difference:
+    return Difference(topic, "", time_s, "a message" if is_ours else None, None if is_ours else "a message", 0.0)
+
+
+def _number(cell: str) -> float | str:
+    """An integer stays one, and text as Python alone reads numbers, such as 1_0, stays text."""
+    with suppress(ValueError):
+        return cell if "_" in cell else int(cell)
+    with suppress(ValueError):
+        return float(cell)
+    return cell
+
+
+# --- recordings -------------------------------------------------------------------------------------------------------
 
 
 class _Reader:
@@ -107,25 +311,48 @@ class _Reader:
 
     def __init__(self, recording: Recording, topic: str, field: str) -> None:
         self.recording = recording
-        self.records: Iterator[Record] = recording.records({topic})
+        self._topic = topic
         self._field = field
         self._selections: dict[int, Selection] = {}
 
+    def records(self) -> Iterator[Record]:
+        return self.recording.records({self._topic})
+
+    def check(self) -> None:
+        """Raises UnknownName, UsageError: the messages have no such field. NoElement: none of them has the element."""
+        if not self._field:
+            return
+        for channel in self.recording.channels:
+            if channel.topic == self._topic:
+                self._selection(channel)
+        missing: NoElement | None = None
+        for record in self.records():
+            try:
+                self.value(record)
+                return
+            except NoElement as error:
+                missing = error
+        if missing is not None:
+            raise missing
+
+    def _selection(self, channel: RecordedTopic) -> Selection:
+        if channel.number not in self._selections:
+            types = self.recording.codec(channel).types
+            self._selections[channel.number] = select(lambda name: types.get(name, ()), channel.type, self._field)
+        return self._selections[channel.number]
+
     def value(self, record: Record) -> Any:
-        number = record.channel.number
-        if number not in self._selections:
-            types = self.recording.codec(record.channel).types
-            self._selections[number] = select(lambda name: types.get(name, ()), record.channel.type, self._field)
-        return self._selections[number].take(self.recording.message(record))
+        return self._selection(record.channel).take(self.recording.message(record))
 
 
 def _differences(run: Recording, baseline: Recording, topic: str, field: str, tolerance: float) -> Iterator[Difference]:
     ours, theirs = _Reader(run, topic, field), _Reader(baseline, topic, field)
-    for one, other in itertools.zip_longest(ours.records, theirs.records):
+    theirs.check()
+    for one, other in itertools.zip_longest(ours.records(), theirs.records()):
         if one is None or other is None or one.time_ns != other.time_ns:
             is_ours = other is None or (one is not None and one.time_ns < other.time_ns)
             time = (one if is_ours else other).time_ns / _SECOND
-            yield Difference(topic, "", time, "a message" if is_ours else None, None if is_ours else "a message", 0.0)
+            yield _unpaired(topic, time, is_ours)
             return
         if one.channel.md5 != other.channel.md5:
             yield Difference(topic, "", one.time_ns / _SECOND, one.channel.type, other.channel.type, 0.0)

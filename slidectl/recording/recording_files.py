@@ -15,6 +15,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -22,6 +23,8 @@ from slidectl.errors import BadFile, Refused, SlidectlError, UsageError
 from slidectl.recording.codec import BadDefinition, Codec
 
 COMPRESSIONS = {".bag": ("none", "bz2", "lz4"), ".mcap": ("none", "lz4", "zstd")}
+EVERY_CYCLE = "/clock|/gazebo/(link|model)_states"
+"""Topics that come in every cycle, as a regular expression: the frames on /tf say the same."""
 CHUNK = 768 * 1024
 """Bytes of messages in a chunk, as rosbag has it."""
 _BAG_MAGIC = b"#ROSBAG V2.0\n"
@@ -35,6 +38,14 @@ class NoMcap(Refused):
 
     def __init__(self) -> None:
         super().__init__(".mcap files need the library mcap", "install it: pip install 'slidectl[mcap]', or use .bag")
+
+
+def _check_mcap() -> None:
+    """Raises NoMcap."""
+    try:
+        import mcap  # noqa: F401
+    except ImportError:
+        raise NoMcap from None
 
 
 class BadRecording(BadFile):
@@ -111,19 +122,34 @@ class RecordingWriter(ABC):
         return self.path.stat().st_size
 
 
-def create(path: Path, compression: str = "none") -> RecordingWriter:
-    """A new recording of the kind that the suffix says.
+def usual_suffix() -> str:
+    """Of recordings that are kept unasked: MCAP where its library is there."""
+    return ".mcap" if find_spec("mcap") else ".bag"
 
-    Raises:
-        UsageError: no such suffix or compression. Refused: the file is there, or cannot be made. NoMcap.
-    """
+
+def check_kind(path: Path, compression: str = "none") -> None:
+    """Raises UsageError unless there are recordings of the kind that the suffix says, so compressed. Raises NoMcap."""
     known = COMPRESSIONS.get(path.suffix)
     if known is None:
         raise UsageError(f"{path} is neither a .bag nor a .mcap file", "the suffix says which kind it is to be")
     if compression not in known:
         raise UsageError(f"{path.suffix} files have no compression {compression!r}", f"there is: {', '.join(known)}")
-    refuse_existing(path)
+    if path.suffix == ".mcap":
+        _check_mcap()
+
+
+def create(path: Path, compression: str = "none", force: bool = False) -> RecordingWriter:
+    """A new recording of the kind that the suffix says; with `force` instead of a file that is there.
+
+    Raises:
+        UsageError, NoMcap: as `check_kind` does. Refused: the file is there, or cannot be made.
+    """
+    check_kind(path, compression)
+    if not force:
+        refuse_existing(path)
     try:
+        if force:  # with nothing left to refuse
+            path.unlink(missing_ok=True)
         writer = _BagWriter(path, compression) if path.suffix == ".bag" else _McapWriter(path, compression)
         _lock(writer.file)
         return writer
@@ -202,10 +228,8 @@ class _BagWriter(RecordingWriter):
 class _McapWriter(RecordingWriter):
     def __init__(self, path: Path, compression: str) -> None:
         super().__init__(path)
-        try:
-            from mcap.writer import CompressionType, Writer
-        except ImportError:
-            raise NoMcap from None
+        from mcap.writer import CompressionType, Writer
+
         self.file = path.open("xb")
         kind = CompressionType[compression.upper()]
         self._writer = Writer(self.file, chunk_size=CHUNK, compression=kind)
@@ -467,10 +491,7 @@ class _McapRecording(_Scanned):
     """Read from the beginning also where there is an index: the library's sequential reader is the quicker one."""
 
     def __init__(self, path: Path, file: BinaryIO) -> None:
-        try:
-            import mcap  # noqa: F401
-        except ImportError:
-            raise NoMcap from None
+        _check_mcap()
         super().__init__(path, file, "")
 
     def _scan(self) -> Iterator[Record]:

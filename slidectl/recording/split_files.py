@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -72,10 +71,7 @@ class SplitFiles:
         if self._split:
             path = path.with_name(f"{path.stem}_{self._numbers}{path.suffix}")
             self._numbers += 1
-        if self._force:
-            with suppress(OSError):
-                path.unlink()
-        self._writer = create(path, self._compression)
+        self._writer = create(path, self._compression, self._force)
         self.files.append(path)
         self._topics: dict[str, Any] = {}
         self._begin_ns: int | None = None

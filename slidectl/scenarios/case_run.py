@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 import math
+import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from slidectl.client import Client
-from slidectl.errors import Refused, SlidectlError
+from slidectl.errors import EXIT_INTERRUPTED, Refused, SlidectlError
 from slidectl.scenarios.scenario_file import TEMPORARY, Case, ScenarioStep
 from slidectl.scenarios.step_commands import Commands, StepOutcome
 
@@ -20,8 +21,8 @@ BAD = (FAILED, ERROR, XPASSED)
 TEARDOWN_S = 60.0
 """Simulated seconds that the teardown may take, however much the steps have used."""
 _EARLY_S = 1e-9
-_ENDED = 130
-"""How a command ends that was interrupted."""
+_LOOK_EVERY_S = 1e-3
+"""Simulated seconds between two looks whether what stays is up."""
 
 
 @dataclass
@@ -46,6 +47,10 @@ class CaseResult:
     log: list[str] = field(default_factory=list)
     kept: list[str] = field(default_factory=list)
     """Files that were kept of it."""
+    baseline: str = ""
+    """What was written as its baseline."""
+    was_ended: bool = False
+    """Whether it was ended from outside: by Ctrl-C, or at its limit of wall time."""
 
     def as_dict(self) -> dict[str, Any]:
         """Its JSON object."""
@@ -88,22 +93,35 @@ class Stage:
 
 
 def run_case(
-    case: Case, commands: Commands, stage: Stage, sim_timeout: float, temporary: str, steps: Sequence[ScenarioStep]
+    case: Case,
+    commands: Commands,
+    stage: Stage,
+    sim_timeout: float,
+    temporary: str,
+    steps: Sequence[ScenarioStep],
+    look: Callable[[], None],
 ) -> CaseResult:
-    """Run the steps to the end, teardown included. Raises nothing but what is no failure of the case."""
+    """Run the steps to the end, teardown included, with a `look` after each before it.
+
+    Raises nothing but what is no failure of the case.
+    """
     began_s = time.monotonic()
     result = CaseResult(case.id, PASSED)
-    runner = _CaseRunner(steps, commands, stage, case.sim_timeout or sim_timeout, temporary, result)
+    runner = _CaseRunner(steps, commands, stage, case.sim_timeout or sim_timeout, temporary, result, look)
     try:
         runner.run()
     finally:
         result.wall_time = time.monotonic() - began_s
-    if case.xfail:
+    if case.xfail and result.verdict in (PASSED, FAILED):
         result.verdict = XPASSED if result.verdict == PASSED else XFAILED
         if result.verdict == XPASSED:
             result.message = f"it passed, and was known to fail: {case.xfail}"
             result.hint = "take xfail out of the file"
     return result
+
+
+def _late(outcome: StepOutcome, limit: str) -> StepOutcome:
+    return outcome._replace(message=f"not done within {limit} of simulated time: {outcome.message}")
 
 
 class _CaseRunner:
@@ -115,7 +133,9 @@ class _CaseRunner:
         sim_timeout: float,
         temporary: str,
         result: CaseResult,
+        look: Callable[[], None],
     ) -> None:
+        self._look = look
         self._steps = steps
         self._commands = commands
         self._stage = stage
@@ -123,6 +143,7 @@ class _CaseRunner:
         self._temporary = temporary
         self._result = result
         self._background: list[tuple[ScenarioStep, Any, list[StepOutcome]]] = []
+        self._step: ScenarioStep | None = None
 
     def run(self) -> None:
         result = self._result
@@ -130,14 +151,16 @@ class _CaseRunner:
             for step in self._steps:
                 if step.section != "teardown":
                     self._do(step, self._sim_timeout - self._stage.now_s())
+                    self._look()
             self._end_background()
         except _Failed as failure:
             self._note(failure, FAILED if failure.step.section == "steps" else ERROR)
         except WallTimeUp as end:
             self._fail(ERROR, str(end))
+            result.was_ended = True
         except SlidectlError as error:
             self._fail(ERROR, error.message, error.hint)
-        with suppress(SlidectlError):
+        with suppress(SlidectlError, WallTimeUp):
             result.sim_time = self._stage.now_s()
         self._tear_down()
 
@@ -152,32 +175,37 @@ class _CaseRunner:
                 except _Failed as failure:
                     if self._result.verdict == PASSED:
                         self._note(failure, ERROR)
+                    else:
+                        self._result.message += f"\nand in the teardown, {step.text}: {failure.outcome.message}"
                 except (WallTimeUp, SlidectlError) as error:
+                    self._result.was_ended |= isinstance(error, WallTimeUp)
                     if self._result.verdict == PASSED:
                         self._fail(ERROR, str(error))
 
     def _fail(self, verdict: str, message: str, hint: str | None = None) -> None:
         result = self._result
         result.verdict, result.message, result.hint = verdict, message, hint or ""
+        if self._step is not None:
+            result.step, result.section, result.line = self._step.text, self._step.section, self._step.line
         with suppress(SlidectlError, WallTimeUp):
             result.failed_at = self._stage.now_s()
         result.log = self._stage.log()
 
     def _note(self, failure: _Failed, verdict: str) -> None:
+        self._step = failure.step
         self._fail(verdict, failure.outcome.message, failure.outcome.hint)
-        result, step = self._result, failure.step
+        result = self._result
         result.failed_at = failure.time_s
-        result.step, result.section, result.line = step.text, step.section, step.line
         with suppress(ValueError, IndexError):
             record = json.loads(failure.outcome.output.strip().splitlines()[-1])
             result.detail = record if isinstance(record, dict) else {}
 
     def _do(self, step: ScenarioStep, most_s: float) -> None:
         """Raises _Failed."""
+        self._step = step
         stage = self._stage
-        outcome = StepOutcome(0)
-        began_s = stage.now_s()
         try:
+            began_s = stage.now_s()
             if step.at is not None:
                 stage.limit(most_s)
                 self._wait_for(step.at)
@@ -185,29 +213,39 @@ class _CaseRunner:
                 began_s = stage.now_s()
             limit_s = most_s if step.within is None else min(most_s, step.within)
             stage.limit(limit_s)
-            if step.words:
-                outcome = self._run(step)
+            outcome = self._run(step)
             took_s = stage.now_s() - began_s
-            if outcome.exit_code and took_s >= limit_s - _EARLY_S:
-                what = f"{step.within:g} s" if limit_s == step.within else f"the {self._sim_timeout:g} s of the case"
-                outcome = outcome._replace(message=f"not done within {what} of simulated time: {outcome.message}")
-            elif not outcome.exit_code and step.within is not None and took_s > step.within + _EARLY_S:
-                outcome = StepOutcome(1, f"it took {took_s:g} s of simulated time, and {step.within:g} s are allowed")
-        except SlidectlError as error:
-            outcome = StepOutcome(error.exit_code, error.message, error.hint or "")
+        except SlidectlError as error:  # of the world: those of a command are its outcome
+            raise self._failed(step, StepOutcome(error.exit_code, error.message, error.hint or "")) from None
         finally:
             stage.limit(None)
-        self._judge(step, outcome)
+        if outcome is not None:
+            is_late = bool(outcome.exit_code) and took_s >= limit_s - _EARLY_S
+            if is_late and limit_s != step.within:
+                is_teardown = step.section == "teardown"
+                whole = f"{TEARDOWN_S:g} s of the teardown" if is_teardown else f"{self._sim_timeout:g} s of the case"
+                raise self._failed(step, _late(outcome, f"the {whole}"))
+            self._judge(step, outcome, f"{step.within:g} s" if is_late else "")
+            if step.within is not None and not step.fails and took_s > step.within + _EARLY_S:
+                text = f"it took {took_s:g} s of simulated time, and {step.within:g} s are allowed"
+                raise self._failed(step, StepOutcome(1, text))
         self._result.steps += 1
 
-    def _run(self, step: ScenarioStep) -> StepOutcome:
+    def _run(self, step: ScenarioStep) -> StepOutcome | None:
+        """None: it goes on in the background."""
+        if not step.words:
+            return StepOutcome(0)
         words = [word.replace(TEMPORARY, self._temporary) for word in step.words]
-        if not step.background:
+        stays = self._commands.stays(words)
+        if not step.background and not stays:
             return self._commands.run(words, self._stage.client)
         outcomes: list[StepOutcome] = []
-        handle = self._stage.begin(lambda client: outcomes.append(self._commands.run(words, client)))
+        is_up = threading.Event()
+        handle = self._stage.begin(lambda client: outcomes.append(self._commands.run(words, client, is_up.set)))
         self._background.append((step, handle, outcomes))
-        return outcomes[0] if outcomes else StepOutcome(0)
+        while stays and not step.background and not is_up.is_set() and not outcomes:
+            next(self._stage.client.events(_LOOK_EVERY_S), None)
+        return outcomes[0] if outcomes else None
 
     def _end_background(self) -> None:
         """Raises _Failed for the first that failed."""
@@ -215,20 +253,21 @@ class _CaseRunner:
         for _, handle, _ in ended:
             handle.end()
         for step, _, outcomes in ended:
-            if outcomes and outcomes[0].exit_code != _ENDED:
-                self._judge(step, outcomes[0])
+            for outcome in outcomes:
+                self._judge(step, StepOutcome(0) if outcome.exit_code == EXIT_INTERRUPTED else outcome)
 
-    def _judge(self, step: ScenarioStep, outcome: StepOutcome) -> None:
-        if not step.fails and not outcome.exit_code:
-            return
-        if step.fails and outcome.exit_code:
-            said = f"{outcome.message}\n{outcome.hint}"
-            if step.fails is True or step.fails in said:
-                return
-            outcome = StepOutcome(1, f"it failed, but not with {step.fails!r}: {outcome.message}", outcome.hint)
-        elif step.fails:
-            outcome = StepOutcome(1, "it was to fail, and did not", output=outcome.output)
-        raise _Failed(step, outcome, self._stage.now_s())
+    def _judge(self, step: ScenarioStep, outcome: StepOutcome, limit: str = "") -> None:
+        """Raises _Failed. `limit` is what the command has used up."""
+        if not step.fails and outcome.exit_code:
+            raise self._failed(step, _late(outcome, limit) if limit else outcome)
+        if step.fails and not outcome.exit_code:
+            raise self._failed(step, StepOutcome(1, "it was to fail, and did not", output=outcome.output))
+        if isinstance(step.fails, str) and step.fails not in f"{outcome.message}\n{outcome.hint}":
+            text = f"it failed, but not with {step.fails!r}: {outcome.message}"
+            raise self._failed(step, StepOutcome(1, text, outcome.hint))
+
+    def _failed(self, step: ScenarioStep, outcome: StepOutcome) -> _Failed:
+        return _Failed(step, outcome, self._stage.now_s())
 
     def _wait_for(self, at_s: float) -> None:
         """Raises Refused: the time has passed."""

@@ -21,7 +21,7 @@ def junit(cases: Sequence[Case], results: Sequence[CaseResult]) -> bytes:
     root = ElementTree.Element("testsuites", name="slidectl test")
     for file in dict.fromkeys(case.file for case in cases):
         inside = [case for case in cases if case.file == file]
-        suite = ElementTree.SubElement(root, "testsuite", name=file)
+        suite = ElementTree.SubElement(root, "testsuite", name=_clean(file))
         counts = dict.fromkeys(("failure", "error", "skipped"), 0)
         seconds = 0.0
         for case in inside:
@@ -30,7 +30,7 @@ def junit(cases: Sequence[Case], results: Sequence[CaseResult]) -> bytes:
             classname = ".".join(PurePath(file).with_suffix("").parts)
             wall_s = result.wall_time if result else 0.0
             entry = ElementTree.SubElement(
-                suite, "testcase", classname=classname, name=_clean(name), time=f"{wall_s:.3f}"
+                suite, "testcase", classname=_clean(classname), name=_clean(name), time=f"{wall_s:.3f}"
             )
             tag = "skipped" if result is None else _TAGS.get(result.verdict)
             seconds += wall_s
@@ -64,7 +64,7 @@ def told(case: Case, result: CaseResult) -> list[str]:
     if result.log:
         lines += ["last lines of the log:", *(f"  {line}" for line in result.log)]
     lines += [f"kept: {', '.join(result.kept)}"] if result.kept else []
-    return [*lines, f"to run it alone: slidectl test {shlex.quote(result.id)}"]
+    return [*lines, f"to run it alone: slidectl test {shlex.quote(result.id)}"] if case.steps else lines
 
 
 def _clean(text: str) -> str:

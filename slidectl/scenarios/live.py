@@ -1,24 +1,26 @@
 """Cases in a live daemon, one after the other. It begins and ends with an empty world at time 0.
 
-The daemon is paused, and goes on some cycles at a time while a step waits for something: so commands take effect at
-the simulated times at which they do in a world of this process, up to those cycles, however long they are on the way.
+The daemon is held, and goes on while a step waits for something, to the cycle in which that comes: so commands take
+effect at the simulated times at which they do in a world of this process, however long they are on the way.
 """
 
 from __future__ import annotations
 
 import itertools
-import threading
+import math
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from typing import Any
+from functools import partial
+from typing import Any, ClassVar
 
 from slidectl import paths
 from slidectl.client import Client
 from slidectl.client.lines import encode
 from slidectl.client.link import SocketLink
 from slidectl.errors import NoDaemon, Refused, SlidectlError, TimedOut
+from slidectl.scenarios.background import BackgroundStep
 from slidectl.scenarios.case_run import Stage
 from slidectl.scenarios.scenario_file import Case
 from slidectl.scenarios.stages import LOG_LINES
@@ -26,28 +28,30 @@ from slidectl.scenarios.step_commands import Commands
 
 _ANSWER_S = 60.0
 """Wall seconds that the daemon may take for what needs no simulated time."""
-_LOOK_EVERY_S = 0.02
+_LONGEST_SLICE = 10_000
+"""Cycles that the world goes on before the next look: each look is a round trip."""
 _CYCLES = 10
-"""That the world goes on before the next look: each look is a round trip."""
+"""The same where somebody waits for messages that do not end a slice, or programs go by wall time."""
 _LEVELS = {1: "debug", 2: "info", 4: "warn", 8: "error", 16: "fatal"}
-_PAUSE, _RESUME = b'"/gazebo/pause_physics"', b'"/gazebo/unpause_physics"'
 
 
 class Live:
     """One daemon for all cases, by its socket."""
 
+    has_journals: ClassVar[bool] = False
+
     def __init__(self, socket: str) -> None:
         self._socket = socket
+        self._holder: Client | None = None
 
     def warm(self, cases: Sequence[Case], commands: Commands) -> None:  # noqa: ARG002
-        """Raises NoDaemon, Refused: the daemon is no stage for these cases."""
-        with Client(socket=self._socket) as client:
-            status = client.call("/slidectl/status")
-        if status["robots"]:
-            raise Refused(
-                f"the daemon holds robots: {', '.join(status['robots'])}",
-                f"a scenario begins with an empty world: slidectl delete {' '.join(status['robots'])}, or another -i",
-            )
+        """Hold the daemon until this process ends. Raises NoDaemon, Refused: it is no stage for these cases."""
+        client = self._holder = Client(socket=self._socket)
+        client.call("/slidectl/step", {"news": True})
+        status = client.call("/slidectl/status")
+        if len(status["holders"]) > 1:
+            raise Refused("another 'slidectl test' runs in this daemon", "wait for its end, or use another daemon: -i")
+        _check_empty(status)
         for case in cases:
             wanted = case.world.get("timestep", status["timestep"])
             if abs(wanted - status["timestep"]) > 1e-12:
@@ -60,41 +64,96 @@ class Live:
     def of(self, case: Case, journal: str = "") -> Iterator[Stage]:  # noqa: ARG002
         with Client(socket=self._socket) as keeper:
             before = set(keeper.params.names())
-            was_paused = keeper.call("/slidectl/status")["paused"]
+            faults, snapshots = _names(keeper.faults()), _names(keeper.snapshots())
+            status = keeper.call("/slidectl/status")
+            _check_empty(status)
+            was_paused = status["paused"]
             keeper.call("/gazebo/pause_physics")
             keeper.call("/gazebo/reset_simulation")
+            physics = keeper.call("/gazebo/get_physics_properties")
             if "gravity" in case.world:
-                _set_gravity(keeper, case.world["gravity"])
+                _set_physics(keeper, physics | {"gravity": dict(zip("xyz", case.world["gravity"], strict=True))})
             try:
-                clock = _CycleClock(bool(case.world.get("paused")))
+                status = keeper.call("/slidectl/status")
+                pace = status["speed"] if any(step.starts_programs for step in case.steps) else 0.0
+                clock = _CycleClock(status["timestep"], pace)
                 link = _SteppedLink(paths.instance(None, self._socket), time.monotonic() + _ANSWER_S, clock)
                 with Client(link=link, timeout=_ANSWER_S) as client:
+                    link.hold()
+                    if not case.world.get("paused"):
+                        keeper.call("/gazebo/unpause_physics")
                     yield _LiveStage(client, clock)
             finally:
+                keeper.call("/gazebo/pause_physics")
                 for robot in keeper.robots():
                     keeper.delete(robot["name"])
+                if new := _names(keeper.faults()) - faults:
+                    keeper.remove_faults(*new)
+                if new := _names(keeper.snapshots()) - snapshots:
+                    keeper.call("/slidectl/delete_snapshots", {"names": list(new)})
                 for name in set(keeper.params.names()) - before:
                     with suppress(SlidectlError):  # it was below one that has gone
                         keeper.call("/rosapi/delete_param", {"name": name})
+                _set_physics(keeper, physics)  # world files of launches change it, too
                 keeper.call("/gazebo/reset_simulation")
                 if not was_paused:
                     keeper.call("/gazebo/unpause_physics")
 
 
-def _set_gravity(client: Client, gravity: Sequence[float]) -> None:
-    physics = client.call("/gazebo/get_physics_properties")
-    request = {key: physics[key] for key in ("time_step", "max_update_rate", "ode_config")}
-    client.call("/gazebo/set_physics_properties", request | {"gravity": dict(zip("xyz", gravity, strict=True))})
+def _check_empty(status: Mapping[str, Any]) -> None:
+    """Raises Refused: a user's robots would be deleted with those of the case."""
+    if status["robots"]:
+        raise Refused(
+            f"the daemon holds robots: {', '.join(status['robots'])}",
+            f"a scenario begins with an empty world: slidectl delete {' '.join(status['robots'])}, or another -i",
+        )
+
+
+def _names(listed: Sequence[Mapping[str, Any]]) -> set[str]:
+    return {one["name"] for one in listed}
+
+
+def _set_physics(client: Client, physics: Mapping[str, Any]) -> None:
+    request = {key: physics[key] for key in ("time_step", "max_update_rate", "gravity", "ode_config")}
+    client.call("/gazebo/set_physics_properties", request)
 
 
 class _CycleClock:
-    """Simulated time that waits have used up, in s; `end_s` is when they end with TimedOut."""
+    """Simulated time that waits have used up, in s; `end_s` is when they end with TimedOut.
 
-    def __init__(self, is_paused: bool) -> None:
+    `waiting` has those who have their turn when something has come for them, or at a time of this clock.
+    """
+
+    def __init__(self, timestep_s: float, pace: float) -> None:
         self.now_s = 0.0
         self.end_s: float | None = None
-        self.is_paused = is_paused
-        """As the scenario has it: the daemon itself is always paused."""
+        self.timestep_s = timestep_s
+        self.waiting: dict[_SteppedLink, tuple[Callable[[], object], float]] = {}
+        self.has_callbacks = False
+        self._pace = pace
+        """Simulated seconds a wall second, where programs take part; 0: as fast as it goes."""
+        self._ahead_since_s = time.monotonic()
+
+    def give_turns(self, asker: _SteppedLink) -> bool:
+        """Whether somebody but who asks had something to do, and did it."""
+        ready = [link for link in list(self.waiting) if link is not asker and link.is_ready(self.waiting[link][1])]
+        for link in ready:
+            if link in self.waiting:  # one before it may have ended it
+                self.waiting[link][0]()
+        return bool(ready)
+
+    def cycles(self, deadline: float) -> int:
+        """How many may come before the next look."""
+        most = _CYCLES if self.has_callbacks or self._pace else _LONGEST_SLICE
+        left_s = min([deadline, *(due_s for _, due_s in self.waiting.values())]) - self.now_s
+        return most if left_s >= most * self.timestep_s else max(1, math.ceil(left_s / self.timestep_s))
+
+    def went_on(self, cycles: int) -> None:
+        """So many cycles have come; where programs take part, their wall time passes, too."""
+        self.now_s += cycles * self.timestep_s
+        if self._pace:
+            self._ahead_since_s = max(self._ahead_since_s + cycles * self.timestep_s / self._pace, time.monotonic())
+            time.sleep(self._ahead_since_s - time.monotonic() if self._ahead_since_s > time.monotonic() else 0.0)
 
 
 class _SteppedLink(SocketLink):
@@ -102,46 +161,72 @@ class _SteppedLink(SocketLink):
 
     def __init__(self, instance: paths.InstancePaths, deadline: float, clock: _CycleClock) -> None:
         super().__init__(instance, deadline)
-        self._clock = clock
+        self.clock = clock
         self._serial = itertools.count()
         self._came: deque[dict[str, Any]] = deque()
+        self._world_s = 0.0
+        """Simulated time of the world at the last look, s."""
+
+    def another(self, deadline: float) -> _SteppedLink:  # noqa: ARG002 - which is not on the machine's clock
+        return _SteppedLink(self.paths, time.monotonic() + _ANSWER_S, self.clock)
 
     def monotonic(self) -> float:
-        return self._clock.now_s
+        return self.clock.now_s
 
-    def send(self, line: bytes, deadline: float) -> None:  # noqa: ARG002
-        if _PAUSE in line or _RESUME in line:
-            self._clock.is_paused = _PAUSE in line
-            line = line.replace(_RESUME, _PAUSE)
+    def call_back(self, action: Callable[[], object] | None) -> bool:
+        """Called between two slices when something has come."""
+        if action is None:
+            self.clock.waiting.pop(self, None)
+        else:
+            self.clock.waiting[self] = action, math.inf
+            self.clock.has_callbacks = True
+        return True
+
+    def is_ready(self, due_s: float) -> bool:
+        """Whether something has come, or the time."""
+        self.look()
+        return bool(self._came) or due_s <= self.clock.now_s
+
+    def send(self, line: bytes, deadline: float) -> None:  # noqa: ARG002 - which is not on the machine's clock
         super().send(line, time.monotonic() + _ANSWER_S)
 
     def receive(self, deadline: float) -> dict[str, Any] | None:
         if not self._came:
-            self._ask("/rosapi/get_time", {})  # what needs no simulated time has come before its answer
-        while not self._came and self._clock.now_s < deadline:
-            self._go_on(deadline)
+            self.look()
+        while not self._came and self.clock.now_s < deadline:
+            self.go_on(deadline)
         return self._came.popleft() if self._came else None
 
-    def _go_on(self, deadline: float) -> None:
-        clock = self._clock
-        if clock.is_paused:
-            clock.now_s = deadline
+    def look(self) -> None:
+        """Take in what has come: it is there before the answer."""
+        time = self._ask("/rosapi/get_time", {})["time"]
+        self._world_s = time["secs"] + time["nsecs"] * 1e-9
+
+    def go_on(self, deadline: float) -> None:
+        """Let others have their turn, or else the world go on to what comes first."""
+        clock = self.clock
+        if clock.give_turns(self):
+            self.look()
             return
-        before_s = self._time_s()
-        if clock.end_s is not None and before_s >= clock.end_s - 1e-9:
-            raise TimedOut(f"the simulated time is up: {before_s:g} s")
-        answer = self._ask("/slidectl/step", {"cycles": _CYCLES})
+        cycles = clock.cycles(deadline)
+        if clock.end_s is not None:
+            left = round((clock.end_s - self._world_s) / clock.timestep_s)
+            if left <= 0:
+                raise TimedOut(f"the simulated time is up: {self._world_s:g} s")
+            cycles = min(cycles, left)
+        answer = self._ask("/slidectl/step", {"cycles": cycles, "news": True})
         if not answer["success"]:
             raise Refused(answer["message"])
-        self._last_s = float(answer["time"])
-        clock.now_s += max(0.0, self._last_s - before_s)
+        done = round((float(answer["time"]) - self._world_s) / clock.timestep_s)
+        self._world_s = float(answer["time"])
+        if done or self._came:
+            clock.went_on(done)
+        else:  # it is paused, so nothing comes until then
+            clock.now_s = min([deadline, *(due_s for _, due_s in clock.waiting.values())])
 
-    _last_s: float | None = None
-
-    def _time_s(self) -> float:
-        if self._last_s is None:
-            self._last_s = float(self._ask("/slidectl/status", {})["time"])
-        return self._last_s
+    def hold(self) -> None:
+        """From now on the world goes on only when this connection or another one of the case waits."""
+        self._ask("/slidectl/step", {"news": True})
 
     def _ask(self, service: str, request: dict[str, Any]) -> dict[str, Any]:
         """Call a service. What comes before its answer is kept."""
@@ -155,6 +240,37 @@ class _SteppedLink(SocketLink):
                 return dict(message["values"])
             self._came.append(message)
         raise NoDaemon(f"the daemon does not answer within {_ANSWER_S:g} s")
+
+    def close(self) -> None:
+        self.clock.waiting.pop(self, None)
+        super().close()
+
+
+class _BackgroundLink(_SteppedLink):
+    """Whose waits give the turn to the others."""
+
+    def __init__(self, clock: _CycleClock, instance: paths.InstancePaths, step: BackgroundStep) -> None:
+        super().__init__(instance, time.monotonic() + _ANSWER_S, clock)
+        self._step = step
+
+    def call_back(self, action: Callable[[], object] | None) -> bool:  # noqa: ARG002
+        """It has its turn when something has come, which is as good."""
+        return True
+
+    def take_turn(self, switch: Callable[[], None], due_s: float) -> None:
+        """`switch` is called when something has come, or at a time of its clock."""
+        self.clock.waiting[self] = switch, due_s
+
+    def leave(self) -> None:
+        """It is not called any more."""
+        self.clock.waiting.pop(self, None)
+
+    def go_on(self, deadline: float) -> None:
+        if self._step.is_ending:
+            super().go_on(deadline)
+        else:
+            self._step.wait(deadline)
+            self.look()
 
 
 class _LiveStage(Stage):
@@ -176,50 +292,9 @@ class _LiveStage(Stage):
         self._clock.end_s = None if seconds is None else self.now_s() + max(0.0, seconds)
 
     def begin(self, run: Callable[[Client], None]) -> Any:
-        return _BackgroundThread(self.client, self._clock, run)
+        return BackgroundStep(partial(_BackgroundLink, self._clock, self.client.paths), run, self.client.timeout)
 
     def log(self) -> list[str]:
         with suppress(SlidectlError):
             self.client.flush()  # takes in what has come
         return list(self._lines)
-
-
-class _BackgroundThread:
-    """Runs beside the case, and ends as by Ctrl-C."""
-
-    def __init__(self, client: Client, clock: _CycleClock, run: Callable[[Client], None]) -> None:
-        self._link = _FollowingLink(client.paths, time.monotonic() + _ANSWER_S, clock)
-        own = Client(link=self._link, timeout=client.timeout)
-        self._thread = threading.Thread(target=run, args=(own,), daemon=True)
-        self._thread.start()
-
-    def end(self) -> None:
-        """Interrupt it, and wait for that."""
-        self._link.is_ending = True
-        self._thread.join()
-        self._link.close()
-
-
-class _FollowingLink(SocketLink):
-    """Waits while others make the world go on. Raises KeyboardInterrupt, once, when it is to end."""
-
-    def __init__(self, instance: paths.InstancePaths, deadline: float, clock: _CycleClock) -> None:
-        super().__init__(instance, deadline)
-        self._clock = clock
-        self.is_ending = False
-        self._has_ended = False
-
-    def monotonic(self) -> float:
-        return self._clock.now_s
-
-    def send(self, line: bytes, deadline: float) -> None:  # noqa: ARG002
-        super().send(line, time.monotonic() + _ANSWER_S)
-
-    def receive(self, deadline: float) -> dict[str, Any] | None:
-        while True:
-            if self.is_ending and not self._has_ended:
-                self._has_ended = True
-                raise KeyboardInterrupt
-            message = super().receive(time.monotonic() + _LOOK_EVERY_S)
-            if message is not None or self._clock.now_s >= deadline:
-                return message

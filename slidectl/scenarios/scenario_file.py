@@ -10,15 +10,19 @@ import os
 import re
 import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import yaml
 
 from slidectl.description import yaml_tree
+from slidectl.description.models import read_file
 from slidectl.errors import BadFile, SlidectlError, UsageError, closest
-from slidectl.scenarios.step_commands import Commands, as_word, split, words_of
+from slidectl.recording.comparison import tolerances_of
+from slidectl.scenarios.step_commands import CheckedWords, Commands, as_word, split, words_of
 
 SUFFIXES = (".yaml", ".yml")
 SECTIONS = ("setup", "steps", "teardown")
@@ -27,6 +31,8 @@ TEMPORARY = "${tmp}"
 _VARIABLE = re.compile(r"\$(\$)?\{([^}]*)\}")
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
 _MOST_NODES = 100_000
+_UNREADABLE = (yaml.YAMLError, ValueError, OverflowError, LookupError, AttributeError)
+"""What PyYAML raises for values that are not as their tags say."""
 _GIVEN = ("dir", "tmp")
 """Variables that every scenario has."""
 
@@ -47,7 +53,8 @@ SCENARIO_KEYS = {
     "world": Key("world", "The world that it begins with."),
     "timeout": Key("seconds", "Wall seconds that a case may take, instead of --timeout."),
     "sim_timeout": Key("seconds", "Simulated seconds that a case may take, instead of --sim-timeout."),
-    "xfail": Key("text", "Why it is known to fail: then a failure is as expected, and to pass is a failure."),
+    "xfail": Key("reason", "Why it is known to fail: then a failure is as expected, and to pass is a failure."),
+    "baseline": Key("baseline", "What --baseline compares."),
     "setup": Key("steps", "Steps that come first; where one fails, the scenario could not be tried."),
     "steps": Key("steps", "What is tried, in order; the first failure ends it."),
     "teardown": Key("steps", "Steps that run at the end, whatever happened."),
@@ -60,6 +67,10 @@ WORLD_KEYS = {
     "engine": Key("engine", "Who runs the cycles: auto, plain or compiled; the results are the same."),
     "imports": Key("texts", "Modules, or files FILE.py, with controllers and hardware of your own."),
     "paused": Key("flag", "Whether it stands still until a step lets it go on (false)."),
+}
+BASELINE_KEYS = {
+    "fields": Key("fields", "Topics, or TOPIC/FIELD[I], each with =TOL behind it or not; all joint states by default."),
+    "tol": Key("tolerance", "How far numbers may be off where a field does not say it (0)."),
 }
 STEP_KEYS = {
     "at": Key("time", "Simulated time at which the step begins, s; alone it only waits for that time."),
@@ -80,11 +91,20 @@ class ScenarioStep:
     within: float | None = None
     background: bool = False
     fails: bool | str = False
+    starts_programs: bool = False
+    """Whether programs of their own take part, which go by wall time."""
 
     @property
     def text(self) -> str:
         """As one would type it."""
         return shlex.join(self.words) if self.words else f"at: {self.at:g}"
+
+
+class BaselineFields(NamedTuple):
+    """What a baseline holds: fields with their tolerances; without any the joint states, with `tol`."""
+
+    fields: Mapping[str, float] = {}
+    tol: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -100,6 +120,7 @@ class Case:
     timeout: float | None = None
     sim_timeout: float | None = None
     xfail: str = ""
+    baseline: BaselineFields = field(default_factory=BaselineFields)
     steps: tuple[ScenarioStep, ...] = ()
 
     @property
@@ -114,7 +135,10 @@ def find(words: Sequence[str]) -> list[tuple[str, str]]:
     for word in words:
         path, _, case = word.partition("::")
         if os.path.isdir(path):
-            inside = sorted(str(file) for suffix in SUFFIXES for file in Path(path).rglob(f"*{suffix}"))
+            if case:
+                raise BadFile(f"is a folder, and ::{case} is a case of a file", path)
+            files = (file for suffix in SUFFIXES for file in Path(path).rglob(f"*{suffix}"))
+            inside = sorted(str(file) for file in files if file.is_file())
             if not inside:
                 raise BadFile("holds no scenario", path, hint=f"scenarios are files that end with {SUFFIXES[0]}")
             found += [(file, "") for file in inside]
@@ -127,11 +151,7 @@ def read(file: str, commands: Commands, slips: list[BadFile]) -> list[Case]:
     """The cases of a file; everything that is wrong with it is added to `slips`."""
     reader = _Reader(file, commands, slips)
     try:
-        text = Path(file).read_bytes()
-        documents = yaml_tree.documents(text, file, yaml.SafeLoader)
-    except OSError as error:
-        slips.append(BadFile(error.strerror or str(error), file))
-        return []
+        documents = yaml_tree.documents(read_file(Path(file), pipes=True), file, yaml.SafeLoader)
     except BadFile as error:
         slips.append(error)
         return []
@@ -155,10 +175,14 @@ class _Reader:
         self._slips = slips
         self._lines: dict[KeyPath, int] = {}
         self._loader = yaml.SafeLoader("")
+        self._pairs = yaml_tree.MergedPairs(file).of
         self._nodes = 0
-        self._checked: dict[tuple[str, ...], SlidectlError | None] = {}
+        self._told = 0
+        """How many slips, with those that are the same as another."""
+        self._checked: dict[tuple[str, ...], SlidectlError | CheckedWords] = {(): CheckedWords()}
 
     def _slip(self, path: KeyPath, message: str, hint: str | None = None) -> None:
+        self._told += 1
         while path and path not in self._lines:
             path = path[:-1]
         slip = BadFile(message, self._file, self._lines.get(path), hint)
@@ -172,9 +196,10 @@ class _Reader:
         if self._nodes > _MOST_NODES or len(path) > yaml_tree.DEEPEST:
             raise BadFile("is too large, or nested too deeply", self._file, line)
         if isinstance(node, yaml.MappingNode):
-            self._loader.flatten_mapping(node)
             found: dict[str, Any] = {}
-            for key, value in node.value:
+            for key, value in self._pairs(node):
+                if not isinstance(key, yaml.ScalarNode):
+                    raise BadFile("a list or mapping is no name: names are text", self._file, line)
                 name = str(key.value)
                 if name in found:
                     self._slip((*path, name), f"{name!r} stands here twice")
@@ -183,7 +208,11 @@ class _Reader:
             return found
         if isinstance(node, yaml.SequenceNode):
             return [self._value(item, (*path, index)) for index, item in enumerate(node.value)]
-        value = self._loader.construct_object(node)
+        try:
+            value = self._loader.construct_object(node)
+        except _UNREADABLE as error:
+            problem = getattr(error, "problem", None) or error
+            raise BadFile(f"{node.value!r} cannot be read: {problem}", self._file, line) from None
         return value if value is None or isinstance(value, bool | int | float | str) else node.value
 
     def cases(self, node: yaml.Node) -> list[Case]:
@@ -201,13 +230,18 @@ class _Reader:
             self._slip((), "a scenario has steps", "steps:\n  - spawn: slider")
         world = tree.get("world") or {}
         if isinstance(world, dict):
+            world = {name: value for name, value in world.items() if value is not None or name not in WORLD_KEYS}
             self._check_keys(world, WORLD_KEYS, ("world",), "world")
+        golden = tree.get("baseline") or {}
+        if isinstance(golden, dict):
+            self._check_keys(golden, BASELINE_KEYS, ("baseline",), "baseline")
         if len(self._slips) > before:
             return []
         name = str(tree.get("name") or Path(self._file).stem)
+        tolerance = float(golden.get("tol") or 0.0)
         base = Case(
             self._file, "", name, tuple(tree.get("tags") or ()), world, tree.get("timeout"), tree.get("sim_timeout"),
-            tree.get("xfail") or "",
+            tree.get("xfail") or "", BaselineFields(tolerances_of(golden.get("fields") or (), tolerance), tolerance),
         )  # fmt: skip
         variables = dict(tree.get("vars") or {})
         self._check_names(variables, ("vars",))
@@ -221,12 +255,17 @@ class _Reader:
             yield base, variables
             return
         names: set[str] = set()
+        if not table:
+            self._slip(("cases",), "'cases' is empty: nothing would run")
         for index, row in enumerate(table):
             path: KeyPath = ("cases", index)
             own = {key: value for key, value in row.items() if key in CASE_KEYS}
             given = {key: value for key, value in row.items() if key not in CASE_KEYS}
+            before = len(self._slips)
             self._check_keys(own, CASE_KEYS, path, "case")
             self._check_names(given, path)
+            if len(self._slips) > before:
+                continue
             name = str(own.get("name") or "-".join(map(as_word, given.values())) or index + 1)
             if name in names:
                 self._slip(path, f"a second case {name!r}", "give the cases a name each")
@@ -246,28 +285,32 @@ class _Reader:
             if name not in known:
                 meant = self._meant(name, known)
                 self._slip((*path, name), f"no field {name!r} in a {what}.{meant}", f"fields: {', '.join(known)}")
-            elif value is not None and (expected := _not(known[name].kind, value)):
-                self._slip((*path, name), f"{name!r} is {expected}, not {as_word(value)}")
+            elif (value is not None or known[name].kind == "reason") and (expected := _not(known[name].kind, value)):
+                self._slip((*path, name), f"{name!r} is {expected}, not {as_word(value).strip() or 'empty'}")
 
     # --- steps --------------------------------------------------------------------------------------------------
 
     def _steps(self, tree: Mapping[str, Any], variables: Mapping[str, Any]) -> Iterator[ScenarioStep]:
         reached = 0.0
+        earlier = _Earlier(is_alone=not (tree.get("world") or {}).get("imports"))
         for section in SECTIONS:
             for index, content in enumerate(tree.get(section) or ()):
                 path: KeyPath = (section, index)
+                step = None
                 try:
                     step = self._step(content, path, section, variables)
+                    if step is not None:
+                        earlier.judge(step, self._check_words(step.words))
                 except SlidectlError as error:
                     self._slip(path, error.message, error.hint)
-                    continue
                 if step is None:
+                    earlier.is_whole = False
                     continue
                 if step.at is not None:
                     if step.at < reached:
                         self._slip((*path, "at"), f"{step.at:g} s is in the past: an earlier step is at {reached:g} s")
                     reached = step.at
-                elif step.words[:2] == ("sim", "reset") and "--time" in step.words:
+                if _sets_clock(step.words):
                     reached = 0.0
                 yield step
 
@@ -279,27 +322,32 @@ class _Reader:
         content = self._filled(content, variables)
         own = {key: content[key] for key in content if key in STEP_KEYS}
         commands = [key for key in content if key not in STEP_KEYS]
-        before = len(self._slips)
+        before = self._told
         self._check_keys(own, STEP_KEYS, path, "step")
-        if len(self._slips) > before:
-            return None
-        for key in commands if len(commands) > 1 else ():
-            if key.split()[0] not in self._tops():
-                raise UsageError(f"no field {key!r} in a step.{self._meant(key, STEP_KEYS)}", self._steps_and_fields())
+        for key in list(commands) if len(commands) > 1 else ():
+            if key.partition(" ")[0] not in self._tops():
+                text = f"no field {key!r} in a step.{self._meant(key, STEP_KEYS)}"
+                self._slip((*path, key), text, self._steps_and_fields())
+                commands.remove(key)
+        if self._told > before:
+            own = {}
+            if not commands:
+                return None
         if len(commands) != 1 and (commands or "at" not in own):
             what = f"is {' and '.join(map(repr, commands))}" if commands else "has no command"
             raise UsageError(f"this step {what}; a step is one command", self._steps_and_fields())
         line = self._lines.get(path, 1)
-        words = self._words(commands[0], content[commands[0]]) if commands else []
+        words = self._words(commands[0], content[commands[0]], path) if commands else []
         within = own.get("within")
         if words and within is not None and self._has_within(words):
             words[len(commands[0].split()) : len(commands[0].split())] = ["--within", as_word(within)]
             own["within"] = None
-        if words:
-            self._check_words((*words,))
+        starts_programs = self._check_words((*words,)).starts_programs
+        if self._told > before:
+            return None
         return ScenarioStep(
             tuple(words), line, section, own.get("at"), own.get("within"), own.get("background") or False,
-            own.get("fails") or False,
+            own.get("fails") or False, starts_programs,
         )  # fmt: skip
 
     def _tops(self) -> list[str]:
@@ -324,7 +372,7 @@ class _Reader:
             and not any(word == "--within" or word.startswith("--within=") for word in words)
         )
 
-    def _words(self, name: str, value: Any) -> list[str]:
+    def _words(self, name: str, value: Any, path: KeyPath) -> list[str]:
         """The words of a step's command. Raises SlidectlError."""
         begin = name.split()
         known = self._commands.known
@@ -337,20 +385,24 @@ class _Reader:
             if " ".join(begin) not in known:
                 verbs = [command for command in known if command.split()[0] == begin[0]]
                 raise UsageError(f"{name!r} with options is one of: {', '.join(verbs)}")
-            return begin + words_of(known[" ".join(begin)], value)
+            return begin + words_of(
+                known[" ".join(begin)], value, lambda slip: self._slip(path, slip.message, slip.hint)
+            )
         if isinstance(value, list):
             return begin + [as_word(item) for item in value]
         return begin + (value.words if isinstance(value, _Filled) else [as_word(value)])
 
-    def _check_words(self, words: tuple[str, ...]) -> None:
+    def _check_words(self, words: tuple[str, ...]) -> CheckedWords:
+        """Raises SlidectlError."""
         if words not in self._checked:
             try:
-                self._commands.check([word.replace(TEMPORARY, "/tmp") for word in words])
-                self._checked[words] = None
+                self._checked[words] = self._commands.check([word.replace(TEMPORARY, "/tmp") for word in words])
             except SlidectlError as error:
                 self._checked[words] = error
-        if (known := self._checked[words]) is not None:
+        known = self._checked[words]
+        if isinstance(known, SlidectlError):
             raise known
+        return known
 
     # --- variables ----------------------------------------------------------------------------------------------
 
@@ -404,6 +456,47 @@ def _fill(text: str, value_of: Callable[[str], Any]) -> Any:
     return _VARIABLE.sub(lambda match: match[0][1:] if match[1] else as_word(value_of(match[2])), text)
 
 
+@dataclass
+class _Earlier:
+    """What the steps before one leave to it, as far as their words say it."""
+
+    is_alone: bool
+    """Whether controllers come from slidectl and from these files alone."""
+    is_whole: bool = True
+    """Whether nothing was wrong that may have brought controllers."""
+    files: tuple[str, ...] = ()
+    """From which spawns have loaded the parameters of controllers."""
+    words: tuple[str, ...] = ()
+    """Of those that may write files."""
+
+    def judge(self, step: ScenarioStep, checked: CheckedWords) -> None:
+        """Take in a step. Raises SlidectlError where it must fail, and is not to."""
+        is_there = TEMPORARY not in " ".join(step.words)
+        files = (*self.files, checked.controllers) if checked.controllers else self.files
+        self.is_alone &= not checked.brings_others and (files == self.files or (is_there and not step.fails))
+        is_whole, self.is_whole = self.is_whole, self.is_whole and files == self.files
+        may_be_made = checked.model and (not is_there or any(checked.model in word for word in self.words))
+        if checked.refusal is not None and not step.fails and not may_be_made:
+            raise checked.refusal
+        if self.is_alone and not step.fails and (files != self.files or (is_whole and checked.named)):
+            _check_named(files, checked.named)
+        self.files, self.is_whole = files, is_whole
+        self.words += () if checked.model else step.words
+
+
+def _sets_clock(words: tuple[str, ...]) -> bool:
+    """Whether it may be any time after a step."""
+    is_call = any(word.endswith(("reset_simulation", "slidectl/load")) for word in words)
+    return is_call or words[:2] == ("sim", "load") or (words[:2] == ("sim", "reset") and "--time" in words)
+
+
+@cache
+def _check_named(files: tuple[str, ...], names: tuple[str, ...]) -> None:
+    from slidectl.check import controllers  # imports all controllers
+
+    controllers.check_named(files, names)
+
+
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
@@ -412,8 +505,18 @@ def _all(value: Any, fits: Callable[[Any], bool]) -> bool:
     return isinstance(value, list) and all(map(fits, value))
 
 
+def _is_field(value: Any) -> bool:
+    """Whether it is a field, with its tolerance or without."""
+    with suppress(UsageError):
+        return isinstance(value, str) and bool(tolerances_of([value], 0.0))
+    return False
+
+
 KINDS: dict[str, tuple[str, Callable[[Any], bool], dict[str, Any]]] = {
     "text": ("a text", lambda v: isinstance(v, str), {"type": "string"}),
+    "reason": (
+        "a text that says why", lambda v: isinstance(v, str) and bool(v.strip()), {"type": "string", "pattern": "\\S"},
+    ),
     "texts": (
         "a list of texts", lambda v: _all(v, lambda one: isinstance(one, str)),
         {"type": "array", "items": {"type": "string"}},
@@ -434,6 +537,15 @@ KINDS: dict[str, tuple[str, Callable[[Any], bool], dict[str, Any]]] = {
     "failure": (
         "true, or a text that the message holds", lambda v: isinstance(v, bool | str), {"type": ["boolean", "string"]},
     ),
+    "fields": (
+        "a list of TOPIC/FIELD or TOPIC/FIELD=TOL", lambda v: _all(v, _is_field),
+        {"type": "array", "items": {"type": "string"}},
+    ),
+    "tolerance": (
+        "a number of 0 or more", lambda v: not isinstance(v, bool) and _is_field(f"={as_word(v)}"),
+        {"type": ["number", "string"], "minimum": 0},
+    ),
+    "baseline": ("a mapping", lambda v: isinstance(v, dict), {"$ref": "#/$defs/baseline"}),
     "mapping": ("a mapping of names to values", lambda v: isinstance(v, dict), {"type": "object"}),
     "cases": (
         "a list of mappings", lambda v: _all(v, lambda one: isinstance(one, dict)),

@@ -7,7 +7,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from slidectl.scenarios.scenario_file import CASE_KEYS, KINDS, SCENARIO_KEYS, STEP_KEYS, WORLD_KEYS, Key
+from slidectl.scenarios.scenario_file import (
+    BASELINE_KEYS,
+    CASE_KEYS,
+    KINDS,
+    SCENARIO_KEYS,
+    STEP_KEYS,
+    WORLD_KEYS,
+    Key,
+)
 from slidectl.scenarios.step_commands import Commands, StepCommand, StepOption
 
 FILE = Path(__file__).with_name("scenario.schema.json")
@@ -37,6 +45,7 @@ def schema(commands: Commands) -> dict[str, Any]:
         **table,
         "$defs": {
             "world": _object(WORLD_KEYS),
+            "baseline": _object(BASELINE_KEYS),
             "step": {
                 "anyOf": [
                     {"type": "string", "description": "A whole command line."},

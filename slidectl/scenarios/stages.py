@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import os
 import re
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, redirect_stderr, redirect_stdout
+from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 from slidectl.client import Client
 from slidectl.errors import SlidectlError
-from slidectl.scenarios.case_run import BAD, ERROR, CaseResult, Stage, run_case
+from slidectl.scenarios.case_run import BAD, ERROR, PASSED, CaseResult, Stage, WallTimeUp, run_case
 from slidectl.scenarios.scenario_file import Case, ScenarioStep
 from slidectl.scenarios.step_commands import Commands
+
+if TYPE_CHECKING:
+    from slidectl.scenarios.baselines import Baselines
 
 LOG_LINES = 20
 _WARM = (
@@ -29,6 +34,9 @@ _WARM = (
 class StageMaker(Protocol):
     """Makes a stage for each case."""
 
+    has_journals: ClassVar[bool]
+    """Whether a case can leave a journal, of which its recording is made."""
+
     def warm(self, cases: Sequence[Case], commands: Commands) -> None:
         """Load what all cases need, before processes for them are made."""
 
@@ -37,9 +45,17 @@ class StageMaker(Protocol):
 
 
 class CaseRuns:
-    """Runs cases with these commands, for workers. `keep` is the folder for recordings of those that fail."""
+    """Runs cases with these commands, for workers. `keep` is a folder that is there, for recordings of failures."""
 
-    def __init__(self, commands: Commands, stages: StageMaker, sim_timeout: float, keep: str | None) -> None:
+    def __init__(
+        self,
+        commands: Commands,
+        stages: StageMaker,
+        sim_timeout: float,
+        keep: str | None,
+        baselines: Baselines | None = None,
+    ) -> None:
+        self._baselines = baselines
         self._commands = commands
         self._stages = stages
         self._sim_timeout = sim_timeout
@@ -48,48 +64,75 @@ class CaseRuns:
     def run(self, case: Case, temporary: str) -> CaseResult:
         """In a process of its own: what commands print goes into a file in the case's folder."""
         _print_into(os.path.join(temporary, "output"))
-        result = self._try(case, temporary, None)
-        if self._keep is not None and result.verdict in BAD:
-            self._try(case, temporary, self._record(case))  # the same once more, recorded: who passes pays nothing
-            result.kept = [str(file) for file in self._files(case)]
+        result = self._try(case, temporary)
+        if self._keep is not None and result.was_ended:
+            result.hint = "not recorded: for that it would run once more"
+        elif self._keep is not None and result.verdict in BAD:
+            try:
+                self._run_recorded(case, temporary)  # the same once more: who passes pays nothing
+            except OSError as error:
+                result.message += f"\nnot recorded: {error.filename or self._keep}: {error.strerror or error}"
+            except (SlidectlError, WallTimeUp) as error:
+                result.message += f"\nnot recorded: {error}"
+            result.kept = [str(file) for file in self._files(case) if file.exists()]
         return result
 
-    def _try(self, case: Case, temporary: str, first: ScenarioStep | None) -> CaseResult:
-        steps = case.steps if first is None else (first, *case.steps)
+    def _try(self, case: Case, temporary: str, journal: str = "", first: Sequence[ScenarioStep] = ()) -> CaseResult:
         folder = tempfile.mkdtemp(dir=temporary)  # empty, whatever an earlier try has left
         try:
-            with self._stages.of(case, f"{self._stem(case)}.journal" if first is not None else "") as stage:
-                return run_case(case, self._commands, stage, self._sim_timeout, folder, steps)
+            with self._stages.of(case, journal) as stage:
+                return self._run(case, stage, folder, (*first, *case.steps))
         except SlidectlError as error:
             return CaseResult(case.id, ERROR, message=error.message, hint=error.hint or "")
 
-    def _stem(self, case: Case) -> Path:
+    def _run(self, case: Case, stage: Stage, folder: str, steps: Sequence[ScenarioStep]) -> CaseResult:
+        if self._baselines is None:
+            return run_case(case, self._commands, stage, self._sim_timeout, folder, steps, lambda: None)
+        from slidectl.scenarios.baselines import HeardRun
+
+        heard = HeardRun(stage.client, case.baseline)
+        result = run_case(case, self._commands, stage, self._sim_timeout, folder, steps, heard.look)
+        if result.verdict == PASSED:
+            self._baselines.judge(case, heard.table(), result)
+        return result
+
+    def _stem(self, case: Case) -> str:
         assert self._keep is not None
-        return Path(self._keep) / re.sub(r"[^\w.=-]+", "_", case.id.removesuffix(".yaml"))
+        name = re.sub(r"[^\w.=-]+", "_", case.id.removesuffix(".yaml"), flags=re.ASCII)[-_LONGEST_NAME:].lstrip(".")
+        if f"{name}.yaml" != case.id:  # another case may come to the same
+            name += f"-{hashlib.sha256(case.id.encode()).hexdigest()[:8]}"
+        return os.path.join(self._keep, name)
 
     def _files(self, case: Case) -> list[Path]:
-        stem = self._stem(case)
-        return sorted(file for file in stem.parent.glob("*") if file.stem == stem.name and file.suffix in _KEPT)
+        return [Path(f"{self._stem(case)}{suffix}") for suffix in _KEPT]
 
-    def _record(self, case: Case) -> ScenarioStep:
-        stem = self._stem(case)
-        stem.parent.mkdir(parents=True, exist_ok=True)
+    def _run_recorded(self, case: Case, temporary: str) -> None:
+        """Run the case with a journal and make a recording of that; where there is no journal, record while it runs.
+
+        Raises OSError, SlidectlError, WallTimeUp: there is no recording, or not all of it.
+        """
+        from slidectl.daemon.journal import read
+        from slidectl.daemon.journal_replay import Replay
+        from slidectl.daemon.replay_recording import ReplayRecording
+        from slidectl.recording.recording_files import EVERY_CYCLE, usual_suffix
+
         for old in self._files(case):
-            old.unlink()
-        return ScenarioStep(("record", "-a", "-x", _LEFT_OUT, "-O", f"{stem}{_suffix()}"), 0, "setup", background=True)
+            old.unlink(missing_ok=True)
+        journal, file = f"{self._stem(case)}.journal", f"{self._stem(case)}{usual_suffix()}"
+        if self._stages.has_journals:
+            self._try(case, temporary, journal)
+            with ReplayRecording(Path(file)) as recording:
+                replay = Replay(read(journal))
+                recording.watch(replay)
+                replay.run(lambda _: None)
+        else:
+            words = ("record", "-a", "-x", EVERY_CYCLE, "-O", file)
+            self._try(case, temporary, first=[ScenarioStep(words, 0, "setup", background=True)])
 
 
-_LEFT_OUT = "/clock|/gazebo/(link|model)_states"
-"""What comes in every cycle: the frames on /tf say the same."""
-_RECORDINGS = (".mcap", ".bag")
-_KEPT = (*_RECORDINGS, ".journal")
-
-
-def _suffix() -> str:
-    """Of a recording: MCAP where its library is there."""
-    from importlib.util import find_spec
-
-    return _RECORDINGS[0] if find_spec("mcap") else _RECORDINGS[1]
+_KEPT = (".journal", ".mcap", ".bag")
+_LONGEST_NAME = 120
+_LONGEST_S = 1e9
 
 
 def _print_into(path: str) -> None:
@@ -106,6 +149,8 @@ def _print_into(path: str) -> None:
 
 class InProcess:
     """A new world for each case."""
+
+    has_journals: ClassVar[bool] = True
 
     def warm(self, cases: Sequence[Case], commands: Commands) -> None:
         """Do once what most cases do: that imports and reads what they need, and loads the engine.
@@ -163,12 +208,12 @@ class _WorldStage(Stage):
 
     def limit(self, seconds: float | None) -> None:
         now_ns = self.world.simulation.time_ns
-        self.world.end_ns = None if seconds is None else now_ns + max(0, round(seconds * 1e9))
+        self.world.end_ns = None if seconds is None else now_ns + max(0, round(min(seconds, _LONGEST_S) * 1e9))
 
     def begin(self, run: Callable[[Client], None]) -> Any:
-        from slidectl.scenarios.background import BackgroundStep
+        from slidectl.scenarios.background import BackgroundStep, InProcessBackground
 
-        return BackgroundStep(self.world, run, self.client.timeout)
+        return BackgroundStep(partial(InProcessBackground, self.world), run, self.client.timeout)
 
     def log(self) -> list[str]:
         return list(self.world.log)[-LOG_LINES:]

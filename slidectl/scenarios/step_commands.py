@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-from slidectl.errors import UnknownName, UsageError
+from slidectl.errors import SlidectlError, UnknownName, UsageError
 
 if TYPE_CHECKING:
     from slidectl.client import Client
@@ -58,6 +58,22 @@ class StepOutcome(NamedTuple):
     output: str = ""
 
 
+class CheckedWords(NamedTuple):
+    """What a check of a command line has found out."""
+
+    starts_programs: bool = False
+    controllers: str = ""
+    """The file from which a spawn loads the parameters of controllers."""
+    named: tuple[str, ...] = ()
+    """The controllers that must have parameters."""
+    brings_others: bool = False
+    """Whether there may then be controllers, or parameters of some, that no file of a spawn has."""
+    model: str = ""
+    """What a spawn puts into the world."""
+    refusal: SlidectlError | None = None
+    """What the command would say of its words."""
+
+
 class Commands(Protocol):
     """The commands of the command line."""
 
@@ -65,11 +81,14 @@ class Commands(Protocol):
     def known(self) -> Mapping[str, StepCommand]:
         """All that can be steps, by name."""
 
-    def check(self, words: Sequence[str]) -> None:
-        """Raises SlidectlError for what is wrong with a command line, before anything runs."""
+    def check(self, words: Sequence[str]) -> CheckedWords:
+        """Raises SlidectlError for what is no command line of a step, before anything runs."""
 
-    def run(self, words: Sequence[str], client: Client) -> StepOutcome:
-        """Run a command line with the connection."""
+    def stays(self, words: Sequence[str]) -> bool:
+        """Whether the command goes on in the background once it is up, and ends with the case."""
+
+    def run(self, words: Sequence[str], client: Client, up: Callable[[], None] = lambda: None) -> StepOutcome:
+        """Run a command line with the connection. One that stays calls `up`."""
 
 
 def as_word(value: Any) -> str:
@@ -85,17 +104,22 @@ def split(text: str) -> list[str]:
         raise UsageError(f"cannot part the words of {text!r}: {error}", "a quote needs its end") from None
 
 
-def words_of(command: StepCommand, given: Mapping[str, Any]) -> list[str]:
-    """The words behind the command's name, from values by names. Raises UnknownName, UsageError."""
+def words_of(command: StepCommand, given: Mapping[str, Any], tell: Callable[[SlidectlError], None]) -> list[str]:
+    """The words behind the command's name, from values by names; those with slips, which are told, are left out.
+
+    Raises UsageError: an argument is missing.
+    """
     options = {option.name: option for option in command.options}
     arguments = {argument.name: argument for argument in command.arguments}
-    for name in given:
-        if name not in options and name not in arguments:
-            raise UnknownName("option", name, [*arguments, *options], f"of {command.name}")
     words: list[str] = []
     for name, value in given.items():
-        if name in options:
-            words += _option_words(command, options[name], value)
+        try:
+            if name in options:
+                words += _option_words(command, options[name], value)
+            elif name not in arguments:
+                raise UnknownName("option", name, [*arguments, *options], f"of {command.name}")
+        except SlidectlError as slip:
+            tell(slip)
     places: list[str] = []
     for argument in command.arguments:
         if argument.name in given:
@@ -113,6 +137,10 @@ def _is_several(value: Any, takes_several: bool) -> bool:
 
 
 def _option_words(command: StepCommand, option: StepOption, value: Any) -> list[str]:
+    """Raises UsageError."""
+    if value is None:
+        what = f"{option.name!r} of {command.name} has no value"
+        raise UsageError(what, f'"{option.name}: null" is text when it is quoted')
     if option.kind == "flag":
         if not isinstance(value, bool):
             raise UsageError(f"{option.name!r} of {command.name} is true or false, not {as_word(value)}")

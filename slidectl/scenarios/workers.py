@@ -1,7 +1,7 @@
 """Runs cases in processes of their own, several at a time: forks of this one, which has loaded everything already.
 
 A worker says its result on a pipe. What ends it early (a limit, a crash, Ctrl-C) is a result too, and nothing of it is
-left: its folder goes, and it dies with this process.
+left: its folder goes. It dies with this process; where that is killed (SIGKILL), the folders stay.
 """
 
 from __future__ import annotations
@@ -135,7 +135,7 @@ class WorkerPool:
         self._selector.unregister(worker.pipe)
         os.close(worker.pipe)
         del self._running[worker.pipe], self._deadlines[worker.pipe]
-        why = self._told.pop(worker.pipe, "")
+        was_told, why = worker.pipe in self._told, self._told.pop(worker.pipe, "")
         status = os.waitpid(worker.pid, 0)[1]
         shutil.rmtree(worker.folder, ignore_errors=True)
         with suppress(ValueError, TypeError):
@@ -146,7 +146,8 @@ class WorkerPool:
         if os.WIFSIGNALED(status):
             why = why or f"its process was ended by {signal.Signals(os.WTERMSIG(status)).name}"
         why = why or f"its process ended with exit code {os.waitstatus_to_exitcode(status)} and no result"
-        return CaseResult(worker.case.id, ERROR, message=why, wall_time=time.monotonic() - worker.began_s)
+        wall_s = time.monotonic() - worker.began_s
+        return CaseResult(worker.case.id, ERROR, message=why, wall_time=wall_s, was_ended=was_told)
 
 
 def _work(run: RunCase, case: Case, folder: str, writing: int, parent: int) -> None:
@@ -155,7 +156,7 @@ def _work(run: RunCase, case: Case, folder: str, writing: int, parent: int) -> N
     try:
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
         for number in (signal.SIGINT, signal.SIGHUP):  # a terminal sends them to all; who began us tells us
-            signal.signal(number, signal.SIG_IGN)
+            signal.signal(number, lambda *_: None)  # programs of a launch would inherit that they are ignored
         signal.signal(signal.SIGTERM, _end)
         if os.getppid() == parent:
             result = run(case, folder)

@@ -206,11 +206,6 @@ class RepeatedCall:
         self._timer = Timer(0, self._call)
         self.restart()
 
-    @property
-    def is_running(self) -> bool:
-        """False after it was cancelled."""
-        return self in self._running
-
     def restart(self) -> None:
         """Begin anew: the first call comes a period from now."""
         self._timers.arm(self._timer, self._timers.now_ns() + self._period_ns)

@@ -8,32 +8,33 @@ from __future__ import annotations
 
 import json
 import math
+from bisect import bisect_right, insort
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
+from operator import itemgetter
 from random import Random
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from slidectl import names
 from slidectl.control.duration import from_seconds
+from slidectl.control.hardware_interface import JointHandle
 from slidectl.control.node_handle import Message
-from slidectl.errors import Refused, SlidectlError, UnknownName, UsageError
-from slidectl.fault_kinds import KINDS, OPTIONS, QUANTITIES, REQUIRED, checked_options
+from slidectl.errors import Refused, SlidectlError, UnknownName, UsageError, quoted
+from slidectl.fault_kinds import KINDS, OPTIONS, QUANTITIES, REQUIRED, check_span, checked_options
 from slidectl.physics import World
 from slidectl.physics.changes import Change, JointFriction, Payload, StuckJoint
-from slidectl.simulation.clock import NEVER, SECOND
-from slidectl.simulation.own_services import NODE
+from slidectl.simulation.clock import NEVER, SECOND, Timer
 
 if TYPE_CHECKING:
-    from slidectl.physics.loads import Wrench
-    from slidectl.simulation.clock import Timer
     from slidectl.simulation.cycle import Stages
     from slidectl.simulation.simulation import Simulation
     from slidectl.simulation.spawned_robots import SpawnedRobot
 
 Values = list[float]
-_COMMANDS = ("command", "command_velocity", "command_acceleration")
+_MOST_WAITING = 10_000
+"""Late messages of one topic."""
 
 
 class Asked(NamedTuple):
@@ -43,6 +44,10 @@ class Asked(NamedTuple):
     kind: str
     target: str
     """In full: /ROBOT/JOINT, /ROBOT/LINK, the controller in its namespace, or the topic."""
+    robot: str
+    """Empty for a topic."""
+    part: str
+    """The joint, link or controller, by its own name."""
     start_ns: int
     end_ns: int
     """NEVER: until it is removed."""
@@ -75,10 +80,13 @@ class Fault:
     def end(self) -> None:
         """Leave no trace, and forget the past."""
 
+    def has_state(self) -> bool:
+        """Whether its attributes are such as it may have."""
+        return True
+
     def message(self, time_ns: int) -> Message:
         """As slidectl/Fault."""
         asked = self.asked
-        over, held = self.is_over(time_ns), self.holds(time_ns)
         return {
             "name": asked.name,
             "kind": asked.kind,
@@ -87,7 +95,7 @@ class Fault:
             "end": math.inf if asked.end_ns == NEVER else asked.end_ns / SECOND,
             "seed": asked.seed,
             "options": json.dumps(asked.options),
-            "state": "over" if over else "active" if held else "waiting",
+            "state": "over" if self.is_over(time_ns) else "active" if time_ns >= asked.start_ns else "waiting",
             "count": self.count,
         }
 
@@ -95,14 +103,25 @@ class Fault:
 # -- faults of robots --------------------------------------------------------------------------------------------------
 
 
+def _has_kinds(value: Any, *kinds: Any) -> bool:
+    """Is it a tuple of such elements?"""
+    return type(value) is tuple and len(value) == len(kinds) and all(map(isinstance, value, kinds))
+
+
+def _are_numbers(values: Any) -> bool:
+    return type(values) is list and all(isinstance(value, int | float) for value in values)
+
+
 class RobotFault(Fault):
     """A fault in a robot's cycle. Each stage is told whether the fault `acts` at that time."""
 
-    def __init__(self, asked: Asked, robot: SpawnedRobot, part: str) -> None:
-        """`part` is the joint, link or controller."""
+    busy_until_ns = 0
+    """While an update takes long, which began with the last read: its end."""
+
+    def __init__(self, asked: Asked, robot: SpawnedRobot) -> None:
         super().__init__(asked)
         self.robot = robot
-        self.part = part
+        self.part = asked.part
 
     def after_read(self, time_ns: int, acts: bool) -> None:
         """The joints were read."""
@@ -113,15 +132,15 @@ class RobotFault(Fault):
     def before_write(self, time_ns: int, acts: bool) -> None:
         """Controllers have run."""
 
-    def after_write(self, acts: bool) -> None:
-        """The joints are driven; the step is next."""
+    def before_step(self, acts: bool) -> None:
+        """The joints are driven, or an update takes long; the step is next."""
 
 
 class SignalFault(RobotFault):
     """What is read of a joint, or its command, is changed, by a function of itself unless a child says otherwise."""
 
-    def __init__(self, asked: Asked, robot: SpawnedRobot, part: str) -> None:
-        super().__init__(asked, robot, part)
+    def __init__(self, asked: Asked, robot: SpawnedRobot) -> None:
+        super().__init__(asked, robot)
         self.is_of_command = asked.kind.startswith("command")
 
     def change(self, time_ns: int, values: Values) -> Values | None:
@@ -132,10 +151,9 @@ class SignalFault(RobotFault):
     def note(self, time_ns: int, values: Values) -> None:
         """The values before the fault acts."""
 
-    def commands(self) -> list[tuple[Any, str]]:
+    def commands(self) -> Sequence[tuple[Any, str]]:
         """The handle that drives the joint now, with each attribute that is a command."""
-        handle = self.robot.parts.hardware.handles(self.part)[0]
-        return [(handle, attribute) for attribute in _COMMANDS if hasattr(handle, attribute)]
+        return self.robot.parts.hardware.commands(self.part)
 
     def after_read(self, time_ns: int, acts: bool) -> None:
         if not self.is_of_command:
@@ -147,7 +165,7 @@ class SignalFault(RobotFault):
         if self.is_of_command:
             self._pass(time_ns, acts, [self.commands()])
 
-    def _pass(self, time_ns: int, acts: bool, places: list[list[tuple[Any, str]]]) -> None:
+    def _pass(self, time_ns: int, acts: bool, places: Sequence[Sequence[tuple[Any, str]]]) -> None:
         """The values of the first places are changed; the others get the same."""
         values = [getattr(handle, attribute) for handle, attribute in places[0]]
         if not acts:
@@ -209,12 +227,15 @@ class LostSignal(SignalFault):
     def end(self) -> None:
         self.kept = None
 
+    def has_state(self) -> bool:
+        return self.kept is None or _are_numbers(self.kept)
+
 
 class LateSignal(SignalFault):
     """The values are those of some time ago, or the first that are known."""
 
-    def __init__(self, asked: Asked, robot: SpawnedRobot, part: str) -> None:
-        super().__init__(asked, robot, part)
+    def __init__(self, asked: Asked, robot: SpawnedRobot) -> None:
+        super().__init__(asked, robot)
         self.past: deque[tuple[int, Values]] = deque()
         """With their times; the first ones are those that count now."""
 
@@ -235,12 +256,17 @@ class LateSignal(SignalFault):
     def end(self) -> None:
         self.past.clear()
 
+    def has_state(self) -> bool:
+        return all(_has_kinds(one, int, list) and _are_numbers(one[1]) for one in self.past) and (
+            len({len(values) for _, values in self.past}) <= 1
+        )
+
 
 class ChangeFault(RobotFault):
     """Something is changed in the world while it lasts."""
 
-    def __init__(self, asked: Asked, robot: SpawnedRobot, part: str, change: Change) -> None:
-        super().__init__(asked, robot, part)
+    def __init__(self, asked: Asked, robot: SpawnedRobot, change: Change) -> None:
+        super().__init__(asked, robot)
         self.change = change
 
     def after_read(self, time_ns: int, acts: bool) -> None:  # noqa: ARG002
@@ -248,7 +274,7 @@ class ChangeFault(RobotFault):
             for handle in self.robot.parts.hardware.handles(self.part):
                 handle.effort = effort
 
-    def after_write(self, acts: bool) -> None:
+    def before_step(self, acts: bool) -> None:
         if acts:
             self.change.hold()
             self.count += 1
@@ -260,25 +286,22 @@ class ChangeFault(RobotFault):
 class PushFault(RobotFault):
     """A wrench on a link."""
 
-    def __init__(self, asked: Asked, robot: SpawnedRobot, part: str, world: World) -> None:
-        super().__init__(asked, robot, part)
+    def __init__(self, asked: Asked, robot: SpawnedRobot, world: World) -> None:
+        super().__init__(asked, robot)
         self._world = world
-        self.wrench: Wrench | None = None
 
-    def after_write(self, acts: bool) -> None:
+    def before_step(self, acts: bool) -> None:
         if not acts:
             return
         self.count += 1
         world, asked = self._world, self.asked
-        if not any(wrench is self.wrench for wrench in world.loads.wrenches):  # a reset takes it away
+        if not any(wrench.source == asked.name for wrench in world.loads.wrenches):  # a reset takes it away
             duration_ns = -1 if asked.end_ns == NEVER else asked.end_ns - asked.start_ns - 1
             acting = asked.options["force"], asked.options["torque"], asked.start_ns, duration_ns
-            self.wrench = world.add_wrench(self.robot.name, self.part, *acting)
+            world.add_wrench(self.robot.name, self.part, *acting, asked.name)
 
     def end(self) -> None:
-        if self.wrench is not None:
-            self._world.drop_wrench(self.wrench)
-        self.wrench = None
+        self._world.drop_wrenches(self.asked.name)
 
 
 class RaisedByFault(SlidectlError):
@@ -296,13 +319,21 @@ class ControllerFault(RobotFault):
             self.is_done = manager.kill(self.part)
         self.count += self.is_done
 
-    def holds_up_ns(self, time_ns: int) -> int:
-        """How long its update takes if it begins now."""
+    def is_over(self, time_ns: int) -> bool:
+        return super().is_over(time_ns) and time_ns >= self.busy_until_ns
+
+    def begin_update(self, time_ns: int) -> None:
+        """Its update begins now. It may take long."""
         is_running = any(entry.name == self.part for entry in self.robot.parts.manager.running)
-        if self.asked.kind != "controller-slow" or not is_running or not self.holds(time_ns):
-            return 0
-        self.count += 1
-        return from_seconds(self.asked.options["takes"])
+        if self.asked.kind == "controller-slow" and is_running and self.holds(time_ns):
+            self.count += 1
+            self.busy_until_ns = time_ns + from_seconds(self.asked.options["takes"])
+
+    def before_write(self, time_ns: int, acts: bool) -> None:  # noqa: ARG002
+        self.busy_until_ns = 0
+
+    def end(self) -> None:
+        self.busy_until_ns = 0
 
 
 class FaultyCycle:
@@ -312,48 +343,70 @@ class FaultyCycle:
     controllers have commanded.
     """
 
-    def __init__(self, robot: SpawnedRobot, faults: list[RobotFault], stages: Stages) -> None:
+    _stages: Stages
+    """The cycle's own."""
+
+    def __init__(self, robot: SpawnedRobot) -> None:
         self._robot = robot
-        self._faults = faults
-        self._stages = stages
+        self._faults: list[RobotFault] = []
+        """Those that are not over."""
         self._true: list[tuple[Any, float, float, float]] = []
         """Handles of the joints, with what was read."""
-        self._busy_until_ns = 0
-        """While an update takes long, which began with the last read: its end."""
         self._updated_ns = self._written_ns = 0
-        """When controllers ran, and the hardware was written, before that update."""
+        """When controllers ran, and the hardware was written, before an update that takes long."""
+
+    def take(self, faults: list[RobotFault]) -> None:
+        """These are the faults now."""
+        self.put_true()
+        self._faults = faults
+        self.follow()
+
+    def follow(self) -> None:
+        """The robot's cycle has these stages while there are faults, and its own when there are none."""
+        self._robot.parts.cycle.intercept(self._around if self._faults else None)
+
+    def _around(self, own: Stages) -> Stages:
+        self._stages = own
+        return own._replace(read=self.read, update=self.update, write=self.write)
 
     def read(self, time_ns: int, period_s: float) -> None:
-        if self._busy_until_ns:
+        if any(fault.busy_until_ns for fault in self._faults):
             return
         self.put_true()
         self._stages.read(time_ns, period_s)
         hardware = self._robot.parts.hardware
         handles = [handle for joint in hardware.interfaces() for handle in hardware.handles(joint)]
         self._true = [(handle, handle.position, handle.velocity, handle.effort) for handle in handles]
-        for fault in self._current(time_ns):
+        faults = self._current(time_ns)
+        for fault in faults:
             fault.after_read(time_ns, fault.holds(time_ns))
         if period_s > 0.0:  # in a cycle
-            slow = (fault.holds_up_ns(time_ns) for fault in self._faults if isinstance(fault, ControllerFault))
-            if longest_ns := max(slow, default=0):
-                self._busy_until_ns = time_ns + longest_ns
+            for fault in faults:
+                if isinstance(fault, ControllerFault):
+                    fault.begin_update(time_ns)
+            if any(fault.busy_until_ns for fault in faults):
                 cycle = self._robot.parts.cycle
                 self._updated_ns, self._written_ns = time_ns - cycle.period_ns, cycle.last_write_ns
 
     def update(self, time_ns: int, period_s: float, reset_controllers: bool = False) -> None:
-        if time_ns < self._busy_until_ns:
+        faults = self._current(time_ns)
+        if any(time_ns < fault.busy_until_ns for fault in faults):
             self._robot.parts.cycle.last_update_ns = self._updated_ns
             return
-        for fault in self._current(time_ns):
+        for fault in faults:
             fault.before_update(fault.holds(time_ns))
         self._stages.update(time_ns, period_s, reset_controllers)
 
     def write(self, time_ns: int, period_s: float) -> None:
-        if time_ns < self._busy_until_ns:
-            self._robot.parts.cycle.last_write_ns = self._written_ns
-            return
-        self._busy_until_ns = 0
         faults = self._current(time_ns)
+        if any(time_ns < fault.busy_until_ns for fault in faults):
+            self._robot.parts.cycle.last_write_ns = self._written_ns
+        else:
+            self._write(time_ns, period_s, faults)
+        for fault in faults:
+            fault.before_step(fault.holds(time_ns))
+
+    def _write(self, time_ns: int, period_s: float, faults: list[RobotFault]) -> None:
         signals = [fault for fault in faults if isinstance(fault, SignalFault) and fault.is_of_command]
         places = [place for fault in signals for place in fault.commands()]
         commands = [(handle, attribute, getattr(handle, attribute)) for handle, attribute in places]
@@ -362,14 +415,16 @@ class FaultyCycle:
         self._stages.write(time_ns, period_s)
         for handle, attribute, command in commands:
             setattr(handle, attribute, command)
-        for fault in faults:
-            fault.after_write(fault.holds(time_ns))
 
     def put_true(self) -> None:
         """The handles are as they were read."""
         for handle, position, velocity, effort in self._true:
             handle.position, handle.velocity, handle.effort = position, velocity, effort
         self._true = []
+
+    def has_state(self) -> bool:
+        """Whether its attributes are such as it may have."""
+        return all(_has_kinds(one, JointHandle, *3 * (float | int,)) for one in self._true)
 
     def _current(self, time_ns: int) -> list[RobotFault]:
         """The faults that are not over. Those that have just ended leave no trace."""
@@ -380,7 +435,7 @@ class FaultyCycle:
             self._faults = [fault for fault in self._faults if fault not in over]
             if not self._faults:
                 self.put_true()
-                self._robot.parts.cycle.intercept(None)
+                self.follow()
         return self._faults
 
 
@@ -408,13 +463,15 @@ class TopicFault(Fault):
 class FaultyTopic:
     """Takes the messages of one topic, and hands on what its faults leave, in the order in which these were added."""
 
-    def __init__(self, simulation: Simulation, topic: str, faults: list[TopicFault]) -> None:
+    def __init__(self, simulation: Simulation, topic: str) -> None:
         self._graph = simulation.graph
         self._topic = topic
-        self._faults = faults
+        self._faults: list[TopicFault] = []
         self.waiting: list[tuple[int, TopicFault, Message]] = []
-        """Late messages: when they are due, and which fault holds them."""
-        self._timer: Timer | None = None
+        """Late messages: when they are due, in this order, and which fault holds them."""
+        self._is_full = False
+        self._timer = Timer(0, self._deliver)
+        self._timer.cancel()
 
     def take(self, message: Message, behind: TopicFault | None = None) -> None:
         """A message, or one that a fault has held."""
@@ -424,31 +481,48 @@ class FaultyTopic:
             if late_ns is None:
                 return
             if late_ns:
-                self.waiting.append((now_ns + late_ns, fault, message))
-                self._arm()
+                self._hold(now_ns + late_ns, fault, message)
                 return
         self._graph.topics.hand_on(self._topic, message)
 
-    def keep(self, faults: list[TopicFault], waiting: list[tuple[int, TopicFault, Message]]) -> None:
-        """Go on with these faults, and what they held before."""
+    def have(self, faults: list[TopicFault]) -> None:
+        """Go on with these faults, and what they hold."""
         self._faults = faults
-        self.waiting = [late for late in waiting if late[1] in faults]
+        self.waiting = [late for late in self.waiting if late[1] in faults]
         self._arm()
+
+    def has_state(self) -> bool:
+        """Whether what waits is what may."""
+        times = [late[0] for late in self.waiting if _has_kinds(late, int, TopicFault, dict)]
+        return len(times) == len(self.waiting) and times == sorted(times)
+
+    def _hold(self, due_ns: int, fault: TopicFault, message: Message) -> None:
+        if len(self.waiting) < _MOST_WAITING:
+            insort(self.waiting, (due_ns, fault, message), key=_DUE)
+            if self.waiting[0][2] is message:
+                self._arm()
+        elif not self._is_full:
+            self._is_full = True
+            text = f"{_MOST_WAITING} late messages of {self._topic} wait, the most: others get lost"
+            self._graph.log("warn", names.OWN_NODE, text)
 
     def _arm(self) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
+        self._timer.cancel()
         if self.waiting:
-            self._timer = self._graph.timers.at(min(due_ns for due_ns, _, _ in self.waiting), self._deliver)
+            self._graph.timers.arm(self._timer, self.waiting[0][0])
 
     def _deliver(self) -> None:
-        now_ns = self._graph.clock.time_ns
-        due = sorted((late for late in self.waiting if late[0] <= now_ns), key=lambda late: late[0])
-        self.waiting = [late for late in self.waiting if late[0] > now_ns]
+        count = bisect_right(self.waiting, self._graph.clock.time_ns, key=_DUE)
+        due = self.waiting[:count]
+        del self.waiting[:count]
         for _, fault, message in due:
-            with suppress(SlidectlError):  # who published it is not there to hear a refusal
-                self.take(message, fault)
+            if fault in self._faults:  # who hears a message may remove faults
+                with suppress(SlidectlError):  # who published it is not there to hear a refusal
+                    self.take(message, fault)
         self._arm()
+
+
+_DUE = itemgetter(0)
 
 
 # -- all of them -------------------------------------------------------------------------------------------------------
@@ -470,10 +544,12 @@ class Faults:
         self._simulation = simulation
         self._graph = simulation.graph
         self._faults: dict[str, Fault] = {}
-        self._cycles: dict[SpawnedRobot, FaultyCycle] = {}
+        self._cycles: dict[str, FaultyCycle] = {}
+        """Of the robots that have faults, by name."""
         self._topics: dict[str, FaultyTopic] = {}
+        simulation.kept["faults"] = self
         simulation.robots.on_spawn.append(lambda robot: partial(self._forget_robot, robot))
-        node = simulation.graph.node(names.join(NODE, "fault"), NODE)
+        node = simulation.graph.node(names.join(names.OWN_NODE, "fault"), names.OWN_NODE)
         node.advertise_service("add", "slidectl/AddFault", self._serve_add)
         node.advertise_service("remove", "slidectl/RemoveFaults", self._serve_remove)
         node.advertise_service("list", "slidectl/ListFaults", self._serve_list)
@@ -504,21 +580,19 @@ class Faults:
         if start_ns < now_ns:
             hint = "leave the beginning out for now; slidectl sim reset --time begins at 0 again"
             raise Refused(f"it is {now_ns / SECOND:g} s already: a fault cannot begin at {start_ns / SECOND:g} s", hint)
-        if end_ns <= start_ns:
-            raise Refused(f"a fault from {start_ns / SECOND:g} s to {end_ns / SECOND:g} s would never act")
+        check_span(start_ns / SECOND, end_ns / SECOND)
         if len(self._faults) >= self.MOST:
             raise Refused(f"there are {self.MOST} faults, which is the most", "slidectl fault clear")
         target_kind = KINDS[kind].target
         targets = self._targets(target_kind)
         full = names.resolve(target, targets, kind=target_kind, namespace=namespace)
-        asked = Asked(self._free_name(name, kind), kind, full, start_ns, end_ns, seed, checked)
-        fault: Fault
-        if target_kind == "topic":
-            fault = TopicFault(asked)
-        else:
-            robot, part = targets[full]
-            robot.node.enter()  # its handles are to be what they should be
-            fault = self._of_robot(asked, robot, part)
+        robot, part = targets[full]
+        owner = robot.name if robot is not None else ""
+        asked = Asked(self._free_name(name, kind), kind, full, owner, part, start_ns, end_ns, seed, checked)
+        fault = self._made(asked)
+        if isinstance(fault, RobotFault):
+            self._check(fault)
+            fault.robot.node.enter()  # its handles are to be what they should be
             fault.after_read(now_ns, False)
             fault.before_write(now_ns, False)
         self._faults[asked.name] = fault
@@ -538,6 +612,46 @@ class Faults:
             self._install(fault)
         return gone
 
+    def asked(self) -> list[Asked]:
+        """What made them, for `make`."""
+        return [fault.asked for fault in self._faults.values()]
+
+    def make(self, wanted: Sequence[Asked]) -> None:
+        """These anew, where there are none. Their state is to be put in, and `go_on` to follow.
+
+        Raises Refused: one is on a joint or a link that is not there.
+        """
+        for asked in wanted:
+            kind = KINDS[asked.kind].target
+            if kind not in ("topic", "controller"):  # these may have gone since
+                robot, part = self._targets(kind).get(asked.target, (None, ""))
+                if robot is None or (robot.name, part) != (asked.robot, asked.part):
+                    raise Refused(f"the fault {asked.name} is on the {kind} {asked.target}, which is not there")
+        self._faults = {asked.name: self._made(asked) for asked in wanted}
+        for fault in self._faults.values():
+            self._install(fault)
+
+    def go_on(self) -> None:
+        """Their state was put in: what they have changed is changed again, before the world gets its own state.
+
+        Raises Refused: it is none that they can have.
+        """
+        having: list[Fault | FaultyCycle | FaultyTopic] = [*self._faults.values(), *self._cycles.values()]
+        for one in (*having, *self._topics.values()):
+            if not one.has_state():
+                raise Refused(f"the snapshot has a state of a {type(one).__name__} that none has")
+        for fault in self._faults.values():
+            if isinstance(fault, ChangeFault) and fault.change.is_held:
+                fault.change.hold()
+        for cycle in self._cycles.values():
+            cycle.follow()
+
+    def drop(self) -> None:
+        """Forget all of them, whatever their state is. The robots are about to go."""
+        for topic in self._topics:
+            self._graph.topics.intercept(topic, None)
+        self._faults, self._cycles, self._topics = {}, {}, {}
+
     def messages(self) -> list[Message]:
         """All of them, each as slidectl/Fault."""
         return [fault.message(self._graph.clock.time_ns) for fault in self._faults.values()]
@@ -549,7 +663,7 @@ class Faults:
             if self._graph.clock.time_ns < fault.asked.start_ns or not self._graph.clock.time_ns:
                 fault.count, fault.is_done = 0, False
         for topic in self._topics.values():
-            topic.keep([], [])
+            topic.have([])
         for fault in self._faults.values():
             self._install(fault)
 
@@ -557,41 +671,33 @@ class Faults:
         """Let what a fault is on have the faults that it has now."""
         if isinstance(changed, TopicFault):
             topic = changed.asked.target
-            before = self._topics.pop(topic, None)
             faults = [one for one in self._faults.values() if isinstance(one, TopicFault) and one.asked.target == topic]
-            now = self._topics[topic] = FaultyTopic(self._simulation, topic, faults)
-            now.keep(faults, before.waiting if before is not None else [])
-            if before is not None:
-                before.keep([], [])
+            faulty = self._topics.setdefault(topic, FaultyTopic(self._simulation, topic))
+            faulty.have(faults)
             if not faults:
                 del self._topics[topic]
-            self._graph.topics.intercept(topic, now.take if faults else None)
+            self._graph.topics.intercept(topic, faulty.take if faults else None)
             return
         assert isinstance(changed, RobotFault)
         robot, time_ns = changed.robot, self._graph.clock.time_ns
-        if robot in self._cycles:
-            self._cycles.pop(robot).put_true()
         mine = [one for one in self._faults.values() if isinstance(one, RobotFault) and one.robot is robot]
-        current = [fault for fault in mine if not fault.is_over(time_ns)]
-
-        def stages(own: Stages) -> Stages:
-            faulty = self._cycles[robot] = FaultyCycle(robot, current, own)
-            return own._replace(read=faulty.read, update=faulty.update, write=faulty.write)
-
-        robot.cycle.intercept(stages if current else None)
+        cycle = self._cycles.setdefault(robot.name, FaultyCycle(robot))
+        cycle.take([fault for fault in mine if not fault.is_over(time_ns)])
+        if not mine:
+            del self._cycles[robot.name]
 
     def _forget_robot(self, robot: SpawnedRobot) -> None:
         """It has left the world, with what its faults have changed."""
-        self._cycles.pop(robot, None)
+        self._cycles.pop(robot.name, None)
         for name, fault in list(self._faults.items()):
             if isinstance(fault, RobotFault) and fault.robot is robot:
                 del self._faults[name]
 
-    def _targets(self, kind: str) -> dict[str, tuple[SpawnedRobot, str]]:
+    def _targets(self, kind: str) -> dict[str, tuple[SpawnedRobot | None, str]]:
         """All that a kind can be on, by full name; topics have no robot."""
         robots = [robot for robot in self._simulation.robots if robot.is_controlled]
         if kind == "topic":
-            return dict.fromkeys(self._graph.topics.names(), ())  # type: ignore[arg-type]
+            return dict.fromkeys(self._graph.topics.names(), (None, ""))
         if kind == "controller":
             return {
                 names.join(robot.namespace, name): (robot, name)
@@ -608,41 +714,48 @@ class Faults:
     def _free_name(self, name: str, kind: str) -> str:
         if name in self._faults:
             raise Refused(f"there is a fault {name!r} already", "give another name, or remove that one first")
-        if name and not names.is_legal(name):
-            raise UsageError(f"{name!r} is no name of a fault: letters, digits and '_'")
+        if name and not names.is_component(name):
+            raise UsageError(f"{quoted(name)} is no name of a fault: a letter, then letters, digits and '_'")
         stem, number = kind.replace("-", "_"), 1
         while f"{stem}_{number}" in self._faults:
             number += 1
         return name or f"{stem}_{number}"
 
-    def _of_robot(self, asked: Asked, robot: SpawnedRobot, part: str) -> RobotFault:
-        """Raises Refused: another fault excludes it, or it would do nothing."""
+    def _made(self, asked: Asked) -> Fault:
         kind, options, world = asked.kind, asked.options, self._simulation.world
+        if KINDS[kind].target == "topic":
+            return TopicFault(asked)
+        robot = self._simulation.robots.get(asked.robot)
         if kind in _SIGNALS:
-            return _SIGNALS[kind](asked, robot, part)
+            return _SIGNALS[kind](asked, robot)
         if kind == "push":
-            return PushFault(asked, robot, part, world)
+            return PushFault(asked, robot, world)
         if kind.startswith("controller"):
-            return ControllerFault(asked, robot, part)
+            return ControllerFault(asked, robot)
         change: Change
         if kind == "joint-stuck":
-            change = StuckJoint(world, robot.body, robot.parts.hardware, part)
+            change = StuckJoint(world, robot.body, robot.parts.hardware, asked.part)
         elif kind == "joint-friction":
-            change = JointFriction(world, robot.body, part, options["friction"], options["damping"])
+            change = JointFriction(world, robot.body, asked.part, options["friction"], options["damping"])
         else:
-            change = Payload(world, robot.body, part, options["mass"], options["at"])
-        fault = ChangeFault(asked, robot, part, change)
+            change = Payload(world, robot.body, asked.part, options["mass"], options["at"])
+        return ChangeFault(asked, robot, change)
+
+    def _check(self, fault: RobotFault) -> None:
+        """Raises Refused: another fault excludes it, or it would do nothing."""
+        if not isinstance(fault, ChangeFault):
+            return
+        fault.change.check()
         for other in self._faults.values():
             if isinstance(other, ChangeFault) and _exclude(fault, other):
                 text = f"{other.asked.kind} {other.asked.name!r} is on {other.asked.target} in that time"
                 raise Refused(f"{text}, and the two exclude each other", "give other times, or remove that one first")
-        return fault
 
     def _serve_add(self, request: Message) -> Message:
         start, end = (_at_most_one(request[field], field) for field in ("start", "end"))
         try:
             options = json.loads(request["options"] or "{}")
-        except ValueError:
+        except (ValueError, RecursionError):
             options = None
         if not isinstance(options, dict):
             raise UsageError(f"options is a JSON object, not {request['options']!r}", 'such as {"sd": 0.001}')

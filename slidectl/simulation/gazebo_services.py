@@ -9,20 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import wraps
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from slidectl.control.node_handle import Message
-from slidectl.description import sdf
-from slidectl.errors import AmbiguousName, Refused, SlidectlError, UnknownName
-from slidectl.physics import hulls
-from slidectl.physics.hulls import Hulls
+from slidectl.errors import Refused, SlidectlError
 from slidectl.rotations import IDENTITY, Pose, Vector, add, compose, cross, from_rpy, rotate, subtract
 from slidectl.simulation.clock import SECOND, stamp
+from slidectl.simulation.entities import WORLD_FRAMES
 from slidectl.simulation.gazebo_frames import (
-    STILL,
-    WORLD,
     Frame,
-    into_world,
     pose,
     pose_message,
     seen_from,
@@ -35,7 +30,7 @@ from slidectl.simulation.graph import WORLD_NODE
 from slidectl.simulation.loop import check_timestep
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.services import Handler
-from slidectl.simulation.spawned_robots import ParsedRobot, SpawnedRobot
+from slidectl.simulation.spawned_robots import SpawnedRobot
 from slidectl.simulation.topics import PeriodicTopic
 
 if TYPE_CHECKING:
@@ -44,12 +39,9 @@ if TYPE_CHECKING:
 Answer = tuple[str, Message]
 """What was done, and the other fields of the response."""
 
-WORLD_FRAMES = ("", "world", "map", "/map", "/world")
 JOINT_TYPES = {"revolute": 0, "continuous": 1, "prismatic": 2, "fixed": 3, "floating": 4, "planar": 5}
 """Of gazebo_msgs/GetJointProperties. Gazebo knows no floating joint, a ball is the nearest; nor a planar one: a
 universal."""
-_MOST_TAGS = 100_000
-"""Opening and closing tags of a URDF: some thousand links. To read more than these holds up the world."""
 _EVERY_CYCLE_NS = 1
 
 
@@ -61,6 +53,7 @@ class GazeboServices:
         self._simulation = simulation
         self._world = simulation.world
         self._robots = simulation.robots
+        self._entities = simulation.entities
         node = simulation.graph.node(WORLD_NODE)
         answered: dict[str, tuple[str, Callable[[Message], Answer | Pending]]] = {
             "spawn_urdf_model": ("SpawnModel", self._spawn),
@@ -104,92 +97,22 @@ class GazeboServices:
             name = f"{WORLD_NODE}/{topic}"
             PeriodicTopic(simulation.graph, name, f"gazebo_msgs/{kind}", WORLD_NODE, _EVERY_CYCLE_NS, build)
 
-    # Names of entities, and frames of reference
-
-    def _find(self, kind: Literal["link", "joint"], name: str) -> tuple[str, str]:
-        """Robot and link (or joint) that `name` means.
-
-        Raises:
-            UnknownName: there is none. AmbiguousName: several robots have one of that name.
-        """
-        known = [
-            f"{robot.name}::{part}"
-            for robot in self._robots
-            for part in (robot.paper.links if kind == "link" else robot.paper.joints)
-        ]
-        matches = [full for full in known if full == name or ("::" not in name and full.endswith(f"::{name}"))]
-        if not matches:
-            raise UnknownName(kind, name, known)
-        if len(matches) > 1:
-            raise AmbiguousName(kind, name, matches)
-        robot, _, part = matches[0].partition("::")
-        return robot, part
-
-    def _link_frame(self, robot: str, link: str) -> Frame:
-        return Frame(self._world.link_pose(robot, link), self._world.link_twist(robot, link))
-
-    def _model_frame(self, robot: str) -> Frame:
-        """Pose and twist of a robot: that of its root link. Raises UnknownName."""
-        return self._link_frame(robot, self._robots.get(robot).paper.root)
-
-    def _frame(self, name: str) -> Frame:
-        """A frame of reference: the world, a model, or a link. Raises UnknownName, AmbiguousName."""
-        if name in WORLD_FRAMES:
-            return WORLD
-        return self._model_frame(name) if name in self._robots else self._link_frame(*self._find("link", name))
-
     # Spawning and deleting
 
-    def _spawn(self, request: Message) -> Answer | Pending:
+    def _spawn(self, request: Message) -> Pending:
         """At once, or as soon as its meshes are read: a driver lets the world go on meanwhile."""
-        _check_size("URDF", request["model_xml"])
-        read = self._robots.read(request["model_xml"], request["model_name"], request["robot_namespace"] or None)
-        return self._spawn_all([(read, self._place(request))])
-
-    def _spawn_sdf(self, request: Message) -> Answer | Pending:
-        """One model, as SDF or, as in Gazebo, as URDF. All its parts are spawned, or none.
-
-        It gets no controller manager, unless it is URDF with transmissions or the control plugin.
-        """
         xml, name, namespace = request["model_xml"], request["model_name"], request["robot_namespace"] or None
-        _check_size("SDF", xml)
-        place = self._place(request)
-        if sdf.is_urdf(xml):
-            return self._spawn_all([(self._robots.read(xml, name, namespace, is_model=True), place)])
-        parts = sdf.parse(xml, "model_xml").named(name)
-        read = [self._robots.read(part.xml, part.name, namespace, is_model=True) for part in parts]
-        return self._spawn_all([(one, compose(place, part.pose)) for one, part in zip(read, parts, strict=True)])
+        read = self._entities.read(xml, name, namespace)
+        return self._entities.spawn([(read, self._place(request))]).converted(_spawned)
+
+    def _spawn_sdf(self, request: Message) -> Pending:
+        """One model. All its parts are spawned, or none."""
+        xml, name, namespace = request["model_xml"], request["model_name"], request["robot_namespace"] or None
+        read = self._entities.read_sdf(xml, name, namespace, self._place(request))
+        return self._entities.spawn(read).converted(_spawned)
 
     def _place(self, request: Message) -> Pose:
-        return compose(self._frame(request["reference_frame"]).pose, pose(request["initial_pose"]))
-
-    def _spawn_all(self, read: list[tuple[ParsedRobot, Pose]]) -> Answer | Pending:
-        """All of them or none."""
-        meshes = list(dict.fromkeys(source for one, _ in read for source in hulls.sources(one.paper)))
-        if not meshes:
-            return self._spawn_now(read, {})
-
-        def go_on(hulls_read: Pending) -> Answer:
-            try:
-                return self._spawn_now(read, hulls_read.result())
-            except SlidectlError:
-                raise
-            except Exception as error:  # nobody but the one who asked would hear of it
-                raise Refused(f"{read[0][0].name!r} cannot be spawned: {type(error).__name__}: {error}") from error
-
-        return self._simulation.read_meshes(meshes).converted(go_on)
-
-    def _spawn_now(self, read: list[tuple[ParsedRobot, Pose]], known: Hulls) -> Answer:
-        spawned: list[SpawnedRobot] = []
-        try:
-            for one, place in read:
-                spawned.append(self._robots.spawn_read(one, place, known))
-        except BaseException:
-            for robot in reversed(spawned):
-                self._robots.delete(robot.name)
-            raise
-        texts = [f"{robot.name!r} in the namespace {robot.namespace}" for robot in spawned]
-        return "\n".join([f"spawned {', '.join(texts)}", *(text for one in spawned for text in one.warnings)]), {}
+        return compose(self._entities.frame(request["reference_frame"]).pose, pose(request["initial_pose"]))
 
     def _delete(self, request: Message) -> Answer:
         self._simulation.delete(request["model_name"])
@@ -224,8 +147,8 @@ class GazeboServices:
         return f"got the properties of {request['model_name']!r}", fields
 
     def _model_state(self, request: Message) -> Answer:
-        viewer = self._frame(request["relative_entity_name"])
-        state = seen_from(self._model_frame(request["model_name"]), viewer)
+        viewer = self._entities.frame(request["relative_entity_name"])
+        state = seen_from(self._entities.model_frame(request["model_name"]), viewer)
         frame_id = request["relative_entity_name"] or "world"
         header = {"stamp": stamp(self._simulation.time_ns), "frame_id": frame_id}
         fields = {"header": header, "pose": pose_message(state.pose), "twist": twist_message(state.twist)}
@@ -234,12 +157,8 @@ class GazeboServices:
     def _set_model_state(self, state: Message) -> Answer:
         """Put a robot's root where gazebo_msgs/ModelState says."""
         name = state["model_name"]
-        robot = self._robots.get(name)
-        asked = Frame(pose(state["pose"]), twist(state["twist"]))
-        there = into_world(asked, self._frame(state["reference_frame"]))
-        if robot.paper.is_fixed_to_world and asked.twist != STILL:
-            raise Refused(f"{name!r} is fixed to the world and cannot have a twist", "leave the twist out")
-        self._world.set_pose(name, there.pose, there.twist)
+        viewer = self._entities.frame(state["reference_frame"])
+        self._entities.put(name, pose(state["pose"]), twist(state["twist"]), viewer)
         return f"set the state of {name!r}", {}
 
     def _configure(self, request: Message) -> Answer:
@@ -251,8 +170,8 @@ class GazeboServices:
     # Links and joints
 
     def _link_state(self, request: Message) -> Answer:
-        robot, link = self._find("link", request["link_name"])
-        state = seen_from(self._link_frame(robot, link), self._frame(request["reference_frame"]))
+        robot, link = self._entities.find("link", request["link_name"])
+        state = seen_from(self._entities.link_frame(robot, link), self._entities.frame(request["reference_frame"]))
         message = {
             "link_name": f"{robot}::{link}",
             "pose": pose_message(state.pose),
@@ -263,7 +182,7 @@ class GazeboServices:
 
     def _set_link_state(self, state: Message) -> Answer:
         """A link in the middle of a robot hangs on its joints; only a root can be put somewhere."""
-        robot, link = self._find("link", state["link_name"])
+        robot, link = self._entities.find("link", state["link_name"])
         root = self._robots.get(robot).paper.root
         if link != root:
             raise Refused(
@@ -273,7 +192,7 @@ class GazeboServices:
         return self._set_model_state({**state, "model_name": robot})
 
     def _link_properties(self, request: Message) -> Answer:
-        robot, name = self._find("link", request["link_name"])
+        robot, name = self._entities.find("link", request["link_name"])
         link = self._robots.get(robot).paper.links[name]
         fields: Message = {"gravity_mode": not link.surface.turn_gravity_off}
         if link.inertial is not None:
@@ -284,7 +203,7 @@ class GazeboServices:
         return f"got the properties of {robot}::{name}", fields
 
     def _joint_properties(self, request: Message) -> Answer:
-        robot, name = self._find("joint", request["joint_name"])
+        robot, name = self._entities.find("joint", request["joint_name"])
         joint = self._robots.get(robot).paper.joints[name]
         fields: Message = {"type": JOINT_TYPES[joint.type]}
         if name in self._world.body(robot).joints:
@@ -295,12 +214,12 @@ class GazeboServices:
     # Forces from outside
 
     def _apply_effort(self, request: Message) -> Answer:
-        robot, joint = self._find("joint", request["joint_name"])
+        robot, joint = self._entities.find("joint", request["joint_name"])
         self._world.add_joint_force(robot, joint, request["effort"], *self._span(request))
         return f"effort on {robot}::{joint} set", {}
 
     def _apply_wrench(self, request: Message) -> Answer:
-        robot, link = self._find("link", request["body_name"])
+        robot, link = self._entities.find("link", request["body_name"])
         self._world.add_wrench(robot, link, *self._wrench(robot, link, request), *self._span(request))
         return f"wrench on {robot}::{link} set", {}
 
@@ -313,7 +232,7 @@ class GazeboServices:
         force, torque = vector(request["wrench"]["force"]), vector(request["wrench"]["torque"])
         if request["reference_frame"] in WORLD_FRAMES:
             return force, torque
-        reference = self._frame(request["reference_frame"]).pose
+        reference = self._entities.frame(request["reference_frame"]).pose
         force, torque = rotate(reference[1], force), rotate(reference[1], torque)
         point = compose(reference, (vector(request["reference_point"]), IDENTITY))[0]
         inertial = self._robots.get(robot).paper.links[link].inertial
@@ -328,10 +247,10 @@ class GazeboServices:
         return max(start_ns, self._simulation.time_ns), duration["secs"] * SECOND + duration["nsecs"]
 
     def _clear_joint(self, request: Message) -> None:
-        self._world.clear_joint_forces(*self._find("joint", request["joint_name"]))
+        self._world.clear_joint_forces(*self._entities.find("joint", request["joint_name"]))
 
     def _clear_body(self, request: Message) -> None:
-        self._world.clear_wrenches(*self._find("link", request["body_name"]))
+        self._world.clear_wrenches(*self._entities.find("link", request["body_name"]))
 
     # How the world runs
 
@@ -361,11 +280,11 @@ class GazeboServices:
     # Topics: every cycle, but only while somebody listens
 
     def _model_states(self) -> Message:
-        return _states({name: self._model_frame(name) for name in self._robots.names()})
+        return _states({name: self._entities.model_frame(name) for name in self._robots.names()})
 
     def _link_states(self) -> Message:
         links = [(robot.name, link) for robot in self._robots for link in robot.paper.links if link != "world"]
-        return _states({f"{robot}::{link}": self._link_frame(robot, link) for robot, link in links})
+        return _states({f"{robot}::{link}": self._entities.link_frame(robot, link) for robot, link in links})
 
 
 def _answering(handler: Callable[[Message], Answer | Pending]) -> Handler:
@@ -403,10 +322,10 @@ def _failure(error: SlidectlError) -> Message:
     return {"success": False, "status_message": str(error)}
 
 
-def _check_size(kind: str, xml: str) -> None:
-    tags = xml.count("<")
-    if tags > _MOST_TAGS:
-        raise Refused(f"the {kind} has {tags} tags, and {_MOST_TAGS} is the most")
+def _spawned(done: Pending) -> Answer:
+    robots: list[SpawnedRobot] = done.result()
+    texts = [f"{robot.name!r} in the namespace {robot.namespace}" for robot in robots]
+    return "\n".join([f"spawned {', '.join(texts)}", *(text for one in robots for text in one.warnings)]), {}
 
 
 def _states(frames: dict[str, Frame]) -> Message:

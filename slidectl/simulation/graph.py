@@ -19,7 +19,7 @@ from slidectl.control.node_handle import (
     Publisher,
     Reasons,
 )
-from slidectl.errors import SlidectlError, cut
+from slidectl.errors import Refused, SlidectlError, cut
 from slidectl.simulation.action_server import ActionServer
 from slidectl.simulation.clock import Clock, ClockTopic, RepeatedCall, Timers, stamp
 from slidectl.simulation.parameters import Parameters
@@ -31,6 +31,9 @@ T = TypeVar("T")
 
 WORLD_NODE = "/gazebo"
 CLOCK_FREQUENCY = "/gazebo/pub_clock_frequency"
+GRAPH_CHANGES = "/slidectl/graph_changes"
+"""Nobody advertises it, nor the next: they exist while somebody subscribes them."""
+PARAMETER_CHANGES = "/slidectl/parameter_changes"
 LEVELS = {"debug": 1, "info": 2, "warn": 4, "error": 8, "fatal": 16}
 MOST_REASONS = 100
 """Reasons that one answer holds; the log has the rest."""
@@ -53,10 +56,13 @@ class Graph:
         """The node whose request is being carried out, empty when none is."""
         self.on_node_closed: list[Callable[[str], None]] = []
         """Called with the name of a node that has gone."""
+        self._claimed_nodes: set[str] = set()
         self.log = Log(self.topics, self.clock.now_ns)
         clock = self.topics.advertise("/clock", "rosgraph_msgs/Clock", WORLD_NODE, kind=NodePublisher)
         self.clock_topic = ClockTopic(clock)
         self.parameters.watch(CLOCK_FREQUENCY, self._take_clock_frequency)
+        self.topics.on_change = self.services.on_change = lambda: self.topics.hand_on(GRAPH_CHANGES, {})
+        self.parameters.on_change = lambda changed: self.topics.hand_on(PARAMETER_CHANGES, {"names": changed})
 
     def node(self, namespace: str = "/", name: str = WORLD_NODE) -> GraphNode:
         """A node handle in `namespace` of the node `name`."""
@@ -66,8 +72,37 @@ class Graph:
         """Names of all nodes that publish, subscribe or serve, sorted."""
         return sorted(self.topics.nodes() | self.services.nodes())
 
+    def state(self) -> Message:
+        """All topics and services with their types and nodes: the response of slidectl/GraphState."""
+        topics, services = self.topics, self.services
+        return {
+            "topics": [
+                {
+                    "name": name,
+                    "type": kind,
+                    "publishers": topics.publishers(name),
+                    "subscribers": topics.subscribers(name),
+                }
+                for name, kind in topics.types().items()
+            ],
+            "services": [
+                {"name": name, "type": kind, "node": services.node_of(name)} for name, kind in services.types().items()
+            ],
+        }
+
+    def knows_node(self, name: str) -> bool:
+        """True when a node of that name publishes, subscribes or serves, or a client has claimed the name."""
+        return name in self._claimed_nodes or name in self.topics.nodes() or name in self.services.nodes()
+
+    def claim_node(self, name: str) -> None:
+        """Keep a node's name for one client, until `close_node`. Raises BadName; Refused: it is taken."""
+        if self.knows_node(names.check_absolute(name, "node")):
+            raise Refused(f"there is a node {name} already", "give yours another name")
+        self._claimed_nodes.add(name)
+
     def close_node(self, name: str) -> None:
         """A node has gone (a client has disconnected): take back all that it had."""
+        self._claimed_nodes.discard(name)
         self.topics.close_node(name)
         self.services.close_node(name)
         for callback in self.on_node_closed:

@@ -1,12 +1,13 @@
 """The recent past of all joints: their state at every tenth cycle, kept by whoever runs the cycles.
 
 The rows lie in one block of numbers, which the compiled cycle fills as well. It begins anew when a robot comes or goes,
-since others have the places then. To keep a row costs half a microsecond in the interpreter and some nanoseconds in
-machine code.
+since others have the places then. To keep a row costs a third of a microsecond in the interpreter, and some
+nanoseconds in machine code.
 """
 
 from __future__ import annotations
 
+from array import array
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -41,9 +42,11 @@ class History:
         self._table[ROWS] = rows
         view: Any = memoryview(self._table)  # type: ignore[arg-type]
         self._view: memoryview[float] = view
+        self._bytes: memoryview[int] = view.cast("B")
+        self._time = array("d", [0.0])
 
     def forget(self) -> None:
-        """The world is at another moment: what was before does not lead to it."""
+        """Joints were put elsewhere, or the clock was set: what was before does not lead to this moment."""
         self._table[TAKEN] = 0.0
 
     @property
@@ -53,27 +56,20 @@ class History:
 
     def keep(self, time_ns: int) -> None:
         """A row: the state at the end of the cycle at this time. The kernel's `keep` does the same."""
-        table, views, positions, dofs = self._view, self._world.views, self._positions, self._dofs
+        table, row_bytes = self._view, 8 * self._width
         taken = table[TAKEN]
-        at = HEADER + int(taken % table[ROWS]) * self._width
         table[TAKEN] = taken + 1.0
-        table[at] = float(time_ns)
-        at += 1
-        table[at : at + positions] = views.qpos
-        at += positions
-        for numbers in (views.qvel, views.forces, views.efforts):
-            table[at : at + dofs] = numbers
-            at += dofs
+        at = 8 * HEADER + row_bytes * int(taken % table[ROWS])
+        self._time[0] = time_ns
+        qpos, qvel, forces, efforts, _ = self._world.views
+        self._bytes[at : at + row_bytes] = b"".join((self._time, qpos, qvel, forces, efforts))
 
-    def of_joint(self, qpos: int, dof: int, since_ns: int) -> Any:
-        """Time (s), position, velocity and effort of a joint in the rows since then, (n, 4). A clock that was put back
-        begins anew."""
+    def of_joint(self, qpos: int, dof: int, since_ns: int, before_ns: int) -> Any:
+        """Time (s), position, velocity and effort of a joint in the rows between these times, (n, 4)."""
         room, taken = int(self._table[ROWS]), int(self._table[TAKEN])
         rows = self._table[HEADER:].reshape(room, self._width)
         rows = np.roll(rows, -(taken % room), axis=0) if taken > room else rows[:taken]
         times, first = rows[:, 0], 1 + self._positions + dof
-        back = np.flatnonzero(np.diff(times) <= 0)
-        is_wanted = times >= since_ns
-        is_wanted[: back[-1] + 1 if len(back) else 0] = False
+        is_wanted = (times >= since_ns) & (times < before_ns)
         effort = rows[:, first + self._dofs] + rows[:, first + 2 * self._dofs]
         return np.stack([times / SECOND, rows[:, 1 + qpos], rows[:, first], effort], axis=1)[is_wanted]

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message
 from slidectl.errors import Refused, SlidectlError
+from slidectl.names import OWN_NODE
 from slidectl.simulation.clock import SECOND
 from slidectl.simulation.history import EVERY
-from slidectl.simulation.own_services import LONGEST_S, NODE
+from slidectl.simulation.own_services import LONGEST_S
 from slidectl.simulation.pending import Pending
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ _SAMPLE = struct.Struct("<4d")
 
 def advertise(simulation: Simulation) -> None:
     """Provide the service."""
-    node = simulation.graph.node(NODE, NODE)
+    node = simulation.graph.node(OWN_NODE, OWN_NODE)
     node.advertise_service("trace", "slidectl/TraceJoint", lambda request: _trace(simulation, request))
 
 
@@ -44,9 +45,9 @@ def _trace(simulation: Simulation, request: Message) -> Pending:
 
     if duration:
         return _TraceToCome(simulation, duration, now).pending
-    kept = simulation.loop.history.of_joint(place.qpos, place.dof, simulation.time_ns - from_seconds(last))
-    present = b"" if len(kept) and kept[-1, 0] == simulation.time_ns / SECOND else now()
-    return Pending.of(_answer(EVERY * simulation.timestep_ns, kept.astype("<f8").tobytes() + present))
+    now_ns = simulation.time_ns
+    kept = simulation.loop.history.of_joint(place.qpos, place.dof, now_ns - from_seconds(last), now_ns)
+    return Pending.of(_answer(EVERY * simulation.timestep_ns, kept.astype("<f8").tobytes() + now()))
 
 
 def _answer(period_ns: int, rows: bytes) -> Message:
@@ -68,17 +69,18 @@ class _TraceToCome:
 
     def _take(self) -> None:
         try:
-            self._rows.append(self._sample())
+            row = self._sample()
         except SlidectlError as error:  # the robot has gone
             self._close()
             self.pending.reject(error)
+            return
+        if row != self._rows[-1]:
+            self._rows.append(row)
 
     def _finish(self) -> None:
+        self._take()
         self._close()
-        end = self._sample()
-        if end != self._rows[-1]:
-            self._rows.append(end)
-        self.pending.resolve(_answer(self._period_ns, b"".join(self._rows)))
+        self.pending.resolve(_answer(self._period_ns, b"".join(self._rows)))  # does nothing after a `reject`
 
     def _close(self) -> None:
         self._timer.cancel()

@@ -11,10 +11,11 @@ An object with `save_state` and `load_state` says itself what its state is.
 from __future__ import annotations
 
 import random
+import reprlib
 import sys
 from array import array
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import is_dataclass
 from enum import Enum
@@ -36,11 +37,13 @@ from slidectl.control.reconfigure import ReconfigureServer
 from slidectl.control.user_classes import is_of_a_user, watched_for
 from slidectl.errors import Refused, SlidectlError
 from slidectl.physics import World
+from slidectl.physics.changes import JointFriction, Payload, StuckJoint
 from slidectl.physics.robot_hw import Drive, HardwareJoint
 from slidectl.simulation.action_server import ActionGoal
 from slidectl.simulation.camera_topics import CameraTopics
-from slidectl.simulation.clock import RepeatedCall, Timer, Timers
+from slidectl.simulation.clock import NEVER, RepeatedCall, Timer, Timers
 from slidectl.simulation.cycle import ControlCycle
+from slidectl.simulation.faults import Fault, Faults, FaultyCycle, FaultyTopic
 from slidectl.simulation.graph import Graph, GraphNode
 from slidectl.simulation.sensor_topics import SensorTopic
 from slidectl.simulation.spawned_robots import SpawnedRobot
@@ -60,13 +63,23 @@ KEPT: dict[type, tuple[str, ...]] = {
         "write_period_s",
     ),
     Drive: ("pid",),
+    Fault: ("busy_until_ns", "change", "count", "is_done", "kept", "past", "seen"),
+    Faults: ("_faults", "_cycles", "_topics"),
+    FaultyCycle: ("_faults", "_true", "_updated_ns", "_written_ns"),
+    FaultyTopic: ("waiting", "_timer"),
     HardwareJoint: ("handle", "limit"),
+    JointFriction: ("_before",),
     LimitHandle: ("previous",),
+    Payload: ("_before",),
     PeriodicTopic: ("_publisher",),
     RepeatedCall: ("_timer",),
     SensorTopic: ("_topic",),
+    StuckJoint: ("_position", "_lasting", "_dynamics"),
 }
-"""Classes, with their heirs, of which these attributes alone are saved. The rest follows from how they were made."""
+"""Of objects of these classes and their subclasses only these attributes are saved. The rest follows from how they were
+made."""
+_MAY_BE_NONE = ("_before", "_position", "_timer", "change", "kept", "limit", "pid")
+"""Those of these attributes that may be None."""
 STRUCTURE = (
     Graph,
     GraphNode,
@@ -123,11 +136,11 @@ _RESERVED = SavedObject("", None)
 """In the place of an object of which the content is being saved."""
 
 
-class Left:
+class NotSaved:
     """Stands for what is not saved."""
 
 
-LEFT = Left()
+NOT_SAVED = NotSaved()
 
 
 class CannotSave(Refused):
@@ -153,7 +166,7 @@ class Saving:
         self.entries: list[SavedObject] = []
         self._numbers: dict[int, Ref] = {}
         self._alive: list[Any] = []
-        """Keeps objects, whose identities would be those of others else."""
+        """Keeps the objects alive: otherwise a new object could get the id() of a dead one."""
 
     def value(self, value: Any, of_user: bool = False) -> Any:
         """`of_user`: it belongs to an object of a user's class. Raises CannotSave."""
@@ -161,17 +174,22 @@ class Saving:
         return value if kind in _SCALARS else rule_of(kind).save(self, value, of_user)
 
     def values(self, values: Mapping[Any, Any], of_user: bool) -> dict[Any, Any]:
-        """What is saved of attributes, or of the values of a mapping."""
+        """What is saved of attributes, or of a mapping."""
         saved = {}
         for name, value in values.items():
             kind = type(value)
-            if kind in _SCALARS:
-                saved[name] = value
-                continue
             try:
-                saved[name] = rule_of(kind).save(self, value, of_user)
+                key = name if type(name) in _SCALARS else self.element(name, of_user)
+                saved[key] = value if kind in _SCALARS else rule_of(kind).save(self, value, of_user)
             except CannotSave as error:
                 raise error.below(str(name)) from None
+        return saved
+
+    def element(self, value: Any, of_user: bool) -> Any:
+        """What is saved of a key, or of an element of a set: of these nothing else says which ones there are."""
+        saved = self.value(value, of_user)
+        if saved is NOT_SAVED:
+            raise CannotSave(f"a {type(value).__qualname__} that is a key, or in a set")
         return saved
 
     def object(self, value: Any, content: Callable[[], Any]) -> Ref:
@@ -210,9 +228,11 @@ class Restoring:
         for _, due_ns, timer in sorted(self._set, key=lambda entry: entry[0]):
             self._timers.arm(timer, due_ns)
         for publisher in self._latched:
+            if (last := publisher.last) is None:
+                continue
             for callback in publisher.topic.callbacks:
                 with suppress(SlidectlError):
-                    callback(publisher.last or {})
+                    callback(last)
 
     def value(self, saved: Any, live: Any) -> Any:
         """Raises Refused: what is there is not like what was saved."""
@@ -224,7 +244,7 @@ class Restoring:
         if kind is tuple:
             lives = live if isinstance(live, tuple) and len(live) == len(saved) else [None] * len(saved)
             return tuple(map(self.value, saved, lives))
-        if kind is Left:
+        if kind is NotSaved:
             return live
         if kind is Method:
             owner = self.value(saved.owner, getattr(live, "__self__", None))
@@ -234,18 +254,23 @@ class Restoring:
         return saved
 
     def values(self, saved: Mapping[Any, Any], live: Mapping[Any, Any]) -> dict[Any, Any]:
-        """The same of the values of a mapping."""
-        return {name: self.value(value, live.get(name)) for name, value in saved.items()}
+        """The same of a mapping."""
+        keys = self.in_order(list(saved), list(live))
+        new = {key: self.value(value, live.get(key)) for key, value in zip(keys, saved.values(), strict=True)}
+        _check_kinds(new.values(), live.values())
+        return new
 
     def in_order(self, saved: Sequence[Any], live: Sequence[Any]) -> list[Any]:
         """The same of elements in their order; what has been found otherwise, here and there, does not count."""
         rest = iter([one for one in live if id(one) not in self._used])
-        return [
+        new = [
             self._found[one.number]
             if type(one) is Ref and self._found[one.number] is not None
             else self.value(one, next(rest, None))
             for one in saved
         ]
+        _check_kinds(new, live)
+        return new
 
     def later(self, take: Callable[[], None]) -> None:
         """Call this when all objects have their values."""
@@ -303,6 +328,15 @@ class Restoring:
         return tuple.__new__(cls, map(self.value, value, lives))
 
 
+def _check_kinds(new: Iterable[Any], live: Iterable[Any]) -> None:
+    """Raises Refused: something else is among objects of `KEPT`, without which no cycle comes and no robot goes."""
+    kinds = {type(one) for one in live}
+    if any(base in KEPT for kind in kinds for base in kind.__mro__):
+        for one in new:
+            if type(one) not in kinds:
+                raise Refused(f"the snapshot has {reprlib.repr(one)} among objects of other classes")
+
+
 def _method(owner: Any, name: str) -> Any:
     """Raises Refused: only objects of users keep methods in their attributes."""
     if not is_of_a_user(type(owner)) or name.startswith("_"):
@@ -318,7 +352,7 @@ class Rule:
 
     def save(self, saving: Saving, value: Any, of_user: bool) -> Any:  # noqa: ARG002
         """What is saved of it; Ref for an object that has an entry."""
-        return LEFT
+        return NOT_SAVED
 
     def fit(self, live: Any, content: Any) -> Any:  # noqa: ARG002
         """The object that takes the content: the one that is there, or one of the right size."""
@@ -337,7 +371,7 @@ class _Unknown(Rule):
 class _Function(Rule):
     def save(self, saving: Saving, value: Any, of_user: bool) -> Any:  # noqa: ARG002
         if not of_user:
-            return LEFT
+            return NOT_SAVED
         if getattr(value, "__closure__", None) or isinstance(value, partial):
             raise CannotSave("a function that holds values of its own")
         return Named(value.__qualname__, None)
@@ -346,7 +380,7 @@ class _Function(Rule):
 class _BoundMethod(Rule):
     def save(self, saving: Saving, value: Any, of_user: bool) -> Any:
         owner = saving.value(value.__self__, of_user)
-        return Method(owner, value.__name__) if isinstance(owner, Ref) else LEFT
+        return Method(owner, value.__name__) if isinstance(owner, Ref) else NOT_SAVED
 
 
 class _Constant(Rule):
@@ -363,8 +397,8 @@ class _Constant(Rule):
 class _Tuple(Rule):
     def save(self, saving: Saving, value: Any, of_user: bool) -> Any:
         saved = tuple(saving.value(one, of_user) for one in value)
-        if saved and all(one is LEFT for one in saved):
-            return LEFT
+        if saved and all(one is NOT_SAVED for one in saved):
+            return NOT_SAVED
         return saved if type(value) is tuple else Named(type(value).__qualname__, saved)
 
 
@@ -398,7 +432,7 @@ class _Dict(Rule):
 
 class _Set(Rule):
     def save(self, saving: Saving, value: Any, of_user: bool) -> Any:
-        return saving.object(value, lambda: [saving.value(one, of_user) for one in value])
+        return saving.object(value, lambda: [saving.element(one, of_user) for one in value])
 
     def fill(self, restoring: Restoring, live: Any, content: Any) -> None:
         new = [restoring.value(one, None) for one in content]
@@ -471,6 +505,7 @@ class _Attributes(Rule):
         slots = [name for base in cls.__mro__ for name in vars(base).get("__slots__", ())]
         self._names = slots if names is None else names
         self._of_user = is_of_a_user(cls)
+        self._methods = {name for name in dir(cls) if name.startswith("__") or callable(getattr(cls, name, None))}
 
     def save(self, saving: Saving, value: Any, of_user: bool) -> Any:  # noqa: ARG002
         return saving.object(value, lambda: saving.values(self._attributes(value), self._of_user))
@@ -480,10 +515,25 @@ class _Attributes(Rule):
             before = getattr(live, name, None)
             new = saved if type(saved) in _SCALARS else restoring.value(saved, before)
             if new is not before or before is None:
+                if not self._of_user:
+                    self._check(live, name, before, new)
                 setattr(live, name, new)
         if self._has_all:
             for name in vars(live).keys() - content.keys() if hasattr(live, "__dict__") else ():
                 delattr(live, name)
+
+    def _check(self, live: Any, name: str, before: Any, new: Any) -> None:
+        """Raises Refused: no state of our own classes is so. Compiled code relies on them, and looks at no types."""
+        if name in self._methods if self._has_all else name not in self._names:
+            raise Refused(f"the snapshot has a state of {name} of {type(live).__name__}, which has none")
+        kind = type(before)
+        is_kind = isinstance(new, kind) or (kind in (bool, float) and type(new) is int)
+        is_kind |= kind not in _SCALARS and type(new) not in _SCALARS  # a list becomes an array
+        is_kind |= new is None and (self._has_all or name in _MAY_BE_NONE)
+        if not is_kind and before is not None:
+            raise Refused(f"{name} of {type(live).__name__} is no {kind.__name__}, but {reprlib.repr(new)}")
+        if type(new) is int and not -NEVER <= new <= NEVER:
+            raise Refused(f"{name} of {type(live).__name__} is too large: {new}")
 
     def _attributes(self, value: Any) -> dict[str, Any]:
         found = {name: getattr(value, name) for name in self._names if hasattr(value, name)}
@@ -494,20 +544,21 @@ class _OwnState(Rule):
     """Objects that say themselves what their state is."""
 
     def save(self, saving: Saving, value: Any, of_user: bool) -> Any:  # noqa: ARG002
-        return saving.object(value, lambda: saving.value(_asked(value), is_of_a_user(type(value))))
+        return saving.object(value, lambda: saving.value(_state_of(value), is_of_a_user(type(value))))
 
     def fill(self, restoring: Restoring, live: Any, content: Any) -> None:
-        # What is there says by its shape which objects take the values. Others must have theirs before it takes them.
-        state = restoring.value(content, _asked(live))
-        restoring.later(lambda: _told(live, state))
+        # The present state shows which objects the values go into. `load_state` is called last, when all other objects
+        # are restored.
+        state = restoring.value(content, _state_of(live))
+        restoring.later(lambda: _give_state(live, state))
 
 
-def _asked(value: Any) -> Any:
+def _state_of(value: Any) -> Any:
     with watched_for("save_state of", type(value).__name__):
         return value.save_state()
 
 
-def _told(value: Any, state: Any) -> None:
+def _give_state(value: Any, state: Any) -> None:
     with watched_for("load_state of", type(value).__name__):
         value.load_state(state)
 

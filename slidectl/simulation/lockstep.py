@@ -10,12 +10,12 @@ from collections.abc import Callable
 from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message
 from slidectl.errors import Refused
-from slidectl.simulation.clock import Timer
+from slidectl.names import OWN_NODE
+from slidectl.simulation.clock import Clock, Timer
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.loop import Loop, whole_cycles
 from slidectl.simulation.pending import Pending
 
-NODE = "/slidectl"
 _TIMEOUT_S = 5.0
 _LONGEST_S = 1e6
 
@@ -26,13 +26,20 @@ class LockStepMember:
     Times in ns (simulated) and s (wall).
     """
 
-    def __init__(self, node: str, period_ns: int, timeout_s: float) -> None:
+    def __init__(self, node: str, period_ns: int, timeout_s: float, clock: Clock) -> None:
         self.node = node
         self.period_ns = period_ns
         self.timeout_s = timeout_s
         self.pending: Pending | None = None
-        self.timer: Timer | None = None
-        """When its call is answered; it moves with the clock when that is set."""
+        self.timer = Timer(0, self._answer)
+        """Set for when its call is answered; it moves with the clock when that is set."""
+        self._clock = clock
+
+    def _answer(self) -> None:
+        pending, self.pending = self.pending, None
+        if pending is not None:
+            clock = self._clock
+            pending.resolve({"success": True, "message": "", "time": clock.seconds, "cycles": clock.cycles})
 
 
 class LockStepService:
@@ -46,14 +53,14 @@ class LockStepService:
         self.members: dict[str, LockStepMember] = {}
         self.on_let_go: Callable[[str], None] = lambda _: None
         """Called with the node of a member that is let go: the one thing here that wall time decides."""
-        graph.node(NODE, NODE).advertise_service("lockstep", "slidectl/LockStep", self._take)
+        graph.node(OWN_NODE, OWN_NODE).advertise_service("lockstep", "slidectl/LockStep", self._take)
         graph.on_node_closed.append(self._gone)
 
     def allowed(self, most: int) -> int:
         """How many cycles, at most `most`, may run until a member has its turn."""
         now, step_ns = self._graph.clock.time_ns, self._loop.step_ns
         for member in self.members.values():
-            if member.pending is None or member.timer is None:
+            if member.pending is None:
                 return 0
             most = min(most, -((now - member.timer.due_ns) // step_ns))
         return most
@@ -66,28 +73,29 @@ class LockStepService:
         """It has held the world for longer than its time-out."""
         self.on_let_go(member.node)
         text = f"{member.node} has left the lock-step: it held the world for more than {member.timeout_s:g} s"
-        self._graph.log("warn", NODE, text)
+        self._graph.log("warn", OWN_NODE, text)
         self._leave(member.node)
         self._let_go[member.node] = f"it held the world for more than {member.timeout_s:g} s"
 
     def _take(self, request: Message) -> Message | Pending:
         if not self._loop.driven:
             raise Refused("nobody drives this world: it goes on by its step() alone")
-        node, clock = self._graph.calling_node, self._graph.clock
-        answer = {"success": True, "time": clock.seconds, "cycles": clock.cycles}
+        node = self._graph.calling_node
         if request["leave"]:
             self._member(node)
             self._leave(node)
-            return {**answer, "message": "left"}
-        if request["period"]:
+        elif request["period"]:
             self._join(node, request["period"], request["timeout"] or _TIMEOUT_S)
-            return {**answer, "message": "joined"}
-        return self._done(self._member(node))
+        else:
+            return self._done(self._member(node))
+        clock, message = self._graph.clock, "left" if request["leave"] else "joined"
+        return {"success": True, "message": message, "time": clock.seconds, "cycles": clock.cycles}
 
     def _member(self, node: str) -> LockStepMember:
         if node not in self.members:
             why = self._let_go.pop(node, "")
-            raise Refused(f"{node} is not in lock-step" + (f": {why}" if why else ""), "join with a period above 0")
+            text = f"{node} is not in lock-step" + (f": {why}" if why else "")
+            raise Refused(text, "join with a period above 0, also after it was let go")
         return self.members[node]
 
     def _join(self, node: str, period_s: float, timeout_s: float) -> None:
@@ -98,27 +106,20 @@ class LockStepService:
         whole_cycles(period_ns, self._loop.step_ns)
         if node in self.members and self.members[node].pending is not None:
             raise Refused(f"{node} waits for the end of its period already")
-        self.members[node] = LockStepMember(node, period_ns, timeout_s)
+        self.members[node] = LockStepMember(node, period_ns, timeout_s, self._graph.clock)
         self._let_go.pop(node, None)
         self._loop.run.lockstep = self
 
     def _done(self, member: LockStepMember) -> Pending:
         if member.pending is not None:
             raise Refused(f"{member.node} waits for the end of its period already")
-        pending = member.pending = Pending()
-        clock = self._graph.clock
-
-        def answer() -> None:
-            member.pending = None
-            pending.resolve({"success": True, "message": "", "time": clock.seconds, "cycles": clock.cycles})
-
-        member.timer = self._graph.timers.after(member.period_ns, answer)
-        return pending
+        member.pending = Pending()
+        self._graph.timers.arm(member.timer, self._graph.clock.time_ns + member.period_ns)
+        return member.pending
 
     def _leave(self, node: str) -> None:
         member = self.members.pop(node)
-        if member.timer is not None:
-            member.timer.cancel()
+        member.timer.cancel()
         if member.pending is not None:
             member.pending.reject(Refused(f"{node} has left the lock-step"))
         if not self.members:
@@ -127,5 +128,5 @@ class LockStepService:
     def _gone(self, node: str) -> None:
         self._let_go.pop(node, None)
         if node in self.members:
-            self._graph.log("warn", NODE, f"{node} has gone; the lock-step goes on without it")
+            self._graph.log("warn", OWN_NODE, f"{node} has gone; the lock-step goes on without it")
             self._leave(node)

@@ -58,11 +58,13 @@ def whole_cycles(asked_ns: int, step_ns: int, start_ns: int = 0) -> int:
 
 
 class StepRequest:
-    """Cycles that somebody asked for and waits for."""
+    """Cycles that somebody asked for and waits for; with a `reader` no more when there is news for that node."""
 
-    __slots__ = ("asked", "pending", "remaining")
+    __slots__ = ("asked", "has_news", "pending", "reader", "remaining")
 
-    def __init__(self, cycles: int, pending: Pending) -> None:
+    def __init__(self, cycles: int, pending: Pending, reader: str) -> None:
+        self.reader = reader
+        self.has_news = False
         self.asked = cycles
         self.remaining = cycles
         self.pending = pending
@@ -83,13 +85,19 @@ class RunState:
         """Called when the world comes to a stand: by `pause`, after the last step, or when nobody waits for steps."""
         self.requests: deque[StepRequest] = deque()
         """Who waits for steps, in the order of asking."""
+        self.holders: set[str] = set()
+        """Nodes by whose requests alone the world goes on."""
+        self.news_wanted = False
+        """True while `note_news` may end the steps that somebody asked for."""
+        self.on_news: Callable[[], None] = lambda: None
+        """Called when they are to end with the cycle that runs."""
         self.lockstep: LockStepService | None = None
         """Those for whom the world waits, while there are any."""
 
     @property
     def pending_steps(self) -> int:
-        """Cycles that were asked for and have not run yet."""
-        return sum(request.remaining for request in self.requests)
+        """Cycles that were asked for, but by holders, and have not run yet."""
+        return sum(request.remaining for request in self.requests if not request.reader)
 
     def pause(self) -> None:
         """Hold the world; steps that somebody waits for are given up."""
@@ -107,11 +115,23 @@ class RunState:
         self.trouble = trouble
         self.abandon_steps(reason)
 
+    def asked(self, most: int) -> int:
+        """How many cycles, at most `most`, are wanted now: of a held world only those that its holder waits for."""
+        if self.holders:
+            holder = self._first(of_holder=True)
+            most = 0 if holder is None else min(most, holder.remaining)
+        return min(most, self.pending_steps) if self.paused else most
+
     def allowed(self, most: int) -> int:
         """How many cycles, at most `most`, may run now."""
         if self.lockstep is not None:
             most = self.lockstep.allowed(most)
-        return min(most, self.pending_steps) if self.paused else most
+        return self.asked(most)
+
+    @property
+    def stands_still(self) -> bool:
+        """True when no cycle comes that nobody has asked for. Who holds the world is going to ask."""
+        return self.paused and not self.pending_steps if self.holders else self.allowed(1) == 0
 
     def set_speed(self, factor: float) -> None:
         """Ask for a real-time factor above 0, or 0 for as fast as possible. Raises Refused for anything else."""
@@ -119,25 +139,48 @@ class RunState:
             raise Refused(f"speed is 0 (as fast as possible) or a number above it, not {factor:g}")
         self.speed = factor or math.inf
 
-    def ask_steps(self, cycles: int) -> Pending:
-        """Pause, and run so many cycles more. Resolved with the number of cycles when they are done."""
-        self.paused = True
-        request = StepRequest(cycles, Pending())
+    def ask_steps(self, cycles: int, reader: str = "") -> Pending:
+        """Pause, and run so many cycles more. Resolved with the number of cycles when they are done.
+
+        With a `reader`, which holds the world, it is not paused, and they end with the cycle in which `note_news` is
+        called for that; where it is paused only those come that others ask for.
+        """
+        if not reader:
+            self.paused = True
+        elif self.paused and not self.pending_steps:
+            return Pending.of(0)
+        request = StepRequest(cycles, Pending(), reader)
         request.pending.on_cancel = lambda: self._drop(request)
         self.requests.append(request)
+        self.news_wanted = self.news_wanted or bool(reader)
         return request.pending
 
+    def note_news(self, node: str = "") -> None:
+        """There is a message for a node, or an answer for anybody."""
+        for request in self.requests:
+            if request.reader and node in ("", request.reader):
+                request.has_news = True
+                self.on_news()
+
+    def _first(self, of_holder: bool) -> StepRequest | None:
+        return next((request for request in self.requests if bool(request.reader) is of_holder), None)
+
     def until_answer(self, cycles: int) -> int:
-        """`cycles`, cut at the end of the first request, so that it is answered in its own cycle."""
-        return min(cycles, self.requests[0].remaining) if self.requests else cycles
+        """`cycles`, cut where a request ends, so that it is answered in its own cycle."""
+        running = self._first(of_holder=False), self._first(of_holder=True)
+        return min([cycles, *(request.remaining for request in running if request is not None)])
 
     def took(self, cycles: int) -> None:
         """So many cycles have run, not more than `until_answer` allowed."""
-        if self.requests:
-            self.requests[0].remaining -= cycles
-            if self.requests[0].remaining <= 0:
-                request = self.requests.popleft()
-                request.pending.resolve(request.asked)
+        for request in (self._first(of_holder=False), self._first(of_holder=True)):  # an answer is news for a holder
+            if request is None or request not in self.requests:
+                continue
+            request.remaining -= cycles
+            is_stopped = request.reader and self.paused and not self.pending_steps
+            if request.remaining <= 0 or request.has_news or is_stopped:
+                self.requests.remove(request)
+                self.news_wanted = any(one.reader for one in self.requests)
+                request.pending.resolve(request.asked - request.remaining)
                 self._look_for_halt()
 
     def abandon_steps(self, reason: str) -> None:
@@ -151,10 +194,11 @@ class RunState:
     def _drop(self, request: StepRequest) -> None:
         if request in self.requests:
             self.requests.remove(request)
+            self.took(0)  # a holder may wait for cycles that do not come any more
             self._look_for_halt()
 
     def _look_for_halt(self) -> None:
-        if self.allowed(1) == 0:
+        if self.stands_still:
             self.on_halt()
 
 
@@ -166,6 +210,7 @@ class Loop:
         self.world = world
         self.step_ns = step_ns
         self.run = RunState()
+        self.run.on_news = self.end_burst
         self.driven = False
         """True when somebody else (the daemon) calls `step` as `run` says; else time moves only when asked."""
         self.enough: Callable[[], bool] | None = None
@@ -211,7 +256,7 @@ class Loop:
     @property
     def stands_still(self) -> bool:
         """True when no cycle will come by itself."""
-        return not self.in_cycle and (not self.driven or self.run.allowed(1) == 0)
+        return not self.in_cycle and (not self.driven or self.run.stands_still)
 
     def between_cycles(self, action: str) -> None:
         """Raises Refused inside a cycle, where others still work on what the action changes."""
@@ -219,6 +264,11 @@ class Loop:
             raise Refused(
                 f"cannot {action} in the middle of a control cycle", "do it after the cycle: graph.timers.soon(...)"
             )
+
+    def end_burst(self) -> None:
+        """Let the runner stop after the running cycle, as after each in which a timer is due."""
+        if self.in_cycle:
+            self.graph.timers.soon(lambda: None)
 
     def after_cycle(self, callback: Callable[[], None]) -> None:
         """Call back at the end of the running cycle, or at once when none is running."""
@@ -253,6 +303,8 @@ class Loop:
                     run.took(done)
                 if trouble is not None:
                     self._give_up(trouble)
+                    break
+                if run.holders and run.allowed(left) < left:  # news has ended a request
                     break
                 if self.enough is not None and self.enough():
                     break

@@ -1,5 +1,7 @@
 """The six services of a robot's controller manager, in the order in which ros_control would carry them out.
 
+A seventh, `switch_controllers`, is the switch by the names of ros2_control.
+
 While a switch is armed all of them queue behind it, as behind the manager's mutex. When the world stands still
 the switch is finished at once, at the present time; ros_control would hang.
 """
@@ -14,6 +16,7 @@ from typing import TYPE_CHECKING
 from slidectl.control import registry
 from slidectl.control.controller_interface import State
 from slidectl.control.controller_manager import STRICT
+from slidectl.control.duration import from_stamp, to_seconds
 from slidectl.control.node_handle import Message, Reasons
 from slidectl.errors import Refused, SlidectlError
 from slidectl.simulation.clock import Timer
@@ -62,6 +65,7 @@ class ManagerServices:
         services = node.child("controller_manager")
         for name, (kind, act) in acts.items():
             services.advertise_service(name, f"controller_manager_msgs/{kind}", partial(self._take, act))
+        services.advertise_service("switch_controllers", "slidectl/SwitchControllers", self._switch_as_in_ros2)
 
     def settle(self) -> None:
         """Finish an armed switch now, because the world has come to a stand; nobody waits for an update any more."""
@@ -162,6 +166,20 @@ class ManagerServices:
                 else:
                     if response is not None:
                         pending.resolve(response)
+
+    def _switch_as_in_ros2(self, request: Message) -> Pending:
+        """The same switch, asked for in the words of ros2_control."""
+        asked = {
+            "start_controllers": request["activate_controllers"],
+            "stop_controllers": request["deactivate_controllers"],
+            "strictness": request["strictness"],
+            "start_asap": request["activate_asap"],
+            "timeout": to_seconds(from_stamp(request["timeout"])),
+        }
+        reasons = self._node.reasons
+        return self._take(self._start_switch, asked).converted(
+            lambda done: {**done.result(), "message": "\n".join(reasons or ())}
+        )
 
     def _start_switch(self, request: Message, answer: Pending) -> Message | None:
         self._switch = answer

@@ -1,7 +1,7 @@
 """The services of `/slidectl` but `wait`, which has a module of its own, and `shutdown`, which is the daemon's.
 
-These are not in ROS: status, step, sleep, set_speed, set_params, list_robots, sources, resolve, estop, rest_joints,
-start_joints, load_controller_file, reload_controller, update_times.
+These are not in ROS: status, step, sleep, set_speed, set_params, list_robots, scene, joint_states, sources, resolve,
+estop, rest_joints, start_joints, load_controller_file, reload_controller, update_times, graph.
 """
 
 from __future__ import annotations
@@ -14,9 +14,11 @@ import slidectl
 from slidectl import msgs, names
 from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message
-from slidectl.description import interfaces
-from slidectl.description.robot import Joint
+from slidectl.description import interfaces, source_note
+from slidectl.description.robot import MOVING, Joint
 from slidectl.errors import Refused, SlidectlError, UnknownName, Unused, UsageError, closest, listing
+from slidectl.physics import sensing
+from slidectl.simulation.gazebo_frames import pose_message
 from slidectl.simulation.loop import whole_cycles
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.rosapi import absolute, from_json, typedefs
@@ -25,7 +27,6 @@ from slidectl.simulation.spawned_robots import SpawnedRobot
 if TYPE_CHECKING:
     from slidectl.simulation.simulation import Simulation
 
-NODE = "/slidectl"
 LONGEST_S = 1e9
 _KINDS = ("topic", "service", "parameter", "node", "robot")
 _MOST_COMPARED = 8
@@ -44,13 +45,16 @@ class OwnServices:
         self._simulation = simulation
         self._graph = simulation.graph
         self._robots = simulation.robots
-        node = simulation.graph.node(NODE, NODE)
+        node = simulation.graph.node(names.OWN_NODE, names.OWN_NODE)
         node.advertise_service("status", "slidectl/Status", self._status)
         node.advertise_service("step", "slidectl/Step", self._step)
+        self._graph.on_node_closed.append(simulation.run.holders.discard)
         node.advertise_service("sleep", "slidectl/Sleep", self._sleep)
         node.advertise_service("set_speed", "slidectl/SetSpeed", self._set_speed)
         node.advertise_service("set_params", "slidectl/SetParams", self._set_params)
         node.advertise_service("list_robots", "slidectl/ListRobots", self._list_robots)
+        node.advertise_service("scene", "slidectl/Scene", self._scene)
+        node.advertise_service("joint_states", "slidectl/JointStates", self._joint_states)
         node.advertise_service("sources", "slidectl/Sources", self._sources)
         node.advertise_service("resolve", "slidectl/Resolve", self._resolve)
         node.advertise_service("estop", "slidectl/EmergencyStop", self._stop)
@@ -58,6 +62,7 @@ class OwnServices:
         node.advertise_service("start_joints", "slidectl/StartJoints", self._start_joints)
         node.advertise_service("load_controller_file", "slidectl/LoadControllerFile", self._load_file)
         node.advertise_service("reload_controller", "slidectl/ReloadController", self._reload)
+        node.advertise_service("graph", "slidectl/GraphState", lambda _: self._graph.state())
         node.advertise_service("update_times", "slidectl/ListUpdateTimes", self._update_times)
 
     def _status(self, _: Message) -> Message:
@@ -69,6 +74,7 @@ class OwnServices:
             "cycles": simulation.cycles,
             "paused": simulation.run.paused,
             "trouble": simulation.run.trouble,
+            "holders": sorted(simulation.run.holders),
             "lockstep": sorted(simulation.lockstep.members),
             "speed": 0.0 if math.isinf(simulation.run.speed) else simulation.run.speed,
             "timestep": simulation.timestep_ns * 1e-9,
@@ -92,21 +98,8 @@ class OwnServices:
             text = str(done.error) if done.error else f"{done.result()} cycles done"
             return {"success": done.error is None, "message": text, "time": clock.seconds, "cycles": clock.cycles}
 
-        return self._run_steps(self._cycles(request)).converted(response)
-
-    def _run_steps(self, cycles: int) -> Pending:
-        if not cycles:
-            self._simulation.pause()
-            return Pending.of(0)
-        self._simulation.check_trouble()
-        if self._simulation.driven:
-            return self._simulation.run.ask_steps(cycles)
-        pending = Pending()
-        try:
-            pending.resolve(self._simulation.step(cycles))
-        except SlidectlError as error:
-            pending.reject(error)
-        return pending
+        reader = self._graph.calling_node if request["news"] else ""
+        return self._simulation.ask_steps(self._cycles(request), reader).converted(response)
 
     def _cycles(self, request: Message) -> int:
         """Whole cycles: those that were asked for, or as many as make up the time that was asked for.
@@ -281,7 +274,7 @@ class OwnServices:
     def _joint_info(self, robot: SpawnedRobot, joint: Joint, commanded: dict[str, str]) -> Message:
         position: Any = math.nan
         velocity = effort = position
-        if joint.type in ("revolute", "continuous", "prismatic"):
+        if joint.type in MOVING:
             position, velocity, effort = self._simulation.world.joint_state(robot.name, joint.name)
         limit = joint.limit
         bounded = limit is not None and joint.type in ("revolute", "prismatic")
@@ -296,6 +289,34 @@ class OwnServices:
             "upper": limit.upper if limit and bounded else math.nan,
             "max_velocity": limit.velocity if limit else math.nan,
             "max_effort": limit.effort if limit else math.nan,
+        }
+
+    def _scene(self, request: Message) -> Message:
+        """What whoever draws the world needs, all of one moment."""
+        world, robots = self._simulation.world, list(self._robots)
+        places = [(robot.name, link) for robot in robots for link in robot.paper.links if link != "world"]
+        contacts = list(sensing.contacts(world)) if request["contacts"] else []
+        return {
+            "time": self._graph.clock.seconds,
+            "ground": world.has_ground,
+            "robots": [robot.name for robot in robots],
+            "serials": [robot.serial for robot in robots],
+            "descriptions": [source_note.join(robot.xml, robot.note) for robot in robots if request["descriptions"]],
+            "links": [f"{robot}::{link}" for robot, link in places],
+            "poses": [pose_message(world.link_pose(robot, link)) for robot, link in places],
+            "contact_points": [dict(zip("xyz", point, strict=True)) for point, _ in contacts],
+            "contact_forces": [dict(zip("xyz", force, strict=True)) for _, force in contacts],
+        }
+
+    def _joint_states(self, _: Message) -> Message:
+        """What whoever shows all joints asks for often; `list_robots` has more and takes much longer."""
+        places = [(robot.name, one.name) for robot in self._robots for one in robot.paper.joints.values()
+                  if one.type in MOVING]  # fmt: skip
+        states = [self._simulation.world.joint_state(*place) for place in places]
+        columns = zip(*states, strict=True) if states else ((), (), ())
+        return {
+            "joints": [f"{robot}::{joint}" for robot, joint in places],
+            **{name: list(column) for name, column in zip(("position", "velocity", "effort"), columns, strict=True)},
         }
 
     # What joints do when nobody is to move them

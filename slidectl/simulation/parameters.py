@@ -88,6 +88,8 @@ class Parameters:
         """The size of the tree when it was last counted, and of all that was set since."""
         self._watches: Hooks[Callable[[], None]] = Hooks()
         self._guards: Hooks[ParameterJudge] = Hooks()
+        self.on_change: Callable[[list[str]], None] = lambda _: None
+        """Called with the names of what was set or deleted, before the watchers."""
 
     def get(self, name: str, default: Any = MISSING) -> Any:
         """The value, a dict for a namespace. Raises UnknownParameter (a KeyError too) when unset without default."""
@@ -243,6 +245,7 @@ class Parameters:
 
     def _tell(self, changed: list[Path]) -> None:
         """What one watcher fails at is no reason for the others not to hear of it."""
+        self.on_change(["/" + "/".join(path) for path in changed])
         failure: Exception | None = None
         for watch in self._watches.concerned(changed):
             try:

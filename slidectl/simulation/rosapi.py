@@ -1,7 +1,7 @@
 """`/rosapi/*`: what exists in the graph, as rosapi of the rosbridge suite answers it.
 
 Lists are sorted, and what does not exist gives an empty answer, as there; but a parameter that is not set is said to
-be so, where rosapi answers null. Relative names stand in the root.
+be so, where rosapi answers null. Relative names stand in the root. `get_ros_version` is from rosapi of ROS 2.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ from slidectl.simulation.graph import Graph
 from slidectl.simulation.parameters import Parameters
 
 NODE = "/rosapi"
+_ACTION = ("cancel", "feedback", "result", "status")
+"""The topics of an action, beside its goal."""
 Offer = tuple[str, Callable[[Message], Message]]
 """Service type without its package, and what answers."""
 
@@ -45,7 +47,13 @@ def _graph_services(graph: Graph) -> dict[str, Offer]:
         return {"topics": list(types), "types": list(types.values())}
 
     def listing_with_text() -> Message:
-        return {**listing(), "typedefs_full_text": [msgs.definition(kind) for kind in topics.types().values()]}
+        return {**listing(), "typedefs_full_text": [msgs.full_definition(kind) for kind in topics.types().values()]}
+
+    def action_servers() -> Message:
+        """Namespaces with all five topics of an action."""
+        known = topics.types()
+        ends = sorted(name.removesuffix("/goal") for name in known if name.endswith("/goal"))
+        return {"action_servers": [one for one in ends if one and all(f"{one}/{end}" in known for end in _ACTION)]}
 
     def providers(asked: str) -> list[str]:
         """rosapi asks by type; a service's own name is understood too."""
@@ -66,6 +74,8 @@ def _graph_services(graph: Graph) -> dict[str, Offer]:
         "get_time": ("GetTime", lambda _: {"time": stamp(graph.clock.time_ns)}),
         "topics": ("Topics", lambda _: listing()),
         "topics_and_raw_types": ("TopicsAndRawTypes", lambda _: listing_with_text()),
+        "action_servers": ("GetActionServers", lambda _: action_servers()),
+        "get_ros_version": ("GetROSVersion", lambda _: {"version": 1, "distro": "noetic"}),
         "topic_type": ("TopicType", lambda r: {"type": topics.types().get(r["topic"], "")}),
         "topics_for_type": ("TopicsForType", lambda r: {"topics": _having(topics.types(), r["type"])}),
         "publishers": ("Publishers", lambda r: {"publishers": topics.publishers(r["topic"])}),

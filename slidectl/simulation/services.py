@@ -51,6 +51,8 @@ class Services:
     def __init__(self) -> None:
         self._services: dict[str, Service] = {}
         self._by_node: dict[str, dict[Service, None]] = {}
+        self.on_change: Callable[[], None] = lambda: None
+        """Called after a service came or went."""
 
     def advertise(self, name: str, type_name: str, node: str, handler: Handler) -> Service:
         """Provide a service. The handler raises SlidectlError to fail a call, or gives a Pending to answer later.
@@ -63,6 +65,7 @@ class Services:
             raise Refused(f"service {name} is already provided by {self._services[name].node}")
         service = self._services[name] = Service(name, type_name, node, handler, self._forget)
         self._by_node.setdefault(node, {})[service] = None
+        self.on_change()
         return service
 
     def call(self, name: str, request: Any = None) -> Pending:
@@ -123,21 +126,28 @@ class Services:
             del of_node[service]
             if not of_node:
                 del self._by_node[service.node]
+            self.on_change()
 
 
 def _follow(service: Service, inner: Pending) -> Pending:
     """The caller's side of an answer: checked against the type; fails when the provider goes, ends with the caller."""
-    outer = inner.converted(lambda answered: msgs.check(service.response_type, answered.result()))
+    outer = Pending()
 
-    def forget(_: Pending) -> None:
+    def settle(answered: Pending) -> None:
         service.open.pop(outer, None)
+        try:
+            value = msgs.check(service.response_type, answered.result())
+        except SlidectlError as error:
+            outer.reject(error)
+        else:
+            outer.resolve(value)
 
     def cancel() -> None:
-        forget(outer)
+        service.open.pop(outer, None)
         inner.cancel()
 
+    inner.then(settle)
     if not outer.done:
         service.open[outer] = inner
         outer.on_cancel = cancel
-        outer.then(forget)
     return outer

@@ -14,13 +14,14 @@ from slidectl.control import registry
 from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message, MessageCallback
 from slidectl.description.robot import Camera
-from slidectl.errors import Refused
+from slidectl.errors import Refused, SlidectlError
 from slidectl.physics import World, hulls
 from slidectl.physics.hulls import MeshSource
 from slidectl.physics.rendering import RenderProcess
 from slidectl.rotations import ORIGIN, Pose
 from slidectl.simulation import base_drives, joint_traces, rosapi, waits
 from slidectl.simulation.compiled.engine import Engine
+from slidectl.simulation.entities import Entities
 from slidectl.simulation.faults import Faults
 from slidectl.simulation.gazebo_services import GazeboServices
 from slidectl.simulation.graph import Graph
@@ -33,6 +34,7 @@ from slidectl.simulation.sensor_topics import bring_up as bring_up_sensors
 from slidectl.simulation.snapshot_services import SnapshotServices
 from slidectl.simulation.snapshots import Snapshots
 from slidectl.simulation.spawned_robots import Robots, SpawnedRobot
+from slidectl.simulation.standard_services import StandardServices
 from slidectl.simulation.state_publisher import StatePublishers
 from slidectl.simulation.topics import TopicSubscription
 
@@ -75,6 +77,7 @@ class Simulation:
         self.graph = Graph()
         self.loop = Loop(self.graph, self.world, from_seconds(timestep), engine)
         self.robots = Robots(self.world, self.loop)
+        self.entities = Entities(self)
         self.monitor: Callable[[], dict[str, Any]] = dict
         """What the driver adds to `/slidectl/status`: wall times, connections, memory."""
         self.read_meshes: Callable[[Sequence[MeshSource]], Pending] = _read_here
@@ -96,6 +99,7 @@ class Simulation:
         rosapi.advertise(self.graph)
         self.lockstep = LockStepService(self.graph, self.loop)
         OwnServices(self)
+        StandardServices(self)
         SnapshotServices(self)
         waits.advertise(self.graph)
         joint_traces.advertise(self)
@@ -160,6 +164,27 @@ class Simulation:
         if not isinstance(cycles, Integral) or cycles < 0:
             raise Refused(f"a number of cycles is a whole one of 0 or more, not {cycles!r}")
         return self.loop.step(int(cycles))
+
+    def ask_steps(self, cycles: int, reader: str = "") -> Pending:
+        """Pause, and run so many cycles more: now, or when the driver does. Resolved with their number.
+
+        For a `reader` see RunState.ask_steps. Raises Diverged: it cannot go on before a reset.
+        """
+        if reader:
+            self.run.holders.add(reader)
+        elif not cycles:
+            self.pause()
+        if not cycles:
+            return Pending.of(0)
+        self.check_trouble()
+        if self.driven:
+            return self.run.ask_steps(cycles, reader)
+        pending = Pending()
+        try:
+            pending.resolve(self.step(cycles))
+        except SlidectlError as error:
+            pending.reject(error)
+        return pending
 
     def spawn(self, xml: str, name: str, namespace: str | None = None, pose: Pose = ORIGIN) -> SpawnedRobot:
         """A robot from the text of its URDF, with its meshes read here and now; see Robots.spawn."""
@@ -263,6 +288,7 @@ class Simulation:
         """
         self.loop.between_cycles("reset")
         self.run.trouble = ""
+        self.loop.history.forget()
         self.faults.restart()
         self.robots.reset()
 

@@ -9,6 +9,9 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import math
+import os
+import stat
 import zlib
 from array import array
 from dataclasses import fields
@@ -17,12 +20,15 @@ from typing import Any
 import numpy as np
 
 import slidectl
-from slidectl import file_reads, writing
+from slidectl import file_reads, names, writing
 from slidectl.description.meshes import BadMesh
-from slidectl.errors import BadFile, Refused
+from slidectl.errors import BadFile, Refused, SlidectlError
+from slidectl.fault_kinds import checked_options
 from slidectl.physics import mujoco_library
 from slidectl.physics.hulls import Hull, MeshSource
-from slidectl.simulation.kept_state import LEFT, Left, Method, Named, Ref, SavedObject
+from slidectl.simulation.clock import NEVER
+from slidectl.simulation.faults import Asked
+from slidectl.simulation.kept_state import NOT_SAVED, Method, Named, NotSaved, Ref, SavedObject
 from slidectl.simulation.snapshots import Snapshot, SpawnedAs
 
 MAGIC = b"slidectl snapshot\n"
@@ -50,8 +56,10 @@ def write(snapshot: Snapshot, path: str) -> None:
 
 def _written(path: str, content: bytes) -> str:
     """Empty, or why it cannot be written."""
+    if os.path.exists(path) and not os.path.isfile(path):  # opening a pipe would hold up everybody
+        return "it is no regular file"
     try:
-        writing.replace(path, content)
+        writing.write_whole(path, content)
     except OSError as error:
         return error.strerror or str(error)
     return ""
@@ -78,15 +86,21 @@ def read(path: str) -> Snapshot:
     if hashlib.sha256(content).hexdigest() != digest:
         raise BadFile("the snapshot is damaged: its content is not what was written", path)
     try:
-        return _unpack_all(json.loads(_expanded(content)))
-    except (ValueError, LookupError, TypeError, AttributeError, RecursionError, zlib.error) as error:
+        snapshot = _unpack_all(json.loads(_expanded(content)))
+        _check(snapshot)
+        return snapshot
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError, zlib.error, SlidectlError) as error:
         raise BadFile(f"the snapshot is damaged: {type(error).__name__}: {error}", path) from None
 
 
 def _content(path: str) -> tuple[str, str]:
     """What follows the first line, in base64, and why it cannot be had."""
     try:
-        with open(path, "rb") as file:
+        # O_NONBLOCK: opening a pipe would hold up everybody.
+        with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
+            there = os.fstat(file.fileno())
+            if not stat.S_ISREG(there.st_mode) or there.st_size > LARGEST:
+                return "", f"it is no regular file of at most {LARGEST} bytes"
             if file.read(len(MAGIC)) != MAGIC:
                 return "", "it is no snapshot of slidectl"
             return base64.b64encode(file.read()).decode(), ""
@@ -118,8 +132,26 @@ def _unpack_all(packed: _Packed) -> Snapshot:
     robots = [
         SpawnedAs(**{**one, "hulls": dict(_hull(*hull) for hull in one["hulls"])}) for one in values.pop("robots")
     ]
-    values["is_own"] = False
-    return Snapshot(robots=robots, entries=[SavedObject(*entry) for entry in values.pop("entries")], **values)
+    values["is_from_file"] = True
+    faults = [Asked(*one) for one in values.pop("faults")]
+    entries = [SavedObject(*entry) for entry in values.pop("entries")]
+    return Snapshot(robots=robots, faults=faults, entries=entries, **values)
+
+
+def _check(snapshot: Snapshot) -> None:
+    """Raises ValueError, UsageError: no simulation has such a time, gravity, robot or fault."""
+    whole = snapshot.time_ns, snapshot.cycles, snapshot.step_ns - 1
+    if not all(type(number) is int and 0 <= number < NEVER for number in whole):
+        raise ValueError("its time is no whole number of ns")
+    if len(snapshot.gravity) != 3 or not all(math.isfinite(number) for number in snapshot.gravity):
+        raise ValueError("its gravity is no vector")
+    if not isinstance(snapshot.parameters, dict) or not isinstance(snapshot.world, dict):
+        raise ValueError("it has no parameters, or no world")
+    for place, asked in enumerate(snapshot.faults):
+        snapshot.faults[place] = asked._replace(options=checked_options(asked.kind, asked.options))
+        numbers = asked.start_ns, asked.end_ns, abs(asked.seed)
+        if not names.is_component(asked.name) or not all(type(one) is int and 0 <= one <= NEVER for one in numbers):
+            raise ValueError(f"the fault {asked.name} has no name, no times or no seed")
 
 
 def _hull(path: str, scale: tuple[float, float, float], content: Any) -> tuple[MeshSource, Hull | BadMesh]:
@@ -140,7 +172,7 @@ def _pack(value: Any) -> _Packed:
         if all(type(key) is str for key in value) and _TAG not in value:
             return {key: _pack(one) for key, one in value.items()}
         return {_TAG: "dict", "of": [[_pack(key), _pack(one)] for key, one in value.items()]}
-    if isinstance(value, Left):
+    if isinstance(value, NotSaved):
         return {_TAG: "left"}
     if isinstance(value, Ref | Method | Named):
         return {_TAG: kind.__name__, "of": [_pack(one) for one in value]}
@@ -164,7 +196,7 @@ def _unpack(packed: _Packed) -> Any:
         return {key: _unpack(one) for key, one in packed.items()}
     kind = packed[_TAG]
     if kind == "left":
-        return LEFT
+        return NOT_SAVED
     of = packed["of"]
     if kind == "dict":
         return {_unpack(key): _unpack(one) for key, one in of}

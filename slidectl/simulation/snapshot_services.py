@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING
 
 from slidectl.control.node_handle import Message
 from slidectl.errors import UsageError
+from slidectl.names import OWN_NODE
 from slidectl.simulation import snapshot_files
 from slidectl.simulation.clock import SECOND
 from slidectl.simulation.snapshots import put
 
 if TYPE_CHECKING:
     from slidectl.simulation.simulation import Simulation
-
-NODE = "/slidectl"
 
 
 class SnapshotServices:
@@ -24,7 +23,7 @@ class SnapshotServices:
         """Advertises all of them."""
         self._simulation = simulation
         self._snapshots = simulation.snapshots
-        node = simulation.graph.node(NODE, NODE)
+        node = simulation.graph.node(OWN_NODE, OWN_NODE)
         node.advertise_service("save", "slidectl/Save", self._save)
         node.advertise_service("load", "slidectl/Load", self._load)
         node.advertise_service("snapshots", "slidectl/ListSnapshots", self._list)

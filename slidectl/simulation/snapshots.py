@@ -1,8 +1,9 @@
 """Snapshots: the whole state of a simulation at one moment, from which it goes on with the same bits.
 
-Loading first makes robots and controllers as they were, where others are there now, from what made them; then it puts
-the numbers in. Where the same robots and controllers are there, it only puts the numbers in. How fast the world is
-asked to run, and whether it is paused, is left alone; so are clients, who wait for what is left of their durations.
+Loading first makes robots and controllers as they were, where others are there now, from what made them, and all faults
+anew; then it puts the numbers in. Where the same robots and controllers are there, it only puts the numbers in. How
+fast the world is asked to run, and whether it is paused, is left alone; so are clients, who wait for what is left of
+their durations.
 
 Who adds a part to robots or to the simulation registers it in `SpawnedRobot.kept` or `Simulation.kept`.
 """
@@ -11,19 +12,19 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from slidectl import description, names
 from slidectl.control import registry
 from slidectl.control.user_classes import is_of_a_user
 from slidectl.description import source_note
-from slidectl.errors import BadName, Refused, SlidectlError, UnknownName, listing
+from slidectl.errors import BadName, Refused, SlidectlError, UnknownName
 from slidectl.physics.hulls import Hulls
 from slidectl.rotations import Pose
 from slidectl.simulation.action_server import ActionGoal
+from slidectl.simulation.faults import Asked
 from slidectl.simulation.kept_state import Restoring, SavedObject, Saving
 from slidectl.simulation.spawned_robots import ParsedRobot, SpawnedRobot
 
@@ -85,9 +86,9 @@ class Snapshot:
     step_ns: int
     gravity: tuple[float, float, float]
     ground: bool
-    is_own: bool
-    """False for one that was read from a file."""
+    is_from_file: bool
     robots: list[SpawnedAs]
+    faults: list[Asked]
     parameters: dict[str, Any]
     world: dict[str, Any]
     entries: list[SavedObject]
@@ -115,8 +116,9 @@ def take(simulation: Simulation) -> Snapshot:
         simulation.timestep_ns,
         simulation.world.gravity,
         simulation.world.has_ground,
-        True,
+        simulation.snapshots.is_of_file,
         [SpawnedAs.of(robot) for robot in simulation.robots],
+        simulation.faults.asked(),
         simulation.parameters.tree(),
         simulation.world.snapshot(),
         saving.entries,
@@ -140,25 +142,46 @@ def put(simulation: Simulation, snapshot: Snapshot) -> list[str]:
         raise Refused(text, f"load it into a daemon that was started with {option}")
     simulation.loop.settle()
     present = [SpawnedAs.of(robot) for robot in simulation.robots]
-    is_sure = snapshot.is_own and _are_alike(present, snapshot.robots) and not _modules_of_users(simulation)
+    is_sure = not snapshot.is_from_file and _are_alike(present, snapshot.robots) and not _modules_of_users(simulation)
     before = None
     if not is_sure and not simulation.run.trouble:
-        with suppress(SlidectlError):
+        try:
             before = take(simulation)
+        except SlidectlError as error:
+            text = f"cannot load a snapshot: should that fail, the world could not be as it is now: {error.message}"
+            raise Refused(text, error.hint) from None
+        except Exception:
+            if not simulation.snapshots.is_of_file:
+                raise
     try:
-        made = _put(simulation, snapshot)
+        made = _put_in(simulation, snapshot, simulation.snapshots.is_of_file)
     except BaseException as error:
         if before is not None:
-            _put(simulation, before)
-        if isinstance(error, ArithmeticError | AttributeError | LookupError | TypeError | ValueError):
+            _put_in(simulation, before, before.is_from_file or snapshot.is_from_file)
+        if isinstance(error, Exception) and not isinstance(error, SlidectlError):
             raise Refused(f"the snapshot does not fit: {type(error).__name__}: {error}") from error
         raise
+    simulation.snapshots.is_of_file |= snapshot.is_from_file
     simulation.run.trouble = ""
     simulation.graph.clock_topic.publish_now(simulation.time_ns)
     return made
 
 
+def _put_in(simulation: Simulation, snapshot: Snapshot, is_of_file: bool) -> list[str]:
+    """Where the state that is there came from a file, it may be why it fails; then no object of it stays."""
+    try:
+        return _put(simulation, snapshot)
+    except Exception:
+        if not is_of_file:
+            raise
+    simulation.faults.drop()
+    for name in simulation.robots.names():
+        simulation.robots.delete(name)
+    return _put(simulation, snapshot)
+
+
 def _put(simulation: Simulation, snapshot: Snapshot) -> list[str]:
+    simulation.faults.remove()
     goals = _goals_since(simulation, snapshot)
     clock, timers = simulation.graph.clock, simulation.graph.timers
     before_ns, clock.time_ns, clock.cycles = clock.time_ns, snapshot.time_ns, snapshot.cycles
@@ -167,6 +190,7 @@ def _put(simulation: Simulation, snapshot: Snapshot) -> list[str]:
         simulation.set_timestep(snapshot.step_ns * 1e-9)
     simulation.world.set_gravity(snapshot.gravity)
     made = _make(simulation, snapshot)
+    simulation.faults.make(snapshot.faults)
     for goal in goals:
         if goal.ended_ns is None:
             goal.cancel(text=PUT_BACK)
@@ -182,6 +206,11 @@ def _put(simulation: Simulation, snapshot: Snapshot) -> list[str]:
         for call in calls:
             call.resume()
     restoring.finish()
+    for robot in simulation.robots:
+        for name in robot.parts.manager.names() if robot.is_controlled else ():
+            if (controller := robot.parts.manager.get(name)) is not None:
+                controller.check_restored()
+    simulation.faults.go_on()
     simulation.world.restore(snapshot.world)
     simulation.loop.history.forget()
     return made
@@ -206,9 +235,7 @@ def _tree_of(robot: SpawnedRobot) -> dict[str, Any]:
 
 
 def _check_settled(simulation: Simulation, action: str) -> None:
-    """Raises Refused: a switch is under way, or there are faults."""
-    if faults := [fault["name"] for fault in simulation.faults.messages()]:
-        raise Refused(f"cannot {action} while there are faults: {listing(faults)}", "slidectl fault clear")
+    """Raises Refused: a switch is under way."""
     for robot in simulation.robots:
         if robot.is_controlled and robot.services.is_busy:
             raise Refused(
@@ -320,9 +347,13 @@ def _check_type(robot: str, name: str, type_name: str) -> None:
 class Snapshots:
     """The snapshots of one simulation, by name, in the order of their saving."""
 
+    MOST: ClassVar[int] = 1000
+
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
         self._kept: dict[str, Snapshot] = {}
+        self.is_of_file = False
+        """Whether the state of the simulation has once come from a file, with whatever values that had."""
 
     def __iter__(self) -> Any:
         return iter(tuple(self._kept.items()))
@@ -334,12 +365,14 @@ class Snapshots:
         return self._kept[name]
 
     def save(self, name: str, first: Callable[[Snapshot], None] = lambda _: None) -> Snapshot:
-        """Keep the state of now under the name, after `first` has had it; one that had the name goes.
+        """Keep the state of now under the name, after `first` has had it; one that had the name is replaced.
 
         Raises as `take`, what `first` raises, and BadName; then nothing has changed.
         """
-        if not names.is_legal(name) or "/" in name or name.startswith("~"):
+        if not names.is_component(name):
             raise BadName(name, "name of a snapshot: letters, digits and '_', and the first is a letter")
+        if len(self._kept) >= self.MOST and name not in self._kept:
+            raise Refused(f"there are {self.MOST} snapshots, which is the most", "slidectl sim delete NAME")
         snapshot = take(self._simulation)
         first(snapshot)
         self._kept.pop(name, None)

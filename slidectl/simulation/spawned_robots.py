@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from functools import partial
+from itertools import count
 from typing import NamedTuple
 
 from slidectl import description, names
@@ -64,7 +65,7 @@ class SpawnedRobot:
     body: Body
     services: ManagerServices
 
-    def __init__(self, parsed: ParsedRobot, node: GraphNode) -> None:
+    def __init__(self, parsed: ParsedRobot, node: GraphNode, serial: int) -> None:
         self.name = parsed.name
         self.namespace = parsed.namespace
         self.paper = parsed.paper
@@ -75,6 +76,8 @@ class SpawnedRobot:
         self.is_controlled = parsed.is_controlled
         """False for a model that stands around robots: it has no hardware, no controllers and no cycle."""
         self.node = node
+        self.serial = serial
+        """No other robot of this world has or had it."""
         self.taken = ExitStack()
         self.parts = ControlParts()
         self.on_reset: list[Callable[[], None]] = []
@@ -210,6 +213,7 @@ class Robots:
         self._world = world
         self._loop = loop
         self._robots: dict[str, SpawnedRobot] = {}
+        self._serials = count(1)
         self.on_spawn: list[Callable[[SpawnedRobot], Callable[[], None]]] = []
         """Called with each robot that is brought up. What they return takes back what they did."""
         self.sources = Sources()
@@ -280,7 +284,7 @@ class Robots:
 
     def _spawn(self, parsed: ParsedRobot, pose: Pose, hulls: Hulls | None) -> SpawnedRobot:
         self._loop.between_cycles("spawn a robot")
-        robot = SpawnedRobot(parsed, self._loop.graph.node(parsed.namespace))
+        robot = SpawnedRobot(parsed, self._loop.graph.node(parsed.namespace), next(self._serials))
         with self._world.attached(parsed.paper, parsed.name, pose, hulls) as robot.body, ExitStack() as undoing:
             self._bring_up(robot, undoing)
             undoing.callback(self._forget, robot)
@@ -370,6 +374,7 @@ class Robots:
         asked = dict(zip(short, positions, strict=True))
         for joint, position in asked.items():
             check_position(robot.body.place(joint).joint, position)
+        self._loop.history.forget()
         self._world.put_joints(name, asked)
         if is_start:
             robot.body.start |= asked

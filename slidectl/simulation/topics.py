@@ -229,6 +229,8 @@ class Topics:
         self._interceptors: dict[str, MessageCallback] = {}
         self.changes = 0
         """How often a publisher or a subscriber came or went: while it stays, so does `wanted` of every publisher."""
+        self.on_change: Callable[[], None] = lambda: None
+        """Called after each of these changes."""
 
     def advertise(
         self,
@@ -376,13 +378,14 @@ class Topics:
             topic.publishers.remove(user)
         else:
             topic.subscriptions.remove(user)
-        self._update(topic)
         if not topic.publishers and not topic.subscriptions:
             self._topics.pop(topic.name, None)
+        self._update(topic)
 
     def _update(self, topic: Topic) -> None:
         self.changes += 1
         topic.update()
+        self.on_change()
 
 
 def _nodes(users: Sequence[TopicPublisher | TopicSubscription]) -> list[str]:

@@ -14,12 +14,12 @@ from slidectl.control.duration import from_seconds
 from slidectl.control.node_handle import Message
 from slidectl.errors import BadMessage, Refused, UnknownName
 from slidectl.field_path import NoElement, Selection, select
+from slidectl.names import OWN_NODE
 from slidectl.simulation.clock import Timer
 from slidectl.simulation.graph import Graph
 from slidectl.simulation.pending import Pending
 from slidectl.simulation.topics import TopicSubscription
 
-NODE = "/slidectl"
 KINDS = ("near", "above", "below", "equals")
 _NOTHING: Any = object()
 _LONGEST_S = 1e9
@@ -28,7 +28,7 @@ _LONGEST_SHOWN = 120
 
 def advertise(graph: Graph) -> None:
     """Provide the service."""
-    graph.node(NODE, NODE).advertise_service("wait", "slidectl/Wait", lambda request: wait(graph, request))
+    graph.node(OWN_NODE, OWN_NODE).advertise_service("wait", "slidectl/Wait", lambda request: wait(graph, request))
 
 
 def wait(graph: Graph, request: Message) -> Pending:
@@ -169,7 +169,7 @@ class Wait:
         self._holding: Timer | None = None
         self._deadline = graph.timers.after(from_seconds(within_s), self._time_is_up) if within_s else None
         self._subscription: TopicSubscription | None = None
-        self._subscription = graph.topics.subscribe(topic, None, NODE, self._take)
+        self._subscription = graph.topics.subscribe(topic, None, OWN_NODE, self._take)
         if self.pending.done:  # by a latched message, before there was a subscription to close
             self._close()
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from slidectl import msgs
-from slidectl.cli.topic_streams import Schema
-from slidectl.msgs.schema import PRIMITIVES, Field
+from slidectl.msgs.schema import PRIMITIVES, Field, Schema
 
 
 def schema(type_name: str) -> Schema:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import subprocess
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -45,12 +44,6 @@ class World:
         """Publish a message that stays for those who come later."""
         self.client.publish(topic, message, type_name, latch=True)
         self.client.flush()
-
-    def until(self, condition: Callable[[], bool], seconds: float = 30.0) -> None:
-        """Ask again and again; the test fails when the condition does not become true."""
-        deadline = time.monotonic() + seconds
-        while not condition():
-            assert time.monotonic() < deadline, "the condition did not become true"
 
     def has_subscriber(self, topic: str) -> bool:
         """True when somebody subscribes to the topic."""

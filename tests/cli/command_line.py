@@ -59,14 +59,22 @@ class CommandLine:
             env={**self.environment, **environment},
         )
 
-    def on_a_terminal(self, *words: str, **environment: str) -> bytes:
-        """What it writes when its standard streams are a terminal. NO_COLOR counts only when it is given here."""
+    def on_a_terminal(self, *words: str, end_at: bytes = b"", **environment: str) -> bytes:
+        """What it writes when its standard streams are a terminal. NO_COLOR counts only when it is given here.
+
+        It is sent SIGTERM when it has written `end_at`.
+        """
         master, slave = os.openpty()
         kept = {key: value for key, value in self.environment.items() if key != "NO_COLOR"}
         env = {**kept, "TERM": "xterm", **environment}
         process = subprocess.Popen(self.argv(*words), stdin=slave, stdout=slave, stderr=slave, env=env, cwd=ROOT)
         os.close(slave)
-        output = b"".join(iter(lambda: _read(master), b""))
+        output = b""
+        while part := _read(master):
+            output += part
+            if end_at and end_at in output:
+                process.terminate()
+                end_at = b""
         process.wait(30)
         os.close(master)
         return output

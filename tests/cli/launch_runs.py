@@ -12,8 +12,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from command_line import CommandLine
+from waiting import DEADLINE_S, eventually
 
-DEADLINE_S = 60.0
 RUNS = "everything runs"
 
 
@@ -151,14 +151,6 @@ def processes(runtime: Path) -> list[int]:
 
 def _is_dead(entry: Path) -> bool:
     return (entry / "stat").read_text().rpartition(")")[2].split()[0] in ("Z", "X")
-
-
-def eventually(condition: Callable[[], bool], what: str) -> None:
-    """Fail unless the condition holds soon; looks again every few milliseconds."""
-    deadline = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < deadline, what
-        select.select([], [], [], 0.01)
 
 
 def nothing_is_left(runtime: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from typing import Any
 import pytest
 from command_line import CommandLine
 from daemon_fixture import running_daemon
+from waiting import eventually
 
 from slidectl import traces
 from slidectl.measures import NoMeasure
@@ -40,10 +40,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[CommandLine,
         slidectl.ok("sim", "step", "--until", "1")
         slidectl.ok("pub", COMMAND, "0.8")
         slidectl.ok("sim", "step", "--until", "15")
-        deadline = time.monotonic() + 60
-        while not is_complete(path):
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
+        eventually(lambda: is_complete(path), "the recording is not complete")
         yield slidectl, path
 
 
@@ -111,12 +108,31 @@ def test_what_cannot_be_measured_does_not_hold(run: tuple[CommandLine, Path]) ->
         ("joint_states/position[0] --near 1 --last 5", 2, "the past is kept of joints only"),
         ("joint_states/position[0] --near 1", 1, "says nothing while the simulation is paused"),
         ("joint1 --near 1 --from nothing.bag", 2, "nothing.bag: No such file"),
+        ("joint1 --settling <0.5s --set-point nan --last 5", 2, "nan is not a finite number"),
+        ("joint1 --settling <0.5s --band nan --last 5", 2, "nan is not a finite number"),
+        ("joint1 --near 1 --tol nan", 2, "nan is not a finite number"),
     ],
 )
 def test_slips_are_named(run: tuple[CommandLine, Path], words: str, code: int, said: str) -> None:
     done = run[0]("assert", *words.split())
     assert said in done.stderr
     assert done.returncode == code
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "wait clock --near 1 --tol nan",
+        "wait clock --above 1 --for inf",
+        "bag diff run.bag golden.bag --tol nan",
+        "play run.bag --start nan",
+        "record -a --size nan",
+        "hz clock --min nan",
+    ],
+)
+def test_no_command_takes_a_bound_that_is_no_number(slidectl: CommandLine, words: str) -> None:
+    done = slidectl(*words.split())
+    assert (done.returncode, f"{words.split()[-1]} is not a finite number" in done.stderr) == (2, True)
 
 
 @pytest.mark.parametrize("suffix", [".bag", ".mcap"])
@@ -189,6 +205,13 @@ def test_a_vector_counts_with_its_length_and_contact_is_measured(slidectl: Comma
         slidectl.ok("assert", "force", "--contact", "==1s", "--peak-force", "<=30N", "--from", str(path), "--json")
     )
     assert (found["contact"]["time"], found["peak-force"]["measured"], found["peak-force"]["time"]) == (2.0, 30.0, 2.0)
+    for condition in ("--peak-force <5%", "--peak-force <5s", "--iae <5N"):
+        done = slidectl("assert", "force", *condition.split(), "--set-point", "0", "--from", str(path))
+        assert (done.returncode, "has the unit of the values" in done.stderr) == (2, True)
+    with opened(path) as recording:
+        force = traces.recorded(recording, "force")
+    holds, worst = force.holds("near", 0.0, 5.0)
+    assert (holds, worst, worst.time) == (False, 30.0, 2.0)
 
 
 def test_the_first_difference_from_a_baseline_is_named(slidectl: CommandLine, tmp_path: Path) -> None:
@@ -224,5 +247,10 @@ def test_a_baseline_is_kept_in_a_folder_by_the_name_of_the_run(run: tuple[Comman
     slidectl.ok("bag", "diff", str(path), folder)
     shutil.copy(path, tmp_path / "same.bag")
     slidectl.ok("bag", "diff", str(tmp_path / "same.bag"), f"{folder}/run.bag")
-    for fields, said in (("elbow", "no topic 'elbow'"), ("joint_states/position=much", "'much' is no tolerance")):
+    for fields, said in (
+        ("elbow", "no topic 'elbow'"),
+        ("joint_states/position=much", "'much' is no tolerance"),
+        ("joint_states/nope", "no field 'nope' in sensor_msgs/JointState"),
+        ("joint_states/position[7]", "index out of range: position[7], but the message has 1 there"),
+    ):
         assert said in slidectl("bag", "diff", str(path), folder, "--fields", fields).stderr

@@ -38,6 +38,16 @@ def test_a_start_that_is_interrupted_leaves_no_daemon(
     slidectl.ok("daemon", "stop")
 
 
+def test_a_broken_mujoco_is_not_told_as_a_setting_of_its_drawing(
+    slidectl: CommandLine, write: Callable[[str, str], Path], tmp_path: Path
+) -> None:
+    write("mujoco.py", "raise ImportError('libmujoco.so: file too short')")
+    done = slidectl("daemon", "start", **with_modules(slidectl, tmp_path))
+    assert done.returncode == 1
+    assert "libmujoco.so: file too short" in done.stderr
+    assert "MUJOCO_GL=" not in done.stderr
+
+
 NO_LOCKS = """
 import errno, fcntl, os
 def refuse(*_):

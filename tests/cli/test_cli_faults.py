@@ -64,7 +64,7 @@ def test_options_come_back_as_they_count(world: CommandLine) -> None:
     ("words", "code", "texts"),
     [
         ("add joint9 --kind joint-stuck", 1, ["no moving joint 'joint9'", "moving joints: /slider/joint1"]),
-        ("add joint1 --kind sensor-nois", 1, ["no kind of fault", "Did you mean 'sensor-noise'?"]),
+        ("add joint1 --kind sensor-nois", 2, ["no kind of fault", "Did you mean 'sensor-noise'?"]),
         ("add joint1 --kind sensor-noise", 2, ["needs sd", "sensor-noise takes sd, of"]),
         ("add joint1 --kind sensor-noise --sd 1 --mass 2", 2, ["no option mass"]),
         ("add joint1 --kind command-loss --probability 7", 2, ["is 0 to 1, not 7"]),
@@ -104,6 +104,8 @@ def test_a_raw_call_needs_the_kind_and_the_target_alone(world: CommandLine) -> N
     for request, text in (
         ({"options": "[1]"}, "options is a JSON object"),
         ({"options": "{"}, "options is a JSON object"),
+        ({"options": "[" * 10_000}, "options is a JSON object"),
+        ({"kind": "sensor-noise", "options": f'{{"sd": {10**400}}}'}, "is a finite number"),
         ({"start": [1.0, 2.0]}, "start is one time"),
         ({"options": '{"start": 3}'}, "has no option start"),
         ({"name": "a name"}, "is no name of a fault"),

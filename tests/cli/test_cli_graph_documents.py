@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 from cli_graph_types import schema
 
-from slidectl.cli.templates import Template
-from slidectl.cli.values import split
 from slidectl.errors import UsageError
+from slidectl.msgs.templates import Template
+from slidectl.values import split
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 import pytest
 from cli_graph_world import COMMAND, World, slider_world
 from daemon_fixture import running_daemon
+from waiting import eventually
 
 POSES = {
     "header": {"seq": 0, "stamp": {"secs": 1795219421, "nsecs": 932599067}, "frame_id": "base"},
@@ -185,7 +186,7 @@ def test_messages_that_came_too_fast_are_counted_on_stderr() -> None:
     with running_daemon(paused=True) as daemon, daemon.client(timeout=60) as client:
         world = World(daemon, client)
         with world.running("echo", "/clock", "--for", str(cycles / 1000), "--json") as process:
-            world.until(lambda: world.has_subscriber("/clock"))
+            eventually(lambda: world.has_subscriber("/clock"))
             client.call("/slidectl/step", {"cycles": 1})
             assert process.stdout is not None
             first = process.stdout.readline()

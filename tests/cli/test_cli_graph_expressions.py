@@ -9,8 +9,8 @@ import pytest
 from cli_graph_types import schema
 from command_line import CommandLine
 
-from slidectl.cli.templates import Expression, Filter
 from slidectl.errors import Refused, UsageError
+from slidectl.msgs.templates import Expression, Filter
 
 JOINTS = schema("sensor_msgs/JointState")
 MESSAGE = {

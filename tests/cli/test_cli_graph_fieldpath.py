@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from cli_graph_types import schema
 
-from slidectl.cli.topic_streams import Schema
 from slidectl.errors import UnknownName, UsageError
 from slidectl.field_path import NoElement, Selection, select
+from slidectl.msgs.schema import Schema
 
 JOINT_STATE = schema("sensor_msgs/JointState")
 POSES = schema("geometry_msgs/PoseArray")

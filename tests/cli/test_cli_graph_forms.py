@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slidectl import msgs
-from slidectl.cli.forms import CsvForm, YamlForm, quoted
-from slidectl.cli.topic_streams import from_typedefs
 from slidectl.field_path import select
+from slidectl.msgs.forms import CsvForm, YamlForm, quoted
+from slidectl.msgs.schema import from_typedefs
 
 HEADER = {"seq": 1, "stamp": {"secs": 1795219421, "nsecs": 932599067}, "frame_id": "base"}
 JOINTS = {

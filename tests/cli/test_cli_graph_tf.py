@@ -15,9 +15,9 @@ from daemon_fixture import running_daemon
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slidectl.cli.tf import FramePose, Frames, compose, inverse, roll_pitch_yaw
 from slidectl.errors import AmbiguousName, Refused, UnknownName
 from slidectl.rotations import Quaternion, normalized
+from slidectl.viewing.transform_tree import FramePose, Frames, compose, inverse, roll_pitch_yaw
 
 TURN = (0.0, 0.0, math.sin(math.pi / 12), math.cos(math.pi / 12))
 

@@ -87,7 +87,8 @@ def test_hz_measures_in_simulated_time(world: World) -> None:
 
 def test_hz_of_a_message_without_header_takes_the_clock(world: World) -> None:
     record = json.loads(world.slidectl.ok("topic", "hz", "/gazebo/link_states", "--for", "0.2", "--json"))
-    assert record["rate"] == pytest.approx(1000.0)
+    # On a machine that is busy a message of the clock may come late, or not.
+    assert record["rate"] == pytest.approx(1000.0, rel=0.05)
     assert set(record) == {"topic", "rate", "min", "max", "std_dev", "p50", "p99", "window", "new"}
 
 

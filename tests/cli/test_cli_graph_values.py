@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slidectl.cli import values
+from slidectl import values
 from slidectl.errors import UsageError
 
 
@@ -102,6 +102,6 @@ def test_any_number_is_read_back(number: float) -> None:
 
 def test_everyday_values_do_not_load_yaml() -> None:
     texts = ["1.0", "-5.0", "1e-3", "true", "hello", "data: 1.0", "{data: 1.0}", "[1, 2]", '{"data": 1}', ""]
-    reading = f"import sys\nfrom slidectl.cli.values import read\nfor text in {texts!r}: read(text)\n"
+    reading = f"import sys\nfrom slidectl.values import read\nfor text in {texts!r}: read(text)\n"
     script = reading + "sys.exit('yaml' in sys.modules)"
     subprocess.run([sys.executable, "-c", script], check=True)

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 from command_line import CommandLine
-from launch_runs import eventually, kill_all, processes
+from launch_runs import kill_all, processes
+from waiting import eventually
 
 ROBOT = """<robot name="m" xmlns:xacro="http://ros.org/wiki/xacro">
 <xacro:include filename="$(find some_camera)/urdf/camera.xacro"/>

@@ -11,7 +11,8 @@ from xml.sax.saxutils import quoteattr
 
 import pytest
 from command_line import CommandLine
-from launch_runs import Launched, eventually, kill_all
+from launch_runs import Launched, kill_all
+from waiting import eventually
 
 MODEL = '<param name="robot_description" command="$(find xacro)/xacro $(find my_slider)/urdf/slider.xacro"/>'
 YAML = '<rosparam file="$(find my_slider)/config/slider_control.yaml"/>'
@@ -428,7 +429,7 @@ def test_windows_are_a_line_that_names_what_shows_the_same(world: CommandLine, w
     done = world("launch", write(node("rviz/rviz") + node("rqt_plot/rqt_plot", name="p")))
     assert done.returncode == 0
     assert "/n: left out: there are no windows here; slidectl robots NAME" in done.stderr
-    assert "/p: left out: there are no windows here; slidectl echo -p" in done.stderr
+    assert "/p: left out: there are no windows here; slidectl plot" in done.stderr
     assert world("launch", "rrbot_control", "rrbot_rqt.launch").returncode == 0
 
 

@@ -12,7 +12,8 @@ from typing import Any
 
 import pytest
 from command_line import CommandLine
-from launch_runs import Launched, eventually, kill_all, nothing_is_left, processes
+from launch_runs import Launched, kill_all, nothing_is_left, processes
+from waiting import eventually
 
 from slidectl.description.packages import Packages
 from slidectl.launch import files

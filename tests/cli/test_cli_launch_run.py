@@ -392,7 +392,7 @@ def test_json_tells_every_step_in_a_line(slidectl: CommandLine) -> None:
     ]  # fmt: skip
     assert records[3]["controllers"] == ["joint_state_controller", "joint1_position_controller"]
     assert records[3]["node"] == "/slider/controller_spawner"
-    assert records[3]["line"] == 20
+    assert records[3]["line"] == 21
 
 
 def test_on_a_terminal_a_line_at_the_bottom_shows_how_things_stand(slidectl: CommandLine) -> None:

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 from command_line import CommandLine
-from launch_runs import RUNS, Launched, eventually, kill_all, nothing_is_left, processes, write_everything
+from launch_runs import RUNS, Launched, kill_all, nothing_is_left, processes, write_everything
+from waiting import eventually
 
 # A moment is so many calls of functions of slidectl. The launch below makes about 12 000 of them until everything runs;
 # it sets itself up from the 3040th on, and begins the daemon soon after.

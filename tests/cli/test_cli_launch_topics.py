@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 from command_line import CommandLine
-from launch_runs import Launched, eventually, kill_all
+from launch_runs import Launched, kill_all
+from waiting import eventually
 
 from slidectl import Client
 from slidectl.client.client import Subscription

@@ -8,7 +8,6 @@ import json
 import shutil
 import signal
 import subprocess
-import time
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,6 +19,7 @@ from daemon_fixture import running_daemon
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
+from waiting import eventually
 
 from slidectl import msgs
 from slidectl.recording.recording_files import BadRecording, opened
@@ -92,8 +92,7 @@ def messages_so_far(path: Path) -> list[tuple[str, int, Any]]:
 
 def wait_for_subscriber(slidectl: CommandLine, topic: str) -> None:
     with slidectl.client() as client:
-        while not client.call("/rosapi/subscribers", {"topic": topic})["subscribers"]:
-            time.sleep(0.05)
+        eventually(lambda: client.call("/rosapi/subscribers", {"topic": topic})["subscribers"], f"nobody hears {topic}")
 
 
 @pytest.mark.parametrize("suffix", [".bag", ".mcap"])
@@ -166,21 +165,34 @@ def test_playing_keeps_the_distances_on_other_topics_and_at_other_rates(slider: 
     recorder = Recorder(slider, "/copy", "-O", str(tmp_path / "copy.bag"))
     assert "nobody publishes /copy yet" in recorder.said
     player = slider.start(
-        "play", str(tmp_path / "run.bag"), f"{STATES}:=/copy", "-r", "2", "--start", "0.5", "--until", "0.7", "--json"
+        "play",
+        str(tmp_path / "run.bag"),
+        "joint_states:=/copy",
+        "-r",
+        "2",
+        "--start",
+        "0.5",
+        "--until",
+        "0.7",
+        "--json",
     )
     with slider.client() as client:
-        for _ in range(100):
-            if "/copy" in client.topics() and len(
-                client.call("/rosapi/subscribers", {"topic": "/copy"})["subscribers"]
-            ):
-                break
-            time.sleep(0.1)
+        eventually(lambda: "/copy" in client.topics(), "nobody publishes /copy")
+    wait_for_subscriber(slider, "/copy")
     slider.ok("sim", "step", "300")
     stdout, _ = player.communicate(timeout=60)
     assert json.loads(stdout) == {"published": 10, "late": 0, "refused": 0, "topics": ["/copy"], "seconds": 0.09}
     recorder.end()
     times = [time_ns for _, time_ns, _ in messages(tmp_path / "copy.bag")]
     assert [b - a for a, b in itertools.pairwise(times)] == 9 * [10_000_000]
+
+
+def test_a_topic_that_is_not_in_the_recording_gets_no_other_name(slider: CommandLine, tmp_path: Path) -> None:
+    recorded(slider, tmp_path / "run.bag", STATES)
+    done = slider("play", str(tmp_path / "run.bag"), "/slidr/joint_states:=/elsewhere")
+    assert (done.returncode, done.stdout) == (1, "")
+    assert "no topic '/slidr/joint_states'" in done.stderr
+    assert STATES in done.stderr
 
 
 def test_what_is_refused_is_counted_and_fails(slider: CommandLine, tmp_path: Path) -> None:
@@ -209,27 +221,35 @@ def test_a_part_without_messages_is_said_to_be_empty(slider: CommandLine, tmp_pa
     assert done.stdout == "played 0 messages on 0 topics, 0.000 s\n"
 
 
-def test_a_recorder_that_is_killed_leaves_what_came_before(slider: CommandLine, tmp_path: Path) -> None:
-    for suffix in (".bag", ".mcap"):
-        path = tmp_path / f"killed{suffix}"
-        slider.ok("sim", "reset")
-        recorder = Recorder(slider, STATES, "-O", str(path))
-        slider.ok("sim", "step", "1s")
-        while len(messages_so_far(path)) < 49:  # it puts what it has into the file each second
-            time.sleep(0.05)
-        slider.ok("sim", "step", "20ms")
-        held = slider("bag", "reindex", str(path))
-        assert (held.returncode, f"{path} is being recorded" in held.stderr) == (1, True)
-        recorder.end(signal.SIGKILL)
-        done = slider("bag", "info", str(path), "--json")
-        record = json.loads(done.stdout)
-        assert record["messages"] in (49, 50, 51)
-        assert record["damage"] == "it was not closed"
-        assert "slidectl bag reindex" in done.stderr
-        assert "killed.orig" in slider.ok("bag", "reindex", str(path))
-        assert json.loads(slider.ok("bag", "info", str(path), "--json"))["damage"] is None
-        assert len(messages(path)) == record["messages"]
-        assert slider.ok("bag", "reindex", str(path)) == f"{path}: complete\n"
+@pytest.mark.parametrize("suffix", [".bag", ".mcap"])
+def test_a_recorder_that_is_killed_leaves_what_came_before(slider: CommandLine, tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"killed{suffix}"
+    slider.ok("sim", "reset")
+    recorder = Recorder(slider, STATES, "-O", str(path))
+    slider.ok("sim", "step", "1s")
+    eventually(lambda: len(messages_so_far(path)) >= 49)  # it puts what it has into the file each second
+    slider.ok("sim", "step", "20ms")
+    held = slider("bag", "reindex", str(path))
+    assert (held.returncode, f"{path} is being recorded" in held.stderr) == (1, True)
+    update = ("bag", "diff", str(path), str(tmp_path / "baselines"), "--update-baseline")
+    assert f"{path} is being recorded" in slider(*update).stderr
+    recorder.end(signal.SIGKILL)
+    assert f"{path} is no baseline: it was not closed" in slider(*update).stderr
+    assert not (tmp_path / "baselines").exists()
+    done = slider("bag", "info", str(path), "--json")
+    record = json.loads(done.stdout)
+    assert record["messages"] in (49, 50, 51)
+    assert record["damage"] == "it was not closed"
+    assert "slidectl bag reindex" in done.stderr
+    assert "killed.orig" in slider.ok("bag", "reindex", str(path))
+    assert json.loads(slider.ok("bag", "info", str(path), "--json"))["damage"] is None
+    assert len(messages(path)) == record["messages"]
+    slider.ok(*update)
+    shutil.copy(tmp_path / f"killed.orig{suffix}", path)
+    done = slider(*update[:-1])
+    assert (done.returncode, f"{path}: it was not closed; it is read as far as it goes" in done.stderr) == (0, True)
+    slider.ok("bag", "filter", str(tmp_path / "baselines" / path.name), str(path), "--force")
+    assert slider.ok("bag", "reindex", str(path)) == f"{path}: complete\n"
 
 
 @pytest.mark.parametrize("suffix", [".bag", ".mcap"])
@@ -249,6 +269,28 @@ def test_a_file_that_is_cut_off_anywhere_is_read_as_far_as_it_goes(
             assert messages(path) == whole[: len(messages(path))]
 
 
+def test_a_file_is_written_over_only_when_something_can_be_recorded(slider: CommandLine, tmp_path: Path) -> None:
+    (tmp_path / "mcap.py").write_text("raise ImportError")
+    without_mcap = ":".join([str(tmp_path), slider.environment["PYTHONPATH"]])
+    kept = {name: tmp_path / name for name in ("notes.txt", "keep.bag", "keep.mcap")}
+    for path in kept.values():
+        path.write_text("kept")
+    for name, code, said, more in (
+        ("notes.txt", 2, "is neither a .bag nor a .mcap file", ()),
+        ("keep.bag", 2, "have no compression 'zstd'", ("--compression", "zstd")),
+        ("keep.mcap", 1, "need the library mcap", ()),
+        ("keep.bag", 3, "no daemon", ("-i", "nobody")),
+    ):
+        done = slider("record", "-a", "-O", str(kept[name]), "--force", *more, PYTHONPATH=without_mcap)
+        assert (done.returncode, said in done.stderr) == (code, True), done.stderr
+        assert kept[name].read_text() == "kept"
+    slider.ok("sim", "reset")
+    recorder = Recorder(slider, STATES, "-O", str(kept["keep.bag"]), "--force")
+    slider.ok("sim", "step", "100ms")
+    assert recorder.end().returncode == 0
+    assert len(messages(kept["keep.bag"])) in (4, 5)
+
+
 def test_a_full_disk_ends_the_recording_and_says_so(slider: CommandLine, tmp_path: Path) -> None:
     path = tmp_path / "run.bag"
     recorder = Recorder(slider, "-a", "-O", str(path), limit="200")  # KiB
@@ -256,7 +298,8 @@ def test_a_full_disk_ends_the_recording_and_says_so(slider: CommandLine, tmp_pat
     done = recorder.ended()
     assert done.returncode == 1
     assert f"cannot write {path}: File too large; " in done.stderr
-    kept = int(done.stderr.split("File too large; ")[1].split(" ")[0])
+    assert done.stdout == ""
+    kept = int(done.stderr.split(" that came, ")[1].split(" ")[0])
     info = slider("bag", "info", str(path), "--json")
     assert kept == (json.loads(info.stdout)["messages"] if info.returncode == 0 else 0)
     assert (f"slidectl bag reindex {path}" in done.stderr) == (kept > 0)
@@ -415,6 +458,7 @@ BAD = [
     (("record", "-a", "--duration", "soon"), 2, "is not a time above 0"),
     (("play", "gone.bag"), 2, "gone.bag: No such file or directory"),
     (("play", "README.md"), 2, "neither a bag (of format 2.0) nor an mcap file"),
+    (("play", "config/slider_control.yaml:=", "README.md"), 2, "names no topic"),
     (("bag", "info", "/dev/null"), 2, "is empty"),
     (("bag", "export", "README.md"), 2, "give one of --csv and --parquet"),
 ]

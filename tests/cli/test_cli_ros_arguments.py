@@ -12,7 +12,7 @@ from cli_graph_types import schema
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slidectl.cli import values
+from slidectl import values
 from slidectl.cli.context import Context
 from slidectl.cli.ros import genpy
 from slidectl.cli.ros.arguments import Failure, Parser, option, resolve, resolve_remapped, without_remappings

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
-import time
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ import pytest
 import yaml
 from command_line import ROOT, CommandLine
 from lxml import etree
+from waiting import eventually
 
 from slidectl.cli.step_runner import StepRunner
 from slidectl.scenarios import scenario_schema
@@ -62,7 +63,8 @@ steps:
     assert slidectl.ok("test", str(file), "--list", "-k", "goals and not up").split() == [f"{file}::-0.2"]
     assert slidectl.ok("test", str(file), "--list", "--tag", "low").split() == [f"{file}::-0.2"]
     assert slidectl.ok("test", f"{file}::up", "--list").split() == [f"{file}::up"]
-    assert "no tag 'lwo'. Did you mean 'low'?" in slidectl("test", str(file), "--tag", "lwo").stderr
+    unknown = slidectl("test", str(file), "--tag", "lwo")
+    assert (unknown.returncode, "no case has the tag 'lwo'" in unknown.stderr) == (2, True)
     assert slidectl("test", str(file), "-k", "nothing").returncode == 2
 
 
@@ -92,7 +94,7 @@ teardown:
     assert f"XPASSED {file}::wrongly known\n  it passed, and was known to fail: it never passes" in said
     assert said.rstrip().endswith("1 xfailed, 1 failed, 1 xpassed")
     assert (tmp_path / "torn_down.urdf").exists()
-    [recording], [journal] = kept.glob("*far.mcap"), kept.glob("*far.journal")
+    [recording], [journal] = kept.glob("*far-*.mcap"), kept.glob("*far-*.journal")
     assert "/slider/joint_states" in slidectl.ok("bag", "info", str(recording))
     assert "are the same" in slidectl.ok("replay", str(journal), "--check")
     schema = etree.XMLSchema(etree.parse(ROOT / "tests" / "data" / "junit.xsd"))
@@ -107,11 +109,13 @@ def test_commands_that_are_to_fail_setups_limits_and_crashes(slidectl: CommandLi
     write("fails.yaml", SLIDER + "steps:\n  - {controller load: nothing, fails: no controller 'nothing'}")
     write("did_not.yaml", SLIDER + "steps:\n  - {controller list: , fails: true}")
     write("other.yaml", SLIDER + "steps:\n  - {controller load: nothing, fails: a joint}")
-    write("setup.yaml", "world: {engine: plain}\nsetup: [controller load a]\nsteps: [sim status]")
+    write("setup.yaml", "world: {engine: plain}\nsetup: [delete nobody]\nsteps: [sim status]")
     write("sim.yaml", "world: {engine: plain}\nsim_timeout: 0.5\nsteps:\n  - wait: /clock/clock --above 3")
     write("late.yaml", "world: {engine: plain}\nsteps:\n  - sim step: 1s\n  - {at: 0.5, sim status: }")
     write("still.yaml", "world: {engine: plain, paused: true}\nsteps:\n  - wait: /clock/clock --above 3")
     write("wall.yaml", "world: {engine: plain}\ntimeout: 1\nsteps:\n  - sim step: 1000000s --timeout 1e9")
+    write("never.yaml", SLIDER + "steps:\n  - {controller spawn: nothing --wait --timeout 4, within: 1}")
+    write("nobody.yaml", SLIDER + "steps:\n  - {ros: rosservice call --wait /nothing, within: 1}")
     crash = write("crash.py", "import os\nos._exit(3)")
     write("crash.yaml", f"world: {{engine: plain, imports: [{crash}]}}\nsteps: [sim status]")
     found = results(slidectl, str(crash.parent), "-n", "2", "--sim-timeout", "1e8")
@@ -123,6 +127,10 @@ def test_commands_that_are_to_fail_setups_limits_and_crashes(slidectl: CommandLi
     assert told["sim"][1].startswith("not done within the 0.5 s of the case of simulated time")
     assert told["late"] == ("failed", "it is 1 s already, and the step is at 0.5 s")
     assert "paused" in told["still"][1] + found[next(name for name in found if "still" in name)]["hint"]
+    for name in ("never", "nobody"):
+        result = next(one for case, one in found.items() if name in case)
+        assert told[name][1].startswith("not done within 1 s of simulated time")
+        assert result["sim_time"] == pytest.approx(1.0, abs=0.1)
     assert told["wall"] == ("error", "not done within 1 s of wall time")
     assert told["crash"] == ("error", "its process ended with exit code 3 and no result")
 
@@ -144,7 +152,7 @@ steps:
   - daemon stop
   - {pub: command 1, at: soon}
   - sim status --instance other
-  - spawn: slider --controllers types.yaml
+  - spawn: slider --controllers types.yaml --start a
   - record: -a --detach
   - ros: roslaunch my_slider slider.launch
 """)  # fmt: skip
@@ -176,7 +184,7 @@ steps:
     assert f"{other}:1: no field 'stps' in a scenario. Did you mean 'steps'?" in done.stderr
     assert f"{other}:2: no field 'gravty' in a world. Did you mean 'gravity'?" in done.stderr
     assert f"{other}:2: 'engine' is auto, plain or compiled, not fast" in done.stderr
-    assert f"{file.parent / 'none.yaml'}: No such file or directory" in done.stderr
+    assert f"{file.parent / 'none.yaml'}: no such file or directory" in done.stderr
 
 
 def test_background_steps_go_on_meanwhile_and_end_with_the_case(slidectl: CommandLine, write: Write) -> None:
@@ -212,9 +220,7 @@ steps:
     temporary.mkdir()
     xml = tmp_path / "out.xml"
     process = slidectl.start("test", str(file), "-n", "2", "--json", "--junitxml", str(xml), TMPDIR=str(temporary))
-    deadline = time.monotonic() + 60
-    while not Path(f"{mark}_3").exists() and time.monotonic() < deadline:
-        time.sleep(0.02)
+    eventually(Path(f"{mark}_3").exists, "the fourth case did not begin")
     process.send_signal(signal.SIGINT)
     out, _ = process.communicate(timeout=60)
     assert process.returncode == 130
@@ -229,28 +235,112 @@ steps:
     assert os.listdir(temporary) == []
 
 
-def test_a_live_daemon_ends_the_same_and_is_left_as_it_was(world: CommandLine, write: Write) -> None:
+def test_a_live_daemon_gives_the_same_bits_and_is_left_as_it_was(
+    world: CommandLine, write: Write, tmp_path: Path
+) -> None:
     file = write("live.yaml", SLIDER + """
-cases: [{goal: 0.2}, {goal: 1.5}]
+cases: [{goal: 0.2, rate: 50}, {goal: 1.5, rate: 20}]
 steps:
-  - {at: 0.5, pub: "command ${goal}"}
-  - wait: joint_states/position[0] --near ${goal} --tol 0.02 --for 0.1
+  - {at: 0.5, pub: {topic: command, values: "${goal} * (1 - exp(-t))", rate: "${rate}"}, background: true}
+  - wait: joint_states/position[0] --near ${goal} --tol 0.1 --for 0.1
     within: 4
+  - sim pause
+  - sim step: 20
+  - sim save: mine
 """)  # fmt: skip
-    alone, live = results(world, str(file)), results(world, str(file), "--daemon")
+    launched = write("launched.yaml", "setup:\n  - launch: rrbot_gazebo rrbot_world.launch\nsteps:\n"
+                     "  - launch: rrbot_control rrbot_control.launch\n  - {at: 0.3, controller list: }\n")  # fmt: skip
+    stepped = write("stepped.yaml", SLIDER + """
+steps:
+  - sim pause
+  - pub: {topic: command, values: 0.2*sin(2*pi*0.1*t), rate: 50}
+    background: true
+  - sim step: 1s
+  - at: 1.5
+  - {sim step: 1s, background: true}
+  - wait: joint_states/position[0] --above 0.1 --within 5
+""")  # fmt: skip
+    files = (str(file), str(launched), str(stepped))
+    golden = ("--baseline", str(tmp_path / "golden"))
+    alone = results(world, *files, *golden, "--update-baseline")
+    live = results(world, *files, "--daemon", *golden)
     for name, result in alone.items():
-        for key in ("verdict", "step", "message"):
+        for key in ("verdict", "step", "message", "sim_time"):
             assert live[name][key] == result[key]
-        assert live[name]["sim_time"] == pytest.approx(result["sim_time"], abs=0.05)
-    assert alone["0.2"]["verdict"] == "passed"
+    assert [result["verdict"] for result in alone.values()] == ["passed", "failed", "passed", "passed"]
     with world.client() as client:
         status = client.call("/slidectl/status")
         assert (status["robots"], status["paused"], status["time"]) == ([], True, 0.0)
         assert not [name for name in client.params.names() if name.startswith("/slider")]
+        assert client.snapshots() == []
         client.spawn("rrbot")
     refused = world("test", str(file), "--daemon")
     assert refused.returncode == 1
     assert "the daemon holds robots: rrbot" in refused.stderr
+    world.ok("delete", "rrbot")
+    with world.client() as other:
+        other.call("/slidectl/step", {"news": True})  # as another test does
+        refused = world("test", str(file), "--daemon")
+    assert (refused.returncode, refused.stderr.splitlines()[0]) == (
+        1,
+        "error: another 'slidectl test' runs in this daemon",
+    )
+
+
+def test_a_launch_is_a_step_that_ends_with_the_case(slidectl: CommandLine, write: Write) -> None:
+    tools = write("tools.launch", """<launch>
+  <node pkg="topic_tools" type="relay" name="relay" args="/wish /slider/joint1_position_controller/command"/>
+  <node pkg="tf" type="static_transform_publisher" name="camera" args="0 0 1 0 0 0 world camera 100"/>
+</launch>""")  # fmt: skip
+    file = write("launched.yaml", f"""
+world: {{engine: plain}}
+setup:
+  - launch: my_slider slider.launch
+steps:
+  - launch: {tools}
+  - {{pub: {{topic: /wish, type: std_msgs/Float64, values: 0.3, rate: 10, allow-unheard: true}}, background: true}}
+  - tf echo: world camera -n 1
+  - wait: joint_states/position[0] --above 0.05
+    within: 3
+teardown:
+  - {{delete: slider, fails: slider}}  # it went with the launch that made the world
+""")  # fmt: skip
+    one, two = (results(slidectl, str(file))[str(file)] for _ in range(2))
+    assert (one["verdict"], one["message"], one["sim_time"]) == ("passed", "", two["sim_time"])
+
+
+def test_slips_of_launches_are_told_before_anything_runs_and_programs_need_a_daemon(
+    world: CommandLine, write: Write, tmp_path: Path
+) -> None:
+    program = write("drive", f"""#!{sys.executable}
+import sys
+sys.path.insert(0, {str(ROOT)!r})
+from slidectl import Client
+with Client() as client:
+    client.publish("/slider/joint1_position_controller/command", {{"data": 0.3}})
+    for message in client.subscribe("/slider/joint_states"):
+        if message["position"][0] > 0.1:
+            sys.exit(3)
+""")  # fmt: skip
+    program.chmod(0o755)
+    write("package.xml", "<package><name>mine</name></package>")
+    launch = write("drive.launch", '<launch>\n<node pkg="mine" type="drive" name="drive"/></launch>')
+    file = write("driven.yaml", f"""
+setup: [launch my_slider slider.launch]
+steps:
+  - launch: {launch} --package mine={tmp_path}
+  - wait: joint_states/position[0] --above 0.15
+    within: 20
+""")  # fmt: skip
+    other = write("slips.yaml", "steps:\n  - launch: my_slidr slider.launch\n  - launch: slider --detach\n")
+    done = world("test", str(file), str(other), "--check")
+    assert done.returncode == 2
+    assert f"{file}:4: {launch}:2: /drive: mine/drive is a program of its own, which needs a daemon" in done.stderr
+    assert "slidectl test --daemon" in done.stderr
+    assert f"{other}:2: " in done.stderr
+    assert f"{other}:3: --detach leaves a process behind" in done.stderr
+    result = results(world, str(file), "--daemon")[str(file)]
+    assert (result["verdict"], result["message"]) == ("failed", "these nodes died: /drive (exit code 3)")
 
 
 def test_the_shipped_schema_is_that_of_the_commands_and_takes_the_examples(slidectl: CommandLine) -> None:

@@ -122,6 +122,35 @@ def test_a_script_may_start_restart_and_stop_the_daemon(slidectl: CommandLine) -
     assert [json.loads(line)["cycles"] for line in done.stdout.splitlines() if line.startswith("{")] == [5, 0]
 
 
+def test_what_is_detached_goes_on_in_the_background_and_the_script_goes_on_too(
+    slidectl: CommandLine, tmp_path: Path
+) -> None:
+    path = tmp_path / "run.bag"
+    lines = [
+        "daemon start --paused",
+        "spawn slider --controllers config/slider_control.yaml --start joint_state_controller",
+        f"record joint_states -O {path} --detach",
+        "sim step 100ms",
+        "daemon stop",  # returns when the recording has ended
+        "daemon start --paused",
+        f"play {path} --detach",
+        "sim step 1s",
+        "daemon stop",
+        f"bag info {path}",
+    ]
+    try:
+        done = slidectl("--json", "shell", stdin="\n".join(lines))
+    finally:
+        slidectl("daemon", "stop")
+    assert done.returncode == 0, done.stderr
+    records = [json.loads(line) for line in done.stdout.splitlines()]
+    assert records[2]["file"] == str(path)
+    count = records[-1]["messages"]
+    assert count in (4, 5)
+    [log] = tmp_path.glob("slidectl/default/playing-*.log")
+    assert json.loads(log.read_text())["published"] == count
+
+
 # --- what a line knows of the lines before it, and of others --------------------------------------------------------
 
 SECOND = (

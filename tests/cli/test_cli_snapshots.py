@@ -6,7 +6,6 @@ import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from command_line import CommandLine
@@ -27,18 +26,22 @@ def runtime(tmp_path: Path) -> Iterator[Runtime]:
 
 @pytest.fixture
 def rrbot(runtime: Runtime) -> CommandLine:
-    """A paused world with an RRBot on its way."""
+    """A paused world with an RRBot on its way, and what goes wrong with it."""
     slidectl = CommandLine(runtime.folder)
     slidectl.ok("spawn", "rrbot", "--controllers", "config/rrbot_control.yaml", "--start", *CONTROLLERS)
+    slidectl.ok("fault", "add", "joint1", "--kind", "sensor-noise", "--sd", "0.01", "--from", "0.1", "--to", "0.9")
+    slidectl.ok("fault", "add", "joint2", "--kind", "joint-stuck", "--from", "0.1", "--to", "0.5")
+    slidectl.ok("fault", "add", "joint1_position_controller/command", "--kind", "topic-delay", "--delay", "0.3")
+    slidectl.ok("fault", "add", "joint1_position_controller", "--kind", "controller-raise", "--from", "0.8")
     slidectl.ok("pub", "joint1_position_controller/command", "1.0")
     slidectl.ok("sim", "step", "150")
     return slidectl
 
 
-def future(slidectl: CommandLine, *daemon: str) -> dict[str, Any]:
-    """Where the robot is a second later, to the last digit."""
+def future(slidectl: CommandLine, *daemon: str) -> str:
+    """Where the robot is a second later, to the last digit, and what faults did."""
     slidectl.ok(*daemon, "sim", "step", "1s")
-    return dict(json.loads(slidectl.ok(*daemon, "robots", "rrbot", "--json")))
+    return slidectl.ok(*daemon, "robots", "rrbot", "--json") + slidectl.ok(*daemon, "fault", "list", "--json")
 
 
 def test_a_world_goes_on_from_a_snapshot_here_from_a_file_and_in_a_second_daemon(

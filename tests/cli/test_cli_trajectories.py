@@ -128,8 +128,10 @@ def test_a_trajectory_comes_from_a_pipe_and_its_goal_can_be_watched_and_cancelle
     assert f"Goal {goal_id}: active" in world.ok("action", "info", "arm_controller")
     (feedback,) = world.ok("action", "echo", "arm_controller", "-n", "1", "--json").splitlines()
     assert json.loads(feedback)["status"]["goal_id"]["id"] == goal_id
+    world.ok("sim", "speed", "0.2")  # a goal is listed for some simulated seconds after its end
     assert world.ok("trajectory", "cancel", "arm_controller") == f"{ACTION}: all goals cancelled\n"
     assert f"Goal {goal_id}: preempted" in world.ok("action", "info", ACTION)
+    world.ok("sim", "speed", "10")
 
 
 def test_hold_ends_a_goal_and_whoever_waits_for_it_is_told(world: CommandLine, client: Client) -> None:

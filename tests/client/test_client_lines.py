@@ -24,6 +24,8 @@ def test_what_is_encoded_is_decoded_to_the_same(message: dict[str, object]) -> N
     assert line.endswith(b"\n")
     assert line.count(b"\n") == 1
     assert decode(line) == message
+    # The encoder is taken from inside of json: it does what its public one does.
+    assert line == (json.dumps(message, separators=(",", ":")) + "\n").encode()
 
 
 def _not_json(word: str) -> float:
@@ -48,6 +50,10 @@ def test_lines_come_out_whole_however_the_bytes_arrive(lines: list[bytes], data:
         stream = stream[size:]
     assert list(buffer.lines) == lines
     assert buffer.unfinished == len("unfinished")
+
+
+def test_a_byte_order_mark_before_a_line_does_not_count() -> None:
+    assert decode(b'\xef\xbb\xbf{"op": "x"}') == {"op": "x"}
 
 
 def test_blank_lines_are_nothing() -> None:

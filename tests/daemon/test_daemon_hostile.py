@@ -225,7 +225,8 @@ def test_a_subscriber_that_does_not_read_keeps_the_newest_and_holds_up_nobody(co
 def test_fifty_readers_that_stop_cost_no_memory_of_their_own_and_the_others_nothing(
     runtime: Runtime,
 ) -> None:
-    runtime.start(paused=True)  # of its own: what other tests have sent is not counted
+    # Of its own: what other tests have sent is not counted. And compiled code, which is loaded meanwhile, has 50 MiB.
+    runtime.start(paused=True, engine="plain")
     topics = ("/clock", "/gazebo/model_states", "/gazebo/link_states")
     with ExitStack() as stack:
         *sleepers, reader, driver = [stack.enter_context(Wire(runtime.paths.socket)) for _ in range(52)]
@@ -289,7 +290,7 @@ def test_a_reader_may_change_its_throttle_and_loses_nothing_of_what_was_sent_bef
     publish(7, 8)
     messages += [reader.receive(), reader.receive()]
     numbers = [message["msg"]["data"] for message in messages if message["op"] == "publish"]
-    assert numbers == [1, 2, 3, 4, 7, 8]
+    assert numbers == [1, 2, 3, 4, 6, 7, 8]  # the newest of those that were held back comes too
 
 
 def read_until_answer(wire: Wire, call_id: str) -> list[dict[str, Any]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from functools import partial
 from typing import Any
 
 import pytest
@@ -11,6 +12,7 @@ from slidectl import Simulation
 from slidectl.client import Client
 from slidectl.daemon.in_process import InProcessLink, InProcessWorld
 from slidectl.errors import NoDaemon, Refused, TimedOut
+from slidectl.scenarios.background import BackgroundStep, InProcessBackground
 
 CONTROLLERS = "config/slider_control.yaml"
 
@@ -93,3 +95,30 @@ def test_an_action_and_the_end_of_the_world() -> None:
             each.call("/slidectl/status")
     with pytest.raises(NoDaemon):
         world.client()
+
+
+def test_a_member_that_holds_the_world_for_longer_than_its_time_out_is_let_go() -> None:
+    world = InProcessWorld(Simulation(engine="plain"))
+    member, other = world.client(), world.client()
+    member.call("/slidectl/lockstep", {"period": 0.01, "timeout": 0.5})
+    other.call("/slidectl/sleep", {"duration": 0.1}, timeout=5)
+    assert (world.simulation.time_ns, world.monotonic()) == (100_000_000, pytest.approx(0.6))
+    with pytest.raises(Refused, match=r"it held the world for more than 0\.5 s"):
+        member.call("/slidectl/lockstep")
+
+
+def test_a_background_step_that_waits_again_when_it_is_ended_in_a_paused_world_comes_to_its_end() -> None:
+    world = InProcessWorld(Simulation(engine="plain"))
+    world.simulation.run.paused = True
+    ended: list[str] = []
+
+    def action(client: Client) -> None:
+        for _ in range(2):
+            try:
+                client.wait_until(lambda: False, 1.0, "nothing came")
+            except (KeyboardInterrupt, TimedOut) as end:
+                ended.append(type(end).__name__)
+
+    step = BackgroundStep(partial(InProcessBackground, world), action, timeout=10.0)
+    step.end()
+    assert ended == ["KeyboardInterrupt", "TimedOut"]

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import trimesh
 from daemon_fixture import Runtime
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -33,6 +34,7 @@ from slidectl.daemon.options import DaemonOptions
 from slidectl.daemon.time_limit import TimeLimit
 from slidectl.errors import SlidectlError
 from slidectl.physics import rendering
+from slidectl.recording.recording_files import opened
 from slidectl.simulation import Simulation
 from slidectl.simulation.compiled import object_file
 
@@ -93,6 +95,14 @@ def replayed(path: Path, until: float | None = None) -> Simulation:
 
 NUMBERS = st.floats(-1.5, 1.5, allow_nan=False)
 ROBOTS = st.sampled_from(sorted(CONTROLLERS))
+FAULTS: dict[str, tuple[str, dict[str, float]]] = {
+    "sensor-noise": ("joint1", {"sd": 0.01}),
+    "command-loss": ("joint1", {"probability": 0.5}),
+    "joint-stuck": ("joint1", {}),
+    "controller-slow": ("joint1_position_controller", {"takes": 0.02}),
+    "topic-delay": ("joint1_position_controller/command", {"delay": 0.3}),
+}
+"""Kinds with a target below a robot, and options."""
 NAMES = st.sampled_from(["arm", "joint1_position_controller"])
 ACTIONS = st.one_of(
     st.tuples(st.just("spawn"), ROBOTS),
@@ -105,6 +115,10 @@ ACTIONS = st.one_of(
     st.tuples(st.just("place"), ROBOTS, NUMBERS),
     st.tuples(st.just("gain"), ROBOTS, st.floats(1.0, 200.0)),
     st.tuples(st.just("estop"), st.booleans()),
+    st.tuples(st.just("fault"), ROBOTS, st.sampled_from(sorted(FAULTS)), st.floats(0.0, 0.5), st.floats(0.01, 2.0)),
+    st.tuples(st.just("clear"), st.just(0)),
+    st.tuples(st.just("save"), st.sampled_from("xy")),
+    st.tuples(st.just("load"), st.sampled_from("xy")),
     st.tuples(st.just("reset"), st.sampled_from(["/gazebo/reset_world", "/gazebo/reset_simulation"])),
     st.tuples(st.just("run"), st.integers(1, 900)),
     st.tuples(st.just("go"), st.integers(1, 1200)),
@@ -141,6 +155,15 @@ def act(world: InProcessWorld, client: Client, action: tuple[Any, ...]) -> None:
         client.call("/rosapi/set_param", request)
     elif kind == "estop":
         client.call("/slidectl/estop", {"stop": values[0]})
+    elif kind == "fault":
+        (target, options), now = FAULTS[values[1]], world.simulation.time_ns / 1e9
+        client.add_fault(f"{values[0]}/{target}", values[1], now + values[2], now + values[2] + values[3], **options)
+    elif kind == "clear":
+        client.remove_faults()
+    elif kind == "save":
+        client.save(values[0])
+    elif kind == "load":
+        client.load(values[0])
     elif kind == "reset":
         client.call(values[0])
     elif kind == "run":
@@ -179,6 +202,7 @@ def test_random_commands_of_three_clients_replay_to_the_same_bits(
         for simulation in (again, world.simulation)
     ]
     assert lists[0] == lists[1]
+    assert again.faults.messages() == world.simulation.faults.messages()
 
 
 # --- what is read of files --------------------------------------------------------------------------------------------
@@ -227,6 +251,61 @@ def test_controllers_of_users_are_as_they_were_when_they_were_read(tmp_path: Pat
     again = replayed(tmp_path / "run.journal")
     assert again.world.numbers() == world.simulation.world.numbers()
     assert again.cycles == 3100
+
+
+def test_modules_that_code_of_users_imports_are_as_they_were(
+    tmp_path: Path, runtime: Runtime, engine: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A module beside the file, a package, one without a file of its own, and one that is imported late."""
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    files = {
+        "spring_gains.py": "from spring_parts import middle\nSTIFFNESS = 10.0 * middle.FACTOR\n",
+        "spring_parts/__init__.py": "",
+        "spring_parts/middle.py": "from .deep import FACTOR\n",
+        "spring_parts/deep.py": "FACTOR = 3.0\n",
+        "spring_space/late.py": "DAMPING = 5.0\n",
+    }
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text, "utf-8")
+    spring = tmp_path / "spring.py"
+    late = "        import spring_space.late\n        self.damping = spring_space.late.DAMPING\n        return True"
+    text = SPRING.format(stiffness="spring_gains.STIFFNESS").replace("        return True", late)
+    text = text.replace("10.0 * self.joint.velocity", "self.damping * self.joint.velocity")
+    spring.write_text(f"import sys\nsys.path.append({str(tmp_path)!r})\nimport spring_gains\n{text}", "utf-8")
+    with recorded(tmp_path / "run.journal", engine, (str(spring),)) as world, world.client() as client:
+        spawn(client, "slider")
+        client.call("/rosapi/set_param", {"name": "/slider/spring/type", "value": '"spring/Spring"'})
+        client.call("/slider/controller_manager/load_controller", {"name": "spring"})
+        switch(client, "slider", ["spring"], ["joint1_position_controller"])
+        client.call("/slidectl/step", {"cycles": 1500})
+    assert world.simulation.world.joint_state("slider", "joint1")[0] > 0.1
+    spring.unlink()
+    for name in files:
+        (tmp_path / name).unlink()
+    (tmp_path / "spring_gains.py").write_text("STIFFNESS = 99.0\n", "utf-8")
+    again = replayed(tmp_path / "run.journal")  # where they are imported already
+    assert again.world.numbers() == world.simulation.world.numbers()
+    assert command(runtime, "replay", str(tmp_path / "run.journal"), "--check").returncode == 0
+
+
+def test_models_that_sdf_includes_may_be_gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GAZEBO_MODEL_PATH", str(tmp_path))
+    inner = tmp_path / "inner" / "model.sdf"
+    inner.parent.mkdir()
+    shape = "<collision name='c'><geometry><box><size>1 1 1</size></box></geometry></collision>"
+    link = f"<link name='l'><inertial><mass>1</mass></inertial>{shape}</link>"
+    inner.write_text(f"<sdf version='1.6'><model name='inner'>{link}</model></sdf>", "utf-8")
+    with recorded(tmp_path / "run.journal") as world, world.client() as client:
+        for name in ("nowhere", "inner"):
+            xml = f"<sdf version='1.6'><include><uri>model://{name}</uri></include></sdf>"
+            request = {"model_name": name, "model_xml": xml, "initial_pose": {"position": {"z": 2.0}}}
+            assert client.call("/gazebo/spawn_sdf_model", request)["success"] == (name == "inner")
+        client.call("/slidectl/step", {"cycles": 1500})
+    inner.unlink()
+    monkeypatch.delenv("GAZEBO_MODEL_PATH")
+    again = replayed(tmp_path / "run.journal")
+    assert again.world.numbers() == world.simulation.world.numbers()
 
 
 def test_a_controller_that_was_ended_by_the_time_limit_is_ended_in_the_same_cycle(
@@ -376,6 +455,68 @@ def test_a_client_that_was_let_go_from_the_lockstep_is_let_go_again(runtime: Run
     runtime.stop()
     assert any("let_go" in entry for entry in journal.read(str(journal_file)).entries)
     assert answer(command(runtime, "replay", str(journal_file), "--check", "--json"))["states"] >= 3
+
+
+def test_a_replay_is_recorded_without_a_change_of_its_bits(
+    runtime: Runtime, journal_file: Path, tmp_path: Path
+) -> None:
+    runtime.start(journal=str(journal_file), paused=True)
+    with runtime.client() as client:
+        for kind in ("std_msgs/Float64", "std_msgs/String"):  # a topic that comes again as another one
+            with client.another() as other:
+                other.advertise("/mine", kind, latch=True)
+                other.publish("/mine", {"data": 1.5 if kind.endswith("64") else "text"})
+                other.flush()
+        spawn(client, "slider")
+        client.publish("/slider/joint1_position_controller/command", {"data": 0.5})
+        switch(client, "slider", ["joint1_position_controller"], [])
+        client.step(seconds=1.0)
+        client.save("there")
+        client.step(seconds=0.5)
+        client.load("there")
+        client.step(seconds=1.0)
+    runtime.stop()
+    whole, end = tmp_path / "run.bag", tmp_path / "end.mcap"
+    words = ("replay", str(journal_file), "--check", "--json", "--record")
+    found = answer(command(runtime, *words, str(whole)))
+    with opened(whole) as recording:
+        summary = recording.summary()
+        channels = {channel.topic for channel in recording.channels}
+    assert found["messages"] == summary.counts.total()
+    assert summary.end_ns == 2_000_000_000
+    assert summary.counts["/slider/joint1_position_controller/command"] == 1
+    assert summary.counts["/slider/joint1_position_controller/state"] >= 240  # at 100 Hz
+    assert not channels & {"/clock", "/gazebo/link_states"}
+    assert answer(command(runtime, *words, str(end), "--last", "0.25"))["states"] == found["states"]
+    with opened(end) as recording:
+        assert recording.summary().counts["/slider/joint1_position_controller/state"] in (25, 26)
+    again = command(runtime, "replay", str(journal_file), "--record", str(end))
+    assert (again.returncode, again.stderr.split(",")[0].splitlines()[0]) == (1, f"error: {end} is there already")
+
+
+def test_the_last_seconds_before_a_time_are_recorded_though_the_clock_was_set_back(
+    runtime: Runtime, journal_file: Path, tmp_path: Path
+) -> None:
+    runtime.start(journal=str(journal_file), paused=True)
+    with runtime.client() as client:
+        spawn(client, "slider")
+        switch(client, "slider", ["joint_state_controller"], [])
+        client.step(seconds=2.2)
+        client.call("/gazebo/reset_simulation")
+        client.step(seconds=3.0)
+    runtime.stop()
+    for number, (words, begin_s, end_s) in enumerate(
+        (
+            (("--last", "0.5", "--to", "1.9"), 1.4, 1.9),
+            (("--last", "0.5", "--to", "2.9"), 2.4, 2.9),
+            (("--last", "2.9"), 0.0, 3.0),  # from 2.3 s on, which there is not in the first run of the clock
+        )
+    ):
+        file = tmp_path / f"{number}.bag"
+        answer(command(runtime, "replay", str(journal_file), "--json", "--record", str(file), *words))
+        with opened(file) as recording:
+            summary = recording.summary()
+        assert (summary.begin_ns * 1e-9, summary.end_ns * 1e-9) == pytest.approx((begin_s, end_s), abs=0.03)
 
 
 def test_a_replay_ends_at_a_time_and_may_stay_in_a_daemon(runtime: Runtime, journal_file: Path) -> None:
@@ -543,3 +684,26 @@ def test_code_of_users_that_draws_random_numbers_is_found(tmp_path: Path, journa
         client.call("/slidectl/step", {"cycles": 1000})
     with pytest.raises(ReplayDiffers, match=r"at 1 s .*slider, joint1: position.*\n.*random numbers"):
         replayed(journal_file)
+
+
+def test_what_a_uri_was_read_as_is_in_the_journal(tmp_path: Path, journal_file: Path) -> None:
+    """A file whose mesh is looked up too."""
+    trimesh.creation.cone(0.3, 1.0).export(tmp_path / "cone.stl")
+    file = tmp_path / "cone.urdf"
+    inertial = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    collision = '<collision><geometry><mesh filename="cone.stl"/></geometry></collision>'
+    file.write_text(f'<robot name="cone"><link name="l">{inertial}{collision}</link></robot>', "utf-8")
+    asked = {
+        "entity_resource": {"uri": file.as_uri()},
+        "allow_renaming": True,
+        "initial_pose": {"pose": {"position": {"z": 2.0}}},
+    }
+    with recorded(journal_file) as world, world.client() as client:
+        for name in ("cone", "cone_1"):
+            assert client.call("/slidectl/spawn_entity", asked)["entity_name"] == name
+        client.call("/slidectl/step_simulation", {"steps": 1500})
+    file.unlink()
+    (tmp_path / "cone.stl").unlink()
+    again = replayed(journal_file)
+    assert again.robots.names() == ["cone", "cone_1"]
+    assert again.world.numbers() == world.simulation.world.numbers()

@@ -13,8 +13,8 @@ import pytest
 from daemon_fixture import Runtime
 from rosbridge_wire import Wire
 
-from slidectl.daemon.logfile import LogFile
 from slidectl.errors import SlidectlError, UnknownName, closest
+from slidectl.logfile import LogFile
 from slidectl.simulation.parameters import Parameters
 
 Connect = Callable[[], Wire]

@@ -65,6 +65,24 @@ def test_the_world_runs_at_the_factor_that_was_asked(simulation: FakeSimulation,
     assert pacer.overruns == 0
 
 
+class OneCycleAtATime:
+    """Lock-step with a client that is done as soon as its period of one cycle has ended."""
+
+    def allowed(self, most: int) -> int:
+        return min(most, 1)
+
+
+@pytest.mark.parametrize("speed", [2.0, 10.0])
+def test_lock_step_keeps_the_factor_too(simulation: FakeSimulation, pacer: Pacer, speed: float) -> None:
+    simulation.run.speed, simulation.run.lockstep = speed, OneCycleAtATime()
+    drive(simulation, pacer, 2.0)
+    figures = pacer.report()
+    assert simulation.cycles == pytest.approx(2000 * speed, rel=0.01)
+    assert figures["speed_reached"] == pytest.approx(speed, rel=0.01)
+    assert figures["cycle_mean"] == pytest.approx(simulation.cost_s)
+    assert figures["overruns"] == 0
+
+
 def test_a_short_interruption_is_caught_up_in_slices(simulation: FakeSimulation, pacer: Pacer) -> None:
     simulation.cost_s = 100e-6
     drive(simulation, pacer, 1.0)

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from slidectl.daemon.logfile import LogFile
 from slidectl.daemon.place import Place, holder
 from slidectl.errors import Refused
+from slidectl.logfile import LogFile
 from slidectl.paths import InstancePaths
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import base64
 import os
 import signal
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from daemon_fixture import Runtime, running_daemon
+from waiting import eventually
 
 from slidectl import Client
 from slidectl.client import Subscription
@@ -45,14 +45,6 @@ def has_ended(process: int) -> bool:
     """With all its threads, so that nothing of it is left but its exit code."""
     state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
     return state == "Z" and len(os.listdir(f"/proc/{process}/task")) == 1
-
-
-def wait_until(condition: Callable[[], bool]) -> None:
-    """Wait for something that comes soon."""
-    deadline = time.monotonic() + 60.0
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 @contextmanager
@@ -103,7 +95,7 @@ def test_a_process_that_ended_before_a_picture_is_started_again(tmp_path: Path) 
     with watching(tmp_path) as (daemon, client, pictures):
         renderer = renderer_of(daemon)
         os.kill(renderer, signal.SIGKILL)
-        wait_until(lambda: has_ended(renderer))
+        eventually(lambda: has_ended(renderer))
         client.step(50)
         assert pictures.get()["header"]["stamp"]["nsecs"] == 100_000_000
         assert renderer_of(daemon) != renderer
@@ -115,6 +107,6 @@ def test_a_process_that_ends_during_a_picture_costs_that_picture_alone(tmp_path:
         os.kill(renderer, signal.SIGSTOP)
         client.step(50)  # it has got a picture to make
         os.kill(renderer, signal.SIGKILL)
-        wait_until(lambda: "camera eye: the process that renders pictures has ended" in daemon.log)
+        eventually(lambda: "camera eye: the process that renders pictures has ended" in daemon.log)
         client.step(50)
         assert pictures.get()["header"]["stamp"]["nsecs"] == 150_000_000

@@ -132,6 +132,40 @@ def test_throttled_messages_come_no_more_often_than_asked(connect: Connect) -> N
     assert reader.receive()["op"] == "service_response"
 
 
+def test_the_newest_of_the_throttled_messages_comes_when_its_time_has_come(connect: Connect) -> None:
+    reader, writer = connect(), connect()
+    reader.send(op="subscribe", topic="/silent", type="std_msgs/Int32", throttle_rate=200, stamped=True)
+    reader.call("/rosapi/get_time")
+    writer.raw(b"".join(b'{"op":"publish","topic":"/silent","msg":{"data":%d}}\n' % number for number in range(50)))
+    numbers = [reader.receive()["msg"]["data"]]
+    while numbers[-1] != 49:
+        numbers.append(reader.receive()["msg"]["data"])
+    assert numbers[0] == 0
+    assert len(numbers) < 10
+
+
+def test_a_shorter_throttle_counts_at_once(connect: Connect) -> None:
+    reader, writer = connect(), connect()
+    reader.send(op="subscribe", topic="/slow", type="std_msgs/Int32", throttle_rate=1_000_000)
+    reader.call("/rosapi/get_time")
+    for number in range(2):
+        writer.send(op="publish", topic="/slow", msg={"data": number})
+    writer.call("/rosapi/get_time")
+    assert reader.receive()["msg"]["data"] == 0
+    reader.send(op="subscribe", topic="/slow", throttle_rate=10)
+    assert reader.receive()["msg"]["data"] == 1
+
+
+def test_a_call_that_is_given_up_leaves_nothing_behind(connect: Connect) -> None:
+    caller = connect()
+    never = {"topic": "/never", "field": "data", "condition": "equals", "value": "1"}
+    caller.send(op="advertise", topic="/never", type="std_msgs/Int32")
+    for number in range(1001):
+        caller.send(op="call_service", id=f"wait {number}", service="/slidectl/wait", args=never)
+        caller.send(op="cancel_call", id=f"wait {number}")
+    assert caller.call("/rosapi/subscribers", topic="/never")["values"]["subscribers"] == []
+
+
 def test_the_shortest_queue_keeps_the_newest_and_tells_what_was_dropped(connect: Connect) -> None:
     reader, writer = connect(), connect()
     reader.send(op="subscribe", topic="/flood", type="std_msgs/Int32", queue_length=1)

@@ -20,10 +20,15 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parent.parent))
 sys.path.insert(0, str(Path(__file__).parent.parent.parent))
 
-from fuzz_attacks import ATTACKS
+from fuzz_attacks import ATTACKS as ATTACKS_ON_DAEMON
+from fuzz_frames import Frames
 from fuzz_target import Tally, case_random, target
 
-SHARES = {"lines": 0.25, "files": 0.25, "robots": 0.2, "meshes": 0.1, "manager": 0.2}
+ATTACKS = {**ATTACKS_ON_DAEMON, Frames.kind: Frames}
+SHARES = {
+    "lines": 0.2, "files": 0.2, "robots": 0.15, "meshes": 0.1, "manager": 0.1, "tcpros": 0.05, "xmlrpc": 0.05,
+    "frames": 0.05, "foxglove": 0.05, "patterns": 0.05,
+}  # fmt: skip
 """Of the seconds, by kind."""
 _MOST_FAULTS = 5
 

@@ -13,17 +13,24 @@ from random import Random
 from typing import Any
 
 from daemon_fixture import ROOT
+from fuzz_foxglove import FoxgloveFrames
 from fuzz_mutations import ODD_VALUES, mutated_bytes, mutated_text, shrunk
 from fuzz_target import RawWire, Target, check_text, write
+from fuzz_tcpros import TcprosStreams
+from fuzz_xmlrpc import XmlRpcCalls
 
 from slidectl import description
 from slidectl.check import run as checking
 from slidectl.description import Packages
-from slidectl.errors import SlidectlError
+from slidectl.errors import SlidectlError, UsageError
+from slidectl.simulation.posix_pattern import PosixPattern
 
 # --- lines on the socket ---------------------------------------------------------------------------------------------
 
-_NOT_CALLED = ("/slidectl/shutdown", "/slidectl/step", "/slidectl/set_speed", "/gazebo/unpause_physics")
+_NOT_CALLED = (
+    "/slidectl/shutdown", "/slidectl/step", "/slidectl/set_speed", "/gazebo/unpause_physics",
+    "/slidectl/set_simulation_state", "/slidectl/step_simulation",
+)  # fmt: skip
 """These end the daemon or let time pass, which they may."""
 _OPS = (
     "advertise", "unadvertise", "publish", "subscribe", "unsubscribe", "call_service", "service_response",
@@ -346,6 +353,40 @@ class Manager:
             raise AssertionError(f"{verb} {request}: {answer} {states}, expected {expected} {model.states}")
 
 
+# --- patterns for names -----------------------------------------------------------------------------------------------
+
+
+class Patterns:
+    """Regular expressions of signs that mean something, nested and repeated at random, on names of all lengths."""
+
+    kind = "patterns"
+    SIGNS = (
+        *("a", "b", "_", "1", ".", "^", "$", "|", "(", "(", ")", ")", "[", "]", "[^", "a-z", "[:alpha:]", "\\"),
+        *("*", "+", "?", "{", "}", "{2}", "{,3}", "{0,255}", "{255}", "{3,}", "é", "\0"),
+    )
+
+    def __init__(self, target: Target) -> None:
+        pass
+
+    def case(self, rng: Random) -> str:
+        fitting = 0
+        for _ in range(100):
+            length = rng.choice((3, 8, 8, 20, 20, 60))
+            text = "".join(rng.choices(self.SIGNS, k=length)) if rng.random() < 0.5 else self._nested(rng, length)
+            name = "".join(rng.choices("ab_1", k=rng.choice((0, 1, 8, 8, 40, 40, 200))))
+            with suppress(UsageError):
+                fitting += PosixPattern(text).is_in(name)
+        return "some fit" if fitting else "none fits"
+
+    def _nested(self, rng: Random, length: int) -> str:
+        """One without mistakes, which may be too large."""
+        if length < 4:
+            return rng.choice(("a", ".", "[ab]", "[^1]", "", "^", "$"))
+        first, second = self._nested(rng, length // 2), self._nested(rng, length // 3)
+        return f"({first}{rng.choice(('', '|'))}{second}){rng.choice(('', '*', '+', '?', '{2}', '{0,9}', '{255}'))}"
+
+
 ATTACKS: dict[str, Callable[[Target], Any]] = {
-    attack.kind: attack for attack in (Lines, Files, Robots, Meshes, Manager)
+    attack.kind: attack
+    for attack in (Lines, Files, Robots, Meshes, Manager, TcprosStreams, XmlRpcCalls, FoxgloveFrames, Patterns)
 }

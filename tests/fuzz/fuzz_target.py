@@ -9,7 +9,7 @@ import socket
 import time
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -73,6 +73,8 @@ class Target:
         self.runtime = runtime
         self.client = runtime.client(ANSWER_LIMIT_S)
         self.pid = runtime.pid
+        self.closing = ExitStack()
+        """Ends what an attack has started."""
         self._log_read = 0
         self._memory = 0
 
@@ -113,6 +115,7 @@ class Target:
         return json.dumps(parts, sort_keys=True)
 
     def close(self) -> None:
+        self.closing.close()
         self.client.close()
 
 

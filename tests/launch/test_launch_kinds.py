@@ -45,7 +45,7 @@ def task(workspace: Workspace, kind: str, args: str = "", attributes: str = "") 
         ("rosservice/rosservice", "call /x", "tool", "run rosservice call /x"),
         ("rviz/rviz", "-d x.rviz", "notice", "slidectl tf tree"),
         ("rqt_gui/rqt_gui", "", "notice", "slidectl pub -r"),
-        ("rqt_plot/rqt_plot", "", "notice", "slidectl echo -p"),
+        ("rqt_plot/rqt_plot", "", "notice", "slidectl plot"),
     ],
 )  # fmt: skip
 def test_each_is_what_it_is_here(workspace: Workspace, kind: str, args: str, family: str, text: str) -> None:

@@ -18,6 +18,7 @@ from slidectl.control.node_handle import NodeHandle
 from slidectl.control.registry import controller
 from slidectl.errors import SlidectlError
 from slidectl.simulation import Simulation
+from slidectl.simulation.clock import NEVER
 
 POSITION = "effort_controllers/JointPositionController"
 VELOCITY = "effort_controllers/JointVelocityController"
@@ -126,7 +127,7 @@ def play(scene: Scene, engine: str, driven: bool = False) -> tuple[list[Any], Si
     left: list[Any] = [simulation.time_ns, simulation.cycles, [array.tobytes() for array in arrays], heard.messages]
     for robot in simulation.robots:
         places = simulation.world.body(robot.name).joints.values()
-        left += [simulation.loop.history.of_joint(place.qpos, place.dof, 0).tobytes() for place in places]
+        left += [simulation.loop.history.of_joint(place.qpos, place.dof, 0, NEVER).tobytes() for place in places]
         left += [vars_of(joint.handle) for joint in robot.hardware.driven()]
         left += [vars_of(robot.manager.get(name)) for name in robot.manager.names()]
         left.append(robot.manager.list())
@@ -208,8 +209,8 @@ def mixed() -> dict[str, dict[str, Any]]:
     }
 
 
-def at_random(seed: int) -> Scene:
-    """Four robots, and a hundred things that happen to them."""
+def at_random(seed: int, things: int = 100) -> Scene:
+    """Four robots, and so many things that happen to them."""
 
     def scene(simulation: Simulation) -> None:
         dice = Random(seed)
@@ -217,20 +218,19 @@ def at_random(seed: int) -> Scene:
         add(simulation, "b", arm(safety=dice.random() < 0.5), mixed())
         add(simulation, "c", cart(), {"effort": {"type": EFFORT, "joint": "joint1"}})
         add_driven(simulation, "d", dice.choice(("Position", "Velocity")), safety=dice.random() < 0.5)
-        for _ in range(100):
+        for _ in range(things):
             happen(simulation, dice)
             simulation.step(dice.choice((1, 3, 17, 60, 300)))
 
     return scene
 
 
-def happen(simulation: Simulation, dice: Random) -> None:
-    """One thing. What is refused is refused by both engines."""
+def happen(simulation: Simulation, dice: Random, is_kept: bool = False) -> None:
+    """One thing. What is refused is refused by both engines. `is_kept`: one that is in a snapshot."""
     robot = dice.choice("abcd")
     things: list[Callable[[], object]] = [
         lambda: simulation.publish(dice.choice(_COMMANDS), {"data": dice.uniform(-3, 3)}, "std_msgs/Float64"),
         lambda: simulation.publish("/b/swing/target", {"data": dice.uniform(-1, 1)}, "std_msgs/Float64"),
-        lambda: simulation.heard.listen(dice.choice(_TOPICS)),  # type: ignore[attr-defined]
         lambda: simulation.parameters.set(f"/a/{dice.choice(('one', 'two', 'three'))}/pid/p", dice.uniform(1, 80)),
         lambda: switch(simulation, robot, stop=[dice.choice(_NAMES)], start=[dice.choice(_NAMES)]),
         lambda: simulation.world.add_joint_force("a", "joint1", dice.uniform(-5, 5), simulation.time_ns, 30_000_000),
@@ -241,8 +241,12 @@ def happen(simulation: Simulation, dice: Random) -> None:
         lambda: _go_wrong(simulation, dice),
         lambda: _go_wrong(simulation, dice),
         lambda: simulation.faults.remove() if dice.random() < 0.3 else None,
-        lambda: simulation.graph.timers.after(dice.randrange(1, 50_000_000), lambda: _bump(simulation)),
     ]
+    if not is_kept:
+        things += [
+            lambda: simulation.heard.listen(dice.choice(TOPICS)),  # type: ignore[attr-defined]
+            lambda: simulation.graph.timers.after(dice.randrange(1, 50_000_000), lambda: _bump(simulation)),
+        ]
     try:
         dice.choice(things)()
     except SlidectlError as error:
@@ -260,7 +264,7 @@ _COMMANDS = (
     "/d/goal2/command",
     "/d/goal3/command",
 )
-_TOPICS = (
+TOPICS = (
     "/a/joint_states",
     "/b/joint_states",
     "/d/joint_states",

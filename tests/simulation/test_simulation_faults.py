@@ -385,6 +385,16 @@ def test_a_slow_controller_holds_up_the_cycle_of_its_robot_alone() -> None:
     assert state(simulation)[2] == 7.0
 
 
+def test_faults_of_joints_and_links_begin_and_end_while_a_controller_is_slow() -> None:
+    simulation = pushed_cart()
+    simulation.faults.add("effort1", "controller-slow", 0.1, takes=0.5)
+    simulation.faults.add("box1", "push", 0.2, 0.3, force=(5.0, 0.0, 0.0))
+    simulation.faults.add("joint1", "joint-stuck", 0.05, 0.15)
+    simulation.step(400)
+    assert state(simulation)[1] == pytest.approx(0.5)
+    assert [fault["count"] for fault in simulation.faults.messages()] == [1, 100, 100]
+
+
 # -- topics ------------------------------------------------------------------------------------------------------------
 
 
@@ -418,6 +428,41 @@ def test_a_message_comes_late_and_the_next_may_overtake_it() -> None:
     push(simulation, 3.0)
     simulation.step()
     assert state(simulation)[2] == 3.0
+
+
+def test_who_hears_a_late_message_may_remove_its_fault_and_others_go_on() -> None:
+    simulation = pushed_cart()
+    topic = "/cart/effort1/command"
+    gone = simulation.faults.add(topic, "topic-delay", simulation.time_ns / 1e9, delay=0.01)["name"]
+    heard: list[float] = []
+
+    def hear(message: dict[str, Any]) -> None:
+        heard.append(message["data"])
+        if len(heard) == 1:
+            simulation.faults.remove(gone)
+
+    simulation.subscribe(topic, hear)
+    push(simulation, 1.0)
+    push(simulation, 2.0)
+    simulation.step(20)
+    assert heard == [1.0]
+    push(simulation, 3.0)
+    assert heard == [1.0, 3.0]
+
+
+def test_late_messages_that_wait_are_bounded_with_a_warning() -> None:
+    simulation = pushed_cart()
+    heard, warned = listen(simulation, "/cart/effort1/command"), logged(simulation)
+    simulation.faults.add(
+        "effort1/command", "topic-delay", simulation.time_ns / 1e9, simulation.time_ns / 1e9 + 1, delay=2.0
+    )
+    for _ in range(10_002):
+        push(simulation, 1.0)
+    assert [text for _, text in warned if "late messages" in text] == [
+        "10000 late messages of /cart/effort1/command wait, the most: others get lost"
+    ]
+    simulation.step(2010)
+    assert len(heard) == 10_000
 
 
 # -- coming and going --------------------------------------------------------------------------------------------------
@@ -548,6 +593,9 @@ def test_a_controller_cannot_add_a_fault_in_the_middle_of_a_cycle() -> None:
         (("joint1", "command-loss"), {"probability": 1.5}, UsageError, "is 0 to 1, not 1.5"),
         (("box1", "push"), {"force": 3.0}, UsageError, "is three numbers, not 3.0"),
         (("box1", "push"), {}, UsageError, "push changes nothing without force or torque"),
+        (("box1", "push"), {"force": (0.0, 1e300, 0.0)}, UsageError, "is -1e+12 to 1e+12, not 1e+300"),
+        (("box1", "payload"), {"mass": 1e300}, UsageError, "is 1e-09 to 1e+09, not 1e+300"),
+        (("joint1", "joint-stuck"), {"name": "a/b"}, UsageError, "'a/b' is no name of a fault"),
         (("joint1", "joint-stuck", 0.05), {}, Refused, "it is 0.1 s already: a fault cannot begin at 0.05 s"),
         (("joint1", "joint-stuck", 0.5, 0.4), {}, Refused, "from 0.5 s to 0.4 s would never act"),
         (("joint1", "joint-stuck", 0.5, math.nan), {}, UsageError, "nan s is no duration"),

@@ -55,6 +55,33 @@ def test_the_past_begins_anew_with_the_clock_and_when_a_robot_comes(engine: str)
 
 
 @pytest.mark.parametrize("engine", ENGINES)
+def test_after_a_jump_the_joint_is_where_it_is_and_has_no_past(engine: str) -> None:
+    simulation = running_cart(engine=engine)
+
+    def put_joint() -> None:
+        request = {"model_name": "cart", "joint_names": ["joint1"], "joint_positions": [0.25]}
+        assert simulation.call("/gazebo/set_model_configuration", request)["success"]
+
+    simulation.save("start")
+    for jump in (simulation.reset_world, put_joint, lambda: simulation.load("start"), simulation.reset_simulation):
+        command(simulation, 1.0)
+        simulation.step(100)  # to a cycle that is kept
+        jump()
+        now_s = simulation.time_ns / 1e9
+        assert trace(simulation, last=10).tolist() == [[now_s, *state(simulation)]]
+        simulation.step(5)
+        assert trace(simulation, last=10)[:, 0].tolist() == [simulation.time_ns / 1e9]
+        simulation.step(5)
+
+
+def test_a_joint_that_a_script_puts_elsewhere_is_there() -> None:
+    simulation = running_cart()
+    simulation.step(100)
+    simulation.world.set_joint("cart", "joint1", 0.5, 0.0)
+    assert trace(simulation, last=10)[-1, 1] == 0.5
+
+
+@pytest.mark.parametrize("engine", ENGINES)
 def test_only_the_newest_rows_are_kept(engine: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(history, "_MOST_ROWS", 7)
     simulation = running_cart(engine=engine)
@@ -74,10 +101,11 @@ def test_a_long_trace_leaves_cycles_out_and_has_its_end(monkeypatch: pytest.Monk
     assert (times[0], times[-1]) == (start_ns / 1e9, (start_ns + 95_000_000) / 1e9)
 
 
-def test_a_robot_that_goes_ends_the_trace_to_come() -> None:
+@pytest.mark.parametrize("duration", [1.0, 0.011])
+def test_a_robot_that_goes_ends_the_trace_to_come(duration: float) -> None:
     simulation = running_cart()
     pending = simulation.graph.services.call(
-        "/slidectl/trace", {"robot": "cart", "joint": "joint1", "last": 0.0, "duration": 1.0}
+        "/slidectl/trace", {"robot": "cart", "joint": "joint1", "last": 0.0, "duration": duration}
     )
     simulation.step(10)
     simulation.delete("cart")

@@ -205,3 +205,19 @@ def test_a_controller_that_starts_in_a_standing_world_holds_the_joint_where_it_i
     assert switch(simulation, start=["states", "position1"])
     simulation.step(500)
     assert state(simulation)[0] == pytest.approx(0.25, abs=1e-9)
+
+
+def test_a_switch_may_be_asked_for_in_the_words_of_ros2_control(driven: Simulation) -> None:
+    strict = {"strictness": 2, "timeout": {"secs": 0, "nsecs": 500_000_000}}
+    answer = ask(driven, "switch_controllers", activate_controllers=["states", "position1"], **strict)
+    assert not answer.done, "it takes effect in a cycle, as the other one"
+    driven.step()
+    assert answer.result() == {"ok": True, "message": ""}
+    driven.graph.log.reasons = []
+    refused = ask(driven, "switch_controllers", deactivate_controllers=["nope"], **strict).result()
+    driven.graph.log.reasons = None
+    assert not refused["ok"]
+    assert "no controller 'nope' to stop" in refused["message"]
+    ask(driven, "switch_controllers", deactivate_controllers=["position1"], strictness=1)
+    driven.step()
+    assert states_of(driven) == {"states": "running", "position1": "stopped"}

@@ -11,7 +11,7 @@ import pytest
 from engine_scenes import add
 from sim_robots import cart, switch
 
-from slidectl.control import hardware_types
+from slidectl.control import hardware_types, registry
 from slidectl.description import gazebo_tags
 from slidectl.errors import SlidectlError
 from slidectl.simulation import Simulation
@@ -98,6 +98,17 @@ def test_hardware_of_an_installed_package_is_found_by_its_entry_point(
     assert type(simulation.robots.get("cart").hardware).__name__ == "Half"
 
 
+def test_two_simulations_of_one_process_import_the_same_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "imported_twice.py").write_text(
+        "from slidectl.control import Controller, EffortJointInterface\n\n\nclass Twice(Controller):\n"
+        "    interface_type = EffortJointInterface\n\n    def update(self, time_ns, period_s):\n        pass\n"
+    )
+    for _ in range(2):
+        Simulation(imports=["imported_twice"])
+        assert "imported_twice/Twice" in registry.types()
+
+
 def test_a_module_with_nothing_but_a_base_for_hardware_has_none(tmp_path: Path) -> None:
     path = tmp_path / "base_hw.py"
     path.write_text("from slidectl.physics import MujocoRobotHW\n\nclass _Base(MujocoRobotHW):\n    pass\n")
@@ -156,7 +167,7 @@ def test_an_exit_in_a_hook_is_an_error_with_its_place_and_ends_nothing(file: str
         kind.leaves = hook
         reasons: list[str] = []
         with simulation.graph.log.answering(reasons):
-            switch(simulation, start=["push"])
+            assert not switch(simulation, start=["push"])
         assert re.search(r"hardware Leaving: SystemExit: 3 \(.*odd_hw.py:27\)", "".join(reasons))
         assert robot.manager.list()[0]["state"] == state
     for hook, act in (("reset", simulation.reset_world), ("write", simulation.step)):
@@ -166,3 +177,6 @@ def test_an_exit_in_a_hook_is_an_error_with_its_place_and_ends_nothing(file: str
     kind.leaves = ""
     assert switch(simulation, start=["push"])
     assert simulation.step(3) == 3
+    kind.leaves = "do_switch"
+    assert not switch(simulation, stop=["push"])
+    assert robot.manager.list()[0]["state"] == "running"

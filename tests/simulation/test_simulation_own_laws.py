@@ -153,6 +153,19 @@ def test_a_compiled_law_that_fails_aborts_its_controller_and_no_other(tmp_path: 
     assert simulation.robots.get("a").manager.list()[0]["state"] == "running"
 
 
+def changed_scene(folder: Path, old: str, new: str) -> tuple[Scene, list[str]]:
+    """The scene with a text of the law's file replaced, and all that its log says."""
+    path = folder / "springs.py"
+    path.write_text(LAW.replace(old, new, 1), encoding="utf-8")
+    said: list[str] = []
+
+    def scene(simulation: Simulation) -> None:
+        simulation.graph.log.sink = lambda *line: said.append(line[2])
+        scene_of(path)(simulation)
+
+    return scene, said
+
+
 @pytest.mark.parametrize(
     ("old", "new", "text"),
     [
@@ -164,14 +177,7 @@ def test_a_compiled_law_that_fails_aborts_its_controller_and_no_other(tmp_path: 
 def test_a_law_that_cannot_be_compiled_runs_in_the_interpreter_and_it_is_said(
     tmp_path: Path, old: str, new: str, text: str
 ) -> None:
-    path = tmp_path / "springs.py"
-    path.write_text(LAW.replace(old, new, 1), encoding="utf-8")
-    said: list[str] = []
-
-    def scene(simulation: Simulation) -> None:
-        simulation.graph.log.sink = lambda *line: said.append(line[2])
-        scene_of(path)(simulation)
-
+    scene, said = changed_scene(tmp_path, old, new)
     _, simulation = play(scene, "compiled")
     assert not is_compiled(simulation, "a", "springs")
     (line,) = [line for line in said if "controllers with the law update_springs run in the interpreter" in line]
@@ -192,14 +198,7 @@ def test_a_law_that_cannot_be_compiled_runs_in_the_interpreter_and_it_is_said(
 def test_a_controller_whose_parts_cannot_be_used_runs_in_the_interpreter_and_it_is_said(
     tmp_path: Path, old: str, new: str, text: str
 ) -> None:
-    path = tmp_path / "springs.py"
-    path.write_text(LAW.replace(old, new, 1), encoding="utf-8")
-    said: list[str] = []
-
-    def scene(simulation: Simulation) -> None:
-        simulation.graph.log.sink = lambda *line: said.append(line[2])
-        scene_of(path)(simulation)
-
+    scene, said = changed_scene(tmp_path, old, new)
     (plain, _), (compiled, simulation) = (play(scene, engine) for engine in ("plain", "compiled"))
     assert compiled == plain
     assert is_compiled(simulation, "a", "states")

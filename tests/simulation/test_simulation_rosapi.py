@@ -40,6 +40,24 @@ def test_who_publishes_and_who_subscribes(ask: Any) -> None:
     assert ask("subscribers", topic="/slider/command") == {"subscribers": ["/gazebo"]}
 
 
+def test_raw_types_hold_the_types_in_them(ask: Any) -> None:
+    answer = ask("topics_and_raw_types")
+    texts = dict(zip(answer["topics"], answer["typedefs_full_text"], strict=True))
+    assert texts["/slider/command"] == "float64 data\n"
+    first, rule, second = texts["/slider/joint_states"].partition(f"\n{'=' * 80}\nMSG: std_msgs/Header\n")
+    assert "float64[] position" in first
+    assert rule
+    assert "string frame_id" in second
+
+
+def test_action_servers_have_all_five_topics(ask: Any, graph: Graph) -> None:
+    for topic in ("goal", "cancel", "status", "feedback", "result"):
+        assert ask("action_servers") == {"action_servers": []}
+        graph.topics.advertise(f"/arm/follow/{topic}", "std_msgs/Empty", "/gazebo")
+    assert ask("action_servers") == {"action_servers": ["/arm/follow"]}
+    assert ask("get_ros_version") == {"version": 1, "distro": "noetic"}
+
+
 def test_services_their_types_and_providers(ask: Any) -> None:
     kind = "controller_manager_msgs/LoadController"
     assert "/slider/load" in ask("services")["services"]

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+import math
+import os
 import random
 import subprocess
 import sys
 import threading
+import zlib
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -17,7 +23,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 import pytest
 import yaml
-from engine_scenes import EFFORT, GAINS, POSITION, VELOCITY, add, arm, usual
+from engine_scenes import EFFORT, GAINS, POSITION, TOPICS, VELOCITY, Heard, add, arm, at_random, happen, usual
 from engine_scenes import vars_of as numbers_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -60,6 +66,9 @@ def everything(simulation: Simulation) -> list[Any]:
     simulation.loop.settle()
     left: list[Any] = [simulation.time_ns, simulation.cycles, simulation.parameters.tree()]
     left += [array.tobytes() for array in (data.qpos, data.qvel, data.qfrc_applied, data.qacc_warmstart)]
+    model = simulation.world.model
+    left += [array.tobytes() for array in (model.dof_frictionloss, model.dof_damping, model.body_inertia)]
+    left += [simulation.faults.messages(), simulation.world.loads.snapshot()["wrenches"]]
     for robot in simulation.robots:
         if robot.is_controlled:
             left += [numbers_of(joint.handle) for joint in robot.hardware.driven()]
@@ -352,6 +361,74 @@ def test_any_moment_has_the_same_future(engine: str, seed: int, until: int, coun
     assert everything(simulation) == first
 
 
+# -- faults ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@given(seed=st.integers(0, 10_000), count=st.integers(0, 60))
+@settings(max_examples=6, deadline=None)
+def test_any_moment_among_random_faults_robots_and_commands_has_the_same_future(
+    engine: str, seed: int, count: int, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    def begun() -> Simulation:
+        simulation, dice = made(engine), Random(seed)
+        simulation.heard = Heard(simulation)  # type: ignore[attr-defined]
+        at_random(seed, things=0)(simulation)
+        for _ in range(count):
+            happen(simulation, dice, is_kept=True)
+            simulation.step(dice.choice((1, 3, 17, 60)))
+        return simulation
+
+    def act(simulation: Simulation, dice: Random) -> None:
+        happen(simulation, dice, is_kept=True)
+
+    one = begun()
+    topics = [topic for topic in TOPICS if one.graph.topics.exists(topic)]
+    never_stopped = future(one, act, topics)
+    one = begun()
+    one.save("here")
+    assert future(one, act, topics) == never_stopped
+    one.load("here")
+    assert future(one, act, topics) == never_stopped
+    file = str(tmp_path_factory.mktemp("random") / "here.snapshot")
+    snapshot_files.write(one.snapshots.get("here"), file)
+    other = made(engine)
+    other.heard = Heard(other)  # type: ignore[attr-defined]
+    put(other, snapshot_files.read(file))
+    assert future(other, act, topics) == never_stopped
+
+
+def test_faults_are_those_of_the_snapshot() -> None:
+    simulation = made("plain")
+    add(simulation, "a", arm(), usual())
+    simulation.step(10)
+    simulation.save("without")
+    model = simulation.world.model
+
+    def constants() -> list[bytes]:
+        return [getattr(model, name).tobytes() for name in dir(model) if name.startswith(("body_", "dof_"))]
+
+    before = constants()
+    simulation.faults.add("a/part2", "payload", 0.1, mass=3.0, name="load")
+    simulation.faults.add("a/joint1", "joint-stuck", name="jam")
+    simulation.faults.add("a/joint1", "sensor-bias", 0.015, bias=0.1, name="wrong")
+    simulation.step(200)
+    simulation.save("with_faults")
+    changed = constants()
+    simulation.load("without")
+    assert simulation.faults.messages() == []
+    assert constants() == before
+    simulation.faults.add("a/joint2", "joint-stuck")
+    simulation.step(10)
+    simulation.load("with_faults")
+    assert [(fault["name"], fault["count"]) for fault in simulation.faults.messages()] == [
+        ("load", 111), ("jam", 200), ("wrong", 196),
+    ]  # fmt: skip
+    assert constants() == changed
+    simulation.faults.remove()
+    assert constants() == before
+
+
 # -- other robots and controllers than then ----------------------------------------------------------------------------
 
 
@@ -407,19 +484,6 @@ def test_what_does_not_fit_changes_nothing() -> None:
 
 
 # -- goals, waits and switches -----------------------------------------------------------------------------------------
-
-
-def test_with_faults_nothing_is_saved_or_loaded() -> None:
-    simulation = Simulation(engine="plain")
-    simulation.spawn(description.load("slider").xml, "slider")
-    simulation.save("before")
-    simulation.faults.add("slider/joint1", "sensor-bias", bias=0.1, name="crooked")
-    for action in (simulation.save, simulation.load):
-        with pytest.raises(Refused, match="while there are faults: crooked") as caught:
-            action("before")
-        assert caught.value.hint == "slidectl fault clear"
-    simulation.faults.remove()
-    simulation.load("before")
 
 
 def test_goals_go_on_as_they_were_and_those_sent_since_end() -> None:
@@ -650,6 +714,54 @@ def test_what_no_snapshot_holds_is_named(value: Any, what: str) -> None:
     assert "save_state" in refusal.value.hint
 
 
+def test_a_present_state_that_cannot_be_kept_refuses_the_load_before_anything_changes() -> None:
+    simulation = made("plain")
+    simulation.save("empty")
+    add(simulation, "a", arm(), {"own": {"type": "tests/Keeper", "joint": "joint1"}})
+    simulation.robots.get("a").manager.get("own").thing = threading.Lock()  # type: ignore[union-attr]
+    simulation.step(50)
+    before = everything(simulation)
+    with pytest.raises(Refused, match=r"should that fail.*controllers.own.thing"):
+        simulation.load("empty")
+    assert everything(simulation) == before
+
+
+def test_joints_are_keys_and_elements_of_state(tmp_path: Path) -> None:
+    simulation, file = made("plain"), str(tmp_path / "here.snapshot")
+    add(simulation, "a", arm(), {"own": {"type": "tests/Keeper", "joint": "joint1"}})
+    keeper: Any = simulation.robots.get("a").manager.get("own")
+    keeper.phases = {keeper.joint: 1.0, Phase.BACK: 2.0}
+    keeper.held = {keeper.joint}
+    simulation.call("/slidectl/save", {"name": "here", "file": file})
+    simulation.delete("a")
+    for load in (lambda: simulation.load("here"), lambda: simulation.call("/slidectl/load", {"file": file})):
+        load()
+        keeper = simulation.robots.get("a").manager.get("own")
+        assert keeper.phases == {keeper.joint: 1.0, Phase.BACK: 2.0}
+        assert keeper.held == {keeper.joint}
+        simulation.delete("a")
+
+
+def test_a_topic_without_a_latched_message_then_tells_nothing() -> None:
+    simulation = made("plain")
+    add(simulation, "a", arm(), {"own": {"type": "tests/Keeper", "joint": "joint1"}})
+    simulation.save("here")
+    simulation.robots.get("a").manager.get("own").told.publish({"data": 1.0})  # type: ignore[union-attr]
+    heard: list[Any] = []
+    simulation.subscribe("/a/own/told", heard.append)
+    simulation.load("here")
+    assert {} not in heard
+
+
+def test_snapshots_are_bounded_and_a_name_may_be_saved_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    simulation = made("plain")
+    monkeypatch.setattr(type(simulation.snapshots), "MOST", 2)
+    for name in ("one", "two", "one"):
+        simulation.save(name)
+    with pytest.raises(Refused, match="there are 2 snapshots, which is the most\nslidectl sim delete"):
+        simulation.save("three")
+
+
 # -- files -------------------------------------------------------------------------------------------------------------
 
 
@@ -678,6 +790,137 @@ def test_a_file_that_is_cut_off_or_of_another_version_is_refused_with_the_reason
     assert "saved with slidectl 9.9, and this is" in refused(content.replace(version, b'"slidectl": "9.9"'))
     with pytest.raises(BadFile, match="cannot be read"):
         simulation.call("/slidectl/load", {"file": str(tmp_path / "none")})
+
+
+def edited(source: Path, target: Path, edit: Callable[[dict[str, Any]], None]) -> str:
+    """The snapshot of a file with other content, written as a whole and right one."""
+    magic, first, content = source.read_bytes().split(b"\n", 2)
+    values = json.loads(zlib.decompress(content))
+    edit(values)
+    content = zlib.compress(json.dumps(values).encode())
+    about = json.loads(first) | {"size": len(content), "sha256": hashlib.sha256(content).hexdigest()}
+    target.write_bytes(b"\n".join((magic, json.dumps(about).encode(), content)))
+    return str(target)
+
+
+def of_class(kind: str, **attributes: Any) -> Callable[[dict[str, Any]], None]:
+    """Objects of the class have these attributes."""
+    return lambda values: [entry[1].update(attributes) for entry in values["entries"] if entry[0] == kind] and None
+
+
+def chain(values: dict[str, Any]) -> None:
+    first = len(values["entries"])
+    values["entries"] += [["list", [{"~": "Ref", "of": [first + k + 1]}]] for k in range(5000)] + [["list", []]]
+    values["state"] = {"~": "Ref", "of": [first]}
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        lambda values: values.update(time_ns=math.nan),
+        lambda values: values.update(time_ns=1.5),
+        lambda values: values.update(time_ns=-5),
+        lambda values: values.update(time_ns="abc"),
+        lambda values: values.update(cycles="x"),
+        lambda values: values.update(step_ns=0),
+        lambda values: values.update(gravity=[0.0, 0.0]),
+        of_class("ControlCycle", period_ns="x"),
+        of_class("ControlCycle", run=3),
+        of_class("ForwardEffortController", update=3),
+        of_class("ForwardEffortController", set_point="x"),
+        of_class("SidesOdometry", window=10**9),
+        of_class("SidesOdometry", window=10**30),
+        of_class("Motion", index=-1),
+        of_class("Motion", last=10**9),
+        chain,
+    ],
+)
+def test_a_file_whose_values_no_simulation_has_is_refused_and_changes_nothing(
+    edit: Callable[[dict[str, Any]], None], tmp_path: Path
+) -> None:
+    simulation = made("plain")
+    following("effort")[0](simulation)
+    add(simulation, "z", arm(), {"effort": {"type": EFFORT, "joint": "joint1"}})
+    shipped_model("cart", {}, drive="controller")[0](simulation)
+    simulation.step(10)
+    good = tmp_path / "good.snapshot"
+    simulation.call("/slidectl/save", {"name": "good", "file": str(good)})
+    before = everything(simulation)
+    slept = simulation.graph.timers.next_ns
+    with pytest.raises(SlidectlError):
+        simulation.call("/slidectl/load", {"file": edited(good, tmp_path / "bad.snapshot", edit)})
+    assert everything(simulation) == before
+    assert simulation.graph.timers.next_ns == slept
+    simulation.step(20)
+    simulation.call("/slidectl/load", {"file": str(good)})
+
+
+WRONG = (None, True, -1, 1e300, "", "x", [], {}, [1], {"a": 1}, [[None]], {"~": "Ref", "of": [0]}, {"~": "left"})
+
+
+def places(tree: Any) -> Iterator[tuple[Any, Any]]:
+    """Each container in it with each of its keys."""
+    for key in tree if isinstance(tree, dict) else range(len(tree)) if isinstance(tree, list) else ():
+        yield tree, key
+        yield from places(tree[key])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_after_any_file_of_wrong_values_a_right_one_can_be_loaded(seed: int, tmp_path: Path) -> None:
+    simulation, chosen = made("plain"), random.Random(seed)
+    add(simulation, "a", arm(), usual())
+    for target, kind, options in (
+        ("a/joint1", "sensor-noise", {"sd": 0.01}),
+        ("a/joint1", "sensor-delay", {"delay": 0.05}),
+        ("a/part1", "payload", {"mass": 1.0}),
+        ("/a/joint_states", "topic-delay", {"delay": 0.1}),
+    ):
+        simulation.faults.add(target, kind, **options)
+    simulation.step(300)
+    good = tmp_path / "good.snapshot"
+    simulation.call("/slidectl/save", {"name": "good", "file": str(good)})
+    right = everything(simulation)[:7]
+
+    def spoil(values: dict[str, Any]) -> None:
+        container, key = chosen.choice(list(places(values["entries"])))
+        container[key] = chosen.choice(WRONG)
+
+    def wait_for_nothing(values: dict[str, Any]) -> None:
+        (waiting,) = (entry[1]["waiting"]["of"][0] for entry in values["entries"] if entry[0] == "FaultyTopic")
+        values["entries"][waiting][1] = [1]
+
+    def read_nothing(values: dict[str, Any]) -> None:
+        (read,) = (entry[1]["_true"]["of"][0] for entry in values["entries"] if entry[0] == "FaultyCycle")
+        values["entries"][read][1] = [[None]]
+
+    for edit in (wait_for_nothing, read_nothing, *20 * (spoil,)):
+        with suppress(SlidectlError):
+            simulation.call("/slidectl/load", {"file": edited(good, tmp_path / "bad.snapshot", edit)})
+        with suppress(Exception):  # some values are told from right ones by nothing but what they do
+            simulation.step(20)
+        simulation.call("/slidectl/load", {"file": str(good)})
+        assert everything(simulation)[:7] == right
+
+
+def test_what_is_no_regular_file_is_not_written_over_and_a_link_stays(tmp_path: Path) -> None:
+    simulation = made("plain")
+    pipe, link, file = tmp_path / "pipe", tmp_path / "link", tmp_path / "file"
+    os.mkfifo(pipe)
+    link.symlink_to(file)
+    for wrong in (pipe, tmp_path):
+        with pytest.raises(Refused, match="it is no regular file"):
+            simulation.call("/slidectl/save", {"name": "here", "file": str(wrong)})
+    assert pipe.is_fifo()
+    simulation.call("/slidectl/save", {"name": "here", "file": str(link)})
+    assert link.is_symlink()
+    simulation.call("/slidectl/load", {"file": str(file)})
+
+
+def test_a_pipe_is_no_snapshot_and_holds_up_nobody(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with pytest.raises(BadFile, match="it is no regular file"):
+        made("plain").call("/slidectl/load", {"file": str(pipe)})
 
 
 def test_a_file_runs_no_code_that_it_names(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from optparse import Option, OptionParser, Values
-from time import monotonic
 from typing import Any, NamedTuple, NoReturn
 
 import click
@@ -184,10 +183,3 @@ def _parted(words: Sequence[str], payload_from: int | None) -> tuple[list[str], 
         positionals += not word.startswith("-")
         kept.append(word)
     return kept, taken
-
-
-def pause(ctx: Context, seconds: float) -> None:
-    """Wait, but notice at once when the daemon goes away."""
-    deadline = monotonic() + seconds
-    while (left := deadline - monotonic()) > 0:
-        next(ctx.client.events(left), None)

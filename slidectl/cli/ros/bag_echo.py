@@ -15,9 +15,10 @@ from slidectl.cli import output
 from slidectl.cli.context import Context
 from slidectl.cli.echo import Look, Write, predicate, writer
 from slidectl.cli.ros.arguments import Failure
-from slidectl.cli.topic_streams import Event, Schema
+from slidectl.cli.topic_streams import Event
 from slidectl.errors import BadFile
 from slidectl.field_path import select
+from slidectl.msgs.schema import Schema
 from slidectl.recording.recording_files import NotARecording, Recording, opened
 
 

@@ -1,7 +1,7 @@
 """Messages and requests from the YAML of a command line, a file or stdin, with the errors that genpy and PyYAML word.
 
-The values are read by cli.values and filled in by msgs.fill. PyYAML is asked again only for its report, and types are
-walked here only to say why values do not fit. Field names are paths as there: `pose.position.x`, `position[]`.
+The values are read by slidectl.values and filled in by msgs.fill. PyYAML is asked again only for its report, and types
+are walked here only to say why values do not fit. Field names are paths as there: `pose.position.x`, `position[]`.
 """
 
 from __future__ import annotations
@@ -10,11 +10,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 from typing import TYPE_CHECKING, Any, TextIO
 
-from slidectl.cli import values as typed_values
-from slidectl.cli.topic_streams import Schema, from_typedefs
-from slidectl.cli.values import bounded
+from slidectl import values as typed_values
 from slidectl.errors import BadMessage, SlidectlError
-from slidectl.msgs.schema import FLOATS, INTEGER_RANGES, TIMES, Field
+from slidectl.msgs.schema import FLOATS, INTEGER_RANGES, TIMES, Field, Schema, from_typedefs
+from slidectl.values import bounded
 
 if TYPE_CHECKING:
     from slidectl.cli.context import Context
@@ -130,7 +129,7 @@ def _leaves(value: Any) -> Iterator[Any]:
 def as_yaml(typedefs: Typedefs, message: Message) -> str:
     """The message as `-v` shows it: fields that were not given at their defaults."""
     from slidectl import msgs
-    from slidectl.cli.forms import YamlForm
+    from slidectl.msgs.forms import YamlForm
 
     schema = from_typedefs(typedefs)
     return YamlForm(schema).printer(schema.root)(msgs.check(schema.root, message))

@@ -16,7 +16,7 @@ from typing import Any
 
 from slidectl.cli import output
 from slidectl.cli.context import Context
-from slidectl.cli.ros.arguments import HOST, Failure, Parser, Tool, below, option, pause, resolve
+from slidectl.cli.ros.arguments import HOST, Failure, Parser, Tool, below, option, resolve
 from slidectl.cli.topic_streams import PUBLISHERS, SUBSCRIBERS, users_of
 from slidectl.errors import NoDaemon, TimedOut
 
@@ -138,7 +138,7 @@ def ping(ctx: Context, argv: Sequence[str]) -> None:
     try:
         while not count or len(times) < count:
             if times:
-                pause(ctx, _PERIOD_S)
+                ctx.pause(_PERIOD_S)
             times.append(_ping(ctx, full, is_first=not times))
     finally:
         if len(times) > 1:
@@ -229,11 +229,11 @@ def _end(ctx: Context, node: str) -> None:
             os.kill(int(match["pid"]), signal.SIGINT)
     except PermissionError:
         raise Failure(f"ERROR: the process of {node} belongs to another user") from None
-    deadline = monotonic() + _PATIENCE_S
+    deadline = ctx.client.monotonic() + _PATIENCE_S
     while any(ctx.call("/rosapi/node_details", {"node": node}).values()):
-        if monotonic() > deadline:
+        if ctx.client.monotonic() > deadline:
             raise TimedOut(f"{node} is still there after {_PATIENCE_S:g} s", f"kill -KILL {match['pid']}")
-        pause(ctx, _LOOK_AGAIN_S)
+        ctx.pause(_LOOK_AGAIN_S)
 
 
 rosnode = Tool(

@@ -20,16 +20,16 @@ import click
 from slidectl import names
 from slidectl.cli import output
 from slidectl.cli.context import Context
-from slidectl.cli.launch import LaunchDaemon
+from slidectl.cli.launch import LaunchDaemon, ros_master
 from slidectl.cli.launch_text import Terminal
 from slidectl.cli.ros.arguments import Failure, Parser, option, without_remappings
 from slidectl.cli.spawn import tell_own_packages
-from slidectl.cli.values import read
 from slidectl.description.packages import Packages
 from slidectl.errors import BadFile, Refused, SlidectlError, UsageError
 from slidectl.launch.node_kinds import COUNTERPARTS, has_counterpart, tasks
 from slidectl.launch.nodes.controller_nodes import ManagerScript, is_command
 from slidectl.launch.plan import LaunchPlan, Location, Node, Remap, Setting
+from slidectl.values import read
 from slidectl.writing import write_whole
 
 if TYPE_CHECKING:
@@ -205,9 +205,9 @@ def _run_node(ctx: Context, package: str, kind: str, words: Sequence[str]) -> No
     from slidectl.launch.supervision import Interrupted, Interrupts
     from slidectl.launch.task import Options, Run
 
-    plan, packages = _plan(ctx, package, kind, words), _lookup()
+    plan, packages, master = _plan(ctx, package, kind, words), _lookup(), ros_master(ctx)
     try:
-        made = tasks(plan, packages)
+        made = tasks(plan, packages, has_master=bool(master))
     except SlidectlError as error:
         raise _plain(error) from None
     for task in made:
@@ -220,7 +220,9 @@ def _run_node(ctx: Context, package: str, kind: str, words: Sequence[str]) -> No
     daemon = LaunchDaemon(ctx, child=True, wait=False) if is_world else _Running(ctx)
     with Interrupts() as interrupts:
         folder = str(ctx.paths.folder / "launch")
-        session = Execution(Run(plan, packages, _OneNode(ctx), Options(), interrupts, folder), made, daemon)
+        environment = {"ROS_MASTER_URI": master} if master else {}
+        run = Run(plan, packages, _OneNode(ctx), Options(), interrupts, folder, environment)
+        session = Execution(run, made, daemon)
         try:
             session.bring_up()
             session.watch()

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from time import monotonic
 from typing import Any
 
 from slidectl.cli import output, service
 from slidectl.cli.context import Context
 from slidectl.cli.ros import genpy
-from slidectl.cli.ros.arguments import Failure, Parser, Tool, below, option, pause, resolve, without_remappings
+from slidectl.cli.ros.arguments import Failure, Parser, Tool, below, option, resolve, without_remappings
 from slidectl.cli.service import argument_names, as_yaml, ask_each
-from slidectl.cli.topic_streams import Typedefs
-from slidectl.cli.values import check_quotes
 from slidectl.errors import Refused, TimedOut
+from slidectl.msgs.schema import Typedefs
+from slidectl.values import check_quotes
 
 _FAILED = 2
 _LOOK_AGAIN_S = 0.1
@@ -128,11 +127,11 @@ def _available(ctx: Context, full: str) -> str:
 def _awaited(ctx: Context, full: str) -> str:
     """The type of a service, as soon as somebody provides it. Raises TimedOut after `--timeout`, else never."""
     limit = ctx.wait_limit(float("inf"))
-    deadline = monotonic() + limit
+    deadline = ctx.client.monotonic() + limit
     while not (kind := _type(ctx, full)):
-        if monotonic() >= deadline:
+        if ctx.client.monotonic() >= deadline:
             raise TimedOut(f"nobody provided {full} within {limit:g} s")
-        pause(ctx, _LOOK_AGAIN_S)
+        ctx.pause(_LOOK_AGAIN_S)
     return kind
 
 

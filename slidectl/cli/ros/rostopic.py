@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from slidectl.cli import output
 from slidectl.cli.context import Context
-from slidectl.cli.ros.arguments import HOST, Failure, Parser, Tool, below, option, pause, resolve, without_remappings
+from slidectl.cli.ros.arguments import HOST, Failure, Parser, Tool, below, option, resolve, without_remappings
 from slidectl.cli.topic_streams import (
     PUBLISHERS,
     SUBSCRIBERS,
@@ -115,7 +115,7 @@ def awaited(ctx: Context, name: str) -> Target:
     """
     full = resolve(ctx, name, "rostopic")
     limit = ctx.wait_limit(math.inf)
-    deadline = monotonic() + limit
+    deadline = ctx.client.monotonic() + limit
     warned = False
     while True:
         try:
@@ -124,10 +124,10 @@ def awaited(ctx: Context, name: str) -> Target:
             if not warned:
                 print(f"WARNING: topic [{full}] does not appear to be published yet", file=sys.stderr, flush=True)
                 warned = True
-            if monotonic() >= deadline:
+            if ctx.client.monotonic() >= deadline:
                 raise TimedOut(f"nobody published {full} within {limit:g} s", error.hint) from None
         output.check_reader()
-        pause(ctx, _LOOK_AGAIN_S)
+        ctx.pause(_LOOK_AGAIN_S)
 
 
 def echo(ctx: Context, argv: Sequence[str]) -> None:

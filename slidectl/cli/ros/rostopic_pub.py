@@ -18,8 +18,8 @@ from slidectl.cli.ros import genpy
 from slidectl.cli.ros.arguments import Failure, Parser, option, resolve_remapped, without_remappings
 from slidectl.cli.service import argument_names
 from slidectl.cli.topic_streams import SUBSCRIBERS, Target, details, look_up, users_of
-from slidectl.cli.values import check_quotes
 from slidectl.errors import BadMessage, Refused, SlidectlError, UnknownName, Unused, UsageError
+from slidectl.values import check_quotes
 
 _ONCE = "-1"
 _PAYLOAD = 2

@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Iterator, Sequence
-from time import monotonic
 
 import click
 
 from slidectl.cli import output
 from slidectl.cli.context import Context
 from slidectl.cli.ros.arguments import Parser, option, without_remappings
-from slidectl.cli.tf import Frames, Listener, View, open_stream, pose_text
+from slidectl.cli.tf import Listener, open_stream, pose_text
 from slidectl.errors import Refused, UnknownName
+from slidectl.viewing.transform_tree import Frames, View
 
 _WRONG = 255
 _USAGE = """tf_echo source_frame target_frame [echo_rate]
@@ -98,7 +98,7 @@ def _look_ups(ctx: Context, source: str, target: str, rate: float) -> Iterator[t
         listener = Listener(ctx, stream, topics)
         # A publisher repeats itself: what is not there after a while is not there.
         listener.listen(lambda frames: frames.are_connected(source, target))
-        due = monotonic()
+        due = stream.monotonic()
         while True:
             time = ctx.call("/rosapi/get_time")["time"]
             now = f"{time['secs']}.{time['nsecs']:09d}"

@@ -357,6 +357,11 @@ class DiffDriveController(Controller[VelocityJointInterface]):
         wheels = [Member(None, joint) for joint in (*self._left, *self._right)]
         return Parts(self.topics.publishers, members=wheels, numbers=self._numbers)
 
+    def check_restored(self) -> None:
+        past, window = self.odometry.past, self.odometry.window
+        if not window >= 1 or not 2 * window == len(past) == len(self._numbers) - 2 * LIMIT_NUMBERS:
+            raise Refused(f"the odometry has a window of {window}, and its past {len(past)} numbers")
+
 
 class WheelState:
     """Publishes what all wheels are to do and do, in each cycle: those on the left, then those on the right."""

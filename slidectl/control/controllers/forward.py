@@ -22,6 +22,7 @@ from slidectl.control.laws import Columns, LawTables, law
 from slidectl.control.node_handle import NodeHandle
 from slidectl.control.params import JOINT, Parameter
 from slidectl.control.registry import controller
+from slidectl.errors import Refused
 
 
 @law
@@ -125,6 +126,10 @@ class ForwardGroupController(GroupController):
     def parts(self) -> Parts:
         """What runs compiled besides this controller."""
         return Parts(members=[Member(None, joint) for joint in self._joints], numbers=self.set_points)
+
+    def check_restored(self) -> None:
+        if len(self.set_points) != len(self._joints):
+            raise Refused(f"there are {len(self.set_points)} set points for {len(self._joints)} joints")
 
     def update(self, time_ns: int, period_s: float) -> None:  # noqa: ARG002
         for joint, value in zip(self._joints, self.set_points, strict=True):

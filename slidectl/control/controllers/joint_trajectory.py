@@ -533,6 +533,11 @@ class JointTrajectoryController(ActionController[Any]):
         members = [Member(*part) for part in zip(self._motions, self._joints, pids, strict=True)]
         return Parts((self._state,), members=members, numbers=self._numbers)
 
+    def check_restored(self) -> None:
+        rows = len(self._numbers) // SIZE
+        if not all(0 <= motion.index <= motion.last < rows for motion in self._motions):
+            raise Refused(f"a motion is beyond the {rows} segments")
+
     # What clients ask for, between two cycles.
 
     def _take_command(self, message: Message) -> None:

@@ -1,6 +1,7 @@
 """Nodes that have nothing to do here, with a text that says why and what to use in their place.
 
-rviz, rqt and gzclient are windows, and there are none. A joint_state_publisher would contradict the simulated joints.
+rviz, rqt and gzclient are windows, and there are none; node_kinds says when RViz is started all the same. A
+joint_state_publisher would contradict the simulated joints.
 """
 
 from __future__ import annotations
@@ -9,11 +10,11 @@ from slidectl.launch.plan import LaunchPlan, Node
 from slidectl.launch.task import Run, Task
 
 _SHOWS = {
-    "rqt_plot": "slidectl echo -p TOPIC/FIELD prints the numbers as CSV",
+    "rqt_plot": "slidectl plot TOPIC/FIELD draws the numbers",
     "rqt_publisher": "slidectl pub TOPIC -r 100 'sin(t)' publishes expressions",
     "rqt_reconfigure": "slidectl param set CONTROLLER/pid/p VALUE turns a running controller's gains",
-    "rqt_controller_manager": "slidectl controller list, start and stop do the same",
-    "rqt_graph": "slidectl topic list -v shows who publishes and who subscribes",
+    "rqt_controller_manager": "slidectl top shows the controllers, starts and stops them",
+    "rqt_graph": "slidectl graph shows who publishes and who subscribes",
     "rqt_console": "slidectl echo /rosout shows the log",
     "rqt_tf_tree": "slidectl tf tree shows the frames",
 }
@@ -21,7 +22,10 @@ _RQT = (
     "in its place: slidectl pub -r (expressions), slidectl echo -p (numbers to plot)"
     " and slidectl param set (live gains)"
 )
-_ROBOT = "slidectl robots NAME, slidectl echo joint_states and slidectl tf tree show the robot"
+_ROBOT = (
+    "slidectl robots NAME, slidectl echo joint_states and slidectl tf tree show the robot;"
+    " RViz is started where it is installed and the ROS 1 gateway runs: slidectl gateway ros1 start"
+)
 
 
 class LeftOut(Task):

@@ -61,14 +61,14 @@ class TopicTool(Task):
                 self.warn(run, f"the parameter {name} has no effect")
         self.begin(run)
         self._look_again()
-        run.watch.add(self.client.fileno(), self._read)
+        run.watch.listen(self.client, self._read)
         self.settled(run, self.text)
         return None
 
     def stop(self, run: Run) -> None:
         if self._run is not None:
             self._run = None
-            run.watch.remove(self.client.fileno())
+            run.watch.ignore(self.client)
             self.client.close()
 
     def listen(self, topic: str, take: Take, type_name: str | None = None) -> None:

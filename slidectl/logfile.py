@@ -1,4 +1,4 @@
-"""The daemon's log: a file that is rotated by size, and that can fail without hurting anybody."""
+"""The log of a daemon or a gateway: a file that is rotated by size, and that can fail without hurting anybody."""
 
 from __future__ import annotations
 

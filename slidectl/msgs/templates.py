@@ -1,6 +1,6 @@
-"""The expressions of the command line: `pub -r 'sin(t)'` in `i` and `t`, and `echo --filter` over a message `m`.
+"""Expressions in values and over messages: `pub -r 'sin(t)'` in `i` and `t`, and `echo --filter` over a message `m`.
 
-The evaluator is that of `slidectl.expressions`. Here stands which names a command line has, and what the fields of a
+The evaluator is that of `slidectl.expressions`. Here stands which names there are, and what the fields of a
 message are in it. Names and fields are checked before the first message.
 """
 
@@ -12,11 +12,10 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from slidectl.cli.topic_streams import Schema
 from slidectl.errors import Refused, UnknownName, UsageError, closest
 from slidectl.expressions import FUNCTIONS, MATH, evaluate, parsed
 from slidectl.field_path import byte_values
-from slidectl.msgs.schema import BYTES, FLOATS, INTEGER_RANGES, TIMES, Field
+from slidectl.msgs.schema import BYTES, FLOATS, INTEGER_RANGES, TIMES, Field, Schema
 
 _LONGEST = 4000
 _MOST_STEPS = 10_000_000
@@ -47,10 +46,11 @@ class Expression:
         UsageError: it is no expression, or uses a name that there is not.
     """
 
-    def __init__(self, text: str, variables: Sequence[str]) -> None:
+    def __init__(self, text: str, variables: Sequence[str], most_steps: int = _MOST_STEPS) -> None:
         if len(text) > _LONGEST:
             raise UsageError(f"the expression is longer than {_LONGEST} characters")
         self.text = text
+        self._most_steps = most_steps
         try:
             self.tree = parsed(text)
         except SyntaxError as error:
@@ -69,7 +69,7 @@ class Expression:
     def __call__(self, **names: Any) -> Any:
         """The value with these variables. Raises Refused when it cannot be computed."""
         try:
-            return evaluate(self.tree, _NAMES | names, (_Record,), _MOST_STEPS)
+            return evaluate(self.tree, _NAMES | names, (_Record,), self._most_steps)
         except (ArithmeticError, ValueError, TypeError, LookupError, NameError, RecursionError) as error:
             raise Refused(f"cannot compute {self.text!r}: {error}") from None
 
@@ -131,16 +131,19 @@ class Filter:
 class Template:
     """The values for a message of the schema's root type, in which texts stand where a number is due.
 
-    `expressions` False reads only `nan` and `inf` as numbers, and leaves all other texts as they are. Values are not
-    checked here: `fill` does that with what comes out.
+    `expressions` False reads only `nan` and `inf` as numbers, and leaves all other texts as they are. No expression may
+    take more than `most_steps`. Values are not checked here: `fill` does that with what comes out.
 
     Raises:
         UsageError: a text where a number is due that is no expression in i and t.
     """
 
-    def __init__(self, schema: Schema, values: Sequence[Any], expressions: bool = False) -> None:
+    def __init__(
+        self, schema: Schema, values: Sequence[Any], expressions: bool = False, most_steps: int = _MOST_STEPS
+    ) -> None:
         self._schema = schema
         self._expressions = expressions
+        self._most_steps = most_steps
         fields = schema.fields(schema.root)
         if len(values) == 1 and isinstance(values[0], Mapping):
             self._values = [self._parsed(values[0], schema.root, False)]
@@ -172,7 +175,7 @@ class Template:
         is_finite = not isinstance(value, str) or _NOT_FINITE.match(value) is None
         if not is_number or not isinstance(value, str) or (is_finite and not self._expressions):
             return value
-        expression = Expression(value if is_finite else value.lower(), ("i", "t"))
+        expression = Expression(value if is_finite else value.lower(), ("i", "t"), self._most_steps)
         return lambda i, t: _rounded(expression(i=i, t=t), type_name)
 
 

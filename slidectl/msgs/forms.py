@@ -9,9 +9,8 @@ import re
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
-from slidectl.cli.topic_streams import Schema
 from slidectl.field_path import byte_values
-from slidectl.msgs.schema import BYTES, FLOATS, INTEGER_RANGES, TIMES
+from slidectl.msgs.schema import BYTES, FLOATS, INTEGER_RANGES, TIMES, Schema
 
 Printer = Callable[[Any], str]
 

@@ -1,0 +1,79 @@
+"""`slidectl view`, and `slidectl gui`: the world in a browser."""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+
+import click
+
+from slidectl.cli.commands import command
+from slidectl.cli.context import Context
+from slidectl.errors import Refused, UsageError
+
+
+@command(examples=["slidectl view", "slidectl gui", "slidectl view --port 8090 --read-only --no-open"])
+@click.option("--port", type=click.IntRange(0, 65535), default=8080, show_default=True, metavar="N",
+              help="The port, or the next one that is free; 0 takes any.")  # fmt: skip
+@click.option("--host", default="127.0.0.1", show_default=True, metavar="ADDRESS",
+              help="Address of this machine; others than loopback need --token.")  # fmt: skip
+@click.option("--token", envvar="SLIDECTL_TOKEN", metavar="WORD", help="Let in only browsers that have this word.")
+@click.option("--read-only", is_flag=True, help="Let browsers look, and change nothing.")
+@click.option("--open/--no-open", "is_opened", default=True, help="Open a browser where there is a display.")
+@click.pass_obj
+def view(ctx: Context, port: int, host: str, token: str | None, read_only: bool, is_opened: bool) -> None:
+    """Show the world in a browser.
+
+    Prints the address and serves the page until Ctrl-C. Robots, joints, controllers, gains, plots, topics, services and
+    the log are there, for all browsers that have it open. Needs pip install 'slidectl[view]'. When the daemon ends the
+    page waits for the next one.
+
+    The page is for this machine alone. Another --host needs a --token of at least 8 letters, digits and -._~, which may
+    be given as SLIDECTL_TOKEN too.
+
+    JSON keys: url, port, instance, read_only.
+    """
+    from slidectl.client import Client
+    from slidectl.launch.supervision import Interrupted, Interrupts
+
+    try:
+        from slidectl.viewing.page.guarded_server import DoorGuard, GuardedServer, free_port
+    except ModuleNotFoundError as error:
+        needed = f"the page needs the library {error.name}"
+        raise Refused(needed, "install it: pip install 'slidectl[view]'") from error
+    from slidectl.viewing.page.layout import lay_out
+    from slidectl.viewing.page.page import Page
+    from slidectl.web_access import check_token, is_loopback, shown_host
+
+    if token is not None:
+        check_token(token)
+    free = free_port(host, port)
+    if token is None and not is_loopback(host):
+        raise UsageError(f"--host {host} lets other machines in: --token WORD is needed")
+    instance = ctx.client.paths.name  # there is a daemon to begin with
+    guard = DoorGuard(host, token or "")
+    server = GuardedServer(host, free, guard)
+    taken = server.get_port()  # another process may have been quicker, and viser takes the next
+    if taken != port and port:
+        ctx.warn(f"port {port} is taken: {taken} is used")
+
+    def connect() -> Client:
+        return Client(ctx.instance, ctx.socket, timeout=ctx.wait_limit(10.0))
+
+    page = Page(server, connect, read_only, guard.opened)
+    lay_out(page)
+    address = f"http://{shown_host(host)}:{taken}/"
+    url = address + (f"?token={token}" if token else "")
+    ctx.done({"url": url, "port": taken, "instance": instance, "read_only": read_only}, url)
+    if is_opened and any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
+        import webbrowser
+
+        webbrowser.open(address + (f"?token={guard.word()}" if token else ""))
+    try:
+        with suppress(Interrupted), Interrupts() as interrupts:
+            page.run(lambda: bool(interrupts.received))
+    finally:
+        page.close()
+
+
+gui = view

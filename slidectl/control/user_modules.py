@@ -1,0 +1,137 @@
+"""Modules that users' code imports from files of its own: noted with their text, for a journal, and given in a replay.
+
+Modules of Python, of slidectl and of installed packages are none of them, but those of a package that a user has named.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import sysconfig
+from collections.abc import Callable, Iterable, Sequence
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec, SourceFileLoader
+from importlib.util import spec_from_file_location
+from pathlib import Path
+from types import CodeType, FrameType, ModuleType
+from typing import NamedTuple
+
+
+class UserModule(NamedTuple):
+    """A module as it was when it was imported."""
+
+    name: str
+    path: str
+    source: str
+    """Bytes that are no UTF-8 are surrogates."""
+    is_package: bool
+
+
+_FOLDERS = [*(sysconfig.get_path(name) for name in ("stdlib", "platstdlib")), str(Path(__file__).parent.parent)]
+_OF_PYTHON = tuple(folder + os.sep for folder in _FOLDERS)
+_INSTALLED = ("/site-packages/", "/dist-packages/")
+
+imported: dict[str, UserModule] = {}
+"""All of this process, by name."""
+listeners: list[Callable[[UserModule], None]] = []
+"""Are told of each."""
+given: dict[str, UserModule] = {}
+"""Are imported instead of what stands in files."""
+_files: set[str] = set()
+"""Names of the modules that were made of users' files."""
+_packages: set[str] = set()
+
+
+def watch(name: str, is_file: bool) -> None:
+    """The module of a file, or that of a package with all of the package, is a user's. It is about to run."""
+    if is_file:
+        _files.add(name)
+    elif _top(name) != _top(__name__):
+        _packages.add(_top(name))
+    if _FINDER not in sys.meta_path:
+        sys.meta_path.insert(0, _FINDER)
+
+
+def give(modules: Iterable[UserModule]) -> None:
+    """These are `given` from now on, and what has been imported so far is forgotten."""
+    given.clear()
+    given.update((module.name, module) for module in modules)
+    for name in (*imported, *given):
+        sys.modules.pop(name, None)
+    imported.clear()
+
+
+def _top(name: str) -> str:
+    return name.partition(".")[0]
+
+
+def _is_of_a_user(name: str) -> bool:
+    return name in _files or name in imported or _top(name) in _packages
+
+
+class _Finder(MetaPathFinder):
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        if not _is_of_a_user(fullname) and not _is_of_a_user(_importer()):
+            return None
+        module, found = given.get(fullname), None
+        if module is None:
+            others = (finder for finder in sys.meta_path if finder is not self)
+            found = next((spec for one in others if (spec := one.find_spec(fullname, path, target)) is not None), None)
+            module = None if found is None else _read(found)
+        if module is None:
+            return found
+        imported[fullname] = module
+        for tell in listeners:
+            tell(module)
+        if found is not None and not found.has_location:  # a package without a file
+            return found
+        folder = [str(Path(module.path).parent)] if module.is_package else None
+        return spec_from_file_location(fullname, module.path, loader=_Loader(module), submodule_search_locations=folder)
+
+
+_FINDER = _Finder()
+
+
+def _importer() -> str:
+    """The module whose code imports now."""
+    frame: FrameType | None = sys._getframe(2)
+    while frame is not None and _top(name := str(frame.f_globals.get("__name__"))) == "importlib":
+        frame = frame.f_back
+    return name
+
+
+def _read(spec: ModuleSpec) -> UserModule | None:
+    """None for one that is not a user's, or not in Python. A package without a file has no text."""
+    folders = spec.submodule_search_locations
+    path = str(spec.origin) if spec.has_location else f"{next(iter(folders or ()), '')}/__init__.py"
+    is_installed = path.startswith(_OF_PYTHON) or any(place in path for place in _INSTALLED)
+    if not path.endswith(".py") or (is_installed and _top(spec.name) not in _packages):
+        return None
+    if not spec.has_location:
+        return None if folders is None else UserModule(spec.name, path, "", True)
+    try:
+        source = Path(path).read_bytes().decode("utf-8", "surrogateescape")
+    except OSError:  # whoever imports it is told
+        return None
+    return UserModule(spec.name, path, source, folders is not None)
+
+
+class _Loader(SourceFileLoader):
+    """Of the text, and not of a cache of Python's, which goes by size and whole seconds."""
+
+    def __init__(self, module: UserModule) -> None:
+        super().__init__(module.name, module.path)
+        self._module = module
+
+    def get_source(self, fullname: str) -> str:  # noqa: ARG002
+        return self._module.source
+
+    def is_package(self, fullname: str) -> bool:  # noqa: ARG002
+        return self._module.is_package
+
+    def get_code(self, fullname: str) -> CodeType:  # noqa: ARG002
+        source = self._module.source.encode("utf-8", "surrogateescape")
+        code: CodeType = compile(source, self._module.path, "exec", dont_inherit=True)
+        return code

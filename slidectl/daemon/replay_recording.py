@@ -1,0 +1,100 @@
+"""A recording of a replay: what was published in the run of a journal, made when it is wanted, not while it ran."""
+
+from __future__ import annotations
+
+import re
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from slidectl.daemon.journal import PICTURE
+from slidectl.errors import Refused
+from slidectl.recording import codec
+from slidectl.recording.recording_files import EVERY_CYCLE
+from slidectl.recording.split_files import SplitFiles
+
+if TYPE_CHECKING:
+    from slidectl.daemon.journal_replay import Replay
+    from slidectl.simulation.topics import TopicSubscription
+
+_NODE = "/record"
+_LOOK_EVERY_NS = 10_000_000
+"""Simulated time between two looks for new topics, besides those after each entry of the journal."""
+
+
+class ReplayRecording:
+    """Subscribes all topics of a replay but pictures and what comes in every cycle, after `begin_s`.
+
+    That is simulated time that has passed, whatever the clock says: the journal has a state for each second of it.
+
+    A topic that nobody else uses any more is let go, so that the world has the topics which it had. The file is
+    complete when the context ends, which raises Refused where it could not be written whole.
+    """
+
+    def __init__(self, path: Path, begin_s: float = 0.0) -> None:
+        """Raises Refused: the file is there, or cannot be made. UsageError, NoMcap: as recording_files.create."""
+        if path.exists():
+            raise Refused(f"{path} is there already", "give the recording another name, or remove that file")
+        self._files = SplitFiles(path)
+        self._trouble = ""
+        self._begin_s = begin_s
+        self._early_ns: range | None = None
+        """On the clock, what is left out of the second in which it begins; None: that has not begun."""
+        self._has_begun = False
+        self._subscriptions: dict[str, TopicSubscription] = {}
+        self._changes = -1
+        self._left_out = re.compile(EVERY_CYCLE)
+
+    def watch(self, replay: Replay) -> None:
+        """This is the replay, before it runs."""
+        self._replay, self._graph = replay, replay.simulation.graph
+        replay.after_entry = self._look
+        self._graph.timers.every(_LOOK_EVERY_NS, self._look)
+
+    def _look(self) -> None:
+        topics = self._graph.topics
+        if self._changes == topics.changes or not self._is_time():
+            return
+        for topic, subscription in list(self._subscriptions.items()):
+            if not topics.publishers(topic) and topics.subscribers(topic) == [_NODE]:
+                subscription.close()
+                del self._subscriptions[topic]
+        for topic, kind in topics.types().items():
+            if topic not in self._subscriptions and kind != PICTURE and not self._left_out.fullmatch(topic):
+                write = partial(self._write, topic, codec.of(kind))
+                self._subscriptions[topic] = topics.subscribe(
+                    topic, kind, _NODE, partial(write, False), partial(write, True)
+                )
+        self._changes = topics.changes
+
+    def _is_time(self) -> bool:
+        """From the beginning on, also when the clock is set back."""
+        whole_s, now_ns = int(self._begin_s), self._graph.clock.time_ns
+        if self._early_ns is None and self._replay.states >= whole_s:
+            self._early_ns = range(now_ns, now_ns + round((self._begin_s - whole_s) * 1e9))
+        self._has_begun |= self._early_ns is not None and now_ns not in self._early_ns
+        return self._has_begun
+
+    def _write(self, topic: str, kind: codec.Codec, latched: bool, message: Any) -> None:
+        if self._trouble:
+            return
+        try:
+            self._files.write(topic, kind, latched, self._graph.clock.time_ns, kind.encode(message))
+        except OSError as error:  # told at the end: a publisher must not hear of it
+            self._trouble = error.strerror or str(error)
+
+    @property
+    def messages(self) -> int:
+        """How many are in the file."""
+        return self._files.counts.total()
+
+    def __enter__(self) -> ReplayRecording:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        try:
+            self._files.close()
+        except OSError as error:
+            self._trouble = self._trouble or error.strerror or str(error)
+        if self._trouble:
+            raise Refused(f"cannot write {self._files.path}: {self._trouble}")

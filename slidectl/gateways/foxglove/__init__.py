@@ -1,0 +1,1 @@
+"""The door for Foxglove: its WebSocket protocol, spoken to any number of apps."""

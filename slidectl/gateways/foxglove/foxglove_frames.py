@@ -1,0 +1,150 @@
+"""Frames of Foxglove's WebSocket protocol: JSON objects as text, and binary ones that begin with an operation.
+
+Reads what an app sends, and writes what it gets. It knows no connection. Numbers are little-endian.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from typing import Any, NamedTuple
+
+from slidectl.client.lines import encode
+from slidectl.errors import UsageError, cut, quoted
+
+SUBPROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
+"""Of Foxglove's SDK and app, and of the clients before it. The frames are the same."""
+LONGEST_FRAME = 16 * 1024 * 1024
+"""Bytes of a frame of an app."""
+MOST_ID = 2**32 - 1
+WARNING, ERROR = 1, 2
+"""Levels of a status."""
+
+_MOST_VALUES = 100_000
+_LONGEST_STATUS = 4000
+_MESSAGE, _SERVICE_REQUEST = 1, 2
+_TIME, _SERVICE_RESPONSE, _ASSET = 2, 3, 4
+_MESSAGE_HEAD = struct.Struct("<BIQ")
+_CALL_HEAD = struct.Struct("<BIII")
+
+
+class BadFrame(UsageError):
+    """What an app sent is no frame of the protocol."""
+
+
+class AppMessage(NamedTuple):
+    """A message that an app publishes on one of its channels."""
+
+    channel: int
+    payload: bytes
+
+
+class AppRequest(NamedTuple):
+    """A call of a service by an app."""
+
+    service: int
+    call: int
+    encoding: str
+    payload: bytes
+
+
+def read_text(text: str) -> dict[str, Any]:
+    """The object of a text frame; its `op` is text. Raises BadFrame."""
+    message = read_json(text)
+    if not isinstance(message.get("op"), str):
+        raise BadFrame("a frame without an op")
+    return message
+
+
+def read_json(text: str) -> dict[str, Any]:
+    """A JSON object of an app. Raises BadFrame."""
+    if len(text) > _MOST_VALUES and sum(map(text.count, ",[{")) > _MOST_VALUES:
+        raise BadFrame(f"JSON of more than {_MOST_VALUES} values")
+    try:
+        message = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise BadFrame(f"this is no JSON: {error}") from None
+    if not isinstance(message, dict):
+        raise BadFrame("this is no JSON object")
+    return message
+
+
+def read_binary(data: bytes) -> AppMessage | AppRequest:
+    """What a binary frame holds. Raises BadFrame."""
+    operation = data[0] if data else 0
+    if operation == _MESSAGE and len(data) >= 5:
+        return AppMessage(int.from_bytes(data[1:5], "little"), data[5:])
+    if operation == _SERVICE_REQUEST and len(data) >= _CALL_HEAD.size:
+        _, service, call, length = _CALL_HEAD.unpack_from(data)
+        encoding, payload = data[_CALL_HEAD.size :][:length], data[_CALL_HEAD.size + length :]
+        if len(encoding) == length:
+            return AppRequest(service, call, encoding.decode("utf-8", "replace"), payload)
+    raise BadFrame(f"a binary frame of {len(data)} bytes with the operation {operation} that is cut off or unknown")
+
+
+def field(message: dict[str, Any], key: str, kind: type) -> Any:
+    """A field of an object. Raises BadFrame: it is missing, or of another kind."""
+    value = message.get(key)
+    if not isinstance(value, kind) or isinstance(value, bool):
+        raise BadFrame(f"{quoted(str(message.get('op', 'an object')))}: {key} must be a {_KINDS[kind]}")
+    return value
+
+
+def fields(message: dict[str, Any], key: str, kind: type, most: int) -> list[Any]:
+    """A list of at most so many values of that kind. Raises BadFrame."""
+    values = field(message, key, list)
+    if len(values) > most:
+        raise BadFrame(f"{key}: {len(values)} values, and {most} is the most")
+    if any(not isinstance(value, kind) or isinstance(value, bool) for value in values):
+        raise BadFrame(f"{quoted(str(message.get('op', '')))}: each of {key} must be a {_KINDS[kind]}")
+    return list(values)
+
+
+def number(message: dict[str, Any], key: str) -> int:
+    """An id: a number of 32 bits. Raises BadFrame."""
+    value = field(message, key, int)
+    if not 0 <= value <= MOST_ID:
+        raise BadFrame(f"{key} must be a number of 32 bits")
+    return int(value)
+
+
+_KINDS: dict[type, str] = {int: "whole number", str: "text", list: "list", dict: "JSON object"}
+
+
+def text_frame(op: str, **values: Any) -> str:
+    """A JSON object. NaN becomes null, and infinity a number that is read as one."""
+    return encode({"op": op, **values}).decode("ascii").rstrip("\n")
+
+
+def status_frame(level: int, message: str, status_id: str = "") -> str:
+    """A line for the app's list of problems; one with an id replaces the last one with it."""
+    return text_frame(
+        "status", level=level, message=cut(message, _LONGEST_STATUS), **({"id": status_id} if status_id else {})
+    )
+
+
+def message_frame(subscription: int, time_ns: int, payload: bytes) -> bytes:
+    """A message of a channel. `time_ns` is its time of publication, simulated."""
+    return _MESSAGE_HEAD.pack(_MESSAGE, subscription, time_ns) + payload
+
+
+def time_frame(time_ns: int) -> bytes:
+    """The simulated time."""
+    return struct.pack("<BQ", _TIME, time_ns)
+
+
+def response_frame(request: AppRequest, payload: bytes) -> bytes:
+    """The answer of a call, in the encoding of its request."""
+    encoding = request.encoding.encode()
+    return _CALL_HEAD.pack(_SERVICE_RESPONSE, request.service, request.call, len(encoding)) + encoding + payload
+
+
+def asset_frame(request: int, data: bytes) -> bytes:
+    """A file that the app asked for."""
+    return struct.pack("<BIBI", _ASSET, request, 0, 0) + data
+
+
+def no_asset_frame(request: int, why: str) -> bytes:
+    """Why it does not get it."""
+    text = why.encode("utf-8", "replace")
+    return struct.pack("<BIBI", _ASSET, request, 1, len(text)) + text

@@ -1,0 +1,101 @@
+"""The files that an app may fetch: meshes that the descriptions of the robots in the world name, and their pictures.
+
+A URI is looked up among those that stand in a description; it is never made into a path. So nothing else of the disk
+can be had, whatever a URI says.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import re
+import stat
+from posixpath import dirname, join, normpath
+
+from slidectl.errors import Refused, UnknownName
+from slidectl.gateways.daemon_connection import DaemonConnection
+
+LARGEST = 64 * 1024 * 1024
+"""Bytes of a file."""
+_PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".gif", ".tga", ".tif", ".tiff")
+_NAMED = re.compile(
+    rb"<init_from>\s*(?:<ref>)?\s*([^<>]{1,500}?)\s*<|^\s*(?:mtllib|map_K[das])\s+(\S{1,500})", re.MULTILINE
+)
+"""Files that a DAE file, an OBJ file or an MTL file names."""
+_MOST_NAMED = 100
+
+
+class RobotAssets:
+    """The files of the robots of one daemon."""
+
+    def __init__(self) -> None:
+        self._robots: object = None
+        """Names and serial numbers of the robots of which `_files` are."""
+        self._files: dict[str, str] = {}
+        """URI, as an app asks for it -> the file."""
+
+    async def update(self, daemon: DaemonConnection) -> None:
+        """Ask which robots there are, and read their descriptions unless that is done. Raises as `call`."""
+        scene = await daemon.call("/slidectl/scene")
+        if self._robots != (robots := (scene["robots"], scene["serials"])):
+            scene = await daemon.call("/slidectl/scene", {"descriptions": True})
+            self._files = await asyncio.to_thread(_meshes_of_all, scene["descriptions"])
+            self._robots = robots
+
+    def read(self, uri: str) -> bytes:
+        """The bytes of the file. Raises UnknownName: no robot names it. Refused: it cannot be read, or is too large."""
+        path = self._files.get(uri)
+        if path is None:
+            raise UnknownName("asset", uri, list(self._files), "of a robot in the world")
+        data = _read(path)
+        for name in _named_in(path, data):
+            self._files.setdefault(_beside(uri, name), normpath(join(dirname(path), name)))
+        return data
+
+
+def _meshes_of_all(descriptions: list[str]) -> dict[str, str]:
+    return {uri: path for xml in descriptions if "<mesh" in xml for uri, path in _meshes(xml).items()}
+
+
+def _meshes(xml: str) -> dict[str, str]:
+    """URI, as the description has it, -> file, of its meshes."""
+    from slidectl.description import xml_tree  # the package takes long to import, and most robots have no mesh
+    from slidectl.description.mesh_files import SUFFIXES, MeshFiles
+    from slidectl.description.packages import Packages
+
+    files = MeshFiles(Packages(), None)
+    found = {}
+    for element in xml_tree.read(xml, "robot_description").walk():
+        if element.tag == "mesh" and (file := element.get("filename")):
+            path, _ = files.locate(file, "")
+            if path is not None and path.suffix.lower() in SUFFIXES:
+                found[element.mesh_name or file] = str(path)
+    return found
+
+
+def _read(path: str) -> bytes:
+    try:
+        with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise Refused(f"{path} is no file")
+            data = file.read(LARGEST + 1)
+    except OSError as error:
+        raise Refused(f"{path}: {error.strerror or error}") from None
+    if len(data) > LARGEST:
+        raise Refused(f"{path} is larger than {LARGEST} bytes")
+    return data
+
+
+def _named_in(path: str, data: bytes) -> list[str]:
+    """Relative names of pictures and materials in a mesh."""
+    if not path.lower().endswith((".dae", ".obj", ".mtl")):
+        return []
+    found = [(match[1] or match[2]).decode("utf-8", "replace") for match in _NAMED.finditer(data)][:_MOST_NAMED]
+    is_beside = (name for name in found if "://" not in name and not name.startswith("/"))
+    return [name for name in is_beside if name.lower().endswith((*_PICTURES, ".mtl"))]
+
+
+def _beside(uri: str, name: str) -> str:
+    """The URI of a file that the file of `uri` names."""
+    scheme, separator, path = uri.partition("://")
+    return scheme + separator + normpath(join(dirname(path), name))

@@ -1,0 +1,120 @@
+"""What all gateways have in common: they wait for the daemon, come back when it does, and end when they are told to."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import traceback
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, ClassVar
+
+from slidectl.errors import NoDaemon
+from slidectl.gateways.daemon_connection import DaemonConnection
+from slidectl.paths import InstancePaths
+
+_LOOK_EVERY_S = 0.1
+"""Between two looks whether there is a daemon again."""
+
+
+class Gateway:
+    """A door for another protocol. `attach` and `detach` alternate, as the daemon comes and goes; `open` is before."""
+
+    kind: ClassVar[str]
+
+    def __init__(self) -> None:
+        self.lost = asyncio.Event()
+        """Set when the daemon has gone; cleared before `attach`."""
+
+    async def open(self) -> str:
+        """Listen, and return the address to show.
+
+        Raises:
+            Refused: the port is taken, or the host is not of this machine.
+        """
+        raise NotImplementedError
+
+    async def attach(self, paths: InstancePaths) -> None:
+        """There is a daemon. Raises NoDaemon: it has gone again."""
+        raise NotImplementedError
+
+    async def detach(self) -> None:
+        """The daemon has gone. Foreign clients stay where their protocol lets them."""
+        raise NotImplementedError
+
+    async def close(self) -> None:
+        """Stop listening, and let all foreign clients go."""
+        raise NotImplementedError
+
+    def status(self) -> dict[str, Any]:
+        """Numbers and texts for `slidectl gateway status`: `connections`, `dropped`, and what else is of use."""
+        raise NotImplementedError
+
+
+async def serve(gateway: Gateway, paths: InstancePaths, opened: Callable[[str], None]) -> None:
+    """Run a gateway until SIGTERM or SIGINT. `opened` is called with its address when it listens and has a daemon.
+
+    Raises:
+        Refused: as `open`. NoDaemon: none answers at the start.
+    """
+    ended = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+        loop.add_signal_handler(number, ended.set)
+    address = await gateway.open()
+    try:
+        told = await _attached(gateway, paths, address)
+        opened(address)
+        while not ended.is_set():
+            await _first_of(ended, gateway.lost)
+            if ended.is_set():
+                break
+            told.close()
+            await gateway.detach()
+            while not ended.is_set():
+                try:
+                    told = await _attached(gateway, paths, address)
+                    break
+                except NoDaemon:
+                    pass
+                except Exception:  # a daemon that ends meanwhile may be the reason, and it is tried again
+                    traceback.print_exc()
+                with suppress(TimeoutError):
+                    await asyncio.wait_for(ended.wait(), _LOOK_EVERY_S)
+        told.close()
+    finally:
+        await gateway.close()
+
+
+async def _attached(gateway: Gateway, paths: InstancePaths, address: str) -> DaemonConnection:
+    """Attach it, and offer its status in the graph. Raises NoDaemon."""
+    gateway.lost.clear()
+
+    async def status(_: dict[str, Any]) -> dict[str, Any]:
+        counts = gateway.status()
+        texts = {"names": list(counts), "values": [str(value) for value in counts.values()]}
+        return {"address": address, **texts}
+
+    told = await DaemonConnection.open(paths, on_lost=gateway.lost.set)
+    try:
+        await told.advertise_service(status_service(gateway.kind), "slidectl/GatewayStatus", status)
+        await gateway.attach(paths)
+    except BaseException:
+        told.close()
+        await gateway.detach()
+        raise
+    return told
+
+
+def status_service(kind: str) -> str:
+    """The name of the service by which a gateway tells its status."""
+    return f"/slidectl/gateways/{kind}"
+
+
+async def _first_of(*events: asyncio.Event) -> None:
+    tasks = [asyncio.ensure_future(event.wait()) for event in events]
+    try:
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in tasks:
+            task.cancel()

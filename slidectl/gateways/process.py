@@ -1,0 +1,224 @@
+"""A gateway's process: start it in the background, find it, stop it; and what runs in it. One of a kind for a daemon.
+
+The lock says whether it lives, and holds its process id and address as JSON.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import importlib
+import json
+import logging
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from slidectl.client.link import command
+from slidectl.errors import EXIT_DONE, Refused, SlidectlError, TimedOut
+from slidectl.logfile import LogFile
+from slidectl.paths import InstancePaths, instance, make_private, with_package
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+KINDS: Mapping[str, tuple[str, str]] = {
+    "ros1": ("slidectl.gateways.ros1.ros1_gateway", "Ros1Gateway"),
+    "websocket": ("slidectl.gateways.websocket.websocket_gateway", "WebSocketGateway"),
+    "foxglove": ("slidectl.gateways.foxglove.foxglove_gateway", "FoxgloveGateway"),
+}
+"""Module and class of each. A class has the dataclass of its options as `Options`, and is made of one of these."""
+START_LIMIT_S = 30.0
+STOP_LIMIT_S = 10.0
+_LAST_LINES = 8
+_LOOK_EVERY_S = 0.02
+
+
+class RunningGateway(NamedTuple):
+    """Its process, and where it listens."""
+
+    kind: str
+    pid: int
+    address: str
+
+
+def find(paths: InstancePaths, kind: str) -> RunningGateway | None:
+    """The gateway of that kind of the daemon of `paths`, or None; one that is starting has no address yet."""
+    try:
+        with _lock_file(paths, kind).open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        with suppress(OSError, ValueError, KeyError):
+            known = json.loads(_lock_file(paths, kind).read_bytes())
+            return RunningGateway(kind, known["pid"], known["address"])
+        return RunningGateway(kind, 0, "")
+    except OSError:
+        pass
+    return None
+
+
+def find_all(paths: InstancePaths) -> list[RunningGateway]:
+    """All that run."""
+    return [found for kind in KINDS if (found := find(paths, kind)) is not None]
+
+
+def log_file(paths: InstancePaths, kind: str) -> Path:
+    """Where a gateway in the background writes what it has to say."""
+    return paths.folder / f"{paths.prefix}gateway-{kind}.log"
+
+
+def _lock_file(paths: InstancePaths, kind: str) -> Path:
+    return paths.folder / f"{paths.prefix}gateway-{kind}.lock"
+
+
+def start(
+    paths: InstancePaths, kind: str, options: dict[str, Any], timeout_s: float = START_LIMIT_S
+) -> tuple[RunningGateway, bool]:
+    """Start one in the background and wait until it listens. Returns also whether it ran already.
+
+    Raises:
+        Refused: it ended, with the reason. TimedOut.
+    """
+    make_private(paths.folder)
+    if (found := find(paths, kind)) is not None:
+        return found, True
+    read_end, write_end = os.pipe()
+    place = {"instance": None, "socket": paths.socket_text} if paths.prefix else {"instance": paths.name}
+    text = json.dumps({"kind": kind, "options": options, "ready_fd": write_end, **place})
+    log = os.open(log_file(paths, kind), os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+    with os.fdopen(read_end, "rb") as ready:
+        process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "slidectl.gateways"],
+            env=with_package(os.environ),
+            stdin=subprocess.PIPE,
+            stdout=log,
+            stderr=log,
+            pass_fds=[write_end],
+            start_new_session=True,
+        )
+        os.close(write_end)
+        os.close(log)
+        assert process.stdin is not None
+        with suppress(BrokenPipeError), process.stdin:  # no argument: a token must not stand in the list of processes
+            process.stdin.write(text.encode())
+        try:
+            if not select.select([ready], [], [], timeout_s)[0]:
+                raise TimedOut(f"the {kind} gateway (process {process.pid}) does not get ready within {timeout_s:g} s")
+            answer = json.loads(ready.readline() or "{}")
+        except BaseException:
+            process.terminate()
+            process.wait()
+            raise
+    if "address" in answer:
+        return RunningGateway(kind, process.pid, answer["address"]), False
+    process.wait()
+    if "error" in answer:
+        error = Refused(answer["error"], answer["hint"])
+        error.exit_code = answer["exit_code"]
+        raise error
+    lines = log_file(paths, kind).read_text(encoding="utf-8", errors="replace").splitlines()[-_LAST_LINES:]
+    raise Refused(f"the {kind} gateway did not start", "\n".join(lines))
+
+
+def stop(paths: InstancePaths, kind: str, timeout_s: float = STOP_LIMIT_S) -> RunningGateway | None:
+    """Stop it and wait until its process has ended. Returns what ran. Raises TimedOut."""
+    found = find(paths, kind)
+    if found is None:
+        return None
+    with suppress(ProcessLookupError):
+        if found.pid:
+            os.kill(found.pid, signal.SIGTERM)
+    deadline = time.monotonic() + timeout_s
+    while find(paths, kind) is not None:
+        if time.monotonic() > deadline:
+            raise TimedOut(f"the {kind} gateway is still there after {timeout_s:g} s", f"kill -KILL {found.pid}")
+        time.sleep(_LOOK_EVERY_S)
+    with suppress(ChildProcessError):  # a long-lived starter is its parent still
+        os.waitpid(found.pid, os.WNOHANG)
+    return found
+
+
+def run(paths: InstancePaths, kind: str, options: dict[str, Any], opened: Callable[[str], None]) -> None:
+    """Be the gateway until SIGTERM or Ctrl-C; `opened` is called with the address when it listens.
+
+    Raises:
+        Refused: one of that kind runs already, a port is taken, or a library is missing. NoDaemon.
+    """
+    module, name = KINDS[kind]
+    try:
+        gateway_class = getattr(importlib.import_module(module), name)
+    except ModuleNotFoundError as error:
+        if (error.name or "").startswith("slidectl"):
+            raise
+        needed = f"the {kind} gateway needs the library {error.name}"
+        raise Refused(needed, f"install it: pip install 'slidectl[{kind}]'") from error
+    import asyncio
+
+    from slidectl.gateways.gateway import serve
+
+    async def serve_it() -> None:
+        gateway = gateway_class(gateway_class.Options(**options))
+        await serve(gateway, paths, listens)
+
+    def listens(address: str) -> None:
+        tell(address)
+        opened(address)
+
+    with _locked(paths, kind) as tell:
+        asyncio.run(serve_it())
+
+
+@contextmanager
+def _locked(paths: InstancePaths, kind: str) -> Iterator[Callable[[str], None]]:
+    """The lock, while inside; what it gives writes the address there. Raises Refused: another gateway has it."""
+    make_private(paths.folder)
+    path = _lock_file(paths, kind)
+    with open(os.open(path, os.O_RDWR | os.O_CREAT, 0o600), "rb+", buffering=0) as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if not path.exists() or not os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                raise BlockingIOError  # the last one removed it between our open and our lock; another may begin
+        except BlockingIOError:
+            found = find(paths, kind)
+            where = f": process {found.pid}, {found.address}" if found is not None else ""
+            hint = "stop it with: " + command(paths, f"gateway {kind} stop")
+            raise Refused(f"a {kind} gateway of this daemon runs already{where}", hint) from None
+
+        def tell(address: str) -> None:
+            file.truncate(0)
+            file.seek(0)
+            file.write(json.dumps({"pid": os.getpid(), "address": address}).encode())
+
+        tell("")
+        try:
+            yield tell
+        finally:
+            path.unlink(missing_ok=True)
+
+
+def main(text: str) -> int:
+    """The process that `start` starts. Returns its exit code."""
+    begun = json.loads(text)
+    ready_fd = begun["ready_fd"]
+
+    def say(**answer: Any) -> None:
+        with suppress(OSError):
+            os.write(ready_fd, (json.dumps(answer) + "\n").encode())
+            os.close(ready_fd)
+
+    os.umask(0o077)
+    try:
+        paths = instance(begun["instance"], begun.get("socket"))
+        logging.basicConfig(handlers=[LogFile(log_file(paths, begun["kind"]))])
+        run(paths, begun["kind"], begun["options"], lambda address: say(address=address))
+    except SlidectlError as error:
+        print(f"slidectl gateway: {error}", file=sys.stderr, flush=True)
+        say(error=error.message, hint=error.hint, exit_code=error.exit_code)
+        return error.exit_code
+    return EXIT_DONE

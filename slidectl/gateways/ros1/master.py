@@ -1,0 +1,321 @@
+"""The master: what foreign nodes have registered beside the daemon's graph, under the calls of ROS's Master API.
+
+The words of the answers are rosmaster's. A registration ends when its node says so: as with rosmaster, a node that was
+killed stays until `rosnode cleanup`, or until one of the same name comes.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Iterable
+from typing import Any, Protocol
+
+from slidectl.errors import Refused, cut
+from slidectl.gateways.ros1 import api_calls
+from slidectl.gateways.ros1.api_calls import ANY_TYPE, Answered, Api
+from slidectl.gateways.ros1.native_graph import OWN_NODE, NativeGraph
+from slidectl.gateways.ros1.node_calls import NodeCalls
+
+_log = logging.getLogger(__name__)
+
+MOST_NODES = 300
+"""Foreign nodes: each may be a connection to the daemon, and that has 512."""
+MOST_REGISTRATIONS = 20_000
+_MOST_TYPES = 20_000
+PARAMETERS = "parameters"
+_COMMANDS = "/slidectl_"
+"""How the nodes of connections are called that have no name of their own."""
+_PUBLISHERS, _SUBSCRIBERS, _SERVICES = "publishers", "subscribers", "services"
+
+
+class ForeignSink(Protocol):
+    """What carries the data of foreign nodes, and is told who they are."""
+
+    def set_foreign_publishers(self, topic: str, type: str, publishers: dict[str, str]) -> None: ...
+    def set_foreign_subscribers(self, topic: str, type: str, nodes: set[str]) -> None: ...
+    def set_foreign_services(self, services: dict[str, tuple[str, str]]) -> None: ...
+    def node_gone(self, node: str) -> None: ...
+    def serves(self, topic: str) -> bool: ...
+
+
+class Registrations:
+    """Foreign nodes with their addresses, and what they have registered: by kind, by key (a topic, a service, a
+    parameter), the nodes with an address each (of a service: that of the service)."""
+
+    def __init__(self) -> None:
+        self.addresses: dict[str, str] = {}
+        self.kinds: dict[str, dict[str, dict[str, str]]] = {
+            kind: {} for kind in (_PUBLISHERS, _SUBSCRIBERS, _SERVICES, PARAMETERS)
+        }
+        self._held: dict[str, set[tuple[str, str]]] = {}
+        self._count = 0
+
+    def add(self, kind: str, key: str, node: str, address: str, uri: str = "") -> None:
+        """Register. Raises Refused: there are too many."""
+        is_too_many = len(self.addresses) >= MOST_NODES and node not in self.addresses
+        if is_too_many or self._count >= MOST_REGISTRATIONS:
+            what = f"{MOST_NODES} nodes are" if is_too_many else f"{MOST_REGISTRATIONS} registrations are"
+            raise Refused(f"{what} registered, and that is the most", "rosnode cleanup takes away those that are dead")
+        self.addresses[node] = address
+        self.kinds[kind].setdefault(key, {})[node] = uri or address
+        held = self._held.setdefault(node, set())
+        self._count += (kind, key) not in held
+        held.add((kind, key))
+
+    def remove(self, kind: str, key: str, node: str) -> None:
+        holders = self.kinds[kind].get(key, {})
+        if node in holders:
+            del holders[node]
+            if not holders:
+                del self.kinds[kind][key]
+            self._held[node].discard((kind, key))
+            self._count -= 1
+            if not self._held[node]:
+                del self._held[node], self.addresses[node]
+
+    def remove_node(self, node: str) -> list[tuple[str, str]]:
+        """Take back all that it has. Returns kinds and keys."""
+        held = list(self._held.get(node, ()))
+        for kind, key in held:
+            self.remove(kind, key, node)
+        return held
+
+
+class Master:
+    """The master of foreign nodes. `uri` is its own address."""
+
+    def __init__(self, natives: NativeGraph, calls: NodeCalls, data: ForeignSink) -> None:
+        self.uri = ""
+        self.registrations = Registrations()
+        self._natives = natives
+        self._calls = calls
+        self._data = data
+        self._types: dict[str, str] = {}
+        self._shown: dict[str, str] = {}
+        """Topics that foreign subscribers get from us, and the native node from which they have them."""
+        kinds = self.registrations.kinds
+        self._publishers, self._subscribers = kinds[_PUBLISHERS], kinds[_SUBSCRIBERS]
+        self._services = kinds[_SERVICES]
+
+    def add_methods(self, api: Api) -> None:
+        """The calls of the Master API, and those that every node has."""
+        topic, topic_type, address = api_calls.name("topic"), api_calls.type_name, api_calls.uri("caller_api")
+        service, service_address = api_calls.name("service"), api_calls.uri("service_api")
+        api.add(self.registerService, 0, service, service_address, address)
+        api.add(self.unregisterService, 0, service, service_address)
+        api.add(self.registerSubscriber, [], topic, topic_type, address)
+        api.add(self.unregisterSubscriber, 0, topic, address)
+        api.add(self.registerPublisher, [], topic, topic_type, address)
+        api.add(self.unregisterPublisher, 0, topic, address)
+        api.add(self.lookupNode, "", api_calls.name("node", may_be_root=True))
+        api.add(self.lookupService, "", service)
+        api.add(self.getPublishedTopics, 0, api_calls.subgraph)
+        api.add(self.getTopicTypes, [])
+        api.add(self.getSystemState, [[], [], []])
+        api.add(self.getUri, "")
+        api.add(self.getPid, -1)
+        api.add(self.shutdown, 0, api_calls.anything)
+
+    # --- registering --------------------------------------------------------------------------------------------
+
+    def registerService(self, caller: str, service: str, service_api: str, caller_api: str) -> Answered:  # noqa: N802
+        self.admit(caller, caller_api)
+        for node in list(self._services.get(service, ())):
+            if node != caller:
+                self.registrations.remove(_SERVICES, service, node)
+        self.registrations.add(_SERVICES, service, caller, caller_api, service_api)
+        self.tell_services()
+        return 1, f"Registered [{caller}] as provider of [{service}]", 1
+
+    def unregisterService(self, caller: str, service: str, service_api: str) -> Answered:  # noqa: N802
+        if caller not in self.registrations.addresses:
+            return 1, f"[{caller}] is not a registered node", 0
+        if self._services.get(service, {}).get(caller) != service_api:
+            return 1, f"[{service_api}] is no longer the current service api handle for [{service}]", 0
+        self.registrations.remove(_SERVICES, service, caller)
+        self.tell_services()
+        self._tell_if_gone(caller)
+        return 1, f"Unregistered [{caller}] as provider of [{service}]", 1
+
+    def registerSubscriber(self, caller: str, topic: str, topic_type: str, caller_api: str) -> Answered:  # noqa: N802
+        self.admit(caller, caller_api)
+        self.registrations.add(_SUBSCRIBERS, topic, caller, caller_api)
+        if topic not in self._types and topic_type != ANY_TYPE:
+            self._set_type(topic, topic_type)
+        self.tell_topic(topic)
+        if len(self._subscribers[topic]) == 1:
+            self._shown.pop(topic, None)
+        return 1, f"Subscribed to [{topic}]", self._publisher_uris(topic)
+
+    def unregisterSubscriber(self, caller: str, topic: str, caller_api: str) -> Answered:  # noqa: N802
+        return self._unregister(_SUBSCRIBERS, caller, topic, caller_api)
+
+    def registerPublisher(self, caller: str, topic: str, topic_type: str, caller_api: str) -> Answered:  # noqa: N802
+        self.admit(caller, caller_api)
+        self.registrations.add(_PUBLISHERS, topic, caller, caller_api)
+        if topic not in self._types or topic_type != ANY_TYPE:
+            self._set_type(topic, topic_type)
+        self.tell_topic(topic)
+        self.notify_subscribers(topic)
+        subscribers = [*self._subscribers.get(topic, {}).values(), *self._natives.subscriber_uris(topic)]
+        return 1, f"Registered [{caller}] as publisher of [{topic}]", subscribers
+
+    def unregisterPublisher(self, caller: str, topic: str, caller_api: str) -> Answered:  # noqa: N802
+        answer = self._unregister(_PUBLISHERS, caller, topic, caller_api)
+        if answer[2]:
+            self.notify_subscribers(topic)
+        return answer
+
+    def _unregister(self, kind: str, caller: str, topic: str, caller_api: str) -> Answered:
+        if caller not in self.registrations.addresses:
+            return 1, f"[{caller}] is not a registered node", 0
+        if self.registrations.kinds[kind].get(topic, {}).get(caller) != caller_api:
+            return 1, f"[{caller}] is not a known provider of [{topic}]", 0
+        self.registrations.remove(kind, topic, caller)
+        self.tell_topic(topic)
+        self._tell_if_gone(caller)
+        return 1, f"Unregistered [{caller}] as provider of [{topic}]", 1
+
+    def admit(self, node: str, address: str) -> None:
+        """A node registers something. One of the same name at another address is shut down, as ROS does it; one of
+        slidectl's is not, so the newcomer is. Raises Refused."""
+        if node in self._natives.nodes:
+            self._calls.send(address, "shutdown", f"[{node}] Reason: slidectl has a node of this name")
+            raise Refused(f"slidectl has a node [{node}]; give yours another name")
+        before = self.registrations.addresses.get(node)
+        if before is not None and before != address:
+            self._calls.send(before, "shutdown", f"[{node}] Reason: new node registered with same name")
+            self._forget(node)
+
+    def _forget(self, node: str) -> None:
+        taken = self.registrations.remove_node(node)
+        self._data.node_gone(node)
+        for kind, key in taken:
+            if kind in (_PUBLISHERS, _SUBSCRIBERS):
+                self.tell_topic(key)
+            if kind == _PUBLISHERS:
+                self.notify_subscribers(key)
+        self.tell_services()
+
+    def _tell_if_gone(self, node: str) -> None:
+        if node not in self.registrations.addresses:
+            self._data.node_gone(node)
+
+    def _set_type(self, topic: str, topic_type: str) -> None:
+        self._types[topic] = topic_type
+        if len(self._types) > _MOST_TYPES:
+            del self._types[next(iter(self._types))]
+
+    # --- telling ------------------------------------------------------------------------------------------------
+
+    def tell_topic(self, topic: str) -> None:
+        """Tell what carries the data who publishes and subscribes a topic."""
+        kind = self._types.get(topic, ANY_TYPE)
+        self._data.set_foreign_publishers(topic, kind, dict(self._publishers.get(topic, {})))
+        self._data.set_foreign_subscribers(topic, kind, set(self._subscribers.get(topic, {})))
+
+    def tell_services(self) -> None:
+        """Tell it who provides services."""
+        provided = {service: next(iter(nodes.items())) for service, nodes in self._services.items()}
+        self._data.set_foreign_services(provided)
+
+    def tell_all(self) -> None:
+        """Tell it everything: it is new, or has lost the daemon."""
+        for topic in {*self._publishers, *self._subscribers}:
+            self.tell_topic(topic)
+        self.tell_services()
+
+    def notify_subscribers(self, topic: str) -> None:
+        """Tell the foreign subscribers of a topic who publishes it."""
+        uris = self._publisher_uris(topic)
+        for address in set(self._subscribers.get(topic, {}).values()):
+            self._calls.send(address, "publisherUpdate", topic, uris)
+
+    def natives_changed(self) -> None:
+        """The daemon's graph is another: tell the foreign subscribers of topics that others publish now."""
+        for topic in self._subscribers:
+            before = self._shown.get(topic, "")
+            if self._native_publisher(topic) != before:
+                self.notify_subscribers(topic)
+
+    def _native_publisher(self, topic: str) -> str:
+        """The node that stands for all of slidectl's publishers of a topic, empty when it is not to be had here.
+
+        It is us while there is none: what a command publishes that comes for a moment is heard then. Whoever has a
+        connection keeps it as long as he can: no message is lost because one more publishes.
+        """
+        if not self._data.serves(topic):
+            self._shown.pop(topic, None)
+            return ""
+        publishers = self._natives.publishers.get(topic, ())
+        shown = self._shown.get(topic, "")
+        if shown not in (OWN_NODE, *publishers):
+            shown = next((node for node in publishers if not node.startswith(_COMMANDS)), OWN_NODE)
+            self._shown[topic] = shown
+        return shown
+
+    def _publisher_uris(self, topic: str) -> list[str]:
+        native = self._native_publisher(topic)
+        natives = [self._natives.uri(native)] if native else []
+        return [*natives, *self._publishers.get(topic, {}).values()]
+
+    # --- asking -------------------------------------------------------------------------------------------------
+
+    def lookupNode(self, _: str, node: str) -> Answered:  # noqa: N802
+        if (address := self.registrations.addresses.get(node)) is not None:
+            return 1, "node api", address
+        if node in self._natives.nodes:
+            return 1, "node api", self._natives.uri(node)
+        return -1, f"unknown node [{node}]", ""
+
+    def lookupService(self, _: str, service: str) -> Answered:  # noqa: N802
+        for uri in self._services.get(service, {}).values():
+            return 1, f"rosrpc URI: [{uri}]", uri
+        if service in self._natives.services:
+            uri = self._natives.service_uri
+            return 1, f"rosrpc URI: [{uri}]", uri
+        return -1, "no provider", ""
+
+    def getPublishedTopics(self, _: str, subgraph: str) -> Answered:  # noqa: N802
+        below = f"{subgraph.rstrip('/')}/" if subgraph else ""
+        types = self._all_types()
+        topics = dict.fromkeys((*self._natives.publishers, *self._publishers))
+        return 1, "current topics", [[t, types.get(t, ANY_TYPE)] for t in topics if t.startswith(below)]
+
+    def getTopicTypes(self, _: str) -> Answered:  # noqa: N802
+        return 1, "current system state", [[topic, kind] for topic, kind in self._all_types().items()]
+
+    def getSystemState(self, _: str) -> Answered:  # noqa: N802
+        natives = self._natives
+        services = {service: [node] for service, node in natives.services.items()}
+        state = [
+            _joined(natives.publishers, self._publishers),
+            _joined(natives.subscribers, self._subscribers),
+            _joined(services, self._services, is_single=True),
+        ]
+        return 1, "current system state", state
+
+    def getUri(self, _: str) -> Answered:  # noqa: N802
+        return 1, "", self.uri
+
+    def getPid(self, _: str) -> Answered:  # noqa: N802
+        return 1, "", os.getpid()
+
+    def shutdown(self, caller: str, _: Any) -> Answered:
+        """A master ends with its process. Anybody could ask for it, and the simulation would lose its nodes."""
+        _log.info("%s asks the master to shut down: it goes on", cut(caller, 120))
+        return -1, "the gateway ends with: slidectl gateway ros1 stop", 0
+
+    def _all_types(self) -> dict[str, str]:
+        return self._types | self._natives.types
+
+
+def _joined(
+    natives: dict[str, list[str]], foreign: dict[str, dict[str, str]], is_single: bool = False
+) -> list[list[Any]]:
+    """Keys with their nodes. With `is_single` a foreign one stands for the native one."""
+    keys: Iterable[str] = dict.fromkeys((*natives, *foreign))
+    return [
+        [key, [*(() if is_single and key in foreign else natives.get(key, ())), *foreign.get(key, ())]] for key in keys
+    ]

@@ -1,0 +1,111 @@
+"""The slave API of the daemon's nodes. Which node is meant stands in the path of its address: http://host:port/gazebo.
+
+roscpp leaves the paths out of the addresses that it calls. That does not matter: topics are asked for at the gateway's
+own node, which has those of all.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from typing import Any, Protocol
+
+from slidectl.errors import cut
+from slidectl.gateways.ros1 import api_calls
+from slidectl.gateways.ros1.api_calls import Answered, Api
+from slidectl.gateways.ros1.native_graph import OWN_NODE, NativeGraph
+
+_log = logging.getLogger(__name__)
+
+
+class NodeLinks(Protocol):
+    """What carries the data of the daemon's nodes."""
+
+    def request_topic(self, caller: str, node: str, topic: str, protocols: Any) -> Answered: ...
+    def bus_info(self, node: str) -> list[Any]: ...
+    def bus_stats(self, node: str) -> list[Any]: ...
+
+
+class UpdateTaker(Protocol):
+    """Who is told of what changes at a master that is another program."""
+
+    def publisher_update(self, topic: str, publishers: list[str]) -> None: ...
+    def param_update(self, key: str, value: Any) -> None: ...
+    def shut_down(self, reason: str) -> None: ...
+
+
+class Slave:
+    """All nodes of the daemon. `updates` is there when their master is another program."""
+
+    def __init__(self, natives: NativeGraph, links: NodeLinks, master_uri: str, updates: UpdateTaker | None) -> None:
+        self._natives = natives
+        self._links = links
+        self._master_uri = master_uri
+        self._updates = updates
+        self._api = Api()
+        add = self._api.add
+        add(self.getBusStats, [])
+        add(self.getBusInfo, [])
+        add(self.getMasterUri, "")
+        add(self.getUri, "")
+        add(self.getName, "")
+        add(self.shutdown, 0, api_calls.anything)
+        add(self.getPid, -1)
+        add(self.getSubscriptions, [])
+        add(self.getPublications, [])
+        add(self.paramUpdate, -1, api_calls.key, api_calls.anything)
+        add(self.publisherUpdate, -1, api_calls.name("topic"), api_calls.publishers)
+        add(self.requestTopic, [], api_calls.name("topic"), api_calls.protocols)
+
+    async def answer(self, path: str, method: str, arguments: list[Any]) -> Answered:
+        """The answer to a call at this path. Raises XmlRpcFault."""
+        node = "" if path in ("/", "/RPC2") else "/" + path.strip("/")
+        if node not in ("", OWN_NODE) and node not in self._natives.nodes:
+            return -1, f"unknown node [{node}]", 0
+        return await self._api.answer(method, arguments, node)
+
+    def getBusStats(self, node: str, _: str) -> Answered:  # noqa: N802
+        return 1, "", self._links.bus_stats(node)
+
+    def getBusInfo(self, node: str, _: str) -> Answered:  # noqa: N802
+        return 1, "bus info", self._links.bus_info(node)
+
+    def getMasterUri(self, _node: str, _: str) -> Answered:  # noqa: N802
+        return 1, self._master_uri, self._master_uri
+
+    def getUri(self, node: str, _: str) -> Answered:  # noqa: N802
+        return 1, "", self._natives.uri(node)
+
+    def getName(self, node: str, _: str) -> Answered:  # noqa: N802
+        return 1, "", node
+
+    def shutdown(self, node: str, caller: str, reason: Any) -> Answered:
+        """Nobody ends the simulation, or a client of it, from here. A master may let go the node that joined it."""
+        if self._updates is not None and caller == "/master":
+            self._updates.shut_down(str(reason))
+            return 1, "shutdown", 0
+        _log.info("%s asks %s to shut down: it goes on", cut(caller, 120), node or "a node")
+        return -1, f"[{node}] is a node of slidectl; the simulation ends with: slidectl daemon stop", 0
+
+    def getPid(self, _node: str, _: str) -> Answered:  # noqa: N802
+        return 1, "", os.getpid()
+
+    def getSubscriptions(self, node: str, _: str) -> Answered:  # noqa: N802
+        return 1, "subscriptions", self._natives.subscribed_by(node)
+
+    def getPublications(self, node: str, _: str) -> Answered:  # noqa: N802
+        return 1, "publications", self._natives.published_by(node)
+
+    def paramUpdate(self, _node: str, _: str, key: str, value: Any) -> Answered:  # noqa: N802
+        if self._updates is None:
+            return -1, "not subscribed", 0
+        self._updates.param_update(key, value)
+        return 1, "", 0
+
+    def publisherUpdate(self, _node: str, _: str, topic: str, publishers: list[str]) -> Answered:  # noqa: N802
+        if self._updates is not None:
+            self._updates.publisher_update(topic, publishers)
+        return 1, "", 0
+
+    def requestTopic(self, node: str, caller: str, topic: str, protocols: list[Any]) -> Answered:  # noqa: N802
+        return self._links.request_topic(caller, node, topic, protocols)

@@ -1,0 +1,376 @@
+"""TCPROS: connection headers, frames of messages, and a connection on asyncio that has both.
+
+What comes from outside is bounded in length and time, what waits for a reader in count and length. Knows no topic and
+no service.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections import deque
+from collections.abc import Callable
+from itertools import count
+from struct import Struct
+from typing import Any, TypeVar
+
+from slidectl.client.lines import LONGEST_LINE
+from slidectl.errors import Refused, SlidectlError, TimedOut, UsageError
+
+T = TypeVar("T")
+Fields = dict[str, str]
+
+LONGEST_HEADER = 256 * 1024
+LONGEST_MESSAGE = LONGEST_LINE * 3 // 4
+"""Bytes of a message: as base64 it must fit a line of the daemon."""
+HANDSHAKE_LIMIT_S = 10.0
+SENDER_GONE = "unable to receive data from sender, check sender's logs for details"
+"""What rospy says when the other end hangs up."""
+
+_MOST_QUEUED = 4000
+"""Messages that wait for a subscriber: some seconds at 1 kHz, in which others may have the processor."""
+_MOST_QUEUED_BYTES = 8 * 1024 * 1024
+_MOST_HELD = 128 * 1024 * 1024
+"""Bytes of messages of which the end has not come, of all connections."""
+_WRITE_AHEAD = 64 * 1024
+"""Bytes that are given to asyncio beyond what the socket takes."""
+_KEEPALIVE = ((socket.TCP_KEEPIDLE, 60), (socket.TCP_KEEPINTVL, 10), (socket.TCP_KEEPCNT, 9))
+"""As rospy sets them: a host that has vanished is noticed after two and a half minutes."""
+_U32 = Struct("<I")
+
+
+class BadHeader(UsageError):
+    """Bytes that are no connection header. The texts are rosgraph's."""
+
+
+def encode_header(fields: Fields) -> bytes:
+    """A header with its length before it."""
+    lines = [f"{name}={value}".encode("utf-8", "replace") for name, value in sorted(fields.items())]
+    body = b"".join(_U32.pack(len(line)) + line for line in lines)
+    return _U32.pack(len(body)) + body
+
+
+def decode_header(body: bytes) -> Fields:
+    """The fields of a header, without the length before it. Raises BadHeader."""
+    fields: Fields = {}
+    at, size = 0, len(body)
+    while at < size:
+        if size - at < 4:
+            raise BadHeader(f"Invalid line length in handshake header: {size}")
+        (length,) = _U32.unpack_from(body, at)
+        if not length:
+            raise BadHeader("Invalid 0-length handshake header field")
+        begin, at = at + 4, at + 4 + length
+        if at > size:
+            raise BadHeader(f"Invalid line length in handshake header: {size}")
+        try:
+            name, equals, value = body[begin:at].decode().partition("=")
+        except UnicodeDecodeError:
+            raise BadHeader("a line of the handshake header is no UTF-8") from None
+        if not equals:
+            raise BadHeader(f"Invalid line in handshake header: [{name[:200]}]")
+        fields[name.strip()] = value
+    return fields
+
+
+def frame(body: bytes) -> bytes:
+    """A message as it is sent."""
+    return _U32.pack(len(body)) + body
+
+
+class TcprosConnection(asyncio.Protocol):
+    """One socket. First each side sends a header, then messages follow.
+
+    A message that is longer than allowed is read and thrown away: `on_too_long` hears of it.
+    """
+
+    _serials = count(1)
+    _held = 0
+
+    def __init__(self, on_header: Callable[[TcprosConnection, Fields], None], has_status: bool = False) -> None:
+        """`has_status`: a byte before each message says whether it is one, or the text of a failure."""
+        self.on_header = on_header
+        self.on_message: Callable[[bytes, bool], None] = lambda _body, _is_done: None
+        """Takes the bytes, and False when they are the text of a failure."""
+        self.on_too_long: Callable[[str], None] = lambda _: None
+        self.on_closed: Callable[[], None] = lambda: None
+        """Called once when the connection has ended, whoever ended it."""
+        self.on_opened: Callable[[TcprosConnection], None] = lambda _: None
+        self.on_gone: Callable[[TcprosConnection], None] = lambda _: None
+        """These two are the listener's."""
+        self.id = next(self._serials)
+        self.sent = self.received = 0
+        """Messages."""
+        self.sent_bytes = self.received_bytes = 0
+        self.dropped = 0
+        """Messages that the other end did not read in time."""
+        self.is_open = False
+        self._is_refused = False
+        self._prefix = 1 if has_status else 0
+        self._has_header = False
+        self._rest = bytearray()
+        self._counted = 0
+        """Bytes of it that are counted in `_held`."""
+        self._skip = 0
+        self._queue: deque[bytes] = deque()
+        self._queued_bytes = 0
+        self._may_write = asyncio.Event()
+        self._may_write.set()
+        self._where = ""
+
+    # --- asyncio.Protocol ---------------------------------------------------------------------------------------
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        self._transport = transport
+        self.is_open = True
+        transport.set_write_buffer_limits(high=_WRITE_AHEAD)
+        end: socket.socket = transport.get_extra_info("socket")
+        end.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)  # asyncio has set TCP_NODELAY, for everybody
+        for option, value in _KEEPALIVE:
+            end.setsockopt(socket.IPPROTO_TCP, option, value)
+        peer = transport.get_extra_info("peername") or ("", 0)
+        own = transport.get_extra_info("sockname") or ("", 0)
+        self._where = f"TCPROS connection on port {own[1]} to [{peer[0]}:{peer[1]} on socket {end.fileno()}]"
+        self._limit = asyncio.get_running_loop().call_later(HANDSHAKE_LIMIT_S, self.close)
+        self.on_opened(self)
+
+    def connection_lost(self, error: Exception | None) -> None:  # noqa: ARG002
+        self._end()
+
+    def pause_writing(self) -> None:
+        self._may_write.clear()
+
+    def resume_writing(self) -> None:
+        self._may_write.set()
+        while self._queue and self._may_write.is_set():
+            data = self._queue.popleft()
+            self._queued_bytes -= len(data)
+            self._write_message(data)
+
+    def data_received(self, data: bytes) -> None:
+        self.received_bytes += len(data)
+        if self._skip:
+            skipped = min(self._skip, len(data))
+            self._skip -= skipped
+            data = data[skipped:]
+        if self._rest:
+            self._rest += data
+            data = self._rest  # type: ignore[assignment]
+        at = self._take_frames(data)
+        if data is self._rest:
+            del self._rest[:at]
+        elif at < len(data):
+            self._rest += data[at:]
+        TcprosConnection._held += len(self._rest) - self._counted
+        self._counted = len(self._rest)
+        if TcprosConnection._held > _MOST_HELD:
+            self.close()
+
+    def _take_frames(self, data: bytes) -> int:
+        """Hand on what is whole. Returns where the rest begins."""
+        at, size = 0, len(data)
+        while self.is_open:
+            begin = at + (self._prefix if self._has_header else 0)
+            if size - begin < 4:
+                break
+            (length,) = _U32.unpack_from(data, begin)
+            end = begin + 4 + length
+            if not self._has_header:
+                if length > LONGEST_HEADER:
+                    self.refuse(f"a header of {length} bytes, and {LONGEST_HEADER} is the most")
+                    return size
+                if end > size:
+                    break
+                at = end
+                self._take_header(bytes(data[begin + 4 : end]))
+            elif length > LONGEST_MESSAGE:
+                self._skip = max(0, end - size)
+                at = min(end, size)
+                self.on_too_long(f"a message of {length} bytes, and {LONGEST_MESSAGE} is the most")
+            elif end > size:
+                break
+            else:
+                is_done = not self._prefix or data[at] != 0
+                at = end
+                self.received += 1
+                self.on_message(bytes(data[begin + 4 : end]), is_done)
+        return size if self._skip or not self.is_open else at
+
+    def _take_header(self, body: bytes) -> None:
+        try:
+            fields = decode_header(body)
+        except BadHeader as error:
+            self.refuse(str(error))
+            return
+        self._has_header = True
+        self._limit.cancel()
+        self.on_header(self, fields)
+
+    # --- for those who use it -----------------------------------------------------------------------------------
+
+    @property
+    def where(self) -> str:
+        """As getBusInfo tells it."""
+        return self._where
+
+    def send_header(self, fields: Fields) -> None:
+        """Send the header of this side."""
+        self.write(encode_header(fields))
+
+    def refuse(self, reason: str) -> None:
+        """Send a header that says why there is no connection, and end it when it has been read."""
+        if not self.is_open or self._is_refused:
+            return
+        self.send_header({"error": reason})
+        self._is_refused = True
+        self._transport.write_eof()
+        self.ignore()
+        self._limit.cancel()
+        self._limit = asyncio.get_running_loop().call_later(HANDSHAKE_LIMIT_S, self.close)
+
+    def write(self, data: bytes) -> None:
+        """Send these bytes, whatever waits already."""
+        if self._is_writable():
+            self._transport.write(data)
+
+    def _is_writable(self) -> bool:
+        """Whether the other end is there, and was not refused."""
+        return self.is_open and not self._is_refused and not self._transport.is_closing()
+
+    def send(self, data: bytes) -> int:
+        """Send a framed message, or queue it. Returns how many older ones had to go for it."""
+        if not self._is_writable():
+            return 0
+        if self._may_write.is_set():
+            self._write_message(data)
+            return 0
+        self._queue.append(data)
+        self._queued_bytes += len(data)
+        lost = 0
+        while len(self._queue) > _MOST_QUEUED or (self._queued_bytes > _MOST_QUEUED_BYTES and len(self._queue) > 1):
+            self._queued_bytes -= len(self._queue.popleft())
+            lost += 1
+        self.dropped += lost
+        return lost
+
+    async def writable(self) -> None:
+        """Wait until the other end has read most of what was sent."""
+        await self._may_write.wait()
+
+    def ignore(self) -> None:
+        """Throw away what still comes."""
+        self._has_header, self._skip = True, 1 << 62
+
+    def pause_reading(self) -> None:
+        """Nothing is read until `resume_reading`; what was read already is still handed on."""
+        if self.is_open:
+            self._transport.pause_reading()
+
+    def resume_reading(self) -> None:
+        """Read again."""
+        if self.is_open:
+            self._transport.resume_reading()
+
+    def close(self) -> None:
+        """End the connection: at once when the other side does not read, else when it has what was sent."""
+        if self.is_open:
+            if self._may_write.is_set():
+                self._transport.close()
+            else:
+                self._transport.abort()
+            self._end()
+
+    def _write_message(self, data: bytes) -> None:
+        self.sent += 1
+        self.sent_bytes += len(data)
+        self._transport.write(data)
+
+    def _end(self) -> None:
+        if self.is_open:
+            self.is_open = False
+            self._limit.cancel()
+            self._queue.clear()
+            self._rest.clear()
+            TcprosConnection._held -= self._counted
+            self._counted = 0
+            self._may_write.set()
+            self.on_gone(self)
+            self.on_closed()
+
+
+class OutgoingConnection:
+    """A connection that this side makes, for one task that waits for what comes back. Use `connect`.
+
+    `check` gets the header of the other side before any message comes, and raises SlidectlError when it is not fit.
+    """
+
+    def __init__(self, has_status: bool, check: Callable[[Fields], None]) -> None:
+        self._check = check
+        self._header: asyncio.Future[Fields] = asyncio.get_running_loop().create_future()
+        self._answer: asyncio.Future[tuple[bytes, bool]] = asyncio.get_running_loop().create_future()
+        self.closed = asyncio.Event()
+        self.connection = TcprosConnection(self._take_header, has_status)
+        self.connection.on_closed = self._take_end
+
+    @classmethod
+    async def connect(
+        cls,
+        host: str,
+        port: int,
+        fields: Fields,
+        has_status: bool = False,
+        check: Callable[[Fields], None] = lambda _: None,
+    ) -> OutgoingConnection:
+        """Connect and send the header. Raises Refused, TimedOut."""
+        made = cls(has_status, check)
+        loop = asyncio.get_running_loop()
+        try:
+            await asyncio.wait_for(loop.create_connection(lambda: made.connection, host, port), HANDSHAKE_LIMIT_S)
+        except TimeoutError:
+            raise TimedOut(f"{host}:{port} did not answer within {HANDSHAKE_LIMIT_S:g} s") from None
+        except (OSError, UnicodeError, OverflowError) as error:
+            raise Refused(f"no connection to {host}:{port}: {getattr(error, 'strerror', None) or error}") from None
+        made.connection.send_header(fields)
+        return made
+
+    async def header(self) -> Fields:
+        """The header of the other side. Raises SlidectlError: it says an error, is not fit, or did not come."""
+        return await self._header
+
+    async def exchange(self, request: bytes) -> tuple[bytes, bool]:
+        """Send a request and wait for the answer of a service, and whether it is one.
+
+        Raises Refused: the other side hung up, or the answer is too long.
+        """
+        self.connection.on_message = lambda body, is_done: _settle(self._answer, (body, is_done))
+        self.connection.on_too_long = lambda reason: _fail(self._answer, Refused(reason))
+        self.connection.write(request)
+        return await self._answer
+
+    def _take_header(self, _: TcprosConnection, fields: Fields) -> None:
+        try:
+            if "error" in fields:
+                raise Refused(f"remote error reported: {fields['error']}")
+            self._check(fields)
+        except SlidectlError as error:
+            _fail(self._header, error)
+            self.connection.close()
+        else:
+            _settle(self._header, fields)
+
+    def _take_end(self) -> None:
+        self.closed.set()
+        _fail(self._header, Refused(SENDER_GONE))
+        _fail(self._answer, Refused(f"transport error completing service call: {SENDER_GONE}"))
+
+
+def _settle(future: asyncio.Future[T], value: T) -> None:
+    if not future.done():
+        future.set_result(value)
+
+
+def _fail(future: asyncio.Future[Any], error: SlidectlError) -> None:
+    if not future.done():
+        future.set_exception(error)
+        future.exception()  # nobody may be waiting for it

@@ -1,0 +1,456 @@
+"""XML-RPC over HTTP/1.1 on asyncio: values as XML, a server, and a call of somebody else's server.
+
+What comes from outside is bounded in bytes, depth, count and time. Document types and entities are refused.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import binascii
+import re
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+from typing import Any
+from urllib.parse import urlsplit
+from xml.parsers import expat
+
+from slidectl.errors import Refused, SlidectlError, TimedOut, cut
+
+LONGEST_BODY = 16 * 1024 * 1024
+DEEPEST = 64
+"""Arrays and structs in each other, as deep as parameters may be."""
+MOST_VALUES = 100_000
+MOST_CONNECTIONS = 400
+CALL_LIMIT_S = 10.0
+
+_LONGEST_HEAD = 16 * 1024
+_MOST_DIGITS = 12
+"""Of a Content-Length."""
+_MOST_HELD = 4 * LONGEST_BODY
+"""Bytes of all requests that are being received or answered at once."""
+_IDLE_LIMIT_S = 600.0
+_REQUEST_LIMIT_S = 20.0
+_SPARE_S = 1.0
+"""A connection that has been quiet as long may be closed in favour of a new one."""
+
+_INTEGERS = ("i4", "int", "i8")
+_SCALARS = (*_INTEGERS, "boolean", "double", "string", "dateTime.iso8601", "base64", "nil")
+_PARENTS: dict[str, tuple[str, ...]] = {
+    "methodCall": ("",),
+    "methodResponse": ("",),
+    "methodName": ("methodCall",),
+    "params": ("methodCall", "methodResponse"),
+    "fault": ("methodResponse",),
+    "param": ("params",),
+    "value": ("param", "data", "member", "fault"),
+    "member": ("struct",),
+    "name": ("member",),
+    "data": ("array",),
+    "struct": ("value",),
+    "array": ("value",),
+    **dict.fromkeys(_SCALARS, ("value",)),
+}
+_NO_CHARACTER = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+"""What XML cannot say."""
+
+
+class BadXmlRpc(SlidectlError):
+    """Bytes that are no XML-RPC, or more of it than anybody needs."""
+
+
+class XmlRpcFault(SlidectlError):
+    """A fault, as XML-RPC has them: of our answer, or of somebody else's."""
+
+    def __init__(self, code: int, text: str) -> None:
+        super().__init__(text)
+        self.code = code
+
+
+class DateTime(str):
+    """A dateTime.iso8601, as it was written."""
+
+    __slots__ = ()
+
+
+# --- values as XML --------------------------------------------------------------------------------------------------
+
+
+def call_xml(method: str, arguments: tuple[Any, ...]) -> bytes:
+    """A methodCall."""
+    name, params = _escaped(method), _params(arguments)
+    return f"<?xml version='1.0'?>\n<methodCall><methodName>{name}</methodName>{params}</methodCall>\n".encode()
+
+
+def response_xml(value: Any) -> bytes:
+    """A methodResponse with one value."""
+    return f"<?xml version='1.0'?>\n<methodResponse>{_params((value,))}</methodResponse>\n".encode()
+
+
+def fault_xml(fault: XmlRpcFault) -> bytes:
+    """A methodResponse that is a fault."""
+    value = _value({"faultCode": fault.code, "faultString": fault.message})
+    return f"<?xml version='1.0'?>\n<methodResponse><fault>{value}</fault></methodResponse>\n".encode()
+
+
+def _params(values: tuple[Any, ...]) -> str:
+    return f"<params>{''.join(f'<param>{_value(value)}</param>' for value in values)}</params>"
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        content = f"<boolean>{value:d}</boolean>"
+    elif isinstance(value, int):
+        kind = "int" if -(2**31) <= value < 2**31 else "i8"  # Python's clients know i8, roscpp has no such numbers
+        content = f"<{kind}>{value}</{kind}>"
+    elif isinstance(value, float):
+        content = f"<double>{value!r}</double>"
+    elif isinstance(value, DateTime):
+        content = f"<dateTime.iso8601>{_escaped(value)}</dateTime.iso8601>"
+    elif isinstance(value, str):
+        content = f"<string>{_escaped(value)}</string>"
+    elif isinstance(value, bytes):
+        content = f"<base64>{base64.b64encode(value).decode()}</base64>"
+    elif isinstance(value, dict):
+        members = (f"<member><name>{_escaped(str(k))}</name>{_value(v)}</member>" for k, v in value.items())
+        content = f"<struct>{''.join(members)}</struct>"
+    elif isinstance(value, list | tuple):
+        content = f"<array><data>{''.join(map(_value, value))}</data></array>"
+    else:
+        content = "<nil/>"
+    return f"<value>{content}</value>"
+
+
+def _escaped(text: str) -> str:
+    """What XML has no character for becomes U+FFFD."""
+    text = text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;").replace("\r", "&#13;")
+    return _NO_CHARACTER.sub("\N{REPLACEMENT CHARACTER}", text)
+
+
+def read_call(body: bytes) -> tuple[str, list[Any]]:
+    """Method and arguments of a methodCall. Raises BadXmlRpc."""
+    kind, content = _Reader().read(body)
+    if kind != "methodCall":
+        raise BadXmlRpc(f"expected a methodCall, got a {kind}")
+    method = [value for tag, value in content if tag == "methodName"]
+    params = [value for tag, value in content if tag == "params"]
+    if len(method) != 1 or len(params) > 1:
+        raise BadXmlRpc("a methodCall has one methodName, and params once at most")
+    return method[0], params[0] if params else []
+
+
+def read_response(body: bytes) -> Any:
+    """The value of a methodResponse. Raises XmlRpcFault when it is one, BadXmlRpc."""
+    kind, content = _Reader().read(body)
+    if kind != "methodResponse" or len(content) != 1:
+        raise BadXmlRpc(f"expected a methodResponse with one value, got a {kind}")
+    tag, value = content[0]
+    if tag == "fault":
+        known = value if isinstance(value, dict) else {}
+        code = known.get("faultCode")
+        raise XmlRpcFault(code if isinstance(code, int) else 0, cut(str(known.get("faultString", value))))
+    if len(value) != 1:
+        raise BadXmlRpc(f"a response has one value, this one has {len(value)}")
+    return value[0]
+
+
+class _Reader:
+    """One document. A frame of the stack is an element that is open: its tag, what ended in it, and its text."""
+
+    def __init__(self) -> None:
+        self._stack: list[tuple[str, list[tuple[str, Any]], list[str]]] = [("", [], [])]
+        self._values = 0
+        self._depth = 0
+
+    def read(self, body: bytes) -> tuple[str, Any]:
+        parser = expat.ParserCreate()
+        parser.buffer_text = True
+        parser.StartElementHandler = self._start
+        parser.EndElementHandler = self._end
+        parser.CharacterDataHandler = self._text
+        parser.StartDoctypeDeclHandler = self._refuse_document_type
+        try:
+            parser.Parse(body, True)
+        except (expat.ExpatError, ValueError, LookupError) as error:  # also: numbers, base64, encodings
+            raise BadXmlRpc(f"this is no XML-RPC: {error}") from None
+        return self._stack[0][1][0]
+
+    def _refuse_document_type(self, *_: Any) -> None:
+        raise BadXmlRpc("a document type (and its entities) has no place in XML-RPC")
+
+    def _start(self, tag: str, _: dict[str, str]) -> None:
+        parent = self._stack[-1][0]
+        if parent not in _PARENTS.get(tag, ()):
+            raise BadXmlRpc(f"<{cut(tag, 80)}> is not expected in <{parent}>")
+        if tag == "value":
+            self._values += 1
+            if self._values > MOST_VALUES:
+                raise BadXmlRpc(f"more than {MOST_VALUES} values")
+        elif tag in ("struct", "array"):
+            self._depth += 1
+            if self._depth > DEEPEST:
+                raise BadXmlRpc(f"values are nested deeper than {DEEPEST} levels")
+        self._stack.append((tag, [], []))
+
+    def _text(self, text: str) -> None:
+        self._stack[-1][2].append(text)
+
+    def _end(self, tag: str) -> None:
+        _, content, pieces = self._stack.pop()
+        text = "".join(pieces)
+        if tag in ("struct", "array"):
+            self._depth -= 1
+        if tag in ("methodCall", "methodResponse"):
+            value: Any = content
+        elif tag in ("params", "data"):
+            value = [below for _, below in content]
+        elif tag == "value":
+            value = _only(tag, content) if content else text
+        elif tag in ("param", "fault", "array"):
+            value = _only(tag, content)
+        elif tag == "struct":
+            value = dict(below for _, below in content)
+        elif tag == "member":
+            if [kind for kind, _ in content] != ["name", "value"]:
+                raise BadXmlRpc("a member has a name and a value")
+            value = (content[0][1], content[1][1])
+        else:
+            value = _scalar(tag, text)
+        self._stack[-1][1].append((tag, value))
+
+
+def _only(tag: str, content: list[tuple[str, Any]]) -> Any:
+    if len(content) != 1:
+        raise BadXmlRpc(f"<{tag}> has one element in it, this one has {len(content)}")
+    return content[0][1]
+
+
+def _scalar(tag: str, text: str) -> Any:
+    """Raises ValueError."""
+    if tag in _INTEGERS:
+        number = int(text[:40])
+        if not -(2**63) <= number < 2**63:
+            raise ValueError(f"the integer {number} does not fit 64 bits")
+        return number
+    if tag == "boolean":
+        return {"0": False, "1": True}[text.strip()] if text.strip() in ("0", "1") else _refuse(f"boolean {text!r}")
+    if tag == "double":
+        return float(text)
+    if tag == "base64":
+        return binascii.a2b_base64(text.encode())
+    if tag == "dateTime.iso8601":
+        return DateTime(text.strip())
+    return None if tag == "nil" else text.strip() if tag == "methodName" else text
+
+
+def _refuse(what: str) -> Any:
+    raise ValueError(cut(what, 80))
+
+
+# --- the server -----------------------------------------------------------------------------------------------------
+
+Answer = Callable[[str, str, list[Any]], Awaitable[Any]]
+"""Takes path, method and arguments; raises XmlRpcFault."""
+
+
+class XmlRpcServer:
+    """Serves calls on one port, each connection one call after the other."""
+
+    def __init__(self, answer: Answer) -> None:
+        self._answer = answer
+        self._server: asyncio.Server | None = None
+        self._quiet: dict[asyncio.Task[Any], float] = {}
+        """The connections, those that have been quiet longest first, with the time since when; 0 while one is busy."""
+        self._held = 0
+
+    async def open(self, host: str, port: int) -> int:
+        """Listen; the port (one that is free when it is 0). Raises OSError."""
+        self._server = await asyncio.start_server(self._connected, host, port, limit=_LONGEST_HEAD, reuse_address=True)
+        return int(self._server.sockets[0].getsockname()[1])
+
+    @property
+    def connections(self) -> int:
+        return len(self._quiet)
+
+    async def close(self) -> None:
+        if self._server is not None:
+            self._server.close()
+        tasks = list(self._quiet)
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.current_task()
+        assert task is not None
+        now = asyncio.get_running_loop().time
+        if len(self._quiet) >= MOST_CONNECTIONS:
+            longest = next((other for other, since in self._quiet.items() if since and now() - since > _SPARE_S), None)
+            if longest is None:
+                writer.close()
+                return
+            longest.cancel()
+            self._quiet.pop(longest)
+        try:
+            goes_on = True
+            while goes_on:
+                self._quiet.pop(task, None)
+                self._quiet[task] = now()
+                async with asyncio.timeout(_IDLE_LIMIT_S):
+                    first = await reader.readexactly(1)
+                async with asyncio.timeout(_REQUEST_LIMIT_S):
+                    head = first + await reader.readuntil(b"\r\n\r\n")
+                self._quiet[task] = 0.0  # who sends half a head is quiet too
+                goes_on = await self._request(head, reader, writer)
+        except (OSError, EOFError, asyncio.LimitOverrunError, TimeoutError, asyncio.CancelledError):
+            pass  # the other has gone, sends no HTTP, is slow, or the gateway ends
+        finally:
+            self._quiet.pop(task, None)
+            writer.close()
+
+    async def _request(self, head: bytes, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> bool:
+        """Carry out one request. Returns whether the connection goes on."""
+        line, fields = _head(head)
+        method, _, rest = line.partition(" ")
+        path, _, version = rest.partition(" ")
+        text = fields.get("content-length", "")
+        length = int(text) if text.isdecimal() and len(text) <= _MOST_DIGITS else -1
+        refusal = (
+            "501 Unsupported method" if method != "POST"
+            else "403 Forbidden" if "origin" in fields  # the page of some site in a browser; no node of ROS sends this
+            else "411 Length Required" if length < 0
+            else "413 Payload Too Large" if length > LONGEST_BODY
+            else "503 Service Unavailable" if self._held + length > _MOST_HELD
+            else ""
+        )  # fmt: skip
+        if refusal:
+            await _reply(writer, refusal, b"", is_last=True)
+            return False
+        self._held += length
+        try:
+            async with asyncio.timeout(_REQUEST_LIMIT_S):
+                body = await reader.readexactly(length)
+            answer = await self._carried_out(path, body)
+            is_last = version != "HTTP/1.1" or fields.get("connection", "").lower() == "close"
+            await _reply(writer, "200 OK", answer, is_last)
+        finally:
+            self._held -= length
+        return not is_last
+
+    async def _carried_out(self, path: str, body: bytes) -> bytes:
+        try:
+            method, arguments = read_call(body)
+            if method == "system.multicall":
+                answers, size = [], 0
+                for call in _calls(arguments):
+                    answers.append(await self._one_of_many(path, call))
+                    size += len(response_xml(answers[-1]))
+                    if size > LONGEST_BODY:
+                        raise XmlRpcFault(1, f"answers of more than {LONGEST_BODY} bytes to one system.multicall")
+                    await asyncio.sleep(0)  # others have their turn
+                return response_xml(answers)
+            return response_xml(await self._answer(path, method, arguments))
+        except XmlRpcFault as fault:
+            return fault_xml(fault)
+        except BadXmlRpc as error:
+            return fault_xml(XmlRpcFault(1, error.message))
+
+    async def _one_of_many(self, path: str, call: Any) -> Any:
+        """As Python's servers do it: the value in a list, or the fault as a struct."""
+        try:
+            if not isinstance(call, dict) or not isinstance(call.get("methodName"), str):
+                raise XmlRpcFault(1, "a call of system.multicall has a methodName and params")
+            if not isinstance(params := call.get("params", []), list):
+                raise XmlRpcFault(1, "the params of a call are an array")
+            return [await self._answer(path, call["methodName"], params)]
+        except XmlRpcFault as fault:
+            return {"faultCode": fault.code, "faultString": fault.message}
+
+
+def _calls(arguments: list[Any]) -> list[Any]:
+    if len(arguments) != 1 or not isinstance(arguments[0], list):
+        raise XmlRpcFault(1, "system.multicall takes one array of calls")
+    return arguments[0]
+
+
+def _head(head: bytes) -> tuple[str, dict[str, str]]:
+    """The first line, and the fields with their names in small letters."""
+    line, *rest = head.decode("latin-1").strip().split("\r\n")
+    fields = (field.partition(":") for field in rest)
+    return line, {name.strip().lower(): value.strip() for name, _, value in fields}
+
+
+async def _reply(writer: asyncio.StreamWriter, status: str, body: bytes, is_last: bool) -> None:
+    fields = f"Server: slidectl\r\nContent-type: text/xml\r\nContent-length: {len(body)}\r\n"
+    writer.write(
+        f"HTTP/1.1 {status}\r\n{fields}{'Connection: close' + chr(13) + chr(10) if is_last else ''}\r\n".encode() + body
+    )
+    async with asyncio.timeout(_REQUEST_LIMIT_S):
+        await writer.drain()
+
+
+# --- the client -----------------------------------------------------------------------------------------------------
+
+
+async def call(uri: str, method: str, *arguments: Any, timeout_s: float = CALL_LIMIT_S) -> Any:
+    """The value that the server at this URI (http://host:port/path) answers.
+
+    Raises:
+        Refused: there is none, or what it says is no XML-RPC. XmlRpcFault: its answer. TimedOut.
+    """
+    host, port, path = host_port_path(uri)
+    try:
+        async with asyncio.timeout(timeout_s):
+            return await _exchange(host, port, path, call_xml(method, arguments))
+    except TimeoutError:
+        raise TimedOut(f"{uri} did not answer {method} within {timeout_s:g} s") from None
+    except (OSError, EOFError, UnicodeError, asyncio.LimitOverrunError) as error:
+        reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        raise Refused(f"{uri} does not answer {method}: {reason}") from None
+    except BadXmlRpc as error:
+        raise Refused(f"{uri} answers {method} with nonsense: {error.message}") from None
+
+
+def host_port_path(uri: str) -> tuple[str, int, str]:
+    """Of an http:// or rosrpc:// URI. Raises Refused."""
+    try:
+        parts = urlsplit(uri)
+        if parts.scheme not in ("http", "rosrpc") or not parts.hostname:
+            raise ValueError
+        return parts.hostname, parts.port or 80, parts.path or "/"
+    except ValueError:
+        raise Refused(f"{cut(uri, 120)!r} is no URI of a ROS node", "write it as http://HOST:PORT") from None
+
+
+async def _exchange(host: str, port: int, path: str, body: bytes) -> Any:
+    reader, writer = await asyncio.open_connection(host, port, limit=_LONGEST_HEAD)
+    try:
+        fields = f"Host: {host}:{port}\r\nUser-Agent: slidectl\r\nContent-Type: text/xml\r\nConnection: close\r\n"
+        writer.write(f"POST {path} HTTP/1.1\r\n{fields}Content-Length: {len(body)}\r\n\r\n".encode() + body)
+        line, answered = _head(await reader.readuntil(b"\r\n\r\n"))
+        if not re.match(r"HTTP/1\.[01] 200\b", line):
+            raise BadXmlRpc(cut(line, 120))
+        text = answered.get("content-length", "")
+        if text.isdecimal() and len(text) <= _MOST_DIGITS:
+            length = int(text)
+            answer = await reader.readexactly(length) if length <= LONGEST_BODY else None
+        else:
+            answer = await _until_end(reader)
+        if answer is None:
+            raise BadXmlRpc(f"an answer of more than {LONGEST_BODY} bytes")
+        return read_response(answer)
+    finally:
+        writer.close()
+        with suppress(OSError):
+            await writer.wait_closed()
+
+
+async def _until_end(reader: asyncio.StreamReader) -> bytes | None:
+    pieces: list[bytes] = []
+    length = 0
+    while piece := await reader.read(_LONGEST_HEAD):
+        pieces.append(piece)
+        length += len(piece)
+        if length > LONGEST_BODY:
+            return None
+    return b"".join(pieces)

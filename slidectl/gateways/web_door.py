@@ -1,0 +1,262 @@
+"""The door of a gateway that listens for WebSockets: who may come in, and from where.
+
+Tokens, origins, names of this machine, TLS, and how many at a time. It knows no protocol that is spoken inside.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import http
+import logging
+import socket
+import sys
+import traceback
+from collections.abc import Awaitable, Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, cast
+from urllib.parse import parse_qs, urlsplit
+
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+
+from slidectl.errors import Refused, SlidectlError, UsageError
+from slidectl.gateways.websocket.tls import server_context
+from slidectl.web_access import LOOPBACK, check_token, host_of, is_loopback, is_secret, shown_host
+
+_HANDSHAKE_S, _CLOSE_S = 10.0, 2.0
+_MORE_HANDSHAKES = 50
+"""Connections beyond the most that are let in as far as to be told so."""
+
+
+@dataclass(frozen=True)
+class DoorOptions:
+    """Where a gateway listens, and whom it lets in."""
+
+    host: str = "localhost"
+    """Address of this machine to listen on; others than loopback need a token."""
+    port: int = 0
+    """0 takes any that is free."""
+    cert: str = ""
+    """File with a certificate, its chain after it: the gateway speaks TLS (wss://)."""
+    key: str = ""
+    """File with the key of the certificate, if it is not in the same file."""
+    token: str = ""
+    """Let in only who has this word, as ?token=WORD or as the header Authorization: Bearer WORD."""
+    token_file: str = ""
+    """File with the token, in place of the token itself."""
+    origins: tuple[str, ...] = ()
+    """Sites whose pages are let in, as https://site:port, beside those of this machine; null for files, * for all."""
+    max_connections: int = 200
+    """Clients at a time."""
+
+
+class DoorConnection(ServerConnection):
+    """A connection from the moment in which it is made: those beyond the most are cut."""
+
+    def __init__(self, *args: Any, most: int, **options: Any) -> None:
+        """`most` connections of the server, finished handshakes or not, are looked at."""
+        super().__init__(*args, **options)
+        self._most = most
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        super().connection_made(transport)
+        if len(self.server.handlers) > self._most:
+            cast(asyncio.Transport, transport).abort()
+
+
+class WebDoor:
+    """Listens, and lets in those that may come in."""
+
+    def __init__(self, options: DoorOptions, known_origins: Sequence[str] = ()) -> None:
+        """`known_origins` are welcome beside those of the options.
+
+        Raises:
+            UsageError, Refused: options that do not fit together, or files that cannot be read.
+        """
+        self._options = options
+        self._token = _token(options)
+        if options.key and not options.cert:
+            raise UsageError("--key is that of a certificate: --cert FILE is needed")
+        self._tls = server_context(options.cert, options.key) if options.cert else None
+        self._origins = {*map(_checked_origin, options.origins), *known_origins}
+        self._server: Server | None = None
+        self.connections = 0
+        """How many are inside."""
+        self.turned_away = 0
+
+    def is_local(self) -> bool:
+        """Whether only this machine reaches the door.
+
+        Raises:
+            Refused: there is no such host. UsageError: others reach it, and there is no token.
+        """
+        options = self._options
+        try:
+            is_local = is_loopback(options.host)
+        except OSError as error:
+            raise Refused(f"no host {options.host!r} ({error.strerror})", "addresses: localhost, 0.0.0.0") from None
+        if not is_local and not self._token:
+            raise UsageError(f"--host {options.host} lets other machines in: --token WORD is needed")
+        return is_local
+
+    async def open(
+        self, handler: Callable[[Any], Awaitable[None]], kind: type[DoorConnection] = DoorConnection, **more: Any
+    ) -> str:
+        """Listen, and return the address to show. `more` goes to the library's server.
+
+        Raises:
+            Refused: the port is taken, or the host is not of this machine. UsageError: as `is_local`.
+        """
+        options = self._options
+        self.is_local()
+        addresses = _addresses(options.host)
+        quiet = logging.getLogger("slidectl.gateways")
+        quiet.setLevel(logging.CRITICAL)  # what is no WebSocket is turned away, and is no error of ours
+
+        made = partial(kind, most=options.max_connections + _MORE_HANDSHAKES)
+
+        async def count(connection: ServerConnection) -> None:
+            if self.connections >= options.max_connections:  # several came at the same time
+                await connection.close(1013, "too many are connected")
+                return
+            self.connections += 1
+            try:
+                await handler(connection)
+            except ConnectionClosed:
+                pass
+            except Exception:  # a fault of ours ends one connection
+                traceback.print_exc(file=sys.stderr)
+                await connection.close(1011, "internal error; the log of the gateway has more")
+            finally:
+                self.connections -= 1
+
+        try:
+            self._server = await serve(
+                count,
+                cast(str, addresses if options.port else addresses[:1]),  # asyncio's server takes several
+                options.port,
+                ssl=self._tls,
+                process_request=self._judge,
+                open_timeout=_HANDSHAKE_S,
+                close_timeout=_CLOSE_S,
+                server_header=None,
+                logger=quiet,
+                create_connection=cast(type[ServerConnection], made),
+                **more,
+            )
+        except OSError as error:
+            raise _not_bound(options, error) from None
+        port = self._server.sockets[0].getsockname()[1]
+        return f"{'wss' if self._tls else 'ws'}://{shown_host(options.host)}:{port}"
+
+    async def close(self, code: int, reason: str) -> None:
+        """Stop listening, and let all go."""
+        if self._server is not None:
+            self._server.close(code=code, reason=reason)
+            await self._server.wait_closed()
+
+    def _judge(self, browser: ServerConnection, request: Request) -> Response | None:
+        """What is answered to one that may not come in; None: it may."""
+        status, text = self._objection(request)
+        if not text:
+            return None
+        self.turned_away += 1
+        response = browser.respond(status, f"slidectl: {text}\n")
+        if status == http.HTTPStatus.UNAUTHORIZED:
+            response.headers["WWW-Authenticate"] = "Bearer"
+        return response
+
+    def _objection(self, request: Request) -> tuple[http.HTTPStatus, str]:
+        headers = request.headers
+        for name in headers.get_all("Host"):
+            if not self._token and host_of(name) not in (*LOOPBACK, self._options.host):
+                return http.HTTPStatus.FORBIDDEN, f"this gateway does not go by the name {name!r}"
+        for origin in headers.get_all("Origin"):
+            if not self._is_welcome(origin):
+                return http.HTTPStatus.FORBIDDEN, f"pages of {origin} may not use this gateway; see --origin"
+        if self._token:
+            given = _given_token(request)
+            if given is None:
+                where = "?token=WORD in the address, or the header Authorization: Bearer WORD"
+                return http.HTTPStatus.UNAUTHORIZED, f"a token is needed: {where}"
+            if not is_secret(given, self._token):
+                return http.HTTPStatus.UNAUTHORIZED, "the token is wrong"
+        if self.connections >= self._options.max_connections:
+            most = self._options.max_connections
+            return http.HTTPStatus.SERVICE_UNAVAILABLE, f"{most} are connected, and no more may be"
+        return http.HTTPStatus.OK, ""
+
+    def _is_welcome(self, origin: str) -> bool:
+        """Pages of this machine, and those of sites that were given. A program that is no browser has no origin."""
+        try:
+            parts = urlsplit(origin)
+        except ValueError:
+            return False
+        is_own = parts.scheme in ("http", "https") and host_of(parts.netloc) in LOOPBACK
+        return is_own or "*" in self._origins or origin.lower() in self._origins
+
+
+def _token(options: DoorOptions) -> str:
+    """Raises UsageError, Refused."""
+    if options.token and options.token_file:
+        raise UsageError("--token and --token-file are two ways to say one thing", "give one of them")
+    token = options.token
+    if options.token_file:
+        try:
+            token = Path(options.token_file).read_text(encoding="utf-8").strip()
+        except (OSError, UnicodeDecodeError) as error:
+            reason = getattr(error, "strerror", "it is no text")
+            raise Refused(f"the token file {options.token_file} cannot be read: {reason}") from None
+        check_token(token)
+    return check_token(token) if token else ""
+
+
+def _given_token(request: Request) -> str | None:
+    for text in request.headers.get_all("Authorization"):
+        scheme, _, word = text.partition(" ")
+        if scheme.lower() == "bearer":
+            return word.strip()
+    return parse_qs(urlsplit(request.path).query).get("token", [None])[0]
+
+
+def _checked_origin(origin: str) -> str:
+    """As browsers write it. Raises UsageError."""
+    given = origin.lower().rstrip("/")
+    if given in ("*", "null"):
+        return given
+    try:
+        parts = urlsplit(given)
+        is_site = bool(parts.scheme and parts.hostname) and given == f"{parts.scheme}://{parts.netloc}"
+    except ValueError:
+        is_site = False
+    if not is_site:
+        raise UsageError(
+            f"{origin!r} is no origin", "origins: https://site, http://site:8000, null for files, * for all"
+        )
+    return given
+
+
+def _addresses(host: str) -> list[str]:
+    """Those of a host that this machine has: a name may stand for one that is not in use. Raises Refused."""
+    found: dict[str, None] = {}
+    for family, kind, _, _, address in socket.getaddrinfo(host, None, type=socket.SOCK_STREAM):
+        with suppress(OSError), socket.socket(family, kind) as probe:
+            probe.bind((address[0], 0))
+            found[str(address[0])] = None
+    if not found:
+        raise Refused(f"{host} is no address of this machine", "addresses: localhost, 0.0.0.0")
+    return list(found)
+
+
+def _not_bound(options: DoorOptions, error: OSError) -> SlidectlError:
+    where = f"port {options.port} of {options.host}"
+    if error.errno == errno.EADDRINUSE:
+        return Refused(f"{where} is taken", "choose another: --port N")
+    if error.errno == errno.EACCES:
+        return Refused(f"{where} is for root alone", "choose one from 1024 on: --port N")
+    return Refused(f"cannot listen on {where}: {error.strerror}")

@@ -1,0 +1,178 @@
+"""How rosbridge packs a message for those who ask for it: as a PNG, as CBOR, as CBOR around ROS 1 bytes; in fragments.
+
+An encoder takes a publish line of the daemon and returns a frame. All browsers share the encoder of a type: what
+several of them get is packed once.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import zlib
+from binascii import a2b_base64, b2a_base64
+from collections.abc import Callable, Iterator
+from functools import cache
+from struct import Struct, pack
+from typing import Any
+
+import cbor2
+
+from slidectl import msgs
+from slidectl.client.lines import decode
+from slidectl.errors import UsageError
+from slidectl.gateways.ros1.ros1_types import ros1_type
+from slidectl.msgs.schema import BYTES, FLOATS, PRIMITIVES, SCALAR, Field
+
+COMPRESSIONS = ("none", "png", "cbor", "cbor-raw")
+"""The later one wins where a browser subscribes a topic twice."""
+SMALLEST_FRAGMENT = 256
+_TYPED_ARRAYS = {
+    "uint16": (69, "H"), "uint32": (70, "I"), "uint64": (71, "Q"), "byte": (72, "b"), "int8": (72, "b"),
+    "int16": (77, "h"), "int32": (78, "i"), "int64": (79, "q"), "float32": (85, "f"), "float64": (86, "d"),
+}  # fmt: skip
+"""Tags of typed arrays, little-endian (RFC 8746), and how struct calls the type; CBOR has bytes of its own."""
+_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_HEADER = Struct(">IIBBBBB")
+_RGB, _BITS = 2, 8
+
+Frame = tuple[bytes, bool]
+"""What is sent, and whether it is text."""
+Convert = Callable[[Any], Any]
+
+
+class Encoder:
+    """Packs publish lines; the last one is kept, since the next browser gets the same."""
+
+    def __init__(self, pack: Callable[[bytes], Frame]) -> None:
+        self._pack = pack
+        self._line = b""
+        self._frame: Frame = b"", True
+
+    def __call__(self, line: bytes) -> Frame:
+        """The frame for a line."""
+        if line != self._line:
+            self._line, self._frame = line, self._pack(line)
+        return self._frame
+
+
+@cache
+def encoder(compression: str, type_name: str) -> Encoder:
+    """The one for messages of a type; `compression` is one of COMPRESSIONS but "none". Raises UnknownName."""
+    if compression == "png":
+        return Encoder(lambda line: (_png(line), True))
+    if compression == "cbor":
+        return Encoder(_cbor(_converter(type_name)))
+    return Encoder(_cbor_raw(ros1_type(type_name).pack))
+
+
+def _png(line: bytes) -> bytes:
+    """The line as pixels, red, green and blue, of an image that is about a square; newlines fill it up."""
+    width = max(1, math.isqrt(len(line) // 3))
+    height = math.ceil(len(line) / 3 / width)
+    row = 3 * width
+    pixels = line.ljust(row * height, b"\n")
+    rows = b"".join(b"\0" + pixels[at : at + row] for at in range(0, len(pixels), row))  # 0: as they are
+    parts = {b"IHDR": _HEADER.pack(width, height, _BITS, _RGB, 0, 0, 0), b"IDAT": zlib.compress(rows), b"IEND": b""}
+    image = _SIGNATURE + b"".join(
+        pack(">I", len(part)) + name + part + pack(">I", zlib.crc32(name + part)) for name, part in parts.items()
+    )
+    return b'{"op":"png","data":"' + b2a_base64(image, newline=False) + b'"}'
+
+
+def _cbor(convert: Convert) -> Callable[[bytes], Frame]:
+    def encode(line: bytes) -> Frame:
+        message = decode(line)
+        message["msg"] = convert(message["msg"])
+        return cbor2.dumps(message), False
+
+    return encode
+
+
+def _cbor_raw(to_bytes: Callable[[Any], bytes]) -> Callable[[bytes], Frame]:
+    """Of lines that have the simulated time. One that was on its way when that was asked for stays as it is."""
+
+    def encode(line: bytes) -> Frame:
+        message = decode(line)
+        if "time" not in message:
+            return line, True
+        raw = {**message["time"], "bytes": to_bytes(message["msg"])}
+        return cbor2.dumps({"op": "publish", "topic": message["topic"], "msg": raw}), False
+
+    return encode
+
+
+@cache
+def _converter(type_name: str) -> Convert:
+    """From a message as JSON has it to one as CBOR has it. Raises UnknownName."""
+    if type_name in FLOATS:
+        return lambda value: math.nan if value is None else float(value)
+    if type_name in PRIMITIVES:
+        return lambda value: value
+    parts = [(field.name, _field_converter(field)) for field in msgs.fields(type_name)]
+    return lambda message: {name: convert(message[name]) for name, convert in parts}
+
+
+def _field_converter(field: Field) -> Convert:
+    if field.array == SCALAR:
+        return _converter(field.type)
+    if field.type in BYTES:
+        return a2b_base64
+    if field.type in _TYPED_ARRAYS:
+        tag, letter = _TYPED_ARRAYS[field.type]
+        convert = _converter(field.type)
+        return lambda values: cbor2.CBORTag(tag, pack(f"<{len(values)}{letter}", *map(convert, values)))
+    each = _converter(field.type)
+    return lambda values: [each(value) for value in values]
+
+
+def fragments(text: bytes, size: int, name: str) -> Iterator[bytes]:
+    """A frame in pieces of so many characters, as frames; `name` is their id. The text is ASCII."""
+    total = -(-len(text) // size)
+    for number in range(total):
+        piece = text[number * size : (number + 1) * size].decode("ascii")
+        fragment = {"op": "fragment", "id": name, "data": piece, "num": number, "total": total}
+        yield json.dumps(fragment, separators=(",", ":")).encode("ascii")
+
+
+class FragmentBuffer:
+    """Puts frames together that come in fragments; what waits for its rest is bounded."""
+
+    MOST_FRAMES = 16
+    _OVERHEAD = 200
+    """Bytes that a fragment takes besides its text."""
+
+    def __init__(self, most_bytes: int) -> None:
+        self._most_bytes = most_bytes
+        self._waiting: dict[str, dict[int, str]] = {}
+        self._totals: dict[str, int] = {}
+        self._bytes = 0
+
+    def take(self, fragment: dict[str, Any]) -> bytes | None:
+        """The whole, when this was the last that it lacked.
+
+        Raises:
+            UsageError: it is no fragment, or there is no room for it; then all of its frame is forgotten.
+        """
+        name, text = str(fragment.get("id"))[:1000], fragment.get("data")
+        number, total = fragment.get("num"), fragment.get("total")
+        if not (isinstance(text, str) and isinstance(number, int) and isinstance(total, int) and 0 <= number < total):
+            raise UsageError("a fragment has an id, its data, a text, and num from 0 to before total")
+        if self._totals.setdefault(name, total) != total:
+            self._forget(name)
+            raise UsageError(f"the fragments of {name!r} differ in their total")
+        pieces = self._waiting.setdefault(name, {})
+        if number not in pieces:
+            pieces[number] = text
+            self._bytes += len(text) + self._OVERHEAD
+        if len(pieces) == total:
+            whole = "".join(pieces[place] for place in range(total))
+            self._forget(name)
+            return whole.encode("utf-8", "surrogatepass")
+        if self._bytes > self._most_bytes or len(self._waiting) > self.MOST_FRAMES:
+            self._forget(name)
+            raise UsageError(f"{self._most_bytes} bytes and {self.MOST_FRAMES} frames may wait for their fragments")
+        return None
+
+    def _forget(self, name: str) -> None:
+        self._totals.pop(name, None)
+        self._bytes -= sum(len(text) + self._OVERHEAD for text in self._waiting.pop(name, {}).values())

@@ -1,0 +1,221 @@
+"""What one browser says and hears. Most frames pass as they are: the daemon speaks rosbridge's protocol itself.
+
+Here is what rosbridge has beyond it: packed messages, fragments, the ops of actions; and what a reader may do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+from itertools import count
+from typing import Any
+
+from slidectl import names
+from slidectl.client.lines import BadLine, check_size, decode, encode
+from slidectl.errors import SlidectlError, UsageError, listing
+from slidectl.gateways.daemon_connection import DaemonConnection
+from slidectl.gateways.reading_services import is_reading
+from slidectl.gateways.websocket.action_goals import ActionGoals
+from slidectl.gateways.websocket.encodings import (
+    COMPRESSIONS,
+    SMALLEST_FRAGMENT,
+    Encoder,
+    FragmentBuffer,
+    encoder,
+    fragments,
+)
+
+Message = dict[str, Any]
+
+_PUBLISH = b'{"op":"publish","topic":"'
+_STATUS = b'{"op":"status"'
+_LEVELS = ("info", "warning", "error", "none")
+_SERVED_BY_TOPICS = ("advertise_action", "unadvertise_action", "action_feedback", "action_result")
+_READING_OPS = ("subscribe", "unsubscribe", "set_level", "call_service")
+_LONGEST_ID = 1000
+_MOST_WISHES = 1000
+
+
+class RosbridgeSession:
+    """One browser's side of a connection to the daemon. `reply` sends it a frame: its bytes, and whether it is text."""
+
+    def __init__(
+        self,
+        daemon: DaemonConnection,
+        goals: ActionGoals,
+        type_of: Callable[[str], Awaitable[str]],
+        reply: Callable[[bytes, bool], None],
+        most_bytes: int,
+        is_reader: bool,
+    ) -> None:
+        """`type_of` is the type of a topic, empty when there is none; a reader may change nothing."""
+        self.dropped = 0
+        """Messages that the daemon gave up since the browser took them too slowly."""
+        self._daemon = daemon
+        self._goals = goals
+        self._type_of = type_of
+        self._reply = reply
+        self._is_reader = is_reader
+        self._level = "error"
+        self._fragment_size = 0
+        self._fragments = FragmentBuffer(most_bytes)
+        self._sent_in_fragments = count(1)
+        self._wishes: dict[str, dict[str | None, str]] = {}
+        """Topic -> id of a subscription -> its compression, of all that were subscribed with one."""
+        self._encoders: dict[bytes, Encoder] = {}
+
+    # --- from the browser ---------------------------------------------------------------------------------------
+
+    async def take(self, frame: bytes, is_whole: bool = False) -> None:
+        """Carry out what a browser has sent; `is_whole` when it came in fragments. Raises NoDaemon."""
+        message: Message = {}
+        frame = frame.replace(b"\n", b" ")  # what is judged here is what the daemon reads
+        try:
+            check_size(frame)
+            message = decode(frame)
+        except BadLine as error:
+            if self._is_reader:
+                self._complain(error, message)
+            else:  # the daemon says what is wrong with it
+                self._daemon.send_line(frame + b"\n")
+            return
+        try:
+            if "fragment_size" in message:
+                self._set_fragment_size(message.pop("fragment_size"))
+            op = message.get("op")
+            if op == "fragment":
+                if is_whole:
+                    raise UsageError("a fragment within fragments")
+                if (whole := self._fragments.take(message)) is not None:
+                    await self.take(whole, is_whole=True)
+            elif op != "auth":  # who connects has shown the token already
+                if self._is_reader and not _only_reads(message):
+                    raise UsageError("this gateway is read-only: it was started with --read-only")
+                await self._carry_out(op, message, frame)
+        except SlidectlError as error:
+            self._complain(error, message)
+
+    async def _carry_out(self, op: Any, message: Message, frame: bytes) -> None:
+        if op == "subscribe":
+            await self._subscribe(message)
+        elif op == "send_action_goal":
+            await self._goals.send(message, self._tell)
+        elif op == "cancel_action_goal":
+            self._goals.cancel(message, self._tell)
+        elif op == "set_node":
+            raise UsageError("the node of a browser has a name already")
+        elif op in _SERVED_BY_TOPICS:
+            raise UsageError(f"{op} is not offered", "serve an action by its topics: ROSLIB.SimpleActionServer")
+        elif op == "set_level" and message.get("level") in _LEVELS:
+            self._level = message["level"]
+            # Warnings come for our count in any case, but to a browser that wants to hear nothing.
+            self._daemon.send_line(encode({**message, "level": "warning" if self._level == "error" else self._level}))
+        elif self._is_reader:
+            self._daemon.send_line(encode(message))  # what was judged, and not what another parser may make of it
+        else:
+            if op == "unsubscribe":
+                await self._unsubscribe(message)
+            self._daemon.send_line(frame + b"\n")
+
+    def _set_fragment_size(self, size: Any) -> None:
+        """As in rosbridge, it holds for all that is sent from now on. Raises UsageError."""
+        if size is not None and (not isinstance(size, int) or size < SMALLEST_FRAGMENT):
+            raise UsageError(f"'fragment_size' is a number of bytes from {SMALLEST_FRAGMENT} on")
+        self._fragment_size = size or 0
+
+    async def _subscribe(self, message: Message) -> None:
+        compression, topic = message.pop("compression", None) or "none", message.get("topic")
+        if compression not in COMPRESSIONS:
+            what = f"compression {str(compression)[:60]!r} is not offered"
+            raise UsageError(what, f"compression: {listing(COMPRESSIONS)}")
+        if isinstance(topic, str) and len(topic) <= names.LONGEST:
+            topic, wish_id = names.join("/", topic), _wish_id(message)
+            if len(wish_id or "") > _LONGEST_ID:
+                raise UsageError(f"an id of more than {_LONGEST_ID} characters")
+            before = self._wishes.get(topic, {})
+            if compression != "none" or before:
+                if wish_id not in before and sum(map(len, self._wishes.values())) >= _MOST_WISHES:
+                    raise UsageError(f"{_MOST_WISHES} subscriptions with compressions, and no more may be")
+                await self._choose(topic, {**before, wish_id: compression}, str(message.get("type") or ""))
+        if compression == "cbor-raw":
+            message["stamped"] = True
+        self._daemon.send_line(encode(message))
+
+    async def _unsubscribe(self, message: Message) -> None:
+        topic = names.join("/", str(message.get("topic")))
+        wish_id, wishes = _wish_id(message), self._wishes.pop(topic, {})
+        self._encoders.pop(topic.encode(), None)
+        await self._choose(topic, {key: wish for key, wish in wishes.items() if wish_id not in (None, key)}, "")
+
+    async def _choose(self, topic: str, wishes: dict[str | None, str], given: str) -> None:
+        """The encoder of the strongest of the wishes. Raises UsageError, UnknownName: no such type."""
+        compression = max(wishes.values(), key=COMPRESSIONS.index, default="none")
+        if compression == "none":
+            self._wishes.pop(topic, None)
+            self._encoders.pop(topic.encode(), None)
+            return
+        needs_type = compression != "png"
+        type_name = (await self._type_of(topic) or given) if needs_type else ""
+        if needs_type and not type_name:
+            raise UsageError(
+                f"no topic {topic}: with compression {compression!r} its type is needed", "give 'type' too"
+            )
+        self._encoders[topic.encode()] = encoder(compression, type_name)
+        self._wishes[topic] = wishes
+
+    def _complain(self, error: SlidectlError, message: Message) -> None:
+        """As the daemon answers what it refuses."""
+        given = message.get("id")
+        about = {"id": given} if isinstance(given, str | int) and len(str(given)) <= _LONGEST_ID else {}
+        if message.get("op") == "call_service":
+            service = str(message.get("service"))[: names.LONGEST]
+            self._tell({"op": "service_response", **about, "service": service, "values": str(error), "result": False})
+        elif self._level != "none":
+            self._tell({"op": "status", "level": "error", **about, "msg": str(error)})
+
+    # --- to the browser -----------------------------------------------------------------------------------------
+
+    def pass_on(self, line: bytes) -> None:
+        """Send on what the daemon has sent."""
+        if self._encoders and line.startswith(_PUBLISH):
+            pack = self._encoders.get(line[len(_PUBLISH) : line.index(b'"', len(_PUBLISH))])
+            if pack is not None:
+                with suppress(KeyError, TypeError, ValueError):  # the topic has got another type: as it is, then
+                    self._send(*pack(line))
+                    return
+        elif line.startswith(_STATUS):
+            status = decode(line)
+            self.dropped += status.get("dropped", 0)
+            if status.get("level") == "warning" and self._level == "error":
+                return
+        self._send(line, True)
+
+    def _tell(self, message: Message) -> None:
+        self._send(encode(message)[:-1], True)
+
+    def _send(self, frame: bytes, is_text: bool) -> None:
+        if is_text and self._fragment_size and len(frame) > self._fragment_size:
+            for fragment in fragments(frame, self._fragment_size, f"fragment:{next(self._sent_in_fragments)}"):
+                self._reply(fragment, True)
+        else:
+            self._reply(frame, is_text)
+
+    def close(self) -> None:
+        """The browser has gone."""
+        self._goals.forget(self._tell)
+        self._daemon.close()
+
+
+def _only_reads(message: Message) -> bool:
+    op, service = message.get("op"), message.get("service")
+    if op != "call_service":
+        return op in _READING_OPS
+    if not isinstance(service, str):
+        return False
+    return is_reading(names.join("/", service))
+
+
+def _wish_id(message: Message) -> str | None:
+    """As the daemon tells subscriptions apart."""
+    given = message.get("id")
+    return None if given is None else str(given)

@@ -1,0 +1,204 @@
+"""`slidectl gateway websocket`: rosbridge's server. Each browser has a connection of its own to the daemon.
+
+A browser that does not read is not read from, and neither is its connection to the daemon, which then drops the oldest
+messages of each topic and counts them. Nothing piles up here.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from dataclasses import dataclass
+from functools import partial
+from itertools import count
+from typing import Any, ClassVar
+
+from websockets.asyncio.server import ServerConnection, broadcast
+
+from slidectl.client.lines import LONGEST_LINE
+from slidectl.errors import NoDaemon, SlidectlError
+from slidectl.gateways.daemon_connection import DaemonConnection
+from slidectl.gateways.gateway import Gateway
+from slidectl.gateways.web_door import DoorConnection, DoorOptions, WebDoor
+from slidectl.gateways.websocket.action_goals import ActionGoals
+from slidectl.gateways.websocket.rosbridge_session import RosbridgeSession
+from slidectl.paths import InstancePaths
+
+_NODE = "/rosbridge_websocket"
+_UNREAD = 256 * 1024
+"""Bytes that wait for a browser before it gets no more."""
+_PING_EVERY_S, _PONG_WITHIN_S = 20.0, 60.0
+_GOING, _RESTARTS, _TRY_LATER, _FAILED = 1001, 1012, 1013, 1011
+_LONGEST_REASON = 120
+
+
+@dataclass(frozen=True)
+class WebSocketOptions(DoorOptions):
+    """Options of the gateway."""
+
+    port: int = 9090
+    read_only: bool = False
+    """Let browsers subscribe and ask, and change nothing."""
+    max_rate: int = 5000
+    """Frames a second that are taken from one browser; it has to wait with more."""
+    max_size: int = LONGEST_LINE
+    """Bytes of a frame from a browser, and of all of its fragments that wait."""
+    compress: bool | None = None
+    """Compress frames (permessage-deflate) for browsers that can; by default where other machines are let in."""
+
+
+class WebSocketGateway(Gateway):
+    """Listens for browsers, and lets in those that may come in."""
+
+    kind: ClassVar[str] = "websocket"
+    Options = WebSocketOptions
+
+    def __init__(self, options: WebSocketOptions) -> None:
+        """Raises UsageError, Refused: options that do not fit together, or files that cannot be read."""
+        super().__init__()
+        self._options = options
+        self._door = WebDoor(options)
+        self._daemon: DaemonConnection | None = None
+        self._goals: ActionGoals | None = None
+        self._paths: InstancePaths | None = None
+        self._browsers: dict[BrowserConnection, RosbridgeSession] = {}
+        self._serial = count(1)
+        self._dropped = 0
+        """By browsers that have gone."""
+
+    # --- Gateway ------------------------------------------------------------------------------------------------
+
+    async def open(self) -> str:
+        options = self._options
+        is_packed = not self._door.is_local() if options.compress is None else options.compress
+        return await self._door.open(
+            self._serve,
+            BrowserConnection,
+            compression="deflate" if is_packed else None,
+            ping_interval=_PING_EVERY_S,
+            ping_timeout=_PONG_WITHIN_S,
+            max_size=min(options.max_size, LONGEST_LINE),
+            write_limit=_UNREAD,
+        )
+
+    async def attach(self, paths: InstancePaths) -> None:
+        node = f"{_NODE}_{os.getpid()}_0"
+        self._daemon = await DaemonConnection.open(paths, node, self.lost.set)
+        self._goals = ActionGoals(self._daemon)
+        self._paths = paths
+
+    async def detach(self) -> None:
+        """Browsers are told that the service restarts: roslib comes back by itself."""
+        self._paths = None
+        if self._daemon is not None:
+            self._daemon.close()
+        await self._let_go(_RESTARTS, "the daemon has gone")
+
+    async def close(self) -> None:
+        self._paths = None
+        await self._let_go(_GOING, "the gateway ends")
+        if self._daemon is not None:
+            self._daemon.close()
+        await self._door.close(_GOING, "the gateway ends")
+
+    def status(self) -> dict[str, Any]:
+        dropped = self._dropped + sum(session.dropped for session in self._browsers.values())
+        return {"connections": len(self._browsers), "dropped": dropped, "turned_away": self._door.turned_away}
+
+    # --- browsers -----------------------------------------------------------------------------------------------
+
+    async def _let_go(self, code: int, reason: str) -> None:
+        if self._browsers:
+            await asyncio.wait([asyncio.ensure_future(browser.close(code, reason)) for browser in self._browsers])
+
+    async def _serve(self, browser: ServerConnection) -> None:
+        """One browser, from its handshake to its end."""
+        assert isinstance(browser, BrowserConnection)
+        try:
+            await self._serve_open(browser)
+        except NoDaemon as error:
+            await browser.close(_TRY_LATER if browser.daemon is None else _RESTARTS, _reason(error))
+        except SlidectlError as error:
+            await browser.close(_FAILED, _reason(error))
+
+    async def _serve_open(self, browser: BrowserConnection) -> None:
+        if self._paths is None or self._goals is None:
+            raise NoDaemon("there is no daemon at the moment")
+        node = f"{_NODE}_{os.getpid()}_{next(self._serial)}"
+        lost = partial(browser.end_soon, _RESTARTS, "the daemon has gone")
+        daemon = await DaemonConnection.open(self._paths, node, lost)
+        session = RosbridgeSession(
+            daemon, self._goals, self._type_of, browser.write, self._options.max_size, self._options.read_only
+        )
+        self._browsers[browser] = session
+        daemon.on_line = session.pass_on
+        browser.daemon = daemon
+        try:
+            await browser.read(session, daemon, self._options.max_rate)
+        finally:
+            session.close()
+            del self._browsers[browser]
+            self._dropped += session.dropped
+
+    async def _type_of(self, topic: str) -> str:
+        if self._daemon is None:
+            raise NoDaemon("there is no daemon at the moment")
+        return str((await self._daemon.call("/rosapi/topic_type", {"topic": topic}))["type"])
+
+
+class BrowserConnection(DoorConnection):
+    """A browser's end: what it does not take stops both what is read from it and what is taken from the daemon."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.daemon: DaemonConnection | None = None
+        self._may_write = asyncio.Event()
+        self._may_write.set()
+        self._ending: asyncio.Future[None] | None = None
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        super().connection_lost(exc)
+        self._may_write.set()
+        if self.daemon is not None:  # `read` may be waiting until that takes more
+            self.daemon.close()
+
+    def pause_writing(self) -> None:
+        super().pause_writing()
+        self._may_write.clear()
+        self.transport.pause_reading()  # also pings, which are answered, must not make more to be written
+        if self.daemon is not None:
+            self.daemon.pause()
+
+    def resume_writing(self) -> None:
+        super().resume_writing()
+        self._may_write.set()
+        self.transport.resume_reading()
+        if self.daemon is not None:
+            self.daemon.resume()
+
+    def write(self, frame: bytes, is_text: bool) -> None:
+        """Send a frame. Never waits: `pause_writing` is called when too much does."""
+        broadcast((self,), frame, text=is_text)
+
+    async def read(self, session: RosbridgeSession, daemon: DaemonConnection, most_a_second: int) -> None:
+        """Take what the browser sends, until it goes. Raises ConnectionClosed, NoDaemon."""
+        second_ends, taken = 0.0, 0
+        while True:
+            await self._may_write.wait()
+            frame = await self.recv(decode=False)
+            if taken >= most_a_second:
+                await asyncio.sleep(second_ends - self.loop.time())
+            if self.loop.time() >= second_ends:
+                second_ends, taken = self.loop.time() + 1.0, 0
+            taken += 1
+            await session.take(frame)
+            await daemon.drain()
+
+    def end_soon(self, code: int, reason: str) -> None:
+        """Close it, from where nobody can wait for that."""
+        self._ending = asyncio.ensure_future(self.close(code, reason))
+
+
+def _reason(error: SlidectlError) -> str:
+    """As a closing frame can hold it."""
+    return error.message.encode()[:_LONGEST_REASON].decode(errors="ignore")

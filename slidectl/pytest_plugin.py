@@ -1,0 +1,447 @@
+"""The pytest plugin: fixtures for a world in this process and for a daemon, and what is kept of a test that fails.
+
+pytest finds it by its entry point. It is imported in each run of pytest where slidectl is installed, so it imports
+nothing before a fixture is used. docs/pytest.md is its manual.
+
+While a test runs, only the journal of its world is written. A recording is made of the journal when it is wanted, by a
+replay in a process of its own: so it costs nothing while tests pass, and is possible of what cannot be run again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+import warnings
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from functools import cached_property
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from slidectl.errors import NoDaemon, SlidectlError
+
+if TYPE_CHECKING:
+    from slidectl.client import Client
+    from slidectl.daemon.in_process import InProcessWorld
+    from slidectl.daemon.options import DaemonOptions
+    from slidectl.scenarios.scenario_file import Case
+
+_MARKER = "slidectl"
+_WORLD = ("timestep", "gravity", "ground", "engine", "imports", "paused")
+_ARGUMENTS = (*_WORLD, "rtf", "sim_timeout")
+SIM_TIMEOUT_S = 600.0
+"""Simulated seconds that the world of a test may take."""
+RECORDED_S = 60
+"""How many of the last simulated seconds are recorded."""
+_REPLAY_S = 300.0
+_RUN_S = 120.0
+_CLIENT_S = 30.0
+_LOG_LINES = 20
+_VARIABLES = ("SLIDECTL_INSTANCE", "SLIDECTL_SOCKET", "SLIDECTL_NAMESPACE")
+_LONGEST_STEM = 120
+_PACKAGE = os.path.dirname(__file__) + os.sep
+_UNSAFE = re.compile(r"[^A-Za-z0-9_.=+-]")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    group = parser.getgroup("slidectl", "slidectl: robots in tests")
+    group.addoption(
+        "--slidectl-record", choices=("failed", "all", "none"), default="failed",
+        help="Of which tests the recording and the journal of their worlds are kept (failed).",
+    )  # fmt: skip
+    group.addoption(
+        "--slidectl-keep", metavar="DIR", help="Where they are kept; by default in pytest's temporary folder."
+    )
+    parser.addini("slidectl_scenarios", "Scenario files to run as tests, such as scenarios/*.yaml.", type="args")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", f"{_MARKER}({', '.join(_ARGUMENTS)}): the world of slidectl's fixtures.")
+
+
+# --- what is kept -----------------------------------------------------------------------------------------------------
+
+
+class _KeptRun:
+    """The run of one world in one test, with its journal. `connect` makes a client of it, `log` has its last lines."""
+
+    def __init__(
+        self,
+        journal: Path | None,
+        options: DaemonOptions,
+        connect: Callable[[], Client],
+        log: Callable[[], Sequence[str]],
+    ) -> None:
+        self._journal = journal
+        self._connect = connect
+        self._log = log
+        self._modules = _path_for(options)
+        self._said = ""
+
+    def keep(self) -> str:
+        """Make the recording, of what there is by now. Returns what to say of it."""
+        if not self._said:
+            try:
+                files = [] if self._journal is None else [*self._record(self._journal), f"journal: {self._journal}"]
+            except Exception as error:  # the report of the test must come out
+                files = [f"no recording: {type(error).__name__}: {error}"]
+            self._said = "\n".join([*files, "last lines of the log:", *list(self._log())[-_LOG_LINES:]])
+        return self._said
+
+    def _record(self, journal: Path) -> list[str]:
+        from slidectl.recording.recording_files import usual_suffix
+
+        with suppress(SlidectlError), self._connect() as client:  # it may have ended
+            client.sleep(0)  # an entry: a replay ends with the last one
+        file = journal.with_suffix(usual_suffix())
+        words = ["replay", str(journal), "--record", str(file), "--last", str(RECORDED_S), "--json"]
+        try:
+            done = _slidectl(words, _REPLAY_S, env=self._modules)
+        except subprocess.TimeoutExpired:
+            file.unlink(missing_ok=True)
+            return [f"no recording: the replay takes longer than {_REPLAY_S:g} s; slidectl {shlex.join(words)}"]
+        if done.returncode:
+            file.unlink(missing_ok=True)
+            return [f"no recording: {done.stderr.strip()}"]
+        found = json.loads(done.stdout)
+        differs = [f"which is not as the test was: {found['differs']}"] if found["differs"] else []
+        return [f"recording: {file}, up to {found['time']:.3f} s", *differs]
+
+    def forget(self) -> None:
+        """The journal is not wanted, unless `keep` was called."""
+        if self._journal is not None and not self._said:
+            self._journal.unlink(missing_ok=True)
+
+
+_RUNS = pytest.StashKey[list[_KeptRun]]()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    failure = call.excinfo
+    if failure is not None and isinstance(failure.value, SlidectlError) and not item.config.getoption("fulltrace"):
+        _cut(failure.tb)
+    report = yield
+    is_wanted = report.failed or (call.when == "call" and item.config.getoption("slidectl_record") == "all")
+    for run in item.stash.get(_RUNS, ()):
+        if is_wanted:
+            report.sections.append(("slidectl", run.keep()))
+        elif call.when == "teardown":
+            run.forget()
+    if call.when == "teardown" and _RUNS in item.stash:  # a plugin may run the test once more
+        del item.stash[_RUNS]
+    return report
+
+
+def _cut(entry: TracebackType | None) -> None:
+    """Let the traceback of an error that slidectl explains end with the line of who called slidectl."""
+    last = None
+    while entry is not None:
+        if not entry.tb_frame.f_code.co_filename.startswith(_PACKAGE):
+            last = entry
+        entry = entry.tb_next
+    if last is not None:
+        last.tb_next = None
+
+
+def _journal_of(request: pytest.FixtureRequest, suffix: str = "") -> Path | None:
+    """Where the journal is written. What is there of an earlier run of the test goes."""
+    config = request.config
+    if config.getoption("slidectl_record") == "none":
+        return None
+    keep = config.getoption("slidectl_keep")
+    factory: pytest.TempPathFactory = request.getfixturevalue("tmp_path_factory")
+    folder = factory.getbasetemp() / "slidectl" if keep is None else config.invocation_params.dir / keep
+    folder.mkdir(parents=True, exist_ok=True)
+    stem = _stem(request.node.nodeid) + suffix
+    for old in (".journal", ".mcap", ".bag"):
+        (folder / f"{stem}{old}").unlink(missing_ok=True)
+    return folder / f"{stem}.journal"
+
+
+def _stem(test: str) -> str:
+    """A file name for a test, another one for each: one that was changed or cut ends with a checksum."""
+    function, _, parameters = test.partition("[")
+    plain = function.replace("::", "-") + (f"-{parameters[:-1]}" if parameters else "")
+    stem = _UNSAFE.sub("_", plain)
+    if plain == stem and len(stem) <= _LONGEST_STEM:
+        return stem
+    return f"{stem[:_LONGEST_STEM]}-{hashlib.sha256(test.encode()).hexdigest()[:8]}"
+
+
+# --- worlds -----------------------------------------------------------------------------------------------------------
+
+
+def _marked(request: pytest.FixtureRequest) -> dict[str, Any]:
+    """What the markers of the test say, the nearest one first."""
+    given: dict[str, Any] = {}
+    for mark in reversed(list(request.node.iter_markers(_MARKER))):
+        given |= mark.kwargs
+        unknown = [*map(repr, mark.args), *(mark.kwargs.keys() - set(_ARGUMENTS))]
+        if unknown:
+            pytest.fail(f"@pytest.mark.{_MARKER} takes {', '.join(_ARGUMENTS)} by name, not {unknown[0]}", False)
+    return given
+
+
+def _options(given: dict[str, Any], folder: Path, journal: Path | None, **more: Any) -> DaemonOptions:
+    """Files to import are looked for in the folder of the test first."""
+    from slidectl.cli.daemon import module_or_file
+    from slidectl.daemon.options import DaemonOptions
+    from slidectl.errors import UsageError
+
+    world = {name: given[name] for name in _WORLD if name in given}
+    wrong: Exception
+    try:
+        imports = given.get("imports", ())
+        if isinstance(imports, str):
+            raise UsageError(f"imports is a list of modules or files, not {imports!r}")
+        beside = (folder / name for name in imports)
+        world["imports"] = tuple(
+            str(file) if file.suffix == ".py" and file.is_file() else module_or_file(name)
+            for file, name in zip(beside, imports, strict=True)
+        )
+        if "gravity" in given:
+            world["gravity"] = tuple(given["gravity"])
+        float(given.get("sim_timeout", SIM_TIMEOUT_S))
+        return DaemonOptions(**world, **more, journal="" if journal is None else str(journal))
+    except (SlidectlError, TypeError, ValueError) as error:
+        wrong = error
+    pytest.fail(f"@pytest.mark.{_MARKER}: {wrong}", False)
+
+
+def _path_for(options: DaemonOptions) -> dict[str, str]:
+    """The environment in which another process finds the modules that are imported by their names."""
+    names_modules = any(not name.endswith(".py") for name in options.imports)
+    return {"PYTHONPATH": os.pathsep.join(sys.path)} if names_modules else {}
+
+
+@contextmanager
+def _told() -> Iterator[None]:
+    """An error that slidectl explains is told without a traceback, which would show pytest's own code."""
+    said = None
+    try:
+        yield
+    except SlidectlError as error:
+        said = str(error)
+    if said is not None:
+        pytest.fail(said, pytrace=False)
+
+
+_FIRST = pytest.StashKey["InProcessWorld"]()
+"""The world that compiles the engine where nobody has: the compiler is its process, and outlives its test."""
+
+
+@pytest.fixture
+def slidectl_world(request: pytest.FixtureRequest) -> Iterator[InProcessWorld]:
+    """A new world in this process, without a daemon. Time passes in it only while a client waits for something."""
+    from slidectl.daemon.in_process import InProcessWorld
+    from slidectl.daemon.journal import Journal
+    from slidectl.simulation.compiled import object_file
+    from slidectl.simulation.simulation import Simulation
+
+    given = _marked(request)
+    path = _journal_of(request)
+    options = _options(given, request.path.parent, path)
+    journal = None if path is None else Journal(options)
+    try:
+        with _told():
+            simulation = Simulation(options.timestep, options.gravity, options.ground, options.engine, options.imports)
+        world = InProcessWorld(simulation, journal)
+        request.node.stash.setdefault(_RUNS, []).append(_KeptRun(path, options, world.client, lambda: world.log))
+        if options.engine != "plain":
+            first = request.config.stash.setdefault(_FIRST, world)
+            simulation.engine.may_load = first is world or object_file.is_there()
+        simulation.run.paused = options.paused
+        limit_s = float(given.get("sim_timeout", SIM_TIMEOUT_S))
+        world.end_ns = round(limit_s * 1e9)
+        world.end_hint = f"more of it: @pytest.mark.{_MARKER}(sim_timeout={2 * limit_s:g})"
+        yield world
+    finally:
+        if journal is not None:
+            journal.close("the test is over")
+
+
+@pytest.fixture
+def slidectl_client(slidectl_world: InProcessWorld) -> Iterator[Client]:
+    """A client of a new world in this process: spawn, publish, wait, measure. Its waits end with the simulated time."""
+    with (
+        _told(),
+        suppress(NoDaemon),
+        slidectl_world.client(timeout=math.inf) as client,
+    ):  # leaving it raises MessageRefused
+        yield client
+
+
+# --- a daemon ---------------------------------------------------------------------------------------------------------
+
+
+class TemporaryDaemon:
+    """A daemon in a folder of its own, which commands and clients of this process and its children find by default."""
+
+    def __init__(self, folder: Path, options: DaemonOptions) -> None:
+        from slidectl import paths
+        from slidectl.daemon import lifecycle
+
+        self._folder = folder / "slidectl"
+        self._paths = paths.instance()
+        with warnings.catch_warnings():  # of its process, which goes on: who has warnings as errors would fail
+            warnings.simplefilter("ignore", ResourceWarning)
+            self.pid, _ = lifecycle.start(self._paths, options)
+
+    def run(
+        self, *words: object, check: bool = True, input: str | None = None, timeout: float = _RUN_S
+    ) -> subprocess.CompletedProcess[str]:
+        """Run a command line of slidectl. Returns its `stdout`, `stderr` and exit code (`returncode`).
+
+        With `check` the test fails when the exit code is not 0. `timeout` is in wall seconds.
+        """
+        __tracebackhide__ = True
+        done = _slidectl(list(map(str, words)), timeout, input)
+        if check and done.returncode:
+            said = "\n".join(filter(None, [done.stdout.rstrip(), done.stderr.rstrip()]))
+            pytest.fail(f"slidectl {shlex.join(map(str, words))}: exit code {done.returncode}\n{said}")
+        return done
+
+    def connect(self) -> Client:
+        """A new connection to it, which the caller closes."""
+        from slidectl.client import Client
+
+        return Client(socket=self._paths.socket_text, timeout=_CLIENT_S)
+
+    @cached_property
+    def client(self) -> Client:
+        """A connection to it."""
+        return self.connect()
+
+    @property
+    def log(self) -> str:
+        """The text of its log."""
+        with suppress(FileNotFoundError):
+            return self._paths.log.read_text("utf-8", "replace")
+        return ""
+
+    def stop(self) -> None:
+        """End it, and other daemons that were started in its folder. Raises MessageRefused as a client does."""
+        try:
+            if "client" in vars(self):
+                with suppress(NoDaemon), self.client:
+                    pass
+        finally:
+            for instance in sorted(self._folder.iterdir()):
+                self.run("-i", instance.name, "daemon", "stop")
+
+
+@pytest.fixture
+def slidectl_daemon(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[TemporaryDaemon]:
+    """A new daemon that runs as fast as it can, with the command line: `slidectl_daemon.run("spawn", "slider")`."""
+    given = _marked(request)
+    path = _journal_of(request, "-daemon")
+    options = _options(given, request.path.parent, path, rtf=given.get("rtf", math.inf), child=True)
+    folder = Path(tempfile.mkdtemp(prefix="slidectl-"))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
+    for variable in _VARIABLES:
+        monkeypatch.delenv(variable, raising=False)
+    try:
+        with _told(), monkeypatch.context() as patch:
+            for variable, value in _path_for(options).items():
+                patch.setenv(variable, value)
+            daemon = TemporaryDaemon(folder, options)
+        request.node.stash.setdefault(_RUNS, []).append(
+            _KeptRun(path, options, daemon.connect, lambda: daemon.log.splitlines())
+        )
+        try:
+            yield daemon
+        finally:
+            with _told():
+                daemon.stop()
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+# --- scenarios --------------------------------------------------------------------------------------------------------
+
+
+def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> pytest.Collector | None:
+    if any(file_path.match(pattern) for pattern in parent.config.getini("slidectl_scenarios")):
+        return _ScenarioFile.from_parent(parent, path=file_path)
+    return None
+
+
+class _ScenarioFile(pytest.File):
+    def collect(self) -> Iterable[pytest.Item]:
+        from slidectl.cli.step_runner import StepRunner
+        from slidectl.errors import BadFile
+        from slidectl.scenarios import scenario_file
+
+        slips: list[BadFile] = []
+        cases = scenario_file.read(str(self.path), StepRunner(), slips)
+        if slips:
+            raise self.CollectError("\n".join(map(str, slips)))
+        for case in cases:
+            yield _ScenarioItem.from_parent(self, name=case.name or case.scenario, case=case)
+
+
+class _CaseFailed(Exception):
+    """What there is to say of it."""
+
+
+class _ScenarioItem(pytest.Item):
+    """A case of a scenario, run by `slidectl test`."""
+
+    def __init__(self, case: Case, **more: Any) -> None:
+        super().__init__(**more)
+        self._case = case
+        self.extra_keyword_matches |= set(case.tags)
+
+    def runtest(self) -> None:
+        from slidectl.scenarios.case_run import BAD, XFAILED, CaseResult
+        from slidectl.scenarios.junit import told
+
+        case, config = self._case, self.config
+        keep = config.getoption("slidectl_keep")
+        case_id = os.path.relpath(self.path) + case.id.removeprefix(str(self.path))
+        words = ["test", case_id, "--json", "-n", "1"]
+        if keep is not None and config.getoption("slidectl_record") != "none":
+            words += ["--keep-failed", str(config.invocation_params.dir / keep)]
+        done = _slidectl(words, _RUN_S + 2 * (case.timeout or _RUN_S))
+        if not done.stdout:
+            raise _CaseFailed(done.stderr)
+        result = CaseResult(**json.loads(done.stdout))
+        if result.verdict in BAD:
+            raise _CaseFailed("\n".join(told(case, result)))
+        if result.verdict == XFAILED:
+            pytest.xfail(case.xfail)
+
+    def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
+        if isinstance(excinfo.value, _CaseFailed):
+            return str(excinfo.value)
+        return super().repr_failure(excinfo, style)
+
+    def reportinfo(self) -> tuple[Path, int | None, str]:
+        return self.path, None, self.name
+
+
+def _slidectl(
+    words: Sequence[str], timeout: float, input: str | None = None, env: dict[str, str] | None = None
+) -> subprocess.CompletedProcess[str]:
+    """A command line in a process of its own, as the command `slidectl` runs it."""
+    from slidectl.paths import with_package
+
+    # -P: a file of the user's that is called like a library must not be taken for it.
+    command = [sys.executable, "-P", "-m", "slidectl", *words]
+    stdin: dict[str, Any] = {"stdin": subprocess.DEVNULL} if input is None else {"input": input}
+    environment = with_package(os.environ | (env or {}))
+    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=timeout, **stdin)

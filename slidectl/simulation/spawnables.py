@@ -1,0 +1,168 @@
+"""What services of simulation_interfaces can spawn: resources by URI or as text, and lists of those that are there.
+
+A resource is read at once, and the world waits for it: some tens of milliseconds for one of xacro. It knows no world.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from slidectl import description, file_reads
+from slidectl.control.node_handle import Message
+from slidectl.description import models, sdf, xml_tree
+from slidectl.description.document import has_xacro
+from slidectl.description.mesh_files import MeshFiles, MissingMesh, UnknownMesh
+from slidectl.errors import BadFile, NotThere, SlidectlError, UnknownName, listing, quoted
+from slidectl.physics.builder import BadShape
+from slidectl.rotations import ORIGIN, Pose
+from slidectl.simulation.entities import check_size
+
+FORMATS = ("urdf", "sdf", "xacro")
+_OF_SCENES = ("sdf", "world", "gazebo", "model")
+"""Outermost elements of SDF."""
+_SUFFIXES = (*models.SUFFIXES, *sdf.SUFFIXES)
+_LISTED = tuple(suffix for suffix in _SUFFIXES if suffix != ".xml")
+_MOST_FILES = 10_000
+"""Files of a package that are looked at, for those that can be spawned."""
+
+
+class SpawnFailure(SlidectlError):
+    """Something cannot be spawned, for the reason that a constant of simulation_interfaces/SpawnResult names."""
+
+    def __init__(self, reason: str, message: str, hint: str | None = None) -> None:
+        super().__init__(message, hint)
+        self.reason = reason
+
+
+class ResourcePart(NamedTuple):
+    """A robot or model that a resource holds: URDF with the note of its sources, and where it stands in the whole."""
+
+    xml: str
+    name: str
+    pose: Pose
+    is_model: bool
+    """It came as SDF."""
+
+
+def read(resource: Message, name: str, named: Callable[[str], str]) -> list[ResourcePart]:
+    """The parts of a simulation_interfaces/Resource; of URDF one.
+
+    Args:
+        resource: its `uri` goes before its `resource_string`.
+        name: what was asked for; empty for the name in the resource.
+        named: gives the name to use.
+
+    Raises SpawnFailure.
+    """
+    uri, text = resource["uri"].strip(), resource["resource_string"]
+    if not uri and not text.strip():
+        raise SpawnFailure("NO_RESOURCE", "neither uri nor resource_string is set")
+
+    def look() -> list[Any]:
+        try:
+            return _of_file(uri, name, named) if uri else _of_text(text, name, named)
+        except SlidectlError as error:
+            raise failure(error) from None
+
+    parts = file_reads.read_or_raise(f"resource {uri or 'that came as text'}", look)
+    return [ResourcePart(xml, part, (tuple(xyz), tuple(turn)), is_model) for xml, part, (xyz, turn), is_model in parts]
+
+
+def failure(error: SlidectlError) -> SpawnFailure:
+    """An error of reading or spawning, with the constant that says its kind."""
+    kinds = (
+        ((BadShape, UnknownMesh), "UNSUPPORTED_ASSETS"),
+        ((MissingMesh, NotThere), "MISSING_ASSETS"),
+        (BadFile, "RESOURCE_PARSE_ERROR"),
+    )
+    reason = next((name for kind, name in kinds if isinstance(error, kind)), "RESULT_OPERATION_FAILED")
+    return error if isinstance(error, SpawnFailure) else SpawnFailure(reason, error.message, error.hint)
+
+
+def _of_text(text: str, name: str, named: Callable[[str], str]) -> list[Any]:
+    check_size("resource_string", text)
+    root = xml_tree.read(text, "resource_string")
+    if root.tag in _OF_SCENES:
+        return _of_scene(sdf.parse(text, "resource_string"), name, named)
+    if root.tag != "robot":
+        raise _unsupported(f"the outermost element is <{root.tag}>")
+    if has_xacro(root):
+        raise _unsupported("it is xacro, which is expanded when it comes as a file")
+    return [(text, named(name or root.get("name") or ""), ORIGIN, False)]
+
+
+def _of_file(uri: str, name: str, named: Callable[[str], str]) -> list[Any]:
+    path = _file(uri)
+    if path.suffix.lower() in sdf.SUFFIXES:
+        return _of_scene(sdf.read(path), name, named)
+    from slidectl.client import spawning  # late: it brings the client, which a daemon needs for nothing else
+
+    if not name:
+        name = xml_tree.read(spawning.document(str(path), {}, None).xml, str(path)).get("name") or ""
+    name = named(name)
+    return [(spawning.document(str(path), {}, name).xml, name, ORIGIN, False)]
+
+
+def _of_scene(scene: sdf.Scene, name: str, named: Callable[[str], str]) -> list[Any]:
+    name = named(name or (scene.names[0] if len(scene.names) == 1 else ""))
+    return [(model.xml, model.name, model.pose, True) for model in scene.named(name)]
+
+
+def _file(uri: str) -> Path:
+    """The file that a URI means. Raises SpawnFailure."""
+    known = models.shipped()
+    if uri in known:
+        return known[uri]
+    if not uri.startswith("/") and "://" not in uri:
+        raise SpawnFailure("RESULT_NOT_FOUND", str(UnknownName("shipped model", uri, sorted(known))))
+    scheme = uri.partition("://")[0] if "://" in uri else "file"
+    if scheme not in ("file", "package", "model"):
+        raise _unsupported(f"nothing is read by {scheme}://")
+    path, why = MeshFiles(description.Packages(start=Path.cwd()), None).locate(uri, "")
+    if path is None and scheme == "model":
+        path = sdf.find(uri)
+    if path is None or not path.is_file():
+        raise SpawnFailure("RESULT_NOT_FOUND", f"no resource {quoted(uri)}: {why}")
+    if path.suffix.lower() not in _SUFFIXES:
+        raise _unsupported(f"the file is {path.name}")
+    return path
+
+
+def _unsupported(why: str) -> SpawnFailure:
+    return SpawnFailure("UNSUPPORTED_FORMAT", f"{why}; what can be read: {', '.join(FORMATS)}")
+
+
+# Lists of what is there
+
+
+def spawnables(sources: list[str]) -> tuple[list[Message], str]:
+    """simulation_interfaces/Spawnable of the shipped models and of the packages in `sources`, and what is wrong with
+    those.
+
+    A source is a package, by its name or as package://NAME.
+    """
+    packages = description.Packages(start=Path.cwd())
+    found = [_spawnable(path.as_uri(), f"{name}, a model of slidectl") for name, path in models.shipped().items()]
+    unknown: list[str] = []
+    for source in dict.fromkeys(sources):
+        name = source.removeprefix("package://").rstrip("/")
+        folders = packages.candidates(name) if name and "/" not in name else []
+        if not folders:
+            unknown.append(source)
+        for folder in folders[:1]:
+            paths = (path.relative_to(folder).as_posix() for path in _files(folder) if path.suffix.lower() in _LISTED)
+            found += [_spawnable(f"package://{name}/{path}", f"of the package {name}") for path in paths]
+    return found, f"no such packages: {listing(unknown)}" if unknown else ""
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    walked = (Path(here) / file for here, _, files in os.walk(folder) for file in sorted(files))
+    return islice(walked, _MOST_FILES)
+
+
+def _spawnable(uri: str, text: str) -> Message:
+    return {"entity_resource": {"uri": uri}, "description": text}

@@ -1,0 +1,467 @@
+"""The services of simulation_interfaces, ROS's standard for simulators, in the namespace of the node `/slidectl`.
+
+They do what those of `/gazebo` and `/slidectl` do, by other names: an entity is a robot or a model. All of them answer
+with a result, also where something is wrong. docs/names.md lists them, and what of the standard is not here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache, wraps
+from itertools import count
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import slidectl
+from slidectl import msgs, names
+from slidectl.control.node_handle import Message
+from slidectl.errors import BadName, Refused, SlidectlError, UnknownName, quoted
+from slidectl.physics import bounding, sensing
+from slidectl.rotations import ORIGIN, Pose, compose
+from slidectl.simulation.clock import stamp
+from slidectl.simulation.gazebo_frames import pose, pose_message, twist, twist_message, vector_message
+from slidectl.simulation.pending import Pending
+from slidectl.simulation.posix_pattern import PosixPattern
+from slidectl.simulation.services import Handler
+from slidectl.simulation.spawnables import FORMATS, SpawnFailure, failure, read, spawnables
+from slidectl.simulation.spawned_robots import RESERVED, SpawnedRobot
+
+if TYPE_CHECKING:
+    from slidectl.simulation.simulation import Simulation
+
+FEATURES = (
+    *("SPAWNING", "SPAWNING_ENTITIES", "SPAWNING_RESOURCE_STRING", "SPAWNABLES", "DELETING"),
+    *("ENTITY_STATE_GETTING", "ENTITY_STATE_SETTING", "ENTITY_INFO_GETTING", "ENTITY_INFO_SETTING"),
+    *("ENTITY_TAGS", "ENTITY_CATEGORIES", "ENTITY_BOUNDS", "ENTITY_BOUNDS_BOX"),
+    *("SIMULATION_RESET", "SIMULATION_RESET_TIME", "SIMULATION_RESET_STATE", "SIMULATION_RESET_SPAWNED"),
+    *("SIMULATION_STATE_GETTING", "SIMULATION_STATE_SETTING", "SIMULATION_STATE_PAUSE"),
+    *("STEP_SIMULATION_SINGLE", "STEP_SIMULATION_MULTIPLE"),
+)
+"""Constants of simulation_interfaces/SimulatorFeatures."""
+MOST_SPAWNED = 100
+"""Entities that one request may spawn: the world waits while their files are read."""
+_PACKAGE = "simulation_interfaces"
+_INFO = "entity"
+"""What a robot keeps of itself for these services, in `SpawnedRobot.kept`."""
+_NOT_ONE = 1e-3
+"""How far from 1 the length of an orientation may be."""
+_CATEGORIES = {"robot": "CATEGORY_ROBOT", "model": "CATEGORY_OBJECT", "static": "CATEGORY_STATIC_OBJECT"}
+"""By the kinds of robots."""
+
+
+@cache
+def constant(kind: str, name: str) -> int:
+    """The value of a constant of a message of the standard."""
+    return next(int(one.value) for one in msgs.constants(f"{_PACKAGE}/{kind}") if one.name == name)
+
+
+class FailedRequest(SlidectlError):
+    """The result is the constant `name` of the message `kind`."""
+
+    def __init__(self, name: str, message: str, kind: str = "Result") -> None:
+        super().__init__(message)
+        self.code = constant(kind, name)
+
+
+class StandardServices:
+    """Those of one simulation."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        """Advertises all of them."""
+        self._simulation = simulation
+        self._world = simulation.world
+        self._robots = simulation.robots
+        self._entities = simulation.entities
+        node = simulation.graph.node(names.OWN_NODE, names.OWN_NODE)
+        answered: dict[str, Callable[[Message], Message | Pending]] = {
+            "SpawnEntity": self._spawn,
+            "SpawnEntities": self._spawn_several,
+            "GetSpawnables": self._spawnables,
+            "DeleteEntity": self._delete,
+            "GetEntities": self._names,
+            "GetEntitiesStates": self._states,
+            "GetEntityState": lambda request: {"state": self._state(self._robots.get(request["entity"]))},
+            "SetEntityState": self._set_state,
+            "GetEntityInfo": lambda request: {"info": _info(self._robots.get(request["entity"]))},
+            "SetEntityInfo": self._set_info,
+            "GetEntityBounds": self._bounds,
+            "GetSimulationState": lambda _: {"state": {"state": constant("SimulationState", self._run_state)}},
+            "SetSimulationState": self._set_run_state,
+            "StepSimulation": self._step,
+            "ResetSimulation": self._reset,
+        }
+        for kind, handler in answered.items():
+            node.advertise_service(_snake(kind), f"{_PACKAGE}/{kind}", _answering(handler))
+        node.advertise_service("get_simulator_features", f"{_PACKAGE}/GetSimulatorFeatures", lambda _: _features())
+
+    # Coming and going
+
+    def _spawn(self, request: Message) -> Pending:
+        try:
+            answer = self._spawn_one(request)
+        except SlidectlError as error:
+            answer = Pending()
+            answer.reject(error)
+        return answer.converted(_spawn_result)
+
+    def _spawn_one(self, request: Message) -> Pending:
+        """Resolved with the entity's name. All parts of it are spawned, or none."""
+        place = self._place(request["initial_pose"])
+        namespace = request["entity_namespace"]
+        if namespace and not names.is_legal(names.join("/", namespace)):
+            raise SpawnFailure("NAMESPACE_INVALID", str(BadName(namespace)))
+        parts = read(request["entity_resource"], request["name"], lambda name: self._name(name, request))
+        try:
+            parsed = [
+                (self._entities.read(one.xml, one.name, namespace or None, is_model=one.is_model), one.pose)
+                for one in parts
+            ]
+        except SlidectlError as error:
+            raise failure(error) from None
+
+        def spawned(done: Pending) -> str:
+            robots: list[SpawnedRobot] = done.result()
+            for robot in robots:
+                _kept(robot)["is_spawned"] = True
+            return robots[0].name
+
+        return self._entities.spawn([(one, compose(place, inside)) for one, inside in parsed]).converted(spawned)
+
+    def _place(self, stamped: Message) -> Pose:
+        """In the world, of a geometry_msgs/PoseStamped. Raises SpawnFailure, UnknownName."""
+        frame = self._entities.frame(stamped["header"]["frame_id"])
+        try:
+            return compose(frame.pose, _valid_pose(stamped["pose"]))
+        except Refused as error:
+            raise SpawnFailure("INVALID_POSE", str(error)) from None
+
+    def _name(self, wanted: str, request: Message) -> str:
+        """The name to use for the one that is wanted. Raises SpawnFailure."""
+        may_rename = request["allow_renaming"]
+        if not wanted and not may_rename:
+            raise SpawnFailure("NAME_INVALID", "the entity has no name, and allow_renaming is false")
+        wanted = wanted or "entity"
+        try:
+            names.check_robot(wanted)
+        except BadName as error:
+            raise SpawnFailure("NAME_INVALID", str(error)) from None
+        if wanted in RESERVED:
+            raise SpawnFailure("NAME_INVALID", f"{wanted!r} is a name of the world's own frame")
+        if wanted not in self._robots:
+            return wanted
+        if not may_rename:
+            raise SpawnFailure("NAME_NOT_UNIQUE", f"there is an entity {wanted!r}, and allow_renaming is false")
+        return next(name for name in (f"{wanted}_{number}" for number in count(1)) if name not in self._robots)
+
+    def _spawn_several(self, request: Message) -> Pending:
+        """One after the other. Those that can be spawned are, whatever becomes of the others."""
+        requests: list[Message] = request["spawn_requests"]
+        if len(requests) > MOST_SPAWNED:
+            text = f"{len(requests)} entities, and {MOST_SPAWNED} is the most in one request"
+            raise FailedRequest("RESULT_OPERATION_FAILED", text)
+        results: list[Message] = []
+        answer = Pending()
+
+        def take(done: Pending) -> None:
+            results.append(done.result())
+
+        def take_and_go_on(done: Pending) -> None:
+            take(done)
+            go_on()
+
+        def go_on() -> None:
+            while len(results) < len(requests):
+                spawning = self._spawn(requests[len(results)])
+                answer.on_cancel = spawning.cancel
+                if not spawning.done:
+                    spawning.then(take_and_go_on)
+                    return
+                take(spawning)
+            is_ok = all(one["result"]["result"] == constant("Result", "RESULT_OK") for one in results)
+            name, kind = ("RESULT_OK", "Result") if is_ok else ("ENTITIES_SPAWN_FAILED", "SpawnEntitiesResponse")
+            text = "" if is_ok else "the results say which were not spawned, and why"
+            answer.resolve({"result": _result(constant(kind, name), text), "results": results})
+
+        go_on()
+        return answer
+
+    def _spawnables(self, request: Message) -> Message:
+        found, text = spawnables(request["sources"])
+        return {"spawnables": found, "result": _result(constant("Result", "RESULT_OK"), text)}
+
+    def _delete(self, request: Message) -> Message:
+        self._simulation.delete(request["entity"])
+        return {}
+
+    # Entities as they are
+
+    def _names(self, request: Message) -> Message:
+        return {"entities": [robot.name for robot in self._matching(request["filters"])]}
+
+    def _states(self, request: Message) -> Message:
+        found = list(self._matching(request["filters"]))
+        return {"entities": [robot.name for robot in found], "states": [self._state(robot) for robot in found]}
+
+    def _matching(self, filters: Message) -> Iterator[SpawnedRobot]:
+        """All filters apply together; an empty one lets everything pass."""
+        pattern = PosixPattern(filters["filter"]) if filters["filter"] else None
+        categories = {one["category"] for one in filters["categories"]}
+        tags, mode = set(filters["tags"]["tags"]), filters["tags"]["filter_mode"]
+        needs_all = mode == constant("TagsFilter", "FILTER_MODE_ALL")
+        is_within = self._within(filters["bounds"])
+        for robot in self._robots:
+            info = _info(robot)
+            own = tags.intersection(info["tags"])
+            if (
+                (pattern is None or pattern.is_in(robot.name))
+                and (not categories or info["category"]["category"] in categories)
+                and (not tags or (own == tags if needs_all else bool(own)))
+                and is_within(robot)
+            ):
+                yield robot
+
+    def _within(self, bounds: Message) -> Callable[[SpawnedRobot], bool]:
+        """Whether a robot's shapes, as the boxes around them, overlap with simulation_interfaces/Bounds of the world.
+
+        One without shapes counts as a point. Raises FailedRequest.
+        """
+        kind = bounds["type"]
+        points = np.array([[one["x"], one["y"], one["z"]] for one in bounds["points"]], dtype=float)
+        if kind == constant("Bounds", "TYPE_EMPTY"):
+            return lambda _: True
+        if kind not in (constant("Bounds", "TYPE_BOX"), constant("Bounds", "TYPE_SPHERE")):
+            raise FailedRequest("RESULT_FEATURE_UNSUPPORTED", "bounds are TYPE_EMPTY, TYPE_BOX or TYPE_SPHERE")
+        if len(points) != 2 or not np.isfinite(points).all():
+            raise FailedRequest("RESULT_OPERATION_FAILED", "such bounds have two points, with finite numbers")
+
+        def is_within(robot: SpawnedRobot) -> bool:
+            boxes = bounding.boxes(self._world, robot.name, ORIGIN)
+            if not len(boxes):
+                boxes = np.array([[self._entities.model_frame(robot.name).pose[0]] * 2])
+            low, high = boxes[:, 0], boxes[:, 1]
+            if kind == constant("Bounds", "TYPE_BOX"):
+                return bool(((low <= points.max(axis=0)) & (high >= points.min(axis=0))).all(axis=1).any())
+            nearest = np.clip(points[0], low, high)
+            return bool((np.linalg.norm(nearest - points[0], axis=1) <= points[1, 0]).any())
+
+        return is_within
+
+    def _state(self, robot: SpawnedRobot) -> Message:
+        """simulation_interfaces/EntityState."""
+        frame = self._entities.model_frame(robot.name)
+        acceleration = sensing.link_acceleration(self._world, robot.name, robot.paper.root)
+        return {
+            "header": {"stamp": stamp(self._simulation.time_ns), "frame_id": "world"},
+            "pose": pose_message(frame.pose),
+            "twist": twist_message(frame.twist),
+            "acceleration": twist_message(acceleration),
+        }
+
+    def _set_state(self, request: Message) -> Message:
+        name, state = request["entity"], request["state"]
+        robot = self._robots.get(name)
+        pushes = [
+            flag
+            for flag, field in (("set_twist", "twist"), ("set_acceleration", "acceleration"))
+            if request[flag] and any(any(part.values()) for part in state[field].values())
+        ]
+        if robot.paper.is_fixed_to_world and pushes:
+            raise FailedRequest("RESULT_OPERATION_FAILED", f"{name!r} is fixed to the world and cannot move")
+        try:
+            place = _valid_pose(state["pose"]) if request["set_pose"] else None
+        except Refused as error:
+            raise FailedRequest("INVALID_POSE", str(error), "SetEntityStateResponse") from None
+        moving = twist(state["twist"]) if request["set_twist"] else None
+        self._entities.put(name, place, moving, self._entities.frame(state["header"]["frame_id"]))
+        text = "an acceleration follows from forces and is not set" if "set_acceleration" in pushes else ""
+        return {"result": _result(constant("Result", "RESULT_OK"), text)}
+
+    def _set_info(self, request: Message) -> Message:
+        robot, info = self._robots.get(request["entity"]), request["info"]
+        known = {one.value for one in msgs.constants(f"{_PACKAGE}/EntityCategory")}
+        if info["category"]["category"] not in known:
+            raise FailedRequest("RESULT_NOT_FOUND", f"{info['category']['category']} is no category; there are {known}")
+        _kept(robot).update(
+            category=info["category"]["category"], description=info["description"], tags=list(info["tags"])
+        )
+        return {}
+
+    def _bounds(self, request: Message) -> Message:
+        """The box around all collision shapes, on the axes of the root link."""
+        robot = self._robots.get(request["entity"])
+        boxes = bounding.boxes(self._world, robot.name, self._entities.model_frame(robot.name).pose)
+        if not len(boxes):
+            return {"bounds": {"type": constant("Bounds", "TYPE_EMPTY")}}
+        corners = boxes[:, 1].max(axis=0).tolist(), boxes[:, 0].min(axis=0).tolist()
+        points = [vector_message(corner) for corner in corners]
+        return {"bounds": {"type": constant("Bounds", "TYPE_BOX"), "points": points}}
+
+    # How the world runs
+
+    @property
+    def _run_state(self) -> str:
+        """A world that stands at its beginning is stopped; one that stands later is paused."""
+        if not self._simulation.run.paused:
+            return "STATE_PLAYING"
+        return "STATE_PAUSED" if self._simulation.cycles else "STATE_STOPPED"
+
+    def _set_run_state(self, request: Message) -> Message | Pending:
+        simulation, present = self._simulation, self._run_state
+        known = {one.value: one.name for one in msgs.constants(f"{_PACKAGE}/SimulationState")}
+        asked = known.get(request["state"]["state"], "")
+        response = "SetSimulationStateResponse"
+        if asked == present:
+            raise FailedRequest("ALREADY_IN_TARGET_STATE", f"it is in {asked} already", response)
+        if asked == "STATE_PLAYING":
+            try:
+                simulation.resume()
+            except SlidectlError as error:
+                raise FailedRequest("STATE_TRANSITION_ERROR", str(error), response) from None
+        elif asked == "STATE_PAUSED":
+            if present == "STATE_STOPPED":
+                text = "a stopped world stands already; play it, or step it"
+                raise FailedRequest("INCORRECT_TRANSITION", text, response)
+            simulation.pause()
+        elif asked == "STATE_STOPPED":
+            simulation.pause()
+            self._delete_spawned()
+            simulation.reset_simulation()
+        elif asked == "STATE_QUITTING" and simulation.graph.services.exists(f"{names.OWN_NODE}/shutdown"):
+            return simulation.graph.services.call(f"{names.OWN_NODE}/shutdown").converted(_nothing_more)
+        else:
+            text = f"{asked or request['state']['state']} cannot be asked for here"
+            raise FailedRequest("RESULT_FEATURE_UNSUPPORTED", text)
+        return {}
+
+    def _step(self, request: Message) -> Pending:
+        if not self._simulation.run.paused:
+            raise FailedRequest("RESULT_OPERATION_FAILED", "the simulation is not paused")
+        return self._simulation.ask_steps(request["steps"] or 1).converted(_nothing_more)
+
+    def _reset(self, request: Message) -> Message:
+        scope = request["scope"] or constant("ResetSimulationRequest", "SCOPE_ALL")
+        time, state, spawned = (
+            bool(scope & constant("ResetSimulationRequest", f"SCOPE_{name}")) for name in ("TIME", "STATE", "SPAWNED")
+        )
+        if time and not state:
+            text = "time goes back together with the state: SCOPE_TIME and SCOPE_STATE"
+            raise FailedRequest("RESULT_FEATURE_UNSUPPORTED", text)
+        if spawned:
+            self._delete_spawned()
+        if time:
+            self._simulation.reset_simulation()
+        elif state:
+            self._simulation.reset_world()
+        return {}
+
+    def _delete_spawned(self) -> None:
+        """Those that came by these services. What files and other services have brought is the world to which a reset
+        leads back."""
+        for robot in self._robots:
+            if _kept(robot).get("is_spawned"):
+                self._simulation.delete(robot.name)
+
+
+# Requests and responses
+
+
+def _answering(handler: Callable[[Message], Message | Pending]) -> Handler:
+    """The handler with its result, or with the one that its error says."""
+
+    @wraps(handler)
+    def answer(request: Message) -> Message | Pending:
+        try:
+            given = handler(request)
+        except SlidectlError as error:
+            return {"result": _failed(error)}
+        if not isinstance(given, Pending):
+            return _with_result(given)
+        return given.converted(
+            lambda done: {"result": _failed(done.error)} if done.error else _with_result(done.result())
+        )
+
+    return answer
+
+
+def _with_result(fields: Message) -> Message:
+    return {"result": _result(constant("Result", "RESULT_OK")), **fields}
+
+
+def _result(code: int, text: str = "") -> Message:
+    return {"result": code, "error_message": text}
+
+
+def _failed(error: SlidectlError) -> Message:
+    if isinstance(error, FailedRequest):
+        return _result(error.code, str(error))
+    name = "RESULT_NOT_FOUND" if isinstance(error, UnknownName) else "RESULT_OPERATION_FAILED"
+    return _result(constant("Result", name), str(error))
+
+
+def _spawn_result(done: Pending) -> Message:
+    """simulation_interfaces/SpawnResult."""
+    if done.error is None:
+        return {"result": _result(constant("Result", "RESULT_OK")), "entity_name": done.result()}
+    if isinstance(done.error, UnknownName):
+        return {"result": _failed(done.error)}
+    error = failure(done.error)
+    kind = "Result" if error.reason.startswith("RESULT_") else "SpawnResult"
+    return {"result": _result(constant(kind, error.reason), str(error))}
+
+
+def _nothing_more(done: Pending) -> Message:
+    """Raises what failed."""
+    done.result()
+    return {}
+
+
+def _features() -> Message:
+    return {
+        "features": {
+            "features": sorted(constant("SimulatorFeatures", name) for name in FEATURES),
+            "spawn_formats": list(FORMATS),
+            "custom_info": f"slidectl {slidectl.__version__}",
+        }
+    }
+
+
+def _snake(kind: str) -> str:
+    """`GetEntities` as `get_entities`."""
+    return "".join(f"_{sign.lower()}" if sign.isupper() else sign for sign in kind).lstrip("_")
+
+
+def _valid_pose(message: Message) -> Pose:
+    """Of geometry_msgs/Pose. Four zeros are no turn, as in messages of ROS 1 that leave them out. Raises Refused."""
+    from slidectl.client.spawning import FARTHEST  # late, as in spawnables
+
+    place, turn = message["position"], message["orientation"]
+    if not all(abs(value) <= FARTHEST for value in place.values()):
+        raise Refused(f"positions are numbers up to ±{FARTHEST:g} m, not {_values(place)}")
+    length = math.hypot(*turn.values())
+    if length and not abs(length - 1) <= _NOT_ONE:
+        raise Refused(f"an orientation has the length 1, not {_values(turn)}")
+    return pose(message)
+
+
+def _values(message: Message) -> str:
+    return " ".join(f"{name} {value:g}" for name, value in message.items())
+
+
+def _kept(robot: SpawnedRobot) -> dict[str, Any]:
+    """What a snapshot keeps too."""
+    kept = robot.kept.setdefault(_INFO, {})
+    assert isinstance(kept, dict)
+    return kept
+
+
+def _info(robot: SpawnedRobot) -> Message:
+    """simulation_interfaces/EntityInfo: what was set, else what it is."""
+    kept = _kept(robot)
+    tags: Sequence[str] = kept.get("tags", ())
+    return {
+        "category": {"category": kept.get("category", constant("EntityCategory", _CATEGORIES[robot.kind]))},
+        "description": kept.get("description", f"{quoted(robot.name)}, a {robot.kind}"),
+        "tags": list(tags),
+    }

@@ -1,0 +1,66 @@
+"""What the world looks like now, asked of a daemon and drawn: one picture a call."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+from slidectl.client import Client
+from slidectl.errors import Refused
+from slidectl.viewing.drawn_scene import DrawnScene
+from slidectl.viewing.picture_files import Pixels
+from slidectl.viewing.rasteriser import Rasteriser
+from slidectl.viewing.viewpoints import Viewpoint, ViewpointChoice
+
+
+class Drawer(Protocol):
+    """`GlRenderer`, or `Rasteriser`."""
+
+    name: str
+
+    def draw(self, scene: DrawnScene, view: Viewpoint) -> Pixels:
+        """Raises Refused."""
+
+
+class WorldView:
+    """The world of a daemon from one camera, by OpenGL or, where that cannot be used, by software."""
+
+    def __init__(
+        self, client: Client, camera: str, size: tuple[int, int], software: bool, tell: Callable[[str], None]
+    ) -> None:
+        """`tell` takes what is drawn otherwise than it was meant. Raises UnknownName, AmbiguousName."""
+        self._client = client
+        self._size = size
+        self._tell = tell
+        self.scene = self._new_scene()
+        self._choice = ViewpointChoice(self.scene, camera, size)
+        self.drawer: Drawer = Rasteriser(size)
+        if not software:
+            try:
+                from slidectl import physics  # noqa: F401 - MuJoCo, which may not be usable
+                from slidectl.viewing.gl_renderer import GlRenderer
+
+                self.drawer = GlRenderer(size)
+            except Refused as error:
+                self._tell_of_software(error)
+
+    def draw(self) -> Pixels:
+        """A picture of now. Raises NoDaemon. UnknownName: the camera, or the link that it follows, has gone."""
+        if not self.scene.place(self._client.call("/slidectl/scene")):
+            self.scene = self._new_scene()
+        view = self._choice.of(self.scene)
+        try:
+            return self.drawer.draw(self.scene, view)
+        except Refused as error:
+            self._tell_of_software(error)
+            self.drawer = Rasteriser(self._size)
+            return self.drawer.draw(self.scene, view)
+
+    def _new_scene(self) -> DrawnScene:
+        scene = DrawnScene(self._client.call("/slidectl/scene", {"descriptions": True}))
+        for notice in scene.notices:
+            self._tell(notice)
+        return scene
+
+    def _tell_of_software(self, error: Refused) -> None:
+        self._tell(f"drawn by software: {error.message}" + (f"; {error.hint}" if error.hint else ""))

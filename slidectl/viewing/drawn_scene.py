@@ -1,0 +1,164 @@
+"""The world as it is drawn: the triangles of all links with their colours, and where the links are.
+
+Made of what /slidectl/scene answers. It knows no pictures, and reads the files of meshes. Arrays are in m, in world
+axes unless they say otherwise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slidectl import description, rotations
+from slidectl.description import link_colours, meshes
+from slidectl.description.link_colours import Colour
+from slidectl.description.meshes import BadMesh, Triangles
+from slidectl.description.robot import Box, Camera, Cylinder, Geometry, Link, Robot, Shape, Sphere
+
+Array = NDArray[np.float64]
+
+SKY = (0.62, 0.75, 0.90)
+TILES = ((0.80, 0.80, 0.80), (0.86, 0.86, 0.86))
+"""Colours of the ground's tiles, which are 1 m wide."""
+SUN = (-0.37, 0.46, -0.81)
+"""Direction in which its light goes."""
+AMBIENT, FROM_EYE, FROM_SUN = 0.4, 0.2, 0.4
+"""Of the light that a surface gives back; 1 together."""
+_SIDES = 24
+"""Of what is drawn for a circle."""
+_MISSING_M = 0.1
+"""Edge of the box that is drawn for a mesh that cannot be read."""
+
+
+class ColouredSurface(NamedTuple):
+    """What has one colour on one link."""
+
+    link: str
+    """ROBOT::LINK."""
+    vertices: Array
+    """n x 3, in the link's frame."""
+    faces: NDArray[np.int32]
+    """m x 3."""
+    colour: Colour
+
+
+class DrawnScene:
+    """Robots and ground; `place` puts them where they are now."""
+
+    def __init__(self, answer: dict[str, Any], collisions: bool = False) -> None:
+        """`answer` is that of /slidectl/scene, with descriptions. `collisions`: draw what collides instead."""
+        self.ground = bool(answer["ground"])
+        self.robots: dict[str, Robot] = {
+            name: description.parse(xml) for name, xml in zip(answer["robots"], answer["descriptions"], strict=True)
+        }
+        self.notices: list[str] = []
+        """What is drawn otherwise than it was meant."""
+        self.surfaces = [
+            surface
+            for name, robot in self.robots.items()
+            for link in robot.links.values()
+            for surface in self._surfaces(name, robot, link, collisions)
+        ]
+        self.place(answer)
+
+    @property
+    def cameras(self) -> dict[str, Camera]:
+        """Those of the robots, as ROBOT::CAMERA."""
+        sensors = [(name, sensor) for name, robot in self.robots.items() for sensor in robot.sensors]
+        return {f"{name}::{sensor.name}": sensor for name, sensor in sensors if isinstance(sensor, Camera)}
+
+    def place(self, answer: dict[str, Any]) -> bool:
+        """Put the links where they are now; False: there are other robots, which makes this another scene."""
+        if "poses" in vars(self) and answer["serials"] != self._serials:
+            return False
+        self._serials: list[int] = answer["serials"]
+        self.time = float(answer["time"])
+        """Simulated, s."""
+        self.poses: dict[str, rotations.Pose] = {f"{name}::world": rotations.ORIGIN for name in self.robots}
+        """Of all links, by ROBOT::LINK."""
+        for link, pose in zip(answer["links"], answer["poses"], strict=True):
+            place, turn = pose["position"], pose["orientation"]
+            self.poses[link] = ((place["x"], place["y"], place["z"]), (turn["x"], turn["y"], turn["z"], turn["w"]))
+        return True
+
+    def vertices(self, surface: ColouredSurface) -> Array:
+        """Where those of a surface are now."""
+        place, turn = self.poses[surface.link]
+        vertices: Array = surface.vertices @ np.array(rotations.matrix(turn)).T + place
+        return vertices
+
+    def bounds(self, robot: str = "") -> tuple[Array, float]:
+        """Centre and radius of a ball around all that is drawn of a robot, or of all."""
+        seen = [
+            self.vertices(surface) for surface in self.surfaces if surface.link.startswith(f"{robot}::" * bool(robot))
+        ]
+        if not seen:
+            return np.zeros(3), 1.0
+        low, high = np.min([one.min(axis=0) for one in seen], axis=0), np.max([one.max(axis=0) for one in seen], axis=0)
+        return (low + high) / 2, max(_MISSING_M, float(np.linalg.norm(high - low)) / 2)
+
+    def _surfaces(self, name: str, robot: Robot, link: Link, collisions: bool) -> Iterator[ColouredSurface]:
+        """The visuals of a link; of a robot that has none at all, and where that is wanted, what collides."""
+        has_visuals = not collisions and any(one.visuals for one in robot.links.values())
+        parts: dict[Colour, list[Triangles]] = {}
+        for shape in link.visuals if has_visuals else link.collisions:
+            colour = link_colours.of_shape(link, shape)
+            if colour[3] > 0.0:
+                parts.setdefault(colour, []).append(self._triangles(f"{name}::{link.name}", shape))
+        for colour, pieces in parts.items():
+            starts = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
+            faces = np.concatenate([piece.faces + start for piece, start in zip(pieces, starts, strict=False)])
+            yield ColouredSurface(
+                f"{name}::{link.name}",
+                np.concatenate([piece.vertices for piece in pieces]),
+                faces.astype(np.int32),
+                colour,
+            )
+
+    def _triangles(self, link: str, shape: Shape) -> Triangles:
+        """A shape in the frame of its link."""
+        try:
+            vertices, faces = _triangles_of(shape.geometry)
+        except BadMesh as error:
+            self.notices.append(f"{link}: {error}; a box of {_MISSING_M} m is drawn in its place")
+            vertices, faces = _box((_MISSING_M,) * 3)
+        turn = np.array(rotations.matrix(rotations.from_rpy(shape.origin.rpy)))
+        return Triangles(vertices @ turn.T + shape.origin.xyz, faces)
+
+
+def _triangles_of(geometry: Geometry) -> Triangles:
+    """Raises BadMesh."""
+    if isinstance(geometry, Box):
+        return _box(geometry.size)
+    if isinstance(geometry, Cylinder):
+        half = geometry.length / 2
+        return _turned([(0.0, -half), (geometry.radius, -half), (geometry.radius, half), (0.0, half)])
+    if isinstance(geometry, Sphere):
+        angles = [math.pi * (step / (_SIDES // 2) - 0.5) for step in range(_SIDES // 2 + 1)]
+        return _turned([(geometry.radius * math.cos(angle), geometry.radius * math.sin(angle)) for angle in angles])
+    if geometry.path is None:
+        raise BadMesh("the mesh is not there", geometry.uri)
+    return meshes.load(geometry.path, geometry.scale)
+
+
+def _box(size: tuple[float, ...]) -> Triangles:
+    corners = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * size
+    quads = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+    return Triangles(corners, np.array([f for a, b, c, d in quads for f in ((a, b, c), (a, c, d))], dtype=np.int32))
+
+
+def _turned(outline: list[tuple[float, float]]) -> Triangles:
+    """The body that an outline (radius, height), from its lowest point up, makes when it turns about the z axis."""
+    angles = np.arange(_SIDES) * (2 * math.pi / _SIDES)
+    rings = [np.column_stack((r * np.cos(angles), r * np.sin(angles), np.full(_SIDES, z))) for r, z in outline]
+    now, after = np.arange(_SIDES), np.roll(np.arange(_SIDES), -1)
+    faces = []
+    for ring in range(len(outline) - 1):
+        low, high = ring * _SIDES, (ring + 1) * _SIDES
+        faces.append(np.column_stack((low + now, low + after, high + after)))
+        faces.append(np.column_stack((low + now, high + after, high + now)))
+    return Triangles(np.concatenate(rings), np.concatenate(faces).astype(np.int32))

@@ -1,0 +1,272 @@
+"""viser's server with a guard at its door: who may open the page, and what a browser may send to viser.
+
+viser has no hook for that. It serves with `websockets.asyncio.server.serve`, which is wrapped while viser starts; this
+is the only file that knows. Tests open the door with wrong tokens and foreign origins, and send nonsense.
+"""
+
+from __future__ import annotations
+
+import http
+import io
+import logging
+import math
+import secrets
+import socket
+from collections.abc import Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout
+from http.cookies import CookieError, SimpleCookie
+from queue import SimpleQueue
+from typing import TYPE_CHECKING, Any
+from urllib.parse import parse_qs, urlencode, urlsplit
+
+import msgspec
+import viser
+import websockets.asyncio.server
+from viser import _messages
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
+
+from slidectl.errors import Refused, UnknownName
+from slidectl.web_access import LOOPBACK, host_of, is_secret
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_PORTS_TRIED = 100
+_LONGEST_TEXT = 100_000
+_ROUNDING = 1e-7
+"""Sliders of viser round to seven digits, their ends too."""
+_TAKEN = {
+    kind.__name__: kind
+    for kind in (
+        _messages.CommandTriggerMessage, _messages.GuiUpdateMessage, _messages.SceneNodeDragMessage,
+        _messages.TransformControlsDragEndMessage, _messages.TransformControlsDragStartMessage,
+        _messages.TransformControlsUpdateMessage, _messages.ViewerCameraMessage,
+    )
+}  # fmt: skip
+"""What panels listen to. Of the others some are kept for ever (uploads), or passed on to all browsers (forms)."""
+_KEPT_OUT = {"X-Frame-Options": "SAMEORIGIN", "Referrer-Policy": "same-origin", "Cache-Control": "no-store"}
+"""Headers of the page: no foreign page shows it in a frame, and no address with a token leaves the browser."""
+
+
+def free_port(host: str, first: int) -> int:
+    """The first port from `first` on, of a hundred, on which nobody listens.
+
+    Raises:
+        UnknownName: the host is no address of this machine. Refused: all ports are taken.
+    """
+    try:
+        family, kind, *_, address = socket.getaddrinfo(host, first, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind) as probe:
+            probe.bind((address[0], 0))
+    except OSError as error:
+        raise UnknownName("local address", host, list(LOOPBACK[:2]), f"({error.strerror})") from error
+    for port in range(first, min(first + _PORTS_TRIED, 65536)) if first else (0,):
+        with socket.socket(family, kind) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((address[0], port))
+            except PermissionError as error:
+                raise Refused(f"port {port} is for root alone", "choose one from 1024 on: --port N") from error
+            except OSError:
+                continue
+            return int(probe.getsockname()[1])
+    raise Refused(f"the ports {first} to {first + _PORTS_TRIED - 1} of {host} are taken", "choose another: --port N")
+
+
+class DoorGuard:
+    """Lets in who has the token and comes from the page itself."""
+
+    def __init__(self, host: str, token: str) -> None:
+        """`token` is empty where none is needed."""
+        self.opened: SimpleQueue[Mapping[str, Sequence[str]]] = SimpleQueue()
+        """The query of each page that was opened."""
+        self._host = host
+        self._token = token
+        self._word = ""
+        self._cookie = f"slidectl-{secrets.token_hex(4)}"  # cookies of all ports of a host are one heap
+
+    def answer(self, request: Request) -> Response | None:
+        """What is answered in place of the page; None: it may be had."""
+        headers, url = request.headers, urlsplit(request.path)
+        named = headers.get("Host", "")
+        if not self._knows(host_of(named)):
+            return _refused(f"this page does not go by the name {named!r}")
+        origin = headers.get("Origin")
+        if origin is not None and urlsplit(origin).netloc != named:
+            return _refused(f"pages of {origin} may not use this one")
+        if headers.get("Sec-Fetch-Site") == "cross-site" and headers.get("Sec-Fetch-Mode") != "navigate":
+            return _refused("other pages may not use this one")
+        query = parse_qs(url.query)
+        if self._token:
+            given = query.pop("token", [""])[0]
+            if given and (self._is_token(given) or self._is_word(given)):
+                more = f"?{urlencode(query, doseq=True)}" if query else ""
+                cookie = f"{self._cookie}={self._token}; HttpOnly; SameSite=Lax; Path=/"
+                return Response(302, "Found", Headers({"Location": f"/{more}", "Set-Cookie": cookie, **_KEPT_OUT}))
+            if not self._is_token(_cookie(headers, self._cookie)):
+                what = "the token is wrong" if given else "a token is needed"
+                return _refused(f"{what}: the whole address is printed by slidectl view")
+        is_tab = headers.get("Sec-Fetch-Dest", "document") == "document" and "Upgrade" not in headers
+        if url.path == "/" and is_tab:
+            self.opened.put(query)
+        return None
+
+    def _knows(self, host: str) -> bool:
+        """A name that a foreign site has made lead to this machine must not open the page: unless a token does."""
+        return bool(self._token) or host in (*LOOPBACK, self._host)
+
+    def word(self) -> str:
+        """What opens the page once in the place of the token: the list of processes shows a browser's arguments."""
+        self._word = secrets.token_urlsafe()
+        return self._word
+
+    def _is_word(self, given: str) -> bool:
+        is_it = bool(self._word) and is_secret(given, self._word)
+        if is_it:
+            self._word = ""
+        return is_it
+
+    def _is_token(self, given: str) -> bool:
+        return is_secret(given, self._token)
+
+
+def _cookie(headers: Headers, name: str) -> str:
+    cookies: SimpleCookie = SimpleCookie()
+    for text in headers.get_all("Cookie"):
+        try:
+            cookies.load(text)
+        except CookieError:
+            continue
+    return cookies[name].value if name in cookies else ""
+
+
+def _refused(text: str) -> Response:
+    headers = Headers({"Content-Type": "text/plain; charset=utf-8", "Connection": "close"})
+    return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", headers, f"slidectl: {text}\n".encode())
+
+
+class GuardedServer(viser.ViserServer):
+    """viser's server, quiet, and without its offer to share the page with the internet."""
+
+    def __init__(self, host: str, port: int, guard: DoorGuard) -> None:
+        logging.getLogger("websockets.server").addFilter(_is_no_handshake)
+        with _guarded(guard, self), redirect_stdout(io.StringIO()):
+            super().__init__(host=host, port=port, label="slidectl", verbose=False)
+        self.choose_theme(dark=False)
+
+    def choose_theme(self, dark: bool) -> None:
+        """Light or dark, in all browsers."""
+        self.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False)
+
+    def request_share_url(self, verbose: bool = True) -> str | None:  # noqa: ARG002
+        """None: a browser may ask viser to make the page public, and the page stays where it is."""
+        return None
+
+    def takes(self, frame: Any) -> bool:
+        """Whether what a browser sends is a message that viser and the panels can work with.
+
+        viser itself makes attributes of whatever comes, and only then finds that it is of another type.
+
+        Raises:
+            msgspec.MsgspecError, TypeError, RecursionError: no browser sends that.
+        """
+        message = msgspec.msgpack.decode(frame, type=dict[str, Any])
+        kind = _TAKEN.get(message.pop("type", None))
+        if kind is None or not _is_finite(message):
+            return False
+        sound = msgspec.convert(message, kind)
+        if not message.keys() <= vars(sound).keys():
+            return False
+        return not isinstance(sound, _messages.GuiUpdateMessage) or self._takes_value(sound)
+
+    def _takes_value(self, update: _messages.GuiUpdateMessage) -> bool:
+        """Whether an input can have the value. If not, the browsers are told which one it has."""
+        handle: Any = self.gui._gui_input_handle_from_uuid.get(update.uuid)
+        if handle is None:
+            return False
+        if update.updates.keys() == {"value"} and _can_have(handle, update.updates["value"]):
+            return True
+        if not isinstance(handle, viser.GuiButtonHandle):
+            self._websock_server.queue_message(_messages.GuiUpdateMessage(update.uuid, {"value": handle.value}))
+        return False
+
+    def stop(self) -> None:
+        with redirect_stdout(io.StringIO()):
+            super().stop()
+
+
+def _can_have(handle: Any, value: Any) -> bool:
+    """Whether an input is enabled, and the value is of its type and in its range."""
+    before, options = handle.value, getattr(handle, "options", None)
+    if handle.disabled or not handle.visible:
+        return False
+    if options is not None:
+        return value in options
+    if isinstance(before, bool):
+        return isinstance(value, bool)
+    if isinstance(before, int | float):
+        least, most = getattr(handle, "min", None), getattr(handle, "max", None)
+        return (
+            isinstance(value, int | float)
+            and not isinstance(value, bool)
+            and (isinstance(before, float) or value == int(value))
+            and (least is None or value >= least - _ROUNDING)
+            and (most is None or value <= most + _ROUNDING)
+        )
+    return isinstance(before, str) and isinstance(value, str) and len(value) <= _LONGEST_TEXT
+
+
+def _is_finite(value: Any) -> bool:
+    if isinstance(value, dict):
+        value = list(value.values())
+    if isinstance(value, list):
+        return all(map(_is_finite, value))
+    return not isinstance(value, float) or math.isfinite(value)
+
+
+def _is_no_handshake(record: logging.LogRecord) -> bool:
+    """What is no browser is turned away, and that is all: it is no error of ours, with a traceback."""
+    return record.getMessage() != "opening handshake failed"
+
+
+@contextmanager
+def _guarded(guard: DoorGuard, server: GuardedServer) -> Iterator[None]:
+    serve = websockets.asyncio.server.serve
+
+    def guarded(handler: Any, host: str, port: int, **options: Any) -> Any:
+        page = options.pop("process_request")
+
+        def process_request(connection: Any, request: Request) -> Response | None:
+            answer = guard.answer(request) or page(connection, request)
+            if answer is not None:
+                for name, value in _KEPT_OUT.items():
+                    if name not in answer.headers:
+                        answer.headers[name] = value
+            return answer
+
+        async def handle(connection: Any) -> None:
+            if connection.subprotocol != f"viser-v{viser.__version__}":  # of which viser would print a line each
+                await connection.close(1002, f"this page is of viser {viser.__version__}: load it again")
+                return
+            receive = connection.recv
+
+            async def receive_sound() -> Any:
+                while True:
+                    frame = await receive()
+                    try:
+                        if server.takes(frame):
+                            return frame
+                    except (msgspec.MsgspecError, TypeError, RecursionError):
+                        await connection.close(1008, "this is no message of the page")
+
+            connection.recv = receive_sound
+            await handler(connection)
+
+        return serve(handle, host, port, process_request=process_request, **options)
+
+    websockets.asyncio.server.serve = guarded  # type: ignore[misc, assignment]
+    try:
+        yield
+    finally:
+        websockets.asyncio.server.serve = serve  # type: ignore[misc]

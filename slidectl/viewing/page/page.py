@@ -1,0 +1,336 @@
+"""The loop of the page: asks the daemon how the world is, shows it, and does what browsers ask for.
+
+viser calls back on threads of its own; these only put what is to be done into a queue, of which this thread takes it.
+While no browser is there the daemon is asked nothing, but by panels that publish or step.
+"""
+
+from __future__ import annotations
+
+import queue
+import time
+import traceback
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from contextlib import suppress
+from functools import partial
+from itertools import islice
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from viser import GuiButtonGroupHandle
+
+from slidectl import names
+from slidectl.client import Client
+from slidectl.errors import NoDaemon, Refused, SlidectlError, cut
+
+if TYPE_CHECKING:
+    from viser import GuiFolderHandle, GuiTabHandle
+
+    from slidectl.viewing.page.guarded_server import GuardedServer
+
+FRAME_S = 1 / 35
+"""Wall seconds between two looks at where the links are."""
+_REFRESH_S = 0.1
+_LOOK_S = 0.5
+"""Between two looks at what there is: robots, controllers, topics."""
+_CONNECT_S = 0.5
+_MOST_WANTED = 500
+_NOTICE_S = 8.0
+_MOST_TAKEN = 10_000
+"""Of what arrives in one turn while no browser is there: a fast world may send more than can be read."""
+_LONGEST_NOTICE = 600
+
+Message = dict[str, Any]
+
+
+class WorldState(NamedTuple):
+    """What there is in the world, of one moment."""
+
+    status: Message
+    """slidectl/Status."""
+    robots: list[Message]
+    """slidectl/RobotInfo."""
+    controllers: dict[str, list[Message]]
+    """Namespace -> its controller_manager_msgs/ControllerState."""
+    topics: dict[str, str]
+    """Name -> type."""
+
+
+class Panel:
+    """One tab of the page. All of its methods are called on the page's thread."""
+
+    title = ""
+
+    def __init__(self, page: Page) -> None:
+        self.page = page
+        self.gui = page.server.gui
+
+    def shape(self, world: WorldState) -> Hashable:  # noqa: ARG002
+        """What decides which elements the panel has: it is built anew when that becomes another."""
+        return None
+
+    def build(self, world: WorldState) -> None:
+        """Make the elements; the container is entered. What an earlier `build` made is gone."""
+
+    def refresh(self, world: WorldState) -> None:
+        """Show the newest values, ten times a second while a browser is there. `world` may be half a second old."""
+
+    def update(self) -> None:
+        """Go on with what does not end when no browser is there: ten times a second while the daemon is."""
+
+    def opened(self, query: Mapping[str, Sequence[str]]) -> None:
+        """A browser has opened the page with this query in its address."""
+
+    def leave(self) -> None:
+        """Before the panel is built anew, and when the daemon has gone: end subscriptions."""
+
+
+class Page:
+    """Panels and scene of one daemon, in all browsers that have the page open."""
+
+    def __init__(
+        self,
+        server: GuardedServer,
+        connect: Callable[[], Client],
+        read_only: bool,
+        opened: queue.SimpleQueue[Mapping[str, Sequence[str]]],
+    ) -> None:
+        """`connect` makes a connection to the daemon, or raises NoDaemon. `opened` has the queries of pages."""
+        self.server = server
+        self._opened = opened
+        self.read_only = read_only
+        self._connect = connect
+        self._client: Client | None = None
+        self._world: WorldState | None = None
+        self._wanted: dict[Hashable, Callable[[], object]] = {}
+        self._queue: queue.SimpleQueue[Hashable] = queue.SimpleQueue()
+        self._is_flooded = False
+        self._panels: list[tuple[Panel, GuiTabHandle]] = []
+        self._built: dict[Panel, tuple[Hashable, GuiFolderHandle]] = {}
+        self._frame: Callable[[], object] = lambda: None
+        self._banner = server.gui.add_markdown("connecting ...", order=-1000)
+        self._told: dict[tuple[str, str], float] = {}
+        """Notice -> until when it is shown."""
+        self._faults: set[tuple[type[Exception], str]] = set()
+        """Those whose traceback is on stderr."""
+        self._due = dict.fromkeys(("frame", "update", "refresh", "look", "connect"), 0.0)
+
+    # --- for panels -----------------------------------------------------------------------------------------------
+
+    @property
+    def client(self) -> Client:
+        """The connection to the daemon, for the page's thread. Raises NoDaemon while there is none."""
+        if self._client is None:
+            raise NoDaemon("the daemon is not there", "the page comes back with it")
+        return self._client
+
+    def call(self, service: str, request: Message | None = None) -> Message:
+        """As `Client.call`. Raises Refused for an answer that says so too."""
+        answer = self.client.call(service, request)
+        if not answer.get("success", True):
+            raise Refused(answer.get("status_message") or answer.get("message") or f"{service} refused")
+        return answer
+
+    def add_panel(self, panel: Panel, tab: GuiTabHandle) -> None:
+        """Show a panel in a tab."""
+        self._panels.append((panel, tab))
+
+    def each_frame(self, action: Callable[[], object]) -> None:
+        """What puts the robots where they are."""
+        self._frame = action
+
+    def do(self, action: Callable[[], object], key: Hashable = None) -> None:
+        """Have something done on the page's thread, from any thread.
+
+        Of all that waits with one key only the newest is done: a slider that is dragged sends what it is now. What it
+        raises is shown in all browsers. When too much waits, it is left out, and that is told.
+        """
+        key = object() if key is None else key
+        if self._queue.qsize() >= _MOST_WANTED:
+            self._is_flooded = True
+            return
+        self._wanted[key] = action
+        self._queue.put(key)
+
+    def acting(self, handle: Any, action: Callable[[Any], object], coalesce: bool = False) -> None:
+        """Call `action` with the value of an input, or of a button, whenever somebody changes it.
+
+        It is for what changes the world: on a page that only looks the input is disabled, and nothing is done.
+        """
+        if self.read_only and isinstance(handle, GuiButtonGroupHandle):  # cannot be disabled
+            handle.visible = False
+        elif self.read_only:
+            handle.disabled = True
+        else:
+            self.looking(handle, action, coalesce)
+
+    def looking(self, handle: Any, action: Callable[[Any], object], coalesce: bool = False) -> None:
+        """As `acting`, for what changes the page alone."""
+
+        key = object() if coalesce else None  # a handle cannot be a key
+
+        async def changed(event: Any) -> None:  # async: in the order in which they come
+            if event.client is None:  # the page itself has set the value
+                return
+            value = event.target.value
+            self.do(lambda: action(value), key)
+
+        register = getattr(handle, "on_click", None) or handle.on_update
+        register(changed)
+
+    def notify(self, title: str, text: str = "", color: str = "teal") -> None:
+        """Tell all browsers; what has just been told is not told again."""
+        now = time.monotonic()
+        self._told = {one: until for one, until in self._told.items() if until > now}
+        if self._told.setdefault((title, text), now + _NOTICE_S) != now + _NOTICE_S:
+            return
+        for browser in list(self.server.get_clients().values()):
+            browser.add_notification(title, cut(text, _LONGEST_NOTICE), auto_close_seconds=_NOTICE_S, color=color)  # type: ignore[call-overload]
+
+    def attempt(self, action: Callable[[], object]) -> None:
+        """Do something whose failure is told in all browsers. Raises NoDaemon."""
+        try:
+            action()
+        except NoDaemon:
+            raise
+        except SlidectlError as error:
+            self.notify(error.message, error.hint or "", "red")
+        except Exception as error:  # a fault in one panel does not end the page for all
+            if (type(error), str(error)) not in self._faults:
+                self._faults.add((type(error), str(error)))
+                traceback.print_exc()
+            self.notify("A fault of slidectl", f"{type(error).__name__}: {error}", "red")
+
+    def look_again(self) -> None:
+        """Look at what there is without waiting: something has just been changed."""
+        self._due["look"] = 0.0
+
+    # --- the loop -------------------------------------------------------------------------------------------------
+
+    def run(self, until: Callable[[], bool] = lambda: False) -> None:
+        """Until it is interrupted, or until it is true."""
+        while not until():
+            try:
+                self._turn()
+            except NoDaemon:
+                self._lost()
+            except SlidectlError as error:  # the daemon hangs
+                self.notify(error.message, error.hint or "", "red")
+            self._wait()
+
+    def _turn(self) -> None:
+        now = time.monotonic()
+        if self._client is None:
+            if self._is_due("connect", _CONNECT_S, now):
+                self._client = self._connect()
+                self._due["look"] = 0.0
+            return
+        while not self._opened.empty():
+            query = self._opened.get()
+            for panel, _ in self._panels:
+                self.attempt(lambda panel=panel, query=query: panel.opened(query))  # type: ignore[misc]
+        if self._is_due("update", _REFRESH_S, now):
+            for panel in list(self._built):
+                self.attempt(panel.update)
+        if not self.server.get_clients():
+            for _ in islice(self._client.events(0.0), _MOST_TAKEN):  # and a daemon that has gone is noticed
+                pass
+            return
+        if self._is_due("look", _LOOK_S, now):
+            self._look(self._client)
+        if self._is_due("frame", FRAME_S, now):
+            self.attempt(self._frame)
+        if self._world is not None and self._is_due("refresh", _REFRESH_S, now):
+            for panel in list(self._built):
+                self.attempt(lambda panel=panel: panel.refresh(self._world))  # type: ignore[misc]
+
+    def _is_due(self, what: str, period: float, now: float) -> bool:
+        if now < self._due[what]:
+            return False
+        self._due[what] = max(self._due[what] + period, now + period / 2)  # a turn that was late is not made up for
+        return True
+
+    def _wait(self) -> None:
+        """Until the next turn, or until somebody wants something; does what is wanted."""
+        idle = self._client is None or not self.server.get_clients()
+        left = _REFRESH_S if idle else min(self._due["frame"] - time.monotonic(), FRAME_S)
+        with suppress(queue.Empty):
+            key = self._queue.get(timeout=max(left, 0.001))
+            end = time.monotonic() + FRAME_S  # what one browser wants does not hold up the others for longer
+            while True:
+                action = self._wanted.pop(key, None)
+                if action is not None:
+                    try:
+                        self.attempt(action)
+                    except NoDaemon as error:
+                        self.notify(error.message, error.hint or "", "red")
+                        self._lost()
+                if time.monotonic() > end:
+                    break
+                key = self._queue.get_nowait()
+        if self._is_flooded:
+            self._is_flooded = False
+            self.notify("Too much at once", "Some of what browsers asked for was left out.", "red")
+
+    def _look(self, client: Client) -> None:
+        """See what there is, and build anew what shows it."""
+        robots = client.robots()
+        answer = client.call("/rosapi/services_for_type", {"type": "controller_manager_msgs/ListControllers"})
+        spaces = sorted(names.parent(names.parent(service)) for service in answer["services"])
+        controllers = {}
+        for space in spaces:
+            with suppress(Refused):  # the robot was deleted meanwhile
+                controllers[space] = client.controllers(space).controllers()
+        self._world = world = WorldState(client.call("/slidectl/status"), robots, controllers, client.topics())
+        self._say_state(world)
+        for panel, tab in self._panels:
+            self.attempt(partial(self._show, panel, tab, world))
+
+    def _show(self, panel: Panel, tab: GuiTabHandle, world: WorldState) -> None:
+        """Build a panel whose shape has become another, or that could not be built before."""
+        shape = panel.shape(world)
+        if panel in self._built and self._built[panel][0] == shape:
+            return
+        self._clear(panel)
+        with tab:
+            container = self.server.gui.add_folder(None)  # without a frame
+        self._built[panel] = (object(), container)
+        with container:
+            panel.build(world)
+        self._built[panel] = (shape, container)
+
+    def _say_state(self, world: WorldState) -> None:
+        status = world.status
+        name = f"daemon **{status['instance']}**" + (" · only looking" if self.read_only else "")
+        state = "paused" if status["paused"] else f"{status['speed_reached']:.2f} × real time"
+        trouble = f" · {status['trouble']}" if status["trouble"] else ""
+        self._banner.content = f"{name} · {state}{trouble}"
+
+    def _clear(self, panel: Panel) -> None:
+        if panel in self._built:
+            _, container = self._built.pop(panel)
+            try:
+                self.attempt(panel.leave)
+            finally:
+                container.remove()
+
+    def _lost(self) -> None:
+        """The daemon has gone: say so, show nothing that may not be true any more, and look for it."""
+        if self._client is not None:
+            with suppress(SlidectlError):
+                self._client.close()
+            self.notify("The daemon has gone", "The page comes back with it.", "red")
+        self._client = self._world = None
+        self._banner.content = "**the daemon has gone**: the page waits for it (`slidectl daemon start`)"
+        for panel, _ in self._panels:
+            with suppress(NoDaemon):
+                self._clear(panel)
+        self._due["connect"] = time.monotonic() + _CONNECT_S
+
+    def close(self) -> None:
+        """Leave the daemon and the browsers."""
+        for panel in self._built:
+            with suppress(SlidectlError):
+                panel.leave()
+        if self._client is not None:
+            with suppress(SlidectlError):
+                self._client.close()
+        self.server.stop()

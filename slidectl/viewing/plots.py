@@ -1,0 +1,286 @@
+"""Plots: curves in panels with a shared time axis, as text for a terminal, as SVG, PNG, PDF, HTML and CSV.
+
+It knows no daemon and no recording: `plot_fields` makes the curves. The same curves give the same bytes.
+"""
+
+from __future__ import annotations
+
+import html
+import io
+import math
+from array import array
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise, takewhile
+from typing import Any
+
+import numpy as np
+
+from slidectl.errors import Refused, UsageError
+from slidectl.measures import Array
+from slidectl.writing import file_kind
+
+FORMATS = (".svg", ".png", ".pdf", ".html", ".csv")
+PANELS = ("unit", "each", "one")
+"""What shares a panel: the curves of one unit, none, or all."""
+_BUCKETS = 2000
+"""Of a curve in a file at most so many pairs of lowest and highest value are drawn: more than there are pixels."""
+_LARGEST = 1e300
+"""Beyond it the length of an axis may be no number."""
+_TIME = "time (s)"
+_DPI = 100
+_LEAST_ROWS = 6
+_PENS = (("blue+", 94), ("red+", 91), ("green+", 92), ("orange+", 93), ("magenta+", 95), ("cyan+", 96))
+"""Colours of curves in a terminal: plotext's names, and the codes of escape sequences."""
+_LETTERS = "abcdefghijklmnopqrstuvwxyz"
+_NANOSECONDS = 1e9
+
+
+class MissingPlotLibrary(Refused):
+    """A library that draws is not installed."""
+
+    def __init__(self, library: str, what: str) -> None:
+        super().__init__(f"{what} needs the library {library}", "install it: pip install 'slidectl[plot]'")
+
+
+@dataclass
+class Curve:
+    """One number over simulated time (s), or over another number. nan is a gap."""
+
+    name: str
+    """In full: `/slider/joint_states/position[0]`."""
+    about: str = ""
+    """What a legend says too: the joint."""
+    unit: str = ""
+    """Empty where it is not known."""
+    times: array[float] | Array = field(default_factory=lambda: array("d"))
+    values: array[float] | Array = field(default_factory=lambda: array("d"))
+
+    def points(self, begin: float = -math.inf) -> tuple[Array, Array]:
+        """Times and values (n,) from a time on."""
+        times, values = np.array(self.times), np.array(self.values)
+        here = times >= begin
+        return times[here], values[here]
+
+
+@dataclass
+class Plot:
+    """What is to be drawn. `notes` are lines below the title; `x_label` is of all panels."""
+
+    title: str
+    """Without one it is what the names of all curves begin with."""
+    curves: Sequence[Curve]
+    panels: str = "unit"
+    notes: Sequence[str] = ()
+    x_label: str = _TIME
+    """Another one is of a phase plot, whose x is any number."""
+    y_label: str = ""
+    window: float | None = None
+
+    def __post_init__(self) -> None:
+        parts = zip(*(curve.name.split("/")[:-1] for curve in self.curves), strict=False)
+        self._shared = "/".join(every[0] for every in takewhile(lambda every: len(set(every)) == 1, parts))
+        self.title = self.title or self._shared
+
+    @property
+    def begin(self) -> float:
+        """Where the last `window` seconds begin, which end with the last sample of all curves."""
+        if self.window is None:
+            return -math.inf
+        return max((curve.times[-1] for curve in self.curves if len(curve.times)), default=0.0) - self.window
+
+    def labelled(self) -> list[tuple[str, Curve]]:
+        """The curves with what legends call them: their names without what all have in common."""
+        cut = len(self._shared) + bool(self._shared)
+        return [(curve.name[cut:] + (f" ({curve.about})" if curve.about else ""), curve) for curve in self.curves]
+
+    def rows(self) -> list[tuple[str, list[tuple[str, Curve]]]]:
+        """The panels from top to bottom: the label of the y axis, and the curves with their labels."""
+        found: dict[Any, list[tuple[str, Curve]]] = {}
+        for number, (label, curve) in enumerate(self.labelled()):
+            key = {"unit": curve.unit, "each": number, "one": ""}[self.panels]
+            found.setdefault(key, []).append((label, curve))
+        units = [dict.fromkeys(curve.unit for _, curve in row if curve.unit) for row in found.values()]
+        return [(self.y_label or " / ".join(unit), row) for unit, row in zip(units, found.values(), strict=True)]
+
+    def points(self, curve: Curve, buckets: int) -> tuple[Array, Array]:
+        """Those of a curve that are drawn, thinned, with nan for what no axis can show."""
+        times, values = curve.points(self.begin)
+        here = thinned(buckets, values) if self.x_label == _TIME else thinned(buckets, times, values)
+        times, values = times[here], values[here]
+        return times, np.where((abs(values) < _LARGEST) & (abs(times) < _LARGEST), values, np.nan)
+
+
+def thinned(buckets: int, *columns: Array) -> Any:
+    """Indices of the samples to draw: of each bucket the lowest and the highest of each column, and its gaps."""
+    count = len(columns[0])
+    if count <= 4 * buckets:
+        return np.arange(count)
+    kept = {0, count - 1}
+    edges = [int(edge) for edge in np.linspace(0, count, buckets + 1)]
+    for column in columns:
+        finite = np.isfinite(column)
+        lows, highs = np.where(finite, column, np.inf), np.where(finite, column, -np.inf)
+        for begin, end in pairwise(edges):
+            kept |= {begin + int(lows[begin:end].argmin()), begin + int(highs[begin:end].argmax())}
+            if not finite[begin:end].all():
+                kept.add(begin + int(finite[begin:end].argmin()))
+    return np.array(sorted(kept))
+
+
+# --- a terminal -------------------------------------------------------------------------------------------------------
+
+
+def check_terminal() -> None:
+    """Raises MissingPlotLibrary."""
+    try:
+        import plotext  # noqa: F401
+    except ImportError:
+        raise MissingPlotLibrary("plotext", "a plot in the terminal") from None
+
+
+def as_text(plot: Plot, width: int, height: int, colour: bool) -> str:
+    """The plot in a terminal of so many characters: panels for which there is no room are left out, and it says so."""
+    lines = [plot.title, *plot.notes]
+    rows = plot.rows()
+    room = height - len(lines) - 1
+    fitting = rows[: max(1, room // (_LEAST_ROWS + 1))]
+    points = [[plot.points(curve, 2 * width) for _, curve in curves] for _, curves in fitting]
+    xs = np.concatenate([times[np.isfinite(values)] for row in points for times, values in row])
+    for number, (y_label, curves) in enumerate(fitting):
+        lines.append(_key(y_label, [label for label, _ in curves], width, colour))
+        rest = max(_LEAST_ROWS, room // len(fitting) - 1)
+        lines += _panel(points[number], xs, plot.x_label * (curves is fitting[-1][1]), width, rest, colour)
+    if len(fitting) < len(rows):
+        lines.append(f"{len(rows) - len(fitting)} more panels: enlarge the terminal")
+    return "\n".join(line if "\x1b" in line else line[:width].rstrip() for line in lines[:height])
+
+
+def _key(unit: str, labels: Sequence[str], width: int, colour: bool) -> str:
+    """The line above a panel: its curves in their colours, or with their letters, as far as there is room."""
+    parts, left = [], width
+    for number, label in enumerate(labels):
+        part = label if colour or len(labels) == 1 else f"{_LETTERS[number % len(_LETTERS)]}: {label}"
+        part = part[: max(0, left)]
+        left -= len(part) + 2
+        parts.append(f"\x1b[{_PENS[number % len(_PENS)][1]}m{part}\x1b[0m" if colour and part else part)
+    return "  ".join(filter(None, parts)) + (f"  [{unit}]" if unit and left >= len(unit) + 2 else "")
+
+
+def _panel(
+    points: Sequence[tuple[Array, Array]], xs: Array, x_label: str, width: int, height: int, colour: bool
+) -> list[str]:
+    """`xs` are of all panels, which share the axis; its label is below one of them."""
+    import plotext
+
+    plotext.clear_figure()
+    plotext.theme("clear")
+    plotext.limit_size(False, False)
+    plotext.plot_size(width, height)
+    for number, (times, values) in enumerate(points):
+        drawn = np.isfinite(values)
+        more: dict[str, Any] = {"color": _PENS[number % len(_PENS)][0]} if colour else {}
+        if len(points) > 1 and not colour:
+            more["marker"] = _LETTERS[number % len(_LETTERS)]
+        for part in np.split(np.arange(len(times)), np.flatnonzero(np.diff(drawn)) + 1):
+            if len(part) and drawn[part[0]]:
+                plotext.plot(times[part].tolist(), values[part].tolist(), **more)
+    ys = np.concatenate([values[np.isfinite(values)] for _, values in points])
+    for axis, column, count in (("x", xs, width // 16), ("y", ys, height // 3)):
+        if len(column):
+            ticks, texts = _ticks(column, max(2, count))
+            getattr(plotext, f"{axis}lim")(ticks[0], ticks[-1])
+            getattr(plotext, f"{axis}ticks")(ticks, texts)
+    if x_label and width > 2 * len(x_label):
+        plotext.xlabel(x_label)
+    text = plotext.build()
+    return str(text if colour else plotext.uncolorize(text)).rstrip("\n").splitlines()
+
+
+def _ticks(values: Array, count: int) -> tuple[list[float], list[str]]:
+    """Places on an axis from the lowest to the highest value, and their texts, as long as it takes to differ."""
+    low, high = float(values.min()), float(values.max())
+    size = max(abs(low), abs(high))
+    if high - low <= 1e-9 * size:  # the last digits of one value
+        low, high = low - (0.1 * size or 1.0), high + (0.1 * size or 1.0)
+    digits = 2 + math.ceil(math.log10(max(abs(low), abs(high)) / (high - low) * count))
+    places = [float(place) for place in np.linspace(low, high, count)]
+    return places, [f"{0.0 if abs(place) < 1e-9 * (high - low) else place:.{max(4, digits)}g}" for place in places]
+
+
+# --- files ------------------------------------------------------------------------------------------------------------
+
+
+def check_file(path: str) -> None:
+    """Raises UsageError: no format of a plot. MissingPlotLibrary."""
+    suffix = file_kind(path)
+    if suffix not in FORMATS:
+        raise UsageError(f"{path} is no file of a plot", f"its name ends in one of: {', '.join(FORMATS)}")
+    if suffix != ".csv":
+        try:
+            import matplotlib.figure  # noqa: F401
+        except ImportError:
+            raise MissingPlotLibrary("matplotlib", f"a plot as {suffix}") from None
+
+
+def as_file(plot: Plot, suffix: str, size: tuple[int, int] | None = None) -> bytes:
+    """The contents of a file of one of FORMATS. `size` is in pixels, of 1/100 inch."""
+    if suffix == ".csv":
+        return _csv(plot).encode()
+    if suffix == ".html":
+        drawing = _drawn(plot, "svg", size).decode()
+        return (
+            f'<!DOCTYPE html>\n<html lang="en">\n<head><meta charset="utf-8"><title>{html.escape(plot.title)}</title>'
+            "<style>body{margin:1em;text-align:center}svg{max-width:100%;height:auto}</style></head>\n"
+            f"<body>\n{drawing[drawing.index('<svg') :]}</body>\n</html>\n"
+        ).encode()
+    return _drawn(plot, suffix.removeprefix("."), size)
+
+
+def _drawn(plot: Plot, form: str, size: tuple[int, int] | None) -> bytes:
+    from matplotlib import style
+    from matplotlib.figure import Figure
+
+    rows = plot.rows()
+    width, height = size or (960, 200 + 240 * len(rows))
+    # Text stays text in SVG. Ids, which are drawn at random, are of the contents, and there is no date: the same bytes.
+    settings = {"svg.fonttype": "none", "svg.hashsalt": "slidectl", "axes.grid": True, "grid.alpha": 0.3}
+    dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}
+    with style.context(["default", settings]):
+        figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, layout="constrained")
+        figure.suptitle("\n".join([plot.title, *plot.notes]), fontsize="medium", parse_math=False)
+        number = 0
+        axes = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
+        for axis, (y_label, curves) in zip(axes, rows, strict=True):
+            for label, curve in curves:
+                times, values = plot.points(curve, _BUCKETS)
+                alone = {"marker": "."} if len(times) == 1 else {}
+                axis.plot(times, values, label=label, gid=f"curve{number}", linewidth=1.2, **alone)
+                number += 1
+            axis.set_ylabel(y_label, parse_math=False)
+            for text in axis.legend(loc="upper right", fontsize="small").get_texts():
+                text.set_parse_math(False)
+        axes[-1].set_xlabel(plot.x_label, parse_math=False)
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format=form, metadata=dates[form])
+    return buffer.getvalue()
+
+
+def _csv(plot: Plot) -> str:
+    """As `echo -p` has it: `%time` in ns, then a column a curve; empty where a curve has no sample at that time."""
+    import csv
+
+    points = [curve.points(plot.begin) for curve in plot.curves]
+    moments = [np.round(times * _NANOSECONDS).astype(np.int64) for times, _ in points]
+    every = np.unique(np.concatenate(moments))
+    columns: list[list[str]] = []
+    for (_, values), own in zip(points, moments, strict=True):
+        cells = [""] * len(every)
+        for place, value in zip(np.searchsorted(every, own).tolist(), values.tolist(), strict=True):
+            cells[place] = repr(value)
+        columns.append(cells)
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(["%time", *(curve.name for curve in plot.curves)])
+    writer.writerows(zip(every.tolist(), *columns, strict=True))
+    return buffer.getvalue()

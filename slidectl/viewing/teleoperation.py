@@ -1,0 +1,204 @@
+"""What keys mean for a base (after teleop_twist_keyboard) and for a joint, as messages of their topics.
+
+A driver takes keys and gives messages. It knows no terminal and no wall time.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any, Protocol
+
+from slidectl import names
+from slidectl.errors import Refused
+
+if TYPE_CHECKING:
+    from slidectl.client import Client
+
+Message = dict[str, Any]
+
+TWIST = "geometry_msgs/Twist"
+_STATE_EVERY_MS = 50
+_DIRECTIONS = {
+    "u": (1, 0, 0, 1), "i": (1, 0, 0, 0), "o": (1, 0, 0, -1), "j": (0, 0, 0, 1), "l": (0, 0, 0, -1),
+    "m": (-1, 0, 0, -1), ",": (-1, 0, 0, 0), ".": (-1, 0, 0, 1),
+    "U": (1, 1, 0, 0), "I": (1, 0, 0, 0), "O": (1, -1, 0, 0), "J": (0, 1, 0, 0), "L": (0, -1, 0, 0),
+    "M": (-1, 1, 0, 0), "<": (-1, 0, 0, 0), ">": (-1, -1, 0, 0), "t": (0, 0, 1, 0), "b": (0, 0, -1, 0),
+    "up": (1, 0, 0, 0), "down": (-1, 0, 0, 0), "left": (0, 0, 0, 1), "right": (0, 0, 0, -1),
+}  # fmt: skip
+"""Key -> x, y, z and turn."""
+_STILL = (0, 0, 0, 0)
+_FACTORS = {"q": (1.1, 1.1), "z": (0.9, 0.9), "w": (1.1, 1.0), "x": (0.9, 1.0), "e": (1.0, 1.1), "c": (1.0, 0.9)}
+"""Key -> what the speed and the turning speed are multiplied by."""
+_POSITION, _VELOCITY, _EFFORT = "JointPositionController", "JointVelocityController", "JointEffortController"
+_ARROWS = {"up": 1, "right": 1, "down": -1, "left": -1}
+
+
+class Driver(Protocol):
+    """What drives something by keys. `topic` takes its messages, and `help` says what the keys are."""
+
+    topic: str
+    help: str
+
+    def press(self, key: str) -> bool:
+        """A key is pressed. True: it moves something, as long as it is held; a key without a meaning stops."""
+
+    def stop(self) -> None:
+        """The key was let go."""
+
+    def message(self) -> Message | None:
+        """What is to be published; None as long as it cannot be told."""
+
+    def text(self) -> str:
+        """The speeds, and what it does, in one line."""
+
+
+class BaseDriver:
+    """Twists for a base. Speeds in m/s and rad/s."""
+
+    help = """\
+   u    i    o        i and , drive, j and l turn, the others do both; arrow keys, too
+   j    k    l        with shift it moves sideways; t and b: up and down
+   m    ,    .        it stops when the key is let go; k and space: at once
+q/z both speeds   w/x speed   e/c turning speed: by 10 %   Ctrl-C ends it"""
+
+    def __init__(self, topic: str, speed: float, turn: float) -> None:
+        self.topic = topic
+        self._speed, self._turn = speed, turn
+        self._direction = _STILL
+
+    def press(self, key: str) -> bool:
+        if key in _FACTORS:
+            self._speed, self._turn = self._speed * _FACTORS[key][0], self._turn * _FACTORS[key][1]
+            return any(self._direction)
+        self._direction = _DIRECTIONS.get(key, _STILL)
+        return any(self._direction)
+
+    def stop(self) -> None:
+        self._direction = _STILL
+
+    def message(self) -> Message:
+        x, y, z, turn = self._direction
+        linear = {"x": x * self._speed, "y": y * self._speed, "z": z * self._speed}
+        return {"linear": linear, "angular": {"x": 0.0, "y": 0.0, "z": turn * self._turn}}
+
+    def text(self) -> str:
+        x, y, z, turn = self._direction
+        return f"speed {self._speed:.3g} m/s, turn {self._turn:.3g} rad/s: x {x} y {y} z {z} turn {turn}"
+
+
+class JointDriver:
+    """Commands for the controller that moves one joint alone: a set point that moves, a velocity, or an effort.
+
+    Raises:
+        UnknownName, AmbiguousName: no such joint. Refused: no running controller takes commands for it alone.
+    """
+
+    help = """\
+up, right   forwards           down, left   backwards
+q/z         speed by 10 %      Ctrl-C ends it
+It stops when the key is let go; any other key stops it at once."""
+
+    def __init__(self, client: Client, joint: str, speed: float | None, namespace: str = "/") -> None:
+        """`speed` is in m/s or rad/s, of an effort controller in N or N m; None for one that suits most joints."""
+        joints = {
+            names.join(robot["namespace"], one["name"]): (robot, one)
+            for robot in client.robots()
+            for one in robot["joints"]
+            if one["position"] is not None
+        }
+        full = names.resolve(joint, joints, kind="joint", namespace=namespace)
+        robot, self._joint = joints[full]
+        name, self._kind = _controller_of(client, robot, self._joint["name"])
+        controller = names.join(robot["namespace"], name)
+        self.topic = names.join(controller, "command")
+        length = "m" if self._joint["type"] == "prismatic" else "rad"
+        is_effort = self._kind == _EFFORT
+        self._unit = ("N" if length == "m" else "N m") if is_effort else f"{length}/s"
+        self._speed = (1.0 if is_effort else 0.1 if length == "m" else 0.5) if speed is None else speed
+        self._direction = 0
+        self._client, self._full = client, full
+        self._set_point: float | None = None
+        """None before the first motion, and until the first state that is published after a motion began."""
+        self._time_ns = 0
+        """The simulated time of the set point."""
+        self._has_state = False
+        if self._kind == _POSITION:
+            with suppress(Refused):  # not all have one
+                client.subscribe(f"{controller}/state", throttle_rate=_STATE_EVERY_MS, take=self._take)
+                self._has_state = True
+
+    def press(self, key: str) -> bool:
+        if key in ("q", "z"):
+            self._speed *= _FACTORS[key][0]
+            return bool(self._direction)
+        was_still, self._direction = not self._direction, _ARROWS.get(key, 0)
+        if was_still and self._direction and self._kind == _POSITION:
+            self._begin()
+        return bool(self._direction)
+
+    def _begin(self) -> None:
+        """Others may have moved the set point since the last motion. A controller without a state holds the joint."""
+        self._time_ns, self._set_point = self._now_ns(), None
+        if not self._has_state:
+            joints = {
+                names.join(robot["namespace"], one["name"]): one["position"]
+                for robot in self._client.robots()
+                for one in robot["joints"]
+            }
+            self._set_point = joints.get(self._full)
+
+    def _take(self, published: Message) -> None:
+        if self._set_point is None and _nanoseconds(published["time"]) > self._time_ns:
+            self._set_point = float(published["msg"]["set_point"])
+
+    def _now_ns(self) -> int:
+        return _nanoseconds(self._client.call("/rosapi/get_time")["time"])
+
+    def stop(self) -> None:
+        self._direction = 0
+
+    def message(self) -> Message | None:
+        value = self._direction * self._speed
+        if self._kind == _POSITION:
+            if self._set_point is None:
+                return None
+            if self._direction:
+                now_ns = self._now_ns()
+                if now_ns == self._time_ns:  # a paused world
+                    return None
+                value = self._set_point + value * max(0, now_ns - self._time_ns) * 1e-9
+                if self._joint["lower"] is not None:
+                    value = max(value, self._joint["lower"])
+                if self._joint["upper"] is not None:
+                    value = min(value, self._joint["upper"])
+                self._set_point, self._time_ns = value, now_ns
+            value = self._set_point
+        return {"data": value}
+
+    def text(self) -> str:
+        doing = {1: "forwards", -1: "backwards", 0: "stopped"}[self._direction]
+        place = "" if self._set_point is None else f", set point {self._set_point:.3f} {self._unit.removesuffix('/s')}"
+        if self._direction and self._kind == _POSITION and not place:
+            place = ", waits for the set point"
+        return f"{self._joint['name']}: {self._speed:.3g} {self._unit}{place}, {doing}"
+
+
+def _nanoseconds(time: Message) -> int:
+    return int(time["secs"]) * 10**9 + int(time["nsecs"])
+
+
+def _controller_of(client: Client, robot: Message, joint: str) -> tuple[str, str]:
+    """The name of the running controller that moves this joint alone, and its kind. Raises Refused."""
+    listed = client.controllers(robot["namespace"]).controllers() if robot["kind"] == "robot" else []
+    users = []
+    for controller in listed:
+        claimed = {one for claim in controller["claimed_resources"] for one in claim["resources"]}
+        kind = controller["type"].rpartition("/")[2]
+        if joint in claimed:
+            users.append(f"{controller['name']} ({controller['type']}, {controller['state']})")
+        if claimed == {joint} and controller["state"] == "running" and kind in (_POSITION, _VELOCITY, _EFFORT):
+            return controller["name"], kind
+    raise Refused(
+        f"no running controller takes commands for {joint} alone",
+        f"it takes one of {_POSITION}, {_VELOCITY}, {_EFFORT}; there is: {', '.join(users) or 'none'}",
+    )

@@ -1,0 +1,179 @@
+"""What `slidectl top` shows of a world: its state, controllers, joints, topics with their rates, and the log's end.
+
+It asks a daemon again and again, and keeps what came last. Rates are in simulated time.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
+from slidectl import msgs, names
+from slidectl.errors import Refused
+from slidectl.viewing.graph_drawing import read_graph
+
+if TYPE_CHECKING:
+    from slidectl.client import Client
+
+Record = dict[str, Any]
+
+_PATIENCE_S = 2.0
+_GRAPH_EVERY = 4
+"""Refreshes between two looks at the graph: it takes a question for each node."""
+_RATE_WINDOW_NS = 5 * 10**9
+_LOG_BYTES = 8192
+_UNMEASURED = {
+    "rosgraph_msgs/Clock", "gazebo_msgs/LinkStates", "gazebo_msgs/ModelStates",
+    "sensor_msgs/CameraInfo", "sensor_msgs/Image", "sensor_msgs/LaserScan", "tf2_msgs/TFMessage",
+}  # fmt: skip
+"""What comes often without a count in it, and what is made only for those who subscribe, at a cost."""
+
+
+class WorldMonitor:
+    """The world of a daemon, as of the last `refresh`.
+
+    Attributes:
+        status: the answer of /slidectl/status; times in s.
+        controllers: manager, name (in full), state, type, claims (joints).
+        joints: name (in full), position, velocity, effort (SI units), set_point (None where no controller tells it).
+        topics: topic, type, rate (Hz; None where it is not measured, or less than two messages came).
+        log: line; the last ones of the daemon's log.
+    """
+
+    def __init__(self, client: Client, period_s: float) -> None:
+        self.client = client
+        self.status: Record = {}
+        self.controllers: list[Record] = []
+        self.joints: list[Record] = []
+        self.topics: list[Record] = []
+        self.log: list[Record] = []
+        self._throttle_ms = round(1000 * period_s)
+        self._refreshes = 0
+        self._followed: dict[str, FollowedTopic] = {}
+
+    def refresh(self) -> None:
+        """Ask again. Raises NoDaemon, and TimedOut where the daemon does not answer soon."""
+        client = self.client
+        calls = [client.call_async(f"/slidectl/{service}") for service in ("status", "list_robots")]
+        self.status, answer = (client.answer(call, timeout=_PATIENCE_S) for call in calls)
+        robots = sorted(answer["robots"], key=lambda robot: str(robot["name"]))
+        spaces = [robot["namespace"] for robot in robots if robot["kind"] == "robot"]
+        service = "controller_manager/list_controllers"
+        asked = {space: client.call_async(names.join(space, service)) for space in spaces}
+        self.controllers = []
+        for space, call in asked.items():
+            with suppress(Refused):  # the robot was deleted meanwhile
+                listed = client.answer(call, timeout=_PATIENCE_S)["controller"]
+                self.controllers += (_controller(space, controller) for controller in listed)
+        if self._refreshes % _GRAPH_EVERY == 0:
+            self._follow_topics()
+        self._refreshes += 1
+        now_ns = round(self.status["time"] * 1e9)
+        for topic in self.topics:
+            followed = self._followed.get(topic["topic"])
+            topic["rate"] = followed.rate(now_ns) if followed else None
+        set_points = self._set_points()
+        self.joints = [
+            {
+                "name": (full := names.join(robot["namespace"], joint["name"])),
+                **{key: joint[key] for key in ("position", "velocity", "effort")},
+                "set_point": set_points.get(full),
+            }
+            for robot in robots
+            for joint in robot["joints"]
+            if joint["position"] is not None
+        ]
+        self.log = _last_lines(self.status["log"], f" answers on {client.paths.socket_text}")
+
+    def _follow_topics(self) -> None:
+        """Subscribe what somebody publishes, and nothing else: our own subscription would keep a topic in being."""
+        found = read_graph(self.client, timeout=_PATIENCE_S).topics
+        for gone in self._followed.keys() - {name for name, use in found.items() if use.publishers}:
+            self._followed.pop(gone).subscription.close()
+        for name, use in found.items():
+            if use.publishers and use.type not in _UNMEASURED and name not in self._followed:
+                counted = any(field.name == "header" for field in msgs.fields(use.type))
+                self._followed[name] = FollowedTopic(self.client, name, self._throttle_ms if counted else 0, counted)
+        self.topics = [{"topic": name, "type": use.type} for name, use in found.items()]
+
+    def _set_points(self) -> dict[str, float]:
+        """Those that the running controllers tell on their topics `state`, by the full names of joints."""
+        found: dict[str, float] = {}
+        for controller in self.controllers:
+            followed = self._followed.get(f"{controller['name']}/state")
+            if followed is None or controller["state"] != "running":
+                continue
+            joints, values = controller["claims"], []
+            message = followed.message
+            if "desired" in message:  # control_msgs/JointTrajectoryControllerState
+                joints, values = message["joint_names"], message["desired"]["positions"]
+            elif "set_point" in message:  # control_msgs/JointControllerState
+                values = [message["set_point"]]
+            if len(joints) == len(values):
+                found |= {names.join(controller["manager"], joint): v for joint, v in zip(joints, values, strict=True)}
+        return found
+
+
+class FollowedTopic:
+    """The last message of a topic, and how often they come.
+
+    One with a header has the daemon's count in it, so that few messages are enough; of others each is counted.
+    """
+
+    def __init__(self, client: Client, topic: str, throttle_ms: int, is_counted: bool) -> None:
+        """`is_counted`: it has a header."""
+        self.message: Record = {}
+        """Empty before the first."""
+        self._counts: deque[tuple[int, int]] = deque()
+        """The count of messages, and the simulated time in ns."""
+        self._is_counted = is_counted
+        self._looks = 0
+        """How often the rate was asked for since the last message."""
+        self.subscription = client.subscribe(topic, throttle_rate=throttle_ms, take=self._take, wait=False)
+
+    def _take(self, published: Record) -> None:
+        self.message, time = published["msg"], published["time"]
+        time_ns = time["secs"] * 10**9 + time["nsecs"]
+        last, last_ns = self._counts[-1] if self._counts else (-1, 0)
+        count = self.message["header"]["seq"] if self._is_counted else last + 1
+        if time_ns < last_ns or count < last:  # a reset, or another publisher with a count of its own
+            self._counts.clear()
+        self._counts.append((count, time_ns))
+        self._looks = 0
+        while len(self._counts) > 2 and time_ns - self._counts[0][1] > _RATE_WINDOW_NS:
+            self._counts.popleft()
+
+    def rate(self, now_ns: int) -> float | None:
+        """In Hz, of the last seconds, or of the last two messages; None before it can be told.
+
+        0 when none came for longer than both, and between the last two looks: wall time passes between those, and in
+        fast worlds much simulated time.
+        """
+        self._looks += 1
+        if not self._counts:
+            return None
+        (first, begin_ns), (last, end_ns) = self._counts[0], self._counts[-1]
+        interval_ns = end_ns - self._counts[-2][1] if len(self._counts) > 1 else 0
+        if self._looks > 2 and now_ns - end_ns > max(_RATE_WINDOW_NS, 2 * interval_ns):
+            return 0.0
+        return (last - first) * 1e9 / (end_ns - begin_ns) if end_ns > begin_ns else None
+
+
+def _controller(space: str, listed: Record) -> Record:
+    claims = dict.fromkeys(joint for claim in listed["claimed_resources"] for joint in claim["resources"])
+    name = names.join(space, listed["name"])
+    return {"manager": space, "name": name, "state": listed["state"], "type": listed["type"], "claims": list(claims)}
+
+
+def _last_lines(log: str, begin: str) -> list[Record]:
+    """Of a file that may be anywhere else, or gone; `begin` ends the first line of a daemon, after earlier ones."""
+    with suppress(OSError), open(log, "rb") as file:
+        size = file.seek(0, os.SEEK_END)
+        file.seek(max(0, size - _LOG_BYTES))
+        lines = file.read().decode("utf-8", "replace").splitlines()
+        lines = lines[size > _LOG_BYTES :]
+        first = max((number for number, line in enumerate(lines) if line.endswith(begin)), default=0)
+        return [{"line": line} for line in lines[first:]]
+    return []
