@@ -315,6 +315,8 @@ class DataPlane:
                     self._touch({name})
                 except SlidectlError as error:
                     _log.warning("%s: %s", name, error)
+                except Exception:  # a fault of ours with one node is not one of all others
+                    _log.exception("%s cannot be shown in the daemon's graph", name)
 
     async def _settle(self, name: str, open_connection: OpenConnection) -> None:
         node = self._foreign.setdefault(name, ForeignNode(name))

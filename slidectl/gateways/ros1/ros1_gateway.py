@@ -230,7 +230,7 @@ class Ros1Gateway(Gateway):
         try:
             self._stand_ins[name] = connection = await self._connect(name)
         except BaseException:
-            del self._stand_ins[name]
+            self._stand_ins.pop(name, None)  # `detach` may have come first
             raise
         return connection
 

@@ -36,7 +36,7 @@ MOST_UNLIKE = 30
 def screen(folder: Path) -> Iterator[dict[str, str]]:
     """An X server without a screen of its own; what a program needs to be shown by it."""
     reading, writing = os.pipe()
-    command = ["Xvfb", "-displayfd", str(writing), "-screen", "0", "1000x700x24", "-nolisten", "tcp"]
+    command = ["Xvfb", "-displayfd", str(writing), "-screen", "0", "1000x700x24", "-nolisten", "tcp", "-noreset"]
     with (folder / "xvfb.log").open("wb") as log:
         server = subprocess.Popen(command, pass_fds=[writing], stdout=log, stderr=log)
     os.close(writing)
