@@ -125,8 +125,8 @@ def start(click_context: click.Context, /, **world: Any) -> None:
     already = _start(ctx, options)
     for kind, port in gateways.items():
         if port is not None:
-            is_other = gateway_commands.start(ctx, kind, {"port": port}) and port != PORTS[kind]
-            if is_other:
+            was_running = gateway_commands.start(ctx, kind, {"port": port})
+            if was_running and port != PORTS[kind]:
                 ctx.warn(f"the {kind} gateway runs already, so port {port} had no effect")
     if already and given:
         names = ", ".join("--import" if name == "imports" else f"--{name}" for name in given)

@@ -115,12 +115,13 @@ def foxglove(ctx: Context, action: str, **options: Any) -> None:
 def status(ctx: Context) -> None:
     """Show the gateways of this daemon that run.
 
-    JSON keys: gateways, each with kind, running, pid, address, and its counters.
+    'slidectl gateway ros1 status' shows all counters of one. JSON keys of each: kind, running, pid, address, and its
+    counters.
     """
     from slidectl.gateways import process
 
     shown = [_state(ctx, found) for found in process.find_all(ctx.paths)]
-    ctx.emit({"gateways": shown}, "\n\n".join(map(_text, shown)) if shown else "no gateway runs")
+    ctx.emit_rows(shown, ["kind", "pid", "address", "connections", "dropped"], "no gateway runs")
 
 
 def start(ctx: Context, kind: str, options: dict[str, Any]) -> bool:

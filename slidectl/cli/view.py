@@ -37,7 +37,7 @@ def view(ctx: Context, port: int, host: str, token: str | None, read_only: bool,
     from slidectl.launch.supervision import Interrupted, Interrupts
 
     try:
-        from slidectl.viewing.page.guarded_server import DoorGuard, GuardedServer, free_port
+        from slidectl.viewing.page.guarded_server import AccessGuard, GuardedServer, free_port
     except ModuleNotFoundError as error:
         needed = f"the page needs the library {error.name}"
         raise Refused(needed, "install it: pip install 'slidectl[view]'") from error
@@ -51,7 +51,7 @@ def view(ctx: Context, port: int, host: str, token: str | None, read_only: bool,
     if token is None and not is_loopback(host):
         raise UsageError(f"--host {host} lets other machines in: --token WORD is needed")
     instance = ctx.client.paths.name  # there is a daemon to begin with
-    guard = DoorGuard(host, token or "")
+    guard = AccessGuard(host, token or "")
     server = GuardedServer(host, free, guard)
     taken = server.get_port()  # another process may have been quicker, and viser takes the next
     if taken != port and port:

@@ -67,6 +67,8 @@ class Publications:
         self.fresh: dict[Channel, None] = {}
         self.held: dict[Channel, None] = {}
         """Those with a message that came sooner than their throttle allows."""
+        self._due_s = math.inf
+        """No later than the first of them is due, on the clock of throttles."""
         self.kept = 0
         """Bytes of all channels."""
         self.last = 0
@@ -101,18 +103,23 @@ class Publications:
                 largest.give_up((largest.first + largest.end + 1) // 2)
 
     def hold(self, channel: Channel) -> None:
-        """It has a message whose time is still to come."""
+        """It has a message whose time is still to come, or comes sooner now."""
         self.held[channel] = None
+        self._due_s = min(self._due_s, channel.due_s)
 
     def release(self) -> float:
         """Take in the held messages whose time has come. Returns the s until the next; infinity when none is held."""
-        now, left_s = self.monotonic(), math.inf
-        for channel in list(self.held):
-            if channel.due_s <= now:
-                channel.release()
-            else:
-                left_s = min(left_s, channel.due_s - now)
-        return left_s
+        if not self.held:
+            return math.inf
+        now = self.monotonic()
+        if now >= self._due_s:
+            self._due_s = math.inf
+            for channel in list(self.held):
+                if channel.due_s <= now:
+                    channel.release()
+                else:
+                    self._due_s = min(self._due_s, channel.due_s)
+        return self._due_s - now
 
     def leave(self, channel: Channel, reader: Reader) -> None:
         """It reads the channel no more."""
@@ -408,6 +415,8 @@ class Feed:
             self._share.limit = limit
             channel.period_s = period_s
             channel.due_s = min(channel.due_s, self._publications.monotonic() + period_s)
+            if channel in self._publications.held:
+                self._publications.hold(channel)
             return
         channel.release()
         self._reader.outbox.retire(self._share)

@@ -282,7 +282,9 @@ class Session:
 
     def _cancel_call(self, message: Message) -> None:
         """Nobody waits for the answers of the calls with this id any more, and none come."""
-        for pending in [pending for pending, given in self._calls.items() if given == message.get("id")]:
+        if message.get("id") is None:
+            raise UsageError("cancel_call without the id of the call")
+        for pending in [pending for pending, given in self._calls.items() if given == message["id"]]:
             del self._calls[pending]
             pending.cancel()
 

@@ -22,6 +22,8 @@ Take = Callable[[Message], None]
 ServiceHandler = Callable[[Message], Awaitable[Message]]
 
 CALL_LIMIT_S = 10.0
+GRAPH_CHANGES, PARAMETER_CHANGES = "/slidectl/graph_changes", "/slidectl/parameter_changes"
+"""Topics that tell of changes, a std_msgs/Empty and a slidectl/ParameterChanges each."""
 _MOST_UNSENT = 4 * 1024 * 1024
 """Bytes that may wait for the daemon before `drain` waits."""
 _MOST_SERVED = 100

@@ -18,7 +18,7 @@ _LOOK_EVERY_S = 0.1
 
 
 class Gateway:
-    """A door for another protocol. `attach` and `detach` alternate, as the daemon comes and goes; `open` is before."""
+    """Speaks another protocol for the daemon. `open` comes first; then `attach` and `detach` alternate."""
 
     kind: ClassVar[str]
 
@@ -63,17 +63,17 @@ async def serve(gateway: Gateway, paths: InstancePaths, opened: Callable[[str], 
         loop.add_signal_handler(number, ended.set)
     address = await gateway.open()
     try:
-        told = await _attached(gateway, paths, address)
+        connection = await _attached(gateway, paths, address)
         opened(address)
         while not ended.is_set():
             await _first_of(ended, gateway.lost)
             if ended.is_set():
                 break
-            told.close()
+            connection.close()
             await gateway.detach()
             while not ended.is_set():
                 try:
-                    told = await _attached(gateway, paths, address)
+                    connection = await _attached(gateway, paths, address)
                     break
                 except NoDaemon:
                     pass
@@ -81,7 +81,7 @@ async def serve(gateway: Gateway, paths: InstancePaths, opened: Callable[[str], 
                     traceback.print_exc()
                 with suppress(TimeoutError):
                     await asyncio.wait_for(ended.wait(), _LOOK_EVERY_S)
-        told.close()
+        connection.close()
     finally:
         await gateway.close()
 
@@ -95,15 +95,15 @@ async def _attached(gateway: Gateway, paths: InstancePaths, address: str) -> Dae
         texts = {"names": list(counts), "values": [str(value) for value in counts.values()]}
         return {"address": address, **texts}
 
-    told = await DaemonConnection.open(paths, on_lost=gateway.lost.set)
+    connection = await DaemonConnection.open(paths, on_lost=gateway.lost.set)
     try:
-        await told.advertise_service(status_service(gateway.kind), "slidectl/GatewayStatus", status)
+        await connection.advertise_service(status_service(gateway.kind), "slidectl/GatewayStatus", status)
         await gateway.attach(paths)
     except BaseException:
-        told.close()
+        connection.close()
         await gateway.detach()
         raise
-    return told
+    return connection
 
 
 def status_service(kind: str) -> str:

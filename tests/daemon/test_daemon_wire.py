@@ -164,6 +164,8 @@ def test_a_call_that_is_given_up_leaves_nothing_behind(connect: Connect) -> None
         caller.send(op="call_service", id=f"wait {number}", service="/slidectl/wait", args=never)
         caller.send(op="cancel_call", id=f"wait {number}")
     assert caller.call("/rosapi/subscribers", topic="/never")["values"]["subscribers"] == []
+    caller.send(op="cancel_call")
+    assert caller.receive()["msg"] == "cancel_call without the id of the call"
 
 
 def test_the_shortest_queue_keeps_the_newest_and_tells_what_was_dropped(connect: Connect) -> None:

@@ -30,7 +30,7 @@ def slidectl() -> Iterator[CommandLine]:
 
 
 def gateways(slidectl: CommandLine) -> dict[str, dict[str, Any]]:
-    told = json.loads(slidectl.ok("gateway", "status", "--json"))["gateways"]
+    told = map(json.loads, slidectl.ok("gateway", "status", "--json").splitlines())
     return {one["kind"]: one for one in told}
 
 

@@ -1,1 +1,1 @@
-"""The door for Foxglove: its WebSocket protocol, spoken to any number of apps."""
+"""For Foxglove: its WebSocket protocol, spoken to any number of apps."""

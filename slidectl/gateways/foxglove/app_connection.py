@@ -15,7 +15,7 @@ from websockets.asyncio.server import broadcast
 
 from slidectl.gateways.foxglove.foxglove_frames import ERROR, BadFrame, status_frame
 from slidectl.gateways.ros1.ros1_types import Ros1Type
-from slidectl.gateways.web_door import DoorConnection
+from slidectl.gateways.websocket_listener import ListenerConnection
 
 _MOST_MESSAGES, _MOST_MESSAGE_BYTES = 10_000, 16 * 1024 * 1024
 """Messages that wait for one app."""
@@ -34,7 +34,7 @@ class AppTopic(NamedTuple):
     encoding: str
 
 
-class AppSocket(DoorConnection):
+class AppSocket(ListenerConnection):
     """Knows whether it takes more."""
 
     def __init__(self, *args: Any, **options: Any) -> None:

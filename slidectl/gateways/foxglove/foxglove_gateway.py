@@ -22,7 +22,7 @@ from websockets.typing import Subprotocol
 from slidectl import msgs, names
 from slidectl.client.lines import encode, numbers_of_json
 from slidectl.errors import BadMessage, NoDaemon, Refused, SlidectlError, TimedOut, quoted
-from slidectl.gateways.daemon_connection import DaemonConnection
+from slidectl.gateways.daemon_connection import GRAPH_CHANGES, PARAMETER_CHANGES, DaemonConnection
 from slidectl.gateways.foxglove import app_parameters
 from slidectl.gateways.foxglove.advertised_graph import AdvertisedGraph, AdvertisedService, AppChannel
 from slidectl.gateways.foxglove.app_connection import AppConnection, AppSocket, AppTopic
@@ -51,7 +51,7 @@ from slidectl.gateways.foxglove.robot_assets import RobotAssets
 from slidectl.gateways.gateway import Gateway
 from slidectl.gateways.reading_services import is_reading
 from slidectl.gateways.ros1.ros1_types import Ros1Type, ros1_type
-from slidectl.gateways.web_door import DoorOptions, WebDoor
+from slidectl.gateways.websocket_listener import ListenerOptions, WebSocketListener
 from slidectl.msgs.schema import SCALAR, TIMES
 from slidectl.paths import InstancePaths
 
@@ -78,7 +78,7 @@ _APP_ORIGINS = ("https://app.foxglove.dev", "https://studio.foxglove.dev", "file
 
 
 @dataclass(frozen=True)
-class FoxgloveOptions(DoorOptions):
+class FoxgloveOptions(ListenerOptions):
     """Options of the gateway. Pages of Foxglove's own are let in too."""
 
     port: int = 8765
@@ -95,7 +95,7 @@ class FoxgloveGateway(Gateway):
     def __init__(self, options: FoxgloveOptions) -> None:
         super().__init__()
         self._options = options
-        self._door = WebDoor(options, _APP_ORIGINS)
+        self._listener = WebSocketListener(options, _APP_ORIGINS)
         self._daemon: DaemonConnection | None = None
         """For what apps do."""
         self._watch: DaemonConnection | None = None
@@ -134,7 +134,7 @@ class FoxgloveGateway(Gateway):
         return not self._options.read_only or is_reading(service)
 
     async def open(self) -> str:
-        return await self._door.open(
+        return await self._listener.open(
             self._serve_app,
             AppSocket,
             subprotocols=[Subprotocol(name) for name in SUBPROTOCOLS],
@@ -160,8 +160,8 @@ class FoxgloveGateway(Gateway):
         for app in self._apps:
             app.send(self._server_info())
             app.send(text_frame("removeStatus", statusIds=[_NO_DAEMON]))
-        await watch.subscribe("/slidectl/graph_changes", "std_msgs/Empty", lambda _: self._graph_changed.set())
-        await watch.subscribe("/slidectl/parameter_changes", "slidectl/ParameterChanges", self._take_parameter_changes)
+        await watch.subscribe(GRAPH_CHANGES, "std_msgs/Empty", lambda _: self._graph_changed.set())
+        await watch.subscribe(PARAMETER_CHANGES, "slidectl/ParameterChanges", self._take_parameter_changes)
         for topic, kind in self._publishers:
             daemon.advertise(topic, kind)
         await self._update_graph(daemon)
@@ -183,14 +183,14 @@ class FoxgloveGateway(Gateway):
             app.send(self._no_daemon_frame())
 
     async def close(self) -> None:
-        await self._door.close(1001, "the gateway ends")
+        await self._listener.close(1001, "the gateway ends")
         await self.detach()
 
     def status(self) -> dict[str, Any]:
         channels = self._graph.channels.values()
         return {
             "connections": len(self._apps),
-            "turned_away": self._door.turned_away,
+            "refused": self._listener.refused,
             "dropped": self._dropped + sum(app.dropped for app in self._apps),
             "topics": len(channels),
             "subscribed": sum(bool(channel.apps) for channel in channels),

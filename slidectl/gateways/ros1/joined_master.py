@@ -163,10 +163,9 @@ class JoinedMaster:
         ):
             calls += [(f"register{kind}", topic, natives.types[topic], address) for topic in wanted.keys() - known]
             calls += [(f"unregister{kind}", topic, address) for topic in known - wanted.keys()]
+        # A service that another node provides stays that node's.
         new = [service for service in natives.services.keys() - there[2] if not state[2].get(service)]
-        calls += [
-            ("registerService", service, service_uri, address) for service in new
-        ]  # one of another node stays his
+        calls += [("registerService", service, service_uri, address) for service in new]
         calls += [("unregisterService", service, service_uri) for service in there[2] - natives.services.keys()]
         for begin in range(0, len(calls), _CALLS_AT_ONCE):
             await asyncio.gather(*(self._call(*call) for call in calls[begin : begin + _CALLS_AT_ONCE]))

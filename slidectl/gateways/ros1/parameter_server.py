@@ -20,7 +20,6 @@ from slidectl.gateways.ros1.node_calls import NodeCalls
 
 _log = logging.getLogger(__name__)
 
-CHANGES = "/slidectl/parameter_changes"
 _DAEMON_LIMIT_S = 10.0
 """How long calls wait for a daemon that has gone, counted from then: a node makes several as it starts."""
 _UNSET = "\0 no such parameter"

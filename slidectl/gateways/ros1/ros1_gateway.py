@@ -11,8 +11,8 @@ import uuid
 from dataclasses import dataclass
 from typing import Any
 
-from slidectl.errors import NoDaemon, Refused, SlidectlError
-from slidectl.gateways.daemon_connection import DaemonConnection
+from slidectl.errors import NoDaemon, Refused, SlidectlError, UsageError, cut
+from slidectl.gateways.daemon_connection import GRAPH_CHANGES, PARAMETER_CHANGES, DaemonConnection
 from slidectl.gateways.gateway import Gateway
 from slidectl.gateways.ros1 import xmlrpc
 from slidectl.gateways.ros1.api_calls import Answered, Api
@@ -21,7 +21,7 @@ from slidectl.gateways.ros1.joined_master import JoinedMaster
 from slidectl.gateways.ros1.master import Master
 from slidectl.gateways.ros1.native_graph import OWN_NODE, NativeGraph
 from slidectl.gateways.ros1.node_calls import NodeCalls
-from slidectl.gateways.ros1.parameter_server import CHANGES, DaemonParameters, ParameterServer
+from slidectl.gateways.ros1.parameter_server import DaemonParameters, ParameterServer
 from slidectl.gateways.ros1.rosout import open_rosout
 from slidectl.gateways.ros1.slave import Slave
 from slidectl.paths import InstancePaths
@@ -30,7 +30,6 @@ from slidectl.web_access import in_uri
 _log = logging.getLogger(__name__)
 
 _LOOPBACK = "127.0.0.1"
-_GRAPH_CHANGES = "/slidectl/graph_changes"
 _ASK_AGAIN_S = 1.0
 _GATHER_S = 0.01
 """Changes of the graph that come within it are one: a spawn makes many."""
@@ -73,6 +72,13 @@ class Ros1Gateway(Gateway):
     # --- Gateway ------------------------------------------------------------------------------------------------
 
     async def open(self) -> str:
+        """As every gateway. Raises also UsageError: the URI of the master is none."""
+        if master := self._options.master:
+            try:
+                xmlrpc.host_port_path(master)
+            except Refused:
+                hint = "write it as http://HOST:11311"
+                raise UsageError(f"--master {cut(master, 120)!r} is no URI of a ROS master", hint) from None
         bound, shown = await self._host()
         self._parameters = DaemonParameters()
         self._calls = NodeCalls()
@@ -93,8 +99,8 @@ class Ros1Gateway(Gateway):
         self._paths = paths
         self._main = main = await self._connect(OWN_NODE)
         self._parameters.attach(main)
-        await main.subscribe(_GRAPH_CHANGES, "std_msgs/Empty", lambda _: self._graph_changed.set())
-        await main.subscribe(CHANGES, "slidectl/ParameterChanges", self._take_changes)
+        await main.subscribe(GRAPH_CHANGES, "std_msgs/Empty", lambda _: self._graph_changed.set())
+        await main.subscribe(PARAMETER_CHANGES, "slidectl/ParameterChanges", self._take_changes)
         await self._data.attach(self._connect_stand_in, main)
         if self._master is not None:
             await self._set_own_parameters()
@@ -178,7 +184,7 @@ class Ros1Gateway(Gateway):
             answer = await xmlrpc.call(uri, "getPid", OWN_NODE, timeout_s=2.0)
             pid = answer[2] if isinstance(answer, list) and len(answer) == 3 else "unknown"
         except SlidectlError:
-            return Refused(reason, "take another port with --port, or another address with --host")
+            return Refused(reason, "choose another port, or another address with --host")
         hint = f"join it with --master {uri}, or be a second one with --port"
         return Refused(f"{reason}\na ROS master is there already, process {pid}", hint)
 

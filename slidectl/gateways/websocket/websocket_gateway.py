@@ -19,9 +19,9 @@ from slidectl.client.lines import LONGEST_LINE
 from slidectl.errors import NoDaemon, SlidectlError
 from slidectl.gateways.daemon_connection import DaemonConnection
 from slidectl.gateways.gateway import Gateway
-from slidectl.gateways.web_door import DoorConnection, DoorOptions, WebDoor
 from slidectl.gateways.websocket.action_goals import ActionGoals
 from slidectl.gateways.websocket.rosbridge_session import RosbridgeSession
+from slidectl.gateways.websocket_listener import ListenerConnection, ListenerOptions, WebSocketListener
 from slidectl.paths import InstancePaths
 
 _NODE = "/rosbridge_websocket"
@@ -33,7 +33,7 @@ _LONGEST_REASON = 120
 
 
 @dataclass(frozen=True)
-class WebSocketOptions(DoorOptions):
+class WebSocketOptions(ListenerOptions):
     """Options of the gateway."""
 
     port: int = 9090
@@ -57,7 +57,7 @@ class WebSocketGateway(Gateway):
         """Raises UsageError, Refused: options that do not fit together, or files that cannot be read."""
         super().__init__()
         self._options = options
-        self._door = WebDoor(options)
+        self._listener = WebSocketListener(options)
         self._daemon: DaemonConnection | None = None
         self._goals: ActionGoals | None = None
         self._paths: InstancePaths | None = None
@@ -70,8 +70,8 @@ class WebSocketGateway(Gateway):
 
     async def open(self) -> str:
         options = self._options
-        is_packed = not self._door.is_local() if options.compress is None else options.compress
-        return await self._door.open(
+        is_packed = not self._listener.is_local() if options.compress is None else options.compress
+        return await self._listener.open(
             self._serve,
             BrowserConnection,
             compression="deflate" if is_packed else None,
@@ -99,11 +99,11 @@ class WebSocketGateway(Gateway):
         await self._let_go(_GOING, "the gateway ends")
         if self._daemon is not None:
             self._daemon.close()
-        await self._door.close(_GOING, "the gateway ends")
+        await self._listener.close(_GOING, "the gateway ends")
 
     def status(self) -> dict[str, Any]:
         dropped = self._dropped + sum(session.dropped for session in self._browsers.values())
-        return {"connections": len(self._browsers), "dropped": dropped, "turned_away": self._door.turned_away}
+        return {"connections": len(self._browsers), "dropped": dropped, "refused": self._listener.refused}
 
     # --- browsers -----------------------------------------------------------------------------------------------
 
@@ -146,7 +146,7 @@ class WebSocketGateway(Gateway):
         return str((await self._daemon.call("/rosapi/topic_type", {"topic": topic}))["type"])
 
 
-class BrowserConnection(DoorConnection):
+class BrowserConnection(ListenerConnection):
     """A browser's end: what it does not take stops both what is read from it and what is taken from the daemon."""
 
     def __init__(self, *args: Any, **options: Any) -> None:

@@ -1,7 +1,7 @@
-"""viser's server with a guard at its door: who may open the page, and what a browser may send to viser.
+"""viser's server with a check of each connection: who may open the page, and what a browser may send to viser.
 
 viser has no hook for that. It serves with `websockets.asyncio.server.serve`, which is wrapped while viser starts; this
-is the only file that knows. Tests open the door with wrong tokens and foreign origins, and send nonsense.
+is the only file that knows. Tests connect with wrong tokens and foreign origins, and send nonsense.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def free_port(host: str, first: int) -> int:
     raise Refused(f"the ports {first} to {first + _PORTS_TRIED - 1} of {host} are taken", "choose another: --port N")
 
 
-class DoorGuard:
+class AccessGuard:
     """Lets in who has the token and comes from the page itself."""
 
     def __init__(self, host: str, token: str) -> None:
@@ -149,7 +149,7 @@ def _refused(text: str) -> Response:
 class GuardedServer(viser.ViserServer):
     """viser's server, quiet, and without its offer to share the page with the internet."""
 
-    def __init__(self, host: str, port: int, guard: DoorGuard) -> None:
+    def __init__(self, host: str, port: int, guard: AccessGuard) -> None:
         logging.getLogger("websockets.server").addFilter(_is_no_handshake)
         with _guarded(guard, self), redirect_stdout(io.StringIO()):
             super().__init__(host=host, port=port, label="slidectl", verbose=False)
@@ -231,7 +231,7 @@ def _is_no_handshake(record: logging.LogRecord) -> bool:
 
 
 @contextmanager
-def _guarded(guard: DoorGuard, server: GuardedServer) -> Iterator[None]:
+def _guarded(guard: AccessGuard, server: GuardedServer) -> Iterator[None]:
     serve = websockets.asyncio.server.serve
 
     def guarded(handler: Any, host: str, port: int, **options: Any) -> Any:

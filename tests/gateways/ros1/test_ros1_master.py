@@ -262,7 +262,7 @@ def test_hosts_that_do_not_exist_are_refused_by_name(joining: Runtime) -> None:
         ({"master": "http://no.such.host.invalid:11311"}, "does not resolve"),
         ({"host": "192.0.2.1"}, r"cannot listen on 192\.0\.2\.1"),
         ({"master": nobody}, f"no ROS master answers at {nobody}"),
-        ({"master": "localhost:11311"}, "is no URI of a ROS node"),
+        ({"master": "localhost:11311"}, "--master .localhost:11311. is no URI of a ROS master"),
     ):
         with pytest.raises(Refused, match=reason):
             running_gateway(joining, "ros1", **options).__enter__()

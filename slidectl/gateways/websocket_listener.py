@@ -1,6 +1,6 @@
-"""The door of a gateway that listens for WebSockets: who may come in, and from where.
+"""What listens for WebSockets in a gateway: who may connect, and from where.
 
-Tokens, origins, names of this machine, TLS, and how many at a time. It knows no protocol that is spoken inside.
+Tokens, origins, names of this machine, TLS, and how many at a time. It knows nothing of the protocols on top.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from slidectl.errors import Refused, SlidectlError, UsageError
+from slidectl.errors import BadFile, Refused, SlidectlError, UsageError
 from slidectl.gateways.websocket.tls import server_context
 from slidectl.web_access import LOOPBACK, check_token, host_of, is_loopback, is_secret, shown_host
 
 _HANDSHAKE_S, _CLOSE_S = 10.0, 2.0
 _MORE_HANDSHAKES = 50
-"""Connections beyond the most that are let in as far as to be told so."""
+"""Connections beyond the most that are answered, to be told so."""
 
 
 @dataclass(frozen=True)
-class DoorOptions:
-    """Where a gateway listens, and whom it lets in."""
+class ListenerOptions:
+    """Where a gateway listens, and who may connect."""
 
     host: str = "localhost"
     """Address of this machine to listen on; others than loopback need a token."""
@@ -46,16 +46,16 @@ class DoorOptions:
     key: str = ""
     """File with the key of the certificate, if it is not in the same file."""
     token: str = ""
-    """Let in only who has this word, as ?token=WORD or as the header Authorization: Bearer WORD."""
+    """Only who has this word may connect, as ?token=WORD or as the header Authorization: Bearer WORD."""
     token_file: str = ""
     """File with the token, in place of the token itself."""
     origins: tuple[str, ...] = ()
-    """Sites whose pages are let in, as https://site:port, beside those of this machine; null for files, * for all."""
+    """Sites whose pages may connect, as https://site:port, beside those of this machine; null for files, * for all."""
     max_connections: int = 200
     """Clients at a time."""
 
 
-class DoorConnection(ServerConnection):
+class ListenerConnection(ServerConnection):
     """A connection from the moment in which it is made: those beyond the most are cut."""
 
     def __init__(self, *args: Any, most: int, **options: Any) -> None:
@@ -69,14 +69,14 @@ class DoorConnection(ServerConnection):
             cast(asyncio.Transport, transport).abort()
 
 
-class WebDoor:
-    """Listens, and lets in those that may come in."""
+class WebSocketListener:
+    """Listens, and hands those who may connect to a handler."""
 
-    def __init__(self, options: DoorOptions, known_origins: Sequence[str] = ()) -> None:
-        """`known_origins` are welcome beside those of the options.
+    def __init__(self, options: ListenerOptions, known_origins: Sequence[str] = ()) -> None:
+        """`known_origins` may connect beside those of the options.
 
         Raises:
-            UsageError, Refused: options that do not fit together, or files that cannot be read.
+            UsageError, BadFile: options that do not fit together, or files that cannot be used.
         """
         self._options = options
         self._token = _token(options)
@@ -86,11 +86,11 @@ class WebDoor:
         self._origins = {*map(_checked_origin, options.origins), *known_origins}
         self._server: Server | None = None
         self.connections = 0
-        """How many are inside."""
-        self.turned_away = 0
+        """How many there are now."""
+        self.refused = 0
 
     def is_local(self) -> bool:
-        """Whether only this machine reaches the door.
+        """Whether only this machine reaches it.
 
         Raises:
             Refused: there is no such host. UsageError: others reach it, and there is no token.
@@ -105,7 +105,10 @@ class WebDoor:
         return is_local
 
     async def open(
-        self, handler: Callable[[Any], Awaitable[None]], kind: type[DoorConnection] = DoorConnection, **more: Any
+        self,
+        handler: Callable[[Any], Awaitable[None]],
+        kind: type[ListenerConnection] = ListenerConnection,
+        **more: Any,
     ) -> str:
         """Listen, and return the address to show. `more` goes to the library's server.
 
@@ -116,7 +119,7 @@ class WebDoor:
         self.is_local()
         addresses = _addresses(options.host)
         quiet = logging.getLogger("slidectl.gateways")
-        quiet.setLevel(logging.CRITICAL)  # what is no WebSocket is turned away, and is no error of ours
+        quiet.setLevel(logging.CRITICAL)  # what is no WebSocket is refused, and is no error of ours
 
         made = partial(kind, most=options.max_connections + _MORE_HANDSHAKES)
 
@@ -155,17 +158,17 @@ class WebDoor:
         return f"{'wss' if self._tls else 'ws'}://{shown_host(options.host)}:{port}"
 
     async def close(self, code: int, reason: str) -> None:
-        """Stop listening, and let all go."""
+        """Stop listening, and end all connections."""
         if self._server is not None:
             self._server.close(code=code, reason=reason)
             await self._server.wait_closed()
 
     def _judge(self, browser: ServerConnection, request: Request) -> Response | None:
-        """What is answered to one that may not come in; None: it may."""
+        """What is answered to one that may not connect; None: it may."""
         status, text = self._objection(request)
         if not text:
             return None
-        self.turned_away += 1
+        self.refused += 1
         response = browser.respond(status, f"slidectl: {text}\n")
         if status == http.HTTPStatus.UNAUTHORIZED:
             response.headers["WWW-Authenticate"] = "Bearer"
@@ -177,7 +180,7 @@ class WebDoor:
             if not self._token and host_of(name) not in (*LOOPBACK, self._options.host):
                 return http.HTTPStatus.FORBIDDEN, f"this gateway does not go by the name {name!r}"
         for origin in headers.get_all("Origin"):
-            if not self._is_welcome(origin):
+            if not self._is_allowed_origin(origin):
                 return http.HTTPStatus.FORBIDDEN, f"pages of {origin} may not use this gateway; see --origin"
         if self._token:
             given = _given_token(request)
@@ -191,7 +194,7 @@ class WebDoor:
             return http.HTTPStatus.SERVICE_UNAVAILABLE, f"{most} are connected, and no more may be"
         return http.HTTPStatus.OK, ""
 
-    def _is_welcome(self, origin: str) -> bool:
+    def _is_allowed_origin(self, origin: str) -> bool:
         """Pages of this machine, and those of sites that were given. A program that is no browser has no origin."""
         try:
             parts = urlsplit(origin)
@@ -201,8 +204,8 @@ class WebDoor:
         return is_own or "*" in self._origins or origin.lower() in self._origins
 
 
-def _token(options: DoorOptions) -> str:
-    """Raises UsageError, Refused."""
+def _token(options: ListenerOptions) -> str:
+    """Raises UsageError, BadFile."""
     if options.token and options.token_file:
         raise UsageError("--token and --token-file are two ways to say one thing", "give one of them")
     token = options.token
@@ -211,7 +214,7 @@ def _token(options: DoorOptions) -> str:
             token = Path(options.token_file).read_text(encoding="utf-8").strip()
         except (OSError, UnicodeDecodeError) as error:
             reason = getattr(error, "strerror", "it is no text")
-            raise Refused(f"the token file {options.token_file} cannot be read: {reason}") from None
+            raise BadFile(f"the token file {options.token_file} cannot be read: {reason}") from None
         check_token(token)
     return check_token(token) if token else ""
 
@@ -253,10 +256,10 @@ def _addresses(host: str) -> list[str]:
     return list(found)
 
 
-def _not_bound(options: DoorOptions, error: OSError) -> SlidectlError:
+def _not_bound(options: ListenerOptions, error: OSError) -> SlidectlError:
     where = f"port {options.port} of {options.host}"
     if error.errno == errno.EADDRINUSE:
-        return Refused(f"{where} is taken", "choose another: --port N")
+        return Refused(f"{where} is taken", "choose another port")
     if error.errno == errno.EACCES:
-        return Refused(f"{where} is for root alone", "choose one from 1024 on: --port N")
+        return Refused(f"{where} is for root alone", "choose a port from 1024 on")
     return Refused(f"cannot listen on {where}: {error.strerror}")
