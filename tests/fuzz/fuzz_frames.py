@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import sys
 from pathlib import Path
@@ -17,13 +18,46 @@ from running_gateway import log, running_gateway
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
+from slidectl.client.lines import BadLine, decode
+from slidectl.gateways.reading_services import is_reading
+from slidectl.gateways.websocket.action_goals import ActionGoals
+from slidectl.gateways.websocket.rosbridge_session import RosbridgeSession
+
 FRAMES_A_CASE = 100
+"""Sent to a gateway."""
+READ_A_CASE = 2000
+"""Given to a session in this process, which is quicker."""
+_MOST_BYTES = 100_000
+_READING_OPS = ("subscribe", "unsubscribe", "set_level", "call_service")
 _OWN_OPS = ("fragment", "png", "auth", "send_action_goal", "cancel_action_goal", "advertise_action", "subscribe")
 _NUMBERS = (0, 1, 2, 3, -1, 256, 1000, 10**9, 2**70, 0.5, None, True, "1")
 
 
+class _Daemon:
+    """Takes all that a session sends, and knows no topic."""
+
+    node = "/rosbridge_websocket"
+
+    def __init__(self) -> None:
+        self.lines: list[bytes] = []
+
+    def send_line(self, line: bytes) -> None:
+        self.lines.append(line)
+
+    async def call(self, service: str, _: Any = None) -> dict[str, Any]:
+        if service.endswith("topic_type"):
+            return {"type": ""}
+        return {"subscribers": [], "action_servers": []}
+
+    def publish(self, topic: str, _: Any) -> None:
+        raise Fault(f"there is no action, and {topic} is published")
+
+    def close(self) -> None:
+        pass
+
+
 class Frames:
-    """A hundred frames a case, on one connection while that lives."""
+    """A hundred frames a case, on one connection while that lives, and two thousand to a session without one."""
 
     kind = "frames"
 
@@ -46,7 +80,36 @@ class Frames:
                     outcome = "hung up on"
         check_text(log(self.target.runtime, "websocket"), "the log of the gateway")
         self.target.check()
+        asyncio.run(self.read(rng))
         return outcome
+
+    async def read(self, rng: Random) -> None:
+        """Frames to a session alone: one line each at most, and from a reader none that changes anything."""
+        daemon: Any = _Daemon()
+        answers: list[bytes] = []
+        is_reader = rng.random() < 0.5
+
+        async def type_of(topic: str) -> str:
+            return "std_msgs/Float64" if topic in self.lines.topics else ""
+
+        session = RosbridgeSession(
+            daemon, ActionGoals(daemon), type_of, lambda frame, _: answers.append(frame), _MOST_BYTES, is_reader
+        )
+        for _ in range(READ_A_CASE):
+            frame = self.frame(rng)
+            daemon.lines.clear()
+            answers.clear()
+            await session.take(frame.encode("utf-8", "surrogatepass") if isinstance(frame, str) else frame)
+            for line in daemon.lines:
+                if line.count(b"\n") != 1 or not line.endswith(b"\n"):
+                    raise Fault(f"the daemon gets {line!r} of {frame!r}")
+                if is_reader and not _is_reading(line):
+                    raise Fault(f"a reader sends {line!r} by {frame!r}")
+            for answer in answers:
+                json.loads(answer)
+        if session._fragments._bytes > _MOST_BYTES:
+            raise Fault(f"{session._fragments._bytes} bytes of fragments are kept")
+        session.close()
 
     def ask(self, one: ClientConnection, mark: str) -> None:
         """Raises Fault unless a call is answered after all that was sent; ConnectionClosed."""
@@ -80,3 +143,14 @@ class Frames:
         }  # fmt: skip
         kept = rng.sample(list(fields), rng.randrange(len(fields) + 1))
         return {"op": pick(_OWN_OPS), **{name: fields[name] for name in kept}}
+
+
+def _is_reading(line: bytes) -> bool:
+    try:
+        message = decode(line)
+    except BadLine:
+        return False
+    service = message.get("service")
+    return message["op"] in _READING_OPS and (
+        message["op"] != "call_service" or is_reading("/" + str(service).lstrip("/"))
+    )

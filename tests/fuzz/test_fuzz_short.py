@@ -5,10 +5,7 @@ from __future__ import annotations
 import pytest
 from fuzz import run
 
-CASES = {
-    "lines": 80, "files": 60, "robots": 30, "meshes": 15, "manager": 3, "tcpros": 20, "xmlrpc": 20, "frames": 20,
-    "foxglove": 3, "patterns": 20,
-}  # fmt: skip
+CASES = {"lines": 80, "files": 60, "robots": 30, "meshes": 15, "manager": 3}
 
 
 @pytest.mark.parametrize("kind", CASES)
