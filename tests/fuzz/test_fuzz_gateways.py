@@ -1,4 +1,4 @@
-"""A hundred thousand inputs to each parser of what comes from a network, with a fixed seed: answers, and flat memory."""
+"""A hundred thousand inputs to each parser of what comes from a network: answers, and flat memory."""
 
 from __future__ import annotations
 
