@@ -6,7 +6,7 @@ import os
 import signal
 import subprocess
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -82,9 +82,20 @@ def test_interrupts_in_a_row_leave_nothing(
     nothing_is_left(slidectl.runtime)
 
 
+@contextmanager
+def inherited(number: signal.Signals, handler: signal.Handlers) -> Iterator[None]:
+    """What programs that are started meanwhile do at this signal. nohup has them ignore SIGHUP, the tests' too."""
+    previous = signal.signal(number, handler)
+    try:
+        yield
+    finally:
+        signal.signal(number, previous)
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_a_polite_end_of_what_runs_is_a_success(slidectl: CommandLine, everything: str, number: int) -> None:
-    launched = Launched(slidectl, everything)
+def test_a_polite_end_of_what_runs_is_a_success(slidectl: CommandLine, everything: str, number: signal.Signals) -> None:
+    with inherited(number, signal.SIG_DFL):
+        launched = Launched(slidectl, everything)
     launched.up()
     assert launched.end(number) == 0
     assert "joint1_position_controller, joint_state_controller stopped and unloaded" in launched.text
@@ -92,11 +103,8 @@ def test_a_polite_end_of_what_runs_is_a_success(slidectl: CommandLine, everythin
 
 
 def test_nohup_outlives_its_terminal(slidectl: CommandLine, everything: str) -> None:
-    previous = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # what nohup does, and programs inherit
-    try:
+    with inherited(signal.SIGHUP, signal.SIG_IGN):
         launched = Launched(slidectl, everything)
-    finally:
-        signal.signal(signal.SIGHUP, previous)
     launched.up()
     launched.signal(signal.SIGHUP)
     assert "running" in slidectl.ok("controller", "list")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import shlex
 import signal
 import subprocess
@@ -218,6 +219,15 @@ def _until(run: Run, condition: Callable[[], bool], seconds: float) -> None:
         run.watch.turn(min(left, _LOOK_S))
 
 
+_HOW_OFTEN = re.compile(r"-1|--once|-r.*|--rate(=.*)?|-f.*|--file(=.*)?", re.DOTALL)
+"""Options of rostopic pub."""
+
+
+def _publishes_for_ever(words: Sequence[str]) -> bool:
+    """`rostopic pub` of one message, without an option that says how often."""
+    return list(words[:1]) == ["pub"] and not any(map(_HOW_OFTEN.fullmatch, words))
+
+
 class ToolProcess(Process):
     """A tool starts when all other nodes have, so that whom it talks to is there."""
 
@@ -233,7 +243,9 @@ class ToolProcess(Process):
         # In front of the topic: behind it `a:=b` may be a text to publish. Only rostopic publishes.
         remaps = self.node.remaps if self.node.type == "rostopic" else ()
         renamed = [f"{remap.source}:={remap.target}" for remap in remaps]
-        return [*self.executable, *self.node.words[:1], *renamed, *self.node.words[1:]]
+        # A message without an end is there for nodes that start later, as with roslaunch; at a shell nothing waits.
+        latched = ["-l"] if self.node.type == "rostopic" and _publishes_for_ever(self.node.words) else []
+        return [*self.executable, *self.node.words[:1], *latched, *renamed, *self.node.words[1:]]
 
     @property
     def text(self) -> str:
