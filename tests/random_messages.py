@@ -1,15 +1,18 @@
-"""Messages with random values, of any type."""
+"""Messages with random values, of any type, and their bytes as rosbags makes them."""
 
 from __future__ import annotations
 
 import math
-from binascii import b2a_base64
+from binascii import a2b_base64, b2a_base64
+from functools import cache
 from random import Random
 from typing import Any
 
+import numpy as np
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
 from slidectl import msgs
-from slidectl.msgs.schema import BYTES, FLOATS, INTEGER_RANGES, SCALAR, Field
-from slidectl.recording import codec
+from slidectl.msgs.schema import BYTES, FLOATS, INTEGER_RANGES, SCALAR, TIMES, Field
 
 _FLOATS = (0.0, -0.5, 1.25, 3e38, math.inf, -math.inf, None)
 """All of them are the same as float32."""
@@ -52,6 +55,44 @@ def all_types() -> list[str]:
     return msgs.type_names() + services
 
 
-def oracle(type_name: str) -> codec.Codec:
-    """rosbags' way with these bytes."""
-    return codec.of(type_name)
+@cache
+def _store(type_name: str) -> Any:
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(msgs.full_definition(type_name), type_name))
+    return store
+
+
+def bytes_of(type_name: str, message: msgs.Message) -> bytes:
+    """rosbags' bytes of a message."""
+    store = _store(type_name)
+
+    def built(kind: str, value: Any) -> Any:
+        if kind in TIMES:
+            secs = (value["secs"] + 2**31) % 2**32 - 2**31  # it has both as signed
+            return store.types[f"builtin_interfaces/msg/{kind.capitalize()}"](secs, value["nsecs"])
+        if kind in FLOATS:
+            return math.nan if value is None else value
+        if kind in INTEGER_RANGES or kind in ("bool", "string"):
+            return value
+        return store.types[_long(kind)](*(of_field(field, value[field.name]) for field in msgs.fields(kind)))
+
+    def of_field(field: Field, value: Any) -> Any:
+        if field.array == SCALAR:
+            return built(field.type, value)
+        if field.type in BYTES:
+            return np.frombuffer(a2b_base64(value), np.uint8)
+        if field.type in FLOATS or field.type in INTEGER_RANGES or field.type == "bool":
+            return np.array(value, {"byte": "int8"}.get(field.type, field.type))
+        return [built(field.type, each) for each in value]
+
+    return bytes(store.serialize_ros1(built(type_name, message), _long(type_name)))
+
+
+def md5_of(type_name: str) -> str:
+    """The md5 sum as rosbags computes it."""
+    md5: str = _store(type_name).generate_msgdef(_long(type_name))[1]
+    return md5
+
+
+def _long(type_name: str) -> str:
+    return type_name.replace("/", "/msg/")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -320,14 +320,19 @@ def service_definition(name: str) -> str:
 @cache
 def md5(type_name: str) -> str:
     """The 32 hexadecimal digits that ROS 1 peers compare. Raises UnknownName."""
-    return _digest(_md5_text(definition_of(type_name)))
+    return _digest(_md5_text(definition_of(type_name), md5))
+
+
+def md5_of(type_name: str, definitions: Callable[[str], Definition]) -> str:
+    """The same of a type that stands elsewhere, with all that it is made of. Raises what `definitions` raises."""
+    return _digest(_md5_text(definitions(type_name), lambda inner: md5_of(inner, definitions)))
 
 
 @cache
 def service_md5(name: str) -> str:
     """As `md5`, of a service. Raises UnknownName."""
     service = service_of(name)
-    return _digest(_md5_text(service.request) + _md5_text(service.response))
+    return _digest(_md5_text(service.request, md5) + _md5_text(service.response, md5))
 
 
 def show(type_name: str) -> str:
@@ -351,9 +356,9 @@ def _constant_lines(of: Definition) -> list[str]:
     return [f"{c.type} {c.name}={text}" for c, text in zip(of.constants, of.constant_texts, strict=True)]
 
 
-def _md5_text(of: Definition) -> str:
+def _md5_text(of: Definition, md5_of_type: Callable[[str], str]) -> str:
     """genmsg's `compute_md5_text`: without comments, constants first, nested types replaced by their own sum."""
-    fields = [f"{f.type_text if f.type in PRIMITIVES else md5(f.type)} {f.name}" for f in of.fields]
+    fields = [f"{f.type_text if f.type in PRIMITIVES else md5_of_type(f.type)} {f.name}" for f in of.fields]
     return "\n".join(_constant_lines(of) + fields)
 
 

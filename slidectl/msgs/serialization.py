@@ -1,0 +1,239 @@
+"""Messages as ROS 1 bytes and back, fast: for each type one Python function each way, made of its fields.
+
+Numbers that follow one another are packed by one Struct, also across nested messages.
+"""
+
+from __future__ import annotations
+
+import math
+from binascii import a2b_base64, b2a_base64
+from collections.abc import Callable, Sequence
+from struct import Struct, pack, unpack_from
+from typing import Any
+
+from slidectl.msgs.schema import BYTES, FLOATS, SCALAR, TIMES, Field
+
+Message = dict[str, Any]
+
+_CODES = {
+    "bool": "?", "int8": "b", "byte": "b", "uint8": "B", "char": "B", "int16": "h", "uint16": "H", "int32": "i",
+    "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f", "float64": "d",
+}  # fmt: skip
+_MOST_LINES = 20_000
+"""Of one function: types that nest others many times over could make it grow without end."""
+FieldsOf = Callable[[str], Sequence[Field]]
+"""The fields of a type that is not a primitive one."""
+
+
+def packer(name: str, fields_of: FieldsOf) -> Callable[[Message], bytes]:
+    """What makes the bytes of a complete message of that type. Raises ValueError: the type is too large."""
+    return _Packer(name, fields_of).function()
+
+
+def unpacker(name: str, fields_of: FieldsOf, most_elements: int | None = None) -> Callable[[bytes], Message]:
+    """What makes a message of bytes; of those that are none it raises struct.error and ValueError.
+
+    `most_elements` are those of all lists of a message; None is as many as it has bytes. Bytes do not count. Text that
+    is no UTF-8 is read with replacement characters. Raises ValueError: the type is too large.
+    """
+    return _Unpacker(name, fields_of, most_elements).function()
+
+
+def _numbers(values: list[Any]) -> list[Any]:
+    """Floats as `pack` takes them: null is not a number."""
+    return [math.nan if value is None else value for value in values] if None in values else values
+
+
+class _Source:
+    """The text of a function, and the Structs that it uses. Numbers gather in `_codes` until a Struct takes them."""
+
+    def __init__(self, name: str, fields_of: FieldsOf) -> None:
+        self._type = name
+        self._fields_of = fields_of
+        self._lines: list[str] = []
+        self._indent = 1
+        self._codes = ""
+        self._count = 0
+        self._names: dict[str, Any] = {
+            "pack": pack, "unpack_from": unpack_from, "a2b": a2b_base64, "b2a": b2a_base64, "numbers": _numbers,
+            "nan": math.nan,
+        }  # fmt: skip
+
+    def _line(self, text: str) -> None:
+        if len(self._lines) >= _MOST_LINES:
+            raise ValueError(f"{self._type} is too large")
+        self._lines.append("    " * self._indent + text)
+
+    def _name(self) -> str:
+        self._count += 1
+        return f"v{self._count}"
+
+    def _struct(self) -> str:
+        """The name of a Struct for the numbers that have gathered."""
+        name = f"s{self._codes.replace('?', 'x')}"
+        self._names[name] = Struct("<" + self._codes)
+        self._codes = ""
+        return name
+
+    def _compiled(self, name: str) -> Callable[[Any], Any]:
+        exec(
+            compile("\n".join(self._lines), f"<{name}>", "exec"), self._names
+        )  # of our own words alone: names of fields are quoted
+        function: Callable[[Any], Any] = self._names["function"]
+        return function
+
+
+class _Packer(_Source):
+    """Writes `function(m)`, the bytes of a message."""
+
+    def __init__(self, name: str, fields_of: FieldsOf) -> None:
+        super().__init__(name, fields_of)
+        self._values: list[str] = []
+
+    def function(self) -> Callable[[Message], bytes]:
+        self._lines += ["def function(m):", "    out = []", "    add = out.append"]
+        self._fields(self._type, "m")
+        self._flush()
+        self._line("return b''.join(out)")
+        return self._compiled(self._type)
+
+    def _flush(self) -> None:
+        if self._codes:
+            self._line(f"add({self._struct()}.pack({', '.join(self._values)}))")
+            self._values = []
+
+    def _number(self, code: str, value: str) -> None:
+        self._codes += code
+        self._values.append(value)
+
+    def _fields(self, type_name: str, message: str) -> None:
+        for field in self._fields_of(type_name):
+            value = f"{message}[{field.name!r}]"
+            if field.array == SCALAR:
+                self._one(field.type, value)
+            else:
+                self._list(field, value)
+
+    def _one(self, kind: str, value: str) -> None:
+        if kind in FLOATS:
+            self._number(_CODES[kind], f"nan if (f := {value}) is None else f")
+        elif kind in _CODES:
+            self._number(_CODES[kind], value)
+        elif kind == "string":
+            text = self._name()
+            self._line(f"{text} = {value}.encode()")
+            self._number("I", f"len({text})")
+            self._flush()
+            self._line(f"add({text})")
+        else:
+            inner = self._name()
+            self._line(f"{inner} = {value}")
+            if kind in TIMES:
+                self._number("I" if kind == "time" else "i", f"{inner}['secs']")
+                self._number("I" if kind == "time" else "i", f"{inner}['nsecs']")
+            else:
+                self._fields(kind, inner)
+
+    def _list(self, field: Field, value: str) -> None:
+        values = self._name()
+        self._line(f"{values} = {value}")
+        if field.type in BYTES:
+            self._line(f"{values} = a2b({values}) if {values}.__class__ is str else bytes({values})")
+        if not field.array:
+            self._number("I", f"len({values})")
+        self._flush()
+        if field.type in BYTES:
+            self._line(f"add({values})")
+        elif field.type in _CODES:
+            given = f"numbers({values})" if field.type in FLOATS else values
+            self._line(f"add(pack('<%d{_CODES[field.type]}' % len({values}), *{given}))")
+        else:
+            element = self._name()
+            self._line(f"for {element} in {values}:")
+            self._indent += 1
+            before = len(self._lines)
+            self._one(field.type, element)
+            self._flush()
+            if len(self._lines) == before:
+                self._line("pass")  # a type without fields
+            self._indent -= 1
+
+
+class _Unpacker(_Source):
+    """Writes `function(data)`, the message in the bytes. It raises struct.error and ValueError."""
+
+    def __init__(self, name: str, fields_of: FieldsOf, most_elements: int | None) -> None:
+        super().__init__(name, fields_of)
+        self._most = "size" if most_elements is None else str(most_elements)
+        self._targets: list[str] = []
+
+    def function(self) -> Callable[[bytes], Message]:
+        self._lines += ["def function(data):", "    p, size = 0, len(data)", f"    left = most = {self._most}"]
+        message = self._fields(self._type)
+        self._flush()
+        self._line("if p != size: raise ValueError(f'{size - p} bytes follow')")
+        self._line(f"return {message}")
+        return self._compiled(self._type)
+
+    def _flush(self) -> None:
+        if self._codes:
+            size = Struct("<" + self._codes).size
+            self._line(f"{', '.join(self._targets)}, = {self._struct()}.unpack_from(data, p)")
+            self._line(f"p += {size}")
+            self._targets = []
+
+    def _number(self, code: str) -> str:
+        self._codes += code
+        self._targets.append(self._name())
+        return self._targets[-1]
+
+    def _fields(self, type_name: str) -> str:
+        """An expression for the message; what it needs is read by the lines before."""
+        parts = []
+        for field in self._fields_of(type_name):
+            value = self._one(field.type) if field.array == SCALAR else self._list(field)
+            parts.append(f"{field.name!r}: {value}")
+        return "{" + ", ".join(parts) + "}"
+
+    def _one(self, kind: str) -> str:
+        if kind in _CODES:
+            return self._number(_CODES[kind])
+        if kind == "string":
+            piece = self._piece(self._number("I"))
+            return f"{piece}.decode('utf-8', 'replace')"
+        if kind in TIMES:
+            secs, nsecs = (self._number("I" if kind == "time" else "i") for _ in range(2))
+            return f"{{'secs': {secs}, 'nsecs': {nsecs}}}"
+        return self._fields(kind)
+
+    def _piece(self, length: str) -> str:
+        """The next bytes, so many."""
+        self._flush()
+        end, piece = self._name(), self._name()
+        self._line(f"{end} = p + {length}")
+        self._line(f"if {end} > size: raise ValueError(f'{{{end} - size}} bytes are missing')")
+        self._line(f"{piece} = data[p:{end}]")
+        self._line(f"p = {end}")
+        return piece
+
+    def _list(self, field: Field) -> str:
+        count = str(field.array) if field.array else self._number("I")
+        self._flush()
+        if field.type in BYTES:
+            return f"b2a({self._piece(count)}, newline=False).decode('ascii')"
+        self._line(f"left -= {count}")
+        self._line("if left < 0: raise ValueError(f'more than {most} values')")
+        values = self._name()
+        if field.type in _CODES:
+            width = Struct("<" + _CODES[field.type]).size
+            self._line(f"{values} = list(unpack_from('<%d{_CODES[field.type]}' % {count}, data, p))")
+            self._line(f"p += {width} * {count}")
+        else:
+            self._line(f"{values} = []")
+            self._line(f"for _ in range({count}):")
+            self._indent += 1
+            element = self._one(field.type)
+            self._flush()
+            self._line(f"{values}.append({element})")
+            self._indent -= 1
+        return values
