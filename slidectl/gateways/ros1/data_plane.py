@@ -307,9 +307,7 @@ class DataPlane:
                 name = self._unsettled.pop()
                 try:
                     await self._settle(name, self._open_connection)
-                except NoDaemon:
-                    break  # `attach` begins anew
-                except TimedOut as error:  # a daemon that stood still for a while
+                except (NoDaemon, TimedOut) as error:  # it has gone, or stood still, or there were no descriptors
                     _log.warning("%s: %s; it is tried again", name, error)
                     await asyncio.sleep(_ASK_AGAIN_S)
                     self._touch({name})

@@ -51,7 +51,7 @@ class JoinedMaster:
         self._wake = asyncio.Event()
         self._rounds = 0
         self._failure = ""
-        self._is_crowded = False
+        self._is_crowded = self._is_synchronizing = False
         self._pid: Any = None
         self._addresses: dict[str, str] = {}
         self._providers: dict[str, tuple[str, str]] = {}
@@ -81,7 +81,8 @@ class JoinedMaster:
         self._told.clear()
         self._pid = None  # its parameters may be others
         self._wake.set()
-        if not self._tasks:
+        if not self._is_synchronizing:
+            self._is_synchronizing = True
             self._run(self._synchronize_for_ever())
 
     def natives_changed(self) -> None:
@@ -132,6 +133,8 @@ class JoinedMaster:
                     _log.warning("%s; trying again", error)
                 self._failure = str(error)
                 self._pid = None
+            except Exception:  # a fault of ours in one round is none of the next
+                _log.exception("a round with the master at %s", self.uri)
             try:
                 async with asyncio.timeout(_ASK_EVERY_S):
                     await self._wake.wait()

@@ -259,6 +259,8 @@ class Ros1Gateway(Gateway):
                 _log.warning("the graph: %s; it is asked again", error)
                 await asyncio.sleep(_ASK_AGAIN_S)
                 self._graph_changed.set()
+            except Exception:  # a fault of ours with one graph is none of the next
+                _log.exception("the graph")
 
     async def _take_graph(self) -> None:
         assert self._main is not None
