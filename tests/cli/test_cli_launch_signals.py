@@ -84,7 +84,7 @@ def test_interrupts_in_a_row_leave_nothing(
 
 @contextmanager
 def inherited(number: signal.Signals, handler: signal.Handlers) -> Iterator[None]:
-    """What programs that are started meanwhile do at this signal. nohup has them ignore SIGHUP, the tests' too."""
+    """What programs that are started meanwhile do at this signal, whatever the tests' own shell has set."""
     previous = signal.signal(number, handler)
     try:
         yield
@@ -109,6 +109,14 @@ def test_nohup_outlives_its_terminal(slidectl: CommandLine, everything: str) -> 
     launched.signal(signal.SIGHUP)
     assert "running" in slidectl.ok("controller", "list")
     assert launched.process.poll() is None
+    assert launched.interrupt() == 130
+    nothing_is_left(slidectl.runtime)
+
+
+def test_an_interrupt_ends_what_a_script_has_in_its_background(slidectl: CommandLine, everything: str) -> None:
+    with inherited(signal.SIGINT, signal.SIG_IGN):  # as shells start `slidectl launch FILE &`
+        launched = Launched(slidectl, everything)
+    launched.up()
     assert launched.interrupt() == 130
     nothing_is_left(slidectl.runtime)
 

@@ -6,7 +6,6 @@ A tool is run with the words behind its name untouched. Nothing of a tool is kno
 from __future__ import annotations
 
 import os
-import signal
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -70,9 +69,6 @@ def ros(ctx: Context, words: tuple[str, ...]) -> None:
 
 def run(ctx: Context, name: str, argv: Sequence[str]) -> None:
     """Run one tool; how it failed goes to stderr in its own words. Raises click's Exit with the code then."""
-    # SIGINT ends a node also in the background of a script, where shells start programs with it ignored.
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
     if isinstance(sys.stdin, TextIOWrapper):
         sys.stdin.reconfigure(errors="surrogateescape")  # what is no text is for the reader of YAML to refuse
     module: Any = import_module(f"slidectl.cli.ros.{TOOLS[name]}")
