@@ -46,6 +46,12 @@ def moved(world: CommandLine, target: float) -> None:
         client.step(seconds=2)
 
 
+def is_heard(world: CommandLine, topic: str) -> bool:
+    """Whether the page subscribes it: of what is published before in a paused world nothing is drawn."""
+    with world.client() as client:
+        return bool(client.call("/rosapi/subscribers", {"topic": topic})["subscribers"])
+
+
 def spanned(points: list[tuple[float, float | None]]) -> float:
     return points[-1][0] - points[0][0] if points else 0.0
 
@@ -54,6 +60,7 @@ def test_several_curves_move_with_the_joint_and_are_saved(world: CommandLine, pa
     with Plotter(page) as browser, Plotter(page) as other:
         browser.plot(STATE + "/{set_point,process_value}")
         browser.element("the simulation is paused", "Html")
+        browser.wait_for(lambda: is_heard(world, f"/slider/{STATE}"))
         moved(world, 0.7)
         for one in (browser, other):
             one.wait_for(lambda one=one: spanned(one.curve("set_point")) > 1.9)
@@ -62,9 +69,13 @@ def test_several_curves_move_with_the_joint_and_are_saved(world: CommandLine, pa
         assert times == sorted(times)
         assert len(times) <= 1000
         browser.plot("joint_states/velocity[0]", into="plot 1")
-        moved(world, 0.4)
         label = "velocity[0] (joint1)"
-        browser.wait_for(lambda: browser.curve(label))
+
+        def is_drawn() -> bool:
+            moved(world, 0.4)
+            return bool(browser.curve(label))
+
+        browser.wait_for(is_drawn)
         browser.set("plot 1", "CSV", "ButtonGroup")
         browser.wait_for(lambda: "plot1.csv" in browser.downloads)
         assert "plot1.csv" not in other.downloads
@@ -79,7 +90,7 @@ def test_several_curves_move_with_the_joint_and_are_saved(world: CommandLine, pa
 def test_a_plot_is_paused_and_what_is_older_than_its_window_is_left_out(world: CommandLine, page: str) -> None:
     with Plotter(page) as browser:
         browser.plot(f"{STATE}/set_point")
-        browser.wait_for(lambda: browser.find("plot 1", "ButtonGroup"))
+        browser.wait_for(lambda: is_heard(world, f"/slider/{STATE}"))
         moved(world, 0.3)
         browser.wait_for(lambda: browser.curve("set_point")[-1:] and browser.curve("set_point")[-1][1] == 0.3)
         browser.set("plot 1", "Pause", "ButtonGroup")
@@ -99,7 +110,7 @@ def test_what_is_no_number_is_a_gap(world: CommandLine, page: str) -> None:
         client.advertise("/level", "std_msgs/Float64")
         client.flush()
         browser.plot("level/data")
-        browser.wait_for(lambda: browser.find("plot 1", "ButtonGroup"))
+        browser.wait_for(lambda: is_heard(world, "/level"))
         for value in (1.0, math.nan, 2.0):
             client.publish("/level", {"data": value})
             client.step(1)
@@ -129,6 +140,7 @@ def test_a_link_opens_with_a_plot_which_outlives_the_daemon() -> None:
             with Plotter(url) as browser:
                 browser.element("no field 'no_field'", "Html")
                 assert not browser.find("plot 2", "ButtonGroup")
+                browser.wait_for(lambda: is_heard(command, f"/slider/{STATE}"))
                 moved(command, 0.2)
                 browser.wait_for(lambda: browser.curve("set_point"))
                 command.ok("daemon", "stop")
@@ -137,5 +149,6 @@ def test_a_link_opens_with_a_plot_which_outlives_the_daemon() -> None:
                 browser.element("no topic", "Html")
                 spawn_slider(command)
                 browser.wait_for(lambda: browser.find("no field 'no_field'", "Html"))
+                browser.wait_for(lambda: is_heard(command, f"/slider/{STATE}"))
                 moved(command, 0.5)
                 browser.wait_for(lambda: browser.curve("set_point")[-1:] and browser.curve("set_point")[-1][1] == 0.5)
