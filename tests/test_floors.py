@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from collections import Counter
@@ -157,6 +158,13 @@ def test_the_client_imports_the_description_of_robots_only_when_a_robot_is_spawn
 
 def test_every_room_has_a_floor() -> None:
     assert {room_of(path) for path in modules()} <= set(FLOORS)
+
+
+def test_the_page_on_the_architecture_has_every_room_on_its_floor() -> None:
+    page = (PACKAGE.parent / "docs" / "architecture.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (\d) \| ([^|]+) \|", page, re.MULTILINE)
+    told = {name: int(floor) for floor, names in rows for name in re.findall(r"`(\w+)", names)}
+    assert told == FLOORS
 
 
 def test_the_command_line_has_no_private_door() -> None:
