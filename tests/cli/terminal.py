@@ -80,8 +80,11 @@ class Terminal:
         return self.screen
 
     def ended(self) -> int:
-        """Wait for the end; the exit code."""
-        return int(self.until(lambda: self.process.poll() is not None and [self.process.returncode])[0])
+        """Wait for the end, and take in what was written before it; the exit code."""
+        code = int(self.until(lambda: self.process.poll() is not None and [self.process.returncode])[0])
+        while select.select([self._master], (), (), 0)[0]:
+            self.output += os.read(self._master, 65536).decode(errors="replace")
+        return code
 
     def close(self) -> None:
         """The terminal is closed, as by its window's button."""
