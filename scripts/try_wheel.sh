@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# Builds the wheel, installs it into a bare environment, and runs the slider and the samples' launch files from a folder
-# that knows no checkout. PYTHON builds and runs it; that of the checkout's own environment unless it is set.
+# Builds the wheel, installs it into bare environments, with the lowest and with the newest versions of its dependencies,
+# and runs the slider and the samples' launch files from a folder that knows no checkout.
+# PYTHON builds and runs it; that of the checkout's own environment unless it is set.
 set -euo pipefail
 root="$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)"
 work="$(mktemp -d)"
@@ -11,19 +12,41 @@ trap '"$slidectl" -q daemon stop >/dev/null 2>&1 || true; rm -rf "$work"' EXIT
 
 python="${PYTHON:-$root/.venv/bin/python}"
 "$python" -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir "$work" "$root"
-"$python" -m venv "$work/venv"
-"$work/venv/bin/python" -m pip install --quiet --disable-pip-version-check "$work"/slidectl-*.whl
+"$python" - "$root/pyproject.toml" > "$work/lowest.txt" <<'END'
+import re
+import sys
+import tomllib
 
+with open(sys.argv[1], "rb") as file:
+    for dependency in tomllib.load(file)["project"]["dependencies"]:
+        name, lowest = re.match(r"([\w-]+)>=([\d.]+),", dependency).groups()
+        print(f"{name}=={lowest}")
+END
 cd "$work"
+slide() {
+  "$slidectl" daemon start --rtf max
+  "$slidectl" spawn slider --controllers config/slider_control.yaml
+  "$slidectl" controller spawn joint_state_controller joint1_position_controller
+  "$slidectl" pub command 1.0
+  "$slidectl" wait 'joint_states/position[0]' --near 1.0 --tol 0.02 --within 15
+  "$slidectl" daemon stop
+}
+
+install() {  # the constraints of pip
+  rm -rf "$work/venv"
+  "$python" -m venv "$work/venv"
+  "$work/venv/bin/python" -m pip install --quiet --disable-pip-version-check "$@" "$work"/slidectl-*.whl
+}
+
+install --constraint "$work/lowest.txt"
+"$slidectl" version
+slide
+
+install
 "$slidectl" version
 if "$work/venv/bin/python" -c "import pytest" 2>/dev/null; then echo "the wheel brings pytest unasked" >&2; exit 1; fi
 test -f "$work"/venv/lib/python3*/site-packages/slidectl/py.typed
-"$slidectl" daemon start --rtf max
-"$slidectl" spawn slider --controllers config/slider_control.yaml
-"$slidectl" controller spawn joint_state_controller joint1_position_controller
-"$slidectl" pub command 1.0
-"$slidectl" wait 'joint_states/position[0]' --near 1.0 --tol 0.02 --within 15
-"$slidectl" daemon stop
+slide
 
 "$slidectl" launch my_slider slider.launch --detach
 "$slidectl" pub command -0.1
