@@ -108,9 +108,9 @@ def test(
 
     commands = StepRunner(live)
     if schema:
-        from slidectl.scenarios.scenario_schema import FILE
+        from slidectl.scenarios.scenario_schema import as_text
 
-        output.write(FILE.read_text("utf-8"))
+        output.write(as_text(commands))
         return
     if not paths:
         raise UsageError("which scenarios?", "slidectl test FILE or FOLDER")

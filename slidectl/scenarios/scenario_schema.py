@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from pathlib import Path
+from copy import deepcopy
 from typing import Any
 
 from slidectl.scenarios.scenario_file import (
@@ -18,7 +18,6 @@ from slidectl.scenarios.scenario_file import (
 )
 from slidectl.scenarios.step_commands import Commands, StepCommand, StepOption
 
-FILE = Path(__file__).with_name("scenario.schema.json")
 _VALUE = {"type": ["string", "number", "boolean"]}
 _TYPES: dict[str, dict[str, Any]] = {
     "flag": {"type": "boolean"},
@@ -29,7 +28,7 @@ _TYPES: dict[str, dict[str, Any]] = {
 
 
 def as_text(commands: Commands) -> str:
-    """The schema as a file."""
+    """The schema as text."""
     return json.dumps(schema(commands), indent=1, ensure_ascii=False) + "\n"
 
 
@@ -75,7 +74,7 @@ def _object(keys: Mapping[str, Key], **more: Any) -> dict[str, Any]:
 def _properties(keys: Mapping[str, Key]) -> dict[str, Any]:
     found = {}
     for name, key in keys.items():
-        shape = json.loads(json.dumps(KINDS[key.kind][2]))
+        shape = deepcopy(KINDS[key.kind][2])
         if keys is STEP_KEYS and shape.get("type") in ("number", "boolean"):  # a variable may stand for it
             shape["type"] = [shape["type"], "string"]
         found[name] = {"description": key.help, **shape}
@@ -85,9 +84,7 @@ def _properties(keys: Mapping[str, Key]) -> dict[str, Any]:
 def _command(command: StepCommand) -> dict[str, Any]:
     inside: dict[str, Any] = {}
     for argument in command.arguments:
-        inside[argument.name] = (
-            {"type": ["string", "number", "boolean", "array", "object", "null"]}
-        )  # fmt: skip
+        inside[argument.name] = {"type": ["string", "number", "boolean", "array", "object", "null"]}
     for option in command.options:
         inside[option.name] = {"description": option.help, **_option(option)}
     required = [argument.name for argument in command.arguments if argument.required]

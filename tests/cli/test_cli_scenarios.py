@@ -16,9 +16,6 @@ from command_line import ROOT, CommandLine
 from lxml import etree
 from waiting import eventually
 
-from slidectl.cli.step_runner import StepRunner
-from slidectl.scenarios import scenario_schema
-
 Write = Callable[[str, str], Path]
 
 SLIDER = """
@@ -343,12 +340,9 @@ steps:
     assert (result["verdict"], result["message"]) == ("failed", "these nodes died: /drive (exit code 3)")
 
 
-def test_the_shipped_schema_is_that_of_the_commands_and_takes_the_examples(slidectl: CommandLine) -> None:
+def test_the_printed_schema_takes_the_examples_and_no_slips(slidectl: CommandLine) -> None:
     jsonschema = pytest.importorskip("jsonschema")
-    shipped = scenario_schema.FILE.read_text("utf-8")
-    assert shipped == scenario_schema.as_text(StepRunner()), "python scripts/scenario_schema.py writes it"
-    assert slidectl.ok("test", "--schema") == shipped
-    validator = jsonschema.Draft202012Validator(json.loads(shipped))
+    validator = jsonschema.Draft202012Validator(json.loads(slidectl.ok("test", "--schema")))
     examples = sorted((ROOT / "examples" / "scenarios").glob("*.yaml"))
     assert examples
     for file in examples:
