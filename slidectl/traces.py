@@ -19,8 +19,9 @@ import numpy as np
 from slidectl import measures, names
 from slidectl.errors import UnknownName, UsageError, listing
 from slidectl.fault_kinds import QUANTITIES
-from slidectl.field_path import Fields, Selection, select
+from slidectl.field_path import select
 from slidectl.measures import Array, Measured, NoMeasure
+from slidectl.msgs.schema import Schema, from_typedefs
 
 if TYPE_CHECKING:
     from slidectl.client import Client
@@ -249,14 +250,13 @@ def number(value: Any) -> float:
 class _Samples:
     """Messages of one topic as a trace: those of a field, and of the field of the set points if there is one."""
 
-    def __init__(self, name: str, root: str, fields_of: Fields, field: str, set_point: str) -> None:
+    def __init__(self, name: str, schema: Schema, field: str, set_point: str) -> None:
         """Without a `field` the only one of the type counts. Raises UnknownName, UsageError."""
-        inside = [name for name, _, _ in fields_of(root)]
-        path = inside[0] if not field and len(inside) == 1 else field
+        inside = schema.fields(schema.root)
+        path = inside[0].name if not field and len(inside) == 1 else field
         self.name = f"{name}/{field}" if field else name
-        self._paths: list[Selection] = [select(fields_of, root, path)]
-        if set_point:
-            self._paths.append(select(fields_of, root, set_point))
+        paths = [path, set_point] if set_point else [path]
+        self._paths = [select(schema.fields, schema.root, each) for each in paths]
         self.rows: list[list[float]] = []
 
     def take(self, time_ns: int, message: Any) -> None:
@@ -334,11 +334,7 @@ def _of_topic(
     client: Client, found: dict[str, Any], duration: float, set_point: str, timeout: float | None
 ) -> JointOrFieldTrace:
     """`found` is what a name of a topic means (slidectl/Resolve)."""
-    types = {
-        entry["type"]: list(zip(entry["fieldnames"], entry["fieldtypes"], entry["fieldarraylen"], strict=True))
-        for entry in found["typedefs"]
-    }
-    samples = _Samples(found["name"], found["type"], lambda name: types.get(name, ()), found["field"], set_point)
+    samples = _Samples(found["name"], from_typedefs(found["typedefs"]), found["field"], set_point)
 
     def take(published: dict[str, Any]) -> None:
         time = published["time"]
@@ -381,10 +377,12 @@ def recorded(
         rows = [_joint_row(message, joint, time_ns) for time_ns, message in _messages(recording, topic)]
         trace = _joint_trace(full, quantity, np.array(rows, dtype=np.float64).reshape(-1, 1 + len(QUANTITIES)), {})
     else:
-        topic, field = _recorded_topic(recording, target, namespace, list(joints))
-        channel = next(channel for channel in recording.channels if channel.topic == topic)
-        types = recording.codec(channel).types
-        samples = _Samples(topic, channel.type, lambda name: types.get(name, ()), field, set_point)
+        try:
+            topic, field = recording.topic_and_field(target, namespace)
+        except UnknownName as error:
+            error.hint = f"{error.hint}\njoints: {listing(joints)}"
+            raise
+        samples = _Samples(topic, recording.schema(topic), field, set_point)
         for time_ns, message in _messages(recording, topic):
             samples.take(time_ns, message)
         trace = samples.trace()
@@ -408,12 +406,3 @@ def _joint_row(message: Any, joint: str, time_ns: int) -> list[float]:
     place = message["name"].index(joint) if joint in message["name"] else len(message["name"])
     states = (message[quantity] for quantity in QUANTITIES)
     return [time_ns / _SECOND, *(state[place] if place < len(state) else math.nan for state in states)]
-
-
-def _recorded_topic(recording: Recording, target: str, namespace: str, joints: list[str]) -> tuple[str, str]:
-    for name, field in names.cut_from_field(target):
-        with suppress(UnknownName):
-            return names.resolve(name, recording.topics, kind="topic", namespace=namespace), field
-    error = UnknownName("topic", target, recording.topics, f"in {recording.path}")
-    error.hint = f"{error.hint}\njoints: {listing(joints)}"
-    raise error

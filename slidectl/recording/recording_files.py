@@ -19,7 +19,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
-from slidectl.errors import BadFile, Refused, SlidectlError, UsageError
+from slidectl import names
+from slidectl.errors import BadFile, Refused, SlidectlError, UnknownName, UsageError
+from slidectl.field_path import Selection, select
+from slidectl.msgs.schema import Schema
 from slidectl.recording.codec import BadDefinition, Codec
 
 COMPRESSIONS = {".bag": ("none", "bz2", "lz4"), ".mcap": ("none", "lz4", "zstd")}
@@ -284,6 +287,19 @@ class Recording(ABC):
         """In the order in which the recording met them."""
         return list(dict.fromkeys(channel.topic for channel in self.channels))
 
+    def topic_and_field(self, text: str, namespace: str = "/") -> tuple[str, str]:
+        """What `TOPIC/FIELD[I]` means in it. Raises UnknownName, AmbiguousName."""
+        return topic_and_field(text, self.topics, f"in {self.path}", namespace)
+
+    def schema(self, topic: str) -> Schema:
+        """What the messages of one of its topics are made of. Raises BadRecording."""
+        return self.codec(next(channel for channel in self.channels if channel.topic == topic)).schema
+
+    def select(self, topic: str, path: str) -> Selection:
+        """What a path selects in the messages of a topic. Raises UnknownName, UsageError, BadRecording."""
+        schema = self.schema(topic)
+        return select(schema.fields, schema.root, path)
+
     def codec(self, channel: RecordedTopic) -> Codec:
         """What reads its messages. Raises BadRecording."""
         if channel.number not in self._codecs:
@@ -310,6 +326,14 @@ class Recording(ABC):
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def topic_and_field(text: str, topics: Iterable[str], where: str, namespace: str = "/") -> tuple[str, str]:
+    """What `TOPIC/FIELD[I]` means among these topics, which are there `where`. Raises UnknownName, AmbiguousName."""
+    for name, field_path in names.cut_from_field(text):
+        with suppress(UnknownName):
+            return names.resolve(name, topics, kind="topic", namespace=namespace), field_path
+    raise UnknownName("topic", text, sorted(topics), where)
 
 
 @contextmanager
