@@ -12,8 +12,7 @@ from typing import Any
 from slidectl.client import Subscription
 from slidectl.errors import SlidectlError
 from slidectl.viewing.graph_drawing import as_svg, read_graph
-from slidectl.viewing.page.html_table import SCROLLED
-from slidectl.viewing.page.page import Page, Panel, WorldState
+from slidectl.viewing.page.page import SCROLLED, Page, Panel, WorldState
 from slidectl.viewing.transform_tree import MOVING, STATIC, Frames
 
 _SHOW_S = 0.5

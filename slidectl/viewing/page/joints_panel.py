@@ -13,8 +13,7 @@ from viser import GuiHtmlHandle
 from slidectl import names
 from slidectl.client.client import Subscription
 from slidectl.description.robot import MOVING
-from slidectl.viewing.page.html_table import html_table
-from slidectl.viewing.page.page import Message, Page, Panel, WorldState
+from slidectl.viewing.page.page import Message, Page, Panel, WorldState, html_table
 
 _SCALAR, _ARRAY = "std_msgs/Float64", "std_msgs/Float64MultiArray"
 _QUANTITIES = ("Position", "Velocity", "Effort")

@@ -11,9 +11,8 @@ from slidectl import names
 from slidectl.client import Subscription
 from slidectl.client.action_client import Action
 from slidectl.client.trajectory_goals import desired_positions, goal_to, hold, trajectory_controllers
-from slidectl.viewing.page.html_table import PADDING, html_table
 from slidectl.viewing.page.joints_panel import bounds, placed, step_of
-from slidectl.viewing.page.page import Message, Page, Panel, WorldState
+from slidectl.viewing.page.page import PADDING, Message, Page, Panel, WorldState, html_table
 
 _STATE_EVERY_MS = 100
 _LONGEST_S = 1e6
@@ -68,7 +67,7 @@ class TrajectoriesPanel(Panel):
             self.page.acting(slider, partial(targets.__setitem__, name), coalesce=True)
         cycle = world.status["timestep"]
         duration = self.gui.add_number("duration (s)", max(self._duration, cycle), min=cycle, max=_LONGEST_S, step=0.1)
-        self.page.acting(duration, self._choose_duration)
+        self.page.acting(duration, partial(setattr, self, "_duration"))
         goal = self.gui.add_button_group("goal", ("send", "hold", "cancel"))
         self.page.acting(goal, partial(self._act, controller, action))
         present = self.gui.add_button("Take present positions", hint="targets where the joints are meant to be now")
@@ -81,9 +80,6 @@ class TrajectoriesPanel(Panel):
     def _choose(self, controller: str) -> None:
         self._controller = controller
         self.page.look_again()
-
-    def _choose_duration(self, value: float) -> None:
-        self._duration = value
 
     def _take_present(self, controller: str) -> None:
         for name, position in desired_positions(self.page.client, controller).items():
