@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections import defaultdict
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Mapping
 from html import escape
 from typing import Any
 
@@ -13,7 +12,7 @@ from slidectl.client import Subscription
 from slidectl.errors import SlidectlError
 from slidectl.viewing.graph_drawing import as_svg, read_graph
 from slidectl.viewing.page.page import SCROLLED, Page, Panel, WorldState
-from slidectl.viewing.transform_tree import MOVING, STATIC, Frames
+from slidectl.viewing.transform_tree import MOVING, STATIC, Edge, Frames
 
 _SHOW_S = 0.5
 
@@ -54,7 +53,8 @@ class GraphPanel(Panel):
         now = time.monotonic()
         if self._is_followed and now >= self._show_at:
             self._show_at = now + _SHOW_S
-            lines = "\n".join(_lines(self._frames, world.status["time"]))
+            now = world.status["time"]
+            lines = "\n".join(f"{'  ' * depth}{name}{_age(edge, now)}" for depth, name, edge in self._frames.tree())
             self._tree.content = f'<pre style="{SCROLLED}">{escape(lines) or "no frames yet"}</pre>'
 
     def _choose_words(self, value: str) -> None:
@@ -91,19 +91,8 @@ class GraphPanel(Panel):
         self._frames.add(published["msg"], published["topic"] == STATIC)
 
 
-def _lines(frames: Frames, now: float) -> Iterator[str]:
-    """Each frame, below its parent, with its age in simulated time."""
-    children: defaultdict[str, list[str]] = defaultdict(list)
-    for name in sorted(frames.edges):
-        children[frames.edges[name].parent].append(name)
-
-    def branch(names: Sequence[str], indent: str) -> Iterator[str]:
-        for name in names:
-            edge = frames.edges.get(name)
-            age = (
-                "" if edge is None else " static" if edge.is_static else f" {max(now - edge.time_ns / 1e9, 0.0):.1f} s"
-            )
-            yield f"{indent}{name}{age}"
-            yield from branch(children[name], indent + "  ")
-
-    return branch(frames.roots, "")
+def _age(edge: Edge | None, now: float) -> str:
+    """Of a frame, in simulated time."""
+    if edge is None:
+        return ""
+    return " static" if edge.is_static else f" {max(now - edge.time_ns / 1e9, 0.0):.1f} s"

@@ -10,10 +10,10 @@ import numpy as np
 from viser import SceneNodeHandle
 
 from slidectl.description.robot import MOVING, Robot
+from slidectl.measures import Array
 from slidectl.rotations import IDENTITY, Vector, compose, conjugate, relative, rotate
-from slidectl.viewing.drawn_scene import Array, DrawnScene
+from slidectl.viewing.drawn_scene import VIEWS, DrawnScene
 from slidectl.viewing.page.page import Page, Panel, WorldState
-from slidectl.viewing.viewpoints import VIEWS
 
 FRAMES, AXES, MASSES, CONTACTS = "frames of links", "joint axes", "centres of mass", "contacts and their forces"
 _MOST_TRACED = 2000
