@@ -27,6 +27,13 @@ if TYPE_CHECKING:
     from slidectl.client import Client
     from slidectl.recording.recording_files import Recording
 
+_TURNING = {"position": "rad", "velocity": "rad/s", "effort": "N·m"}
+JOINT_UNITS = {
+    "prismatic": {"position": "m", "velocity": "m/s", "effort": "N"},
+    "revolute": _TURNING,
+    "continuous": _TURNING,
+}
+"""By the type of the joint."""
 _JOINT_STATE = "sensor_msgs/JointState"
 _SECOND = 10**9
 _LONGEST_QUEUE = 1_000_000
@@ -215,9 +222,7 @@ def _find_joint(text: str, known: Sequence[str], namespace: str) -> tuple[str, s
 
 def _joint_trace(name: str, quantity: str, rows: Array, about: Mapping[str, Any]) -> JointOrFieldTrace:
     """Of rows of time, position, velocity and effort (n, 4), and what is known of the joint (slidectl/JointInfo)."""
-    length = {"prismatic": "m", "revolute": "rad", "continuous": "rad"}.get(str(about.get("type")), "")
-    effort = {"m": "N", "rad": "N·m"}.get(length, "")
-    units = {"position": length, "velocity": length and f"{length}/s", "effort": effort}
+    units = JOINT_UNITS.get(str(about.get("type")), dict.fromkeys(QUANTITIES, ""))
     columns = dict(zip(QUANTITIES, rows.T[1:], strict=True))
     is_position = quantity == "position"
     bounds = {key: about[key] for key in ("lower", "upper") if is_position and about.get(key) is not None}
@@ -225,7 +230,7 @@ def _joint_trace(name: str, quantity: str, rows: Array, about: Mapping[str, Any]
         bounds["max_effort"] = about["max_effort"]
     return JointOrFieldTrace(
         name if is_position else f"{name}/{quantity}", rows[:, 0], columns[quantity], units[quantity],
-        columns["velocity"], columns["effort"], effort, **bounds
+        columns["velocity"], columns["effort"], units["effort"], **bounds
     )  # fmt: skip
 
 

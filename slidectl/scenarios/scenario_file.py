@@ -5,10 +5,10 @@ The tables of keys here are what the check, the JSON schema and the documentatio
 
 from __future__ import annotations
 
-import math
 import os
 import re
 import shlex
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -498,7 +498,8 @@ def _check_named(files: tuple[str, ...], names: tuple[str, ...]) -> None:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return is_number and abs(value) <= sys.float_info.max  # an int may be larger than any float
 
 
 def _all(value: Any, fits: Callable[[Any], bool]) -> bool:

@@ -20,7 +20,7 @@ from slidectl.errors import AmbiguousName, BadFile, Refused, UnknownName, UsageE
 from slidectl.fault_kinds import QUANTITIES
 from slidectl.field_path import NoElement, Selection, select
 from slidectl.msgs.schema import PRIMITIVES, TIMES, Schema, from_typedefs
-from slidectl.traces import number
+from slidectl.traces import JOINT_UNITS, number
 from slidectl.viewing.plots import Curve
 
 if TYPE_CHECKING:
@@ -45,13 +45,8 @@ _UNITS = {
     "control_msgs/JointControllerState": {"time_step": "s"},
 }
 """Type -> field -> unit of it and of what is inside, where the definition of the message says so."""
-_JOINT_UNITS = {
-    "prismatic": {"position": "m", "velocity": "m/s", "effort": "N"},
-    "revolute": {"position": "rad", "velocity": "rad/s", "effort": "N·m"},
-    "continuous": {"position": "rad", "velocity": "rad/s", "effort": "N·m"},
-    "": {"position": "rad or m", "velocity": "rad/s or m/s", "effort": "N·m or N"},
-}
-"""By the type of the joint; empty where it is not known."""
+_UNITS_OF_ANY_JOINT = {"position": "rad or m", "velocity": "rad/s or m/s", "effort": "N·m or N"}
+"""Where its type is not known."""
 _RATES = {"position": "velocity", "velocity": "acceleration"}
 
 
@@ -109,8 +104,7 @@ class Units:
 
     def of_joint(self, joint: str, quantity: str) -> str:
         """`joint` in full."""
-        kind = self._joints.get(joint, "")
-        return _JOINT_UNITS.get(kind, _JOINT_UNITS[""]).get(quantity, "")
+        return JOINT_UNITS.get(self._joints.get(joint, ""), _UNITS_OF_ANY_JOINT).get(quantity, "")
 
     def of(self, topic: str, root: str, path: str, selection: Selection) -> str:
         """Of what the path selects in messages of the type `root`; empty where it is not known."""

@@ -184,6 +184,15 @@ steps:
     assert f"{file.parent / 'none.yaml'}: no such file or directory" in done.stderr
 
 
+def test_an_integer_that_is_larger_than_any_float_is_a_slip(slidectl: CommandLine, write: Write) -> None:
+    file = write("large.yaml", f"timeout: 1{'0' * 400}\nsteps: [robots]\n")
+    done = slidectl("test", str(file), "--check")
+    assert done.returncode == 2
+    assert f"{file}:1: 'timeout' is a number of seconds above 0, not 1000" in done.stderr
+    write("large.yaml", f"steps:\n  - {{at: 1{'0' * 400}, robots: }}\n")
+    assert f"{file}:2: 'at' is a time of 0 s or more, not 1000" in slidectl("test", str(file), "--check").stderr
+
+
 def test_background_steps_go_on_meanwhile_and_end_with_the_case(slidectl: CommandLine, write: Write) -> None:
     file = write("background.yaml", SLIDER + """
 steps:
