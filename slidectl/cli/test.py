@@ -109,9 +109,9 @@ def test(
 
     commands = StepRunner(live)
     if schema:
-        from slidectl.scenarios.scenario_schema import as_text
+        from slidectl.scenarios.scenario_file import schema_text
 
-        output.write(as_text(commands))
+        output.write(schema_text(commands))
         return
     if not paths:
         raise UsageError("which scenarios?", "slidectl test FILE or FOLDER")
