@@ -83,7 +83,7 @@ class GainsPanel(Panel):
         client = self.page.client
         with client.subscribe(f"{space}/parameter_descriptions") as descriptions:
             described = descriptions.get(_LATCHED_S)
-        updates = self._updates[space] = client.subscribe(f"{space}/parameter_updates", queue_length=1)
+        updates = self._updates[space] = self.subscribe(f"{space}/parameter_updates", queue_length=1)
         values = self._values[space] = _values(updates.get(_LATCHED_S))
         low, high = _values(described["min"]), _values(described["max"])
         with self.gui.add_folder(space.removeprefix(self._robot).lstrip("/")):
@@ -175,8 +175,7 @@ class GainsPanel(Panel):
         browser.send_file_download(file, text.encode(), save_immediately=True)
 
     def leave(self) -> None:
-        for updates in self._updates.values():
-            updates.close()
+        super().leave()
         for kept in (self._updates, self._inputs, self._values):
             kept.clear()
 

@@ -8,7 +8,6 @@ from collections.abc import Hashable, Mapping
 from html import escape
 from typing import Any
 
-from slidectl.client import Subscription
 from slidectl.errors import SlidectlError
 from slidectl.viewing.graph_drawing import as_svg, read_graph
 from slidectl.viewing.page.page import SCROLLED, Page, Panel, WorldState
@@ -27,7 +26,6 @@ class GraphPanel(Panel):
         self._words = ""
         self._is_followed = False
         self._frames = Frames()
-        self._subscriptions: list[Subscription] = []
         self._show_at = 0.0
 
     def shape(self, world: WorldState) -> Hashable:
@@ -41,13 +39,8 @@ class GraphPanel(Panel):
         followed = self.gui.add_checkbox("tf tree", self._is_followed)
         self.page.looking(followed, self._follow)
         self._tree = self.gui.add_html("")
-        self._subscribe()
+        self._follow_frames()
         self._read()
-
-    def leave(self) -> None:
-        for one in self._subscriptions:
-            one.close()
-        self._subscriptions.clear()
 
     def refresh(self, world: WorldState) -> None:
         now = time.monotonic()
@@ -79,13 +72,11 @@ class GraphPanel(Panel):
         self.leave()
         self._frames = Frames()
         self._tree.content = ""
-        self._subscribe()
+        self._follow_frames()
 
-    def _subscribe(self) -> None:
+    def _follow_frames(self) -> None:
         for topic in (MOVING, STATIC) if self._is_followed else ():
-            self._subscriptions.append(
-                self.page.client.subscribe(topic, "tf2_msgs/TFMessage", queue_length=1000, take=self._take, wait=False)
-            )
+            self.subscribe(topic, "tf2_msgs/TFMessage", queue_length=1000, take=self._take, wait=False)
 
     def _take(self, published: Mapping[str, Any]) -> None:
         self._frames.add(published["msg"], published["topic"] == STATIC)

@@ -7,7 +7,6 @@ from functools import partial
 from html import escape
 from typing import Any
 
-from slidectl.client import Subscription
 from slidectl.errors import cut
 from slidectl.viewing.page.page import SCROLLED, Page, Panel, WorldState
 
@@ -30,7 +29,6 @@ class LogPanel(Panel):
         self._text = ""
         self._paused = False
         self._is_new = True
-        self._subscription: Subscription | None = None
 
     def build(self, world: WorldState) -> None:
         severity = self.gui.add_dropdown("severity from", tuple(_SEVERITIES), initial_value=self._severity)
@@ -42,15 +40,8 @@ class LogPanel(Panel):
         self.page.looking(self.gui.add_button("Clear the log"), lambda _: self._clear())
         self._shown = self.gui.add_html("")
         self._is_new = True
-        self._subscription = self.page.client.subscribe(
-            "/rosout", "rosgraph_msgs/Log", queue_length=_MOST_KEPT, take=self._take
-        )
+        self.subscribe("/rosout", "rosgraph_msgs/Log", queue_length=_MOST_KEPT, take=self._take)
         self.refresh(world)
-
-    def leave(self) -> None:
-        if self._subscription is not None:
-            self._subscription.close()
-            self._subscription = None
 
     def refresh(self, world: WorldState) -> None:  # noqa: ARG002
         if not self._is_new or self._paused:

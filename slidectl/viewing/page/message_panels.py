@@ -149,6 +149,7 @@ class FormPanel(Panel):
             self.choose(_NONE)
 
     def leave(self) -> None:
+        super().leave()
         self._form = None
 
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from viser import GuiButtonGroupHandle
 
 from slidectl import names
-from slidectl.client import Client
+from slidectl.client import Client, Subscription
 from slidectl.errors import NoDaemon, Refused, SlidectlError, cut
 
 if TYPE_CHECKING:
@@ -72,6 +72,7 @@ class Panel:
     def __init__(self, page: Page) -> None:
         self.page = page
         self.gui = page.server.gui
+        self._subscriptions: list[Subscription] = []
 
     def shape(self, world: WorldState) -> Hashable:  # noqa: ARG002
         """What decides which elements the panel has: it is built anew when that becomes another."""
@@ -89,8 +90,16 @@ class Panel:
     def opened(self, query: Mapping[str, Sequence[str]]) -> None:
         """A browser has opened the page with this query in its address."""
 
+    def subscribe(self, topic: str, type_name: str | None = None, **options: Any) -> Subscription:
+        """As `Client.subscribe`, until the panel is left."""
+        self._subscriptions.append(self.page.client.subscribe(topic, type_name, **options))
+        return self._subscriptions[-1]
+
     def leave(self) -> None:
         """Before the panel is built anew, and when the daemon has gone: end subscriptions."""
+        for subscription in self._subscriptions:
+            subscription.close()
+        self._subscriptions.clear()
 
 
 def html_table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

@@ -74,7 +74,7 @@ class TrajectoriesPanel(Panel):
         self.page.acting(present, lambda _: self._take_present(controller))
         self._told_of_goal = self.gui.add_html("")
         self._table = self.gui.add_html("")
-        self._states = self.page.client.subscribe(f"{controller}/state", queue_length=1, throttle_rate=_STATE_EVERY_MS)
+        self._states = self.subscribe(f"{controller}/state", queue_length=1, throttle_rate=_STATE_EVERY_MS)
         self.refresh(world)
 
     def _choose(self, controller: str) -> None:
@@ -125,8 +125,7 @@ class TrajectoriesPanel(Panel):
             self._goal, self._told = None, "how it ended is not known"
 
     def leave(self) -> None:
-        if self._states is not None:
-            self._states.close()
+        super().leave()
         self._states = None
         self._end_goal()
         self._sliders.clear()
