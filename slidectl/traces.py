@@ -85,7 +85,20 @@ class JointOrFieldTrace:
         """
         if name not in MEASURES:
             raise UnknownName("measure", name, list(MEASURES))
-        return MEASURES[name].take(self, MeasureOptions(set_point, start, band))
+        _, _, kind, take = MEASURES[name]
+        if kind == "step":
+            if set_point is None and self.set_points is not None and len(self.set_points):
+                set_point = float(self.set_points[-1])
+            more = {"band": band} if name == "settling" else {}
+            return take(self.times, self.values, set_point, start, **more)
+        if kind == "error":
+            wanted = self.set_points if set_point is None else set_point
+            if wanted is None:
+                raise NoMeasure("an error needs what the value was to be: a set point")
+            return take(self.times, self.values, wanted)
+        if kind == "joint" and self.efforts is None:
+            raise NoMeasure(f"{self.name} has no effort: that is measured of a joint")
+        return take(self)
 
     def holds(self, condition: str, wanted: float, tolerance: float = 0.0) -> tuple[bool, Measured]:
         """Whether every value is `near` (within the tolerance), `above` or `below` a number, or `equals` it.
@@ -119,90 +132,50 @@ class JointOrFieldTrace:
         return own.get(unit, unit)
 
 
-class MeasureOptions(NamedTuple):
-    """As `JointOrFieldTrace.measure` has them."""
-
-    set_point: float | None
-    start: float | None
-    band: float
-
-
-_Take = Callable[[JointOrFieldTrace, MeasureOptions], Measured]
-
-
 class Measure(NamedTuple):
-    """What is measured, in few words; in which unit; and how."""
+    """What is measured, in few words, and in which unit."""
 
     help: str
     unit: str
-    take: _Take
-
-
-def _of_step(measure: Callable[..., Measured]) -> _Take:
-    def take(trace: JointOrFieldTrace, options: MeasureOptions) -> Measured:
-        if options.set_point is None and trace.set_points is not None and len(trace.set_points):
-            options = options._replace(set_point=float(trace.set_points[-1]))
-        more = {"band": options.band} if measure is measures.settling_time else {}
-        return measure(trace.times, trace.values, options.set_point, options.start, **more)
-
-    return take
-
-
-def _of_error(measure: Callable[..., Measured]) -> _Take:
-    def take(trace: JointOrFieldTrace, options: MeasureOptions) -> Measured:
-        set_point = trace.set_points if options.set_point is None else options.set_point
-        if set_point is None:
-            raise NoMeasure("an error needs what the value was to be: a set point")
-        return measure(trace.times, trace.values, set_point)
-
-    return take
-
-
-def _of_joint(measure: Callable[[JointOrFieldTrace, Any], Measured]) -> _Take:
-    def take(trace: JointOrFieldTrace, _: MeasureOptions) -> Measured:
-        if trace.efforts is None:
-            raise NoMeasure(f"{trace.name} has no effort: that is measured of a joint")
-        return measure(trace, trace.efforts)
-
-    return take
+    kind: str
+    """Of what: `step`, `error`, `joint`, or `values`."""
+    take: Callable[..., Measured]
+    """Of a step and of an error it takes times, values and more; else the trace."""
 
 
 MEASURES: dict[str, Measure] = {
-    "rise": Measure("Rise time, from 10 % to 90 % of the step", "s", _of_step(measures.rise_time)),
-    "overshoot": Measure("Overshoot, in % of the step", "%", _of_step(measures.overshoot)),
-    "settling": Measure("Time until it stays within 2 % of the step", "s", _of_step(measures.settling_time)),
-    "error": Measure("Steady-state error, of the last tenth", "value", _of_error(measures.steady_state_error)),
-    "rms-error": Measure("Root of the mean square error", "value", _of_error(measures.rms)),
-    "max-error": Measure("Largest error", "value", _of_error(measures.peak)),
-    "iae": Measure("Integral of the absolute error", "value·s", _of_error(measures.integral_of_absolute_error)),
+    "rise": Measure("Rise time, from 10 % to 90 % of the step", "s", "step", measures.rise_time),
+    "overshoot": Measure("Overshoot, in % of the step", "%", "step", measures.overshoot),
+    "settling": Measure("Time until it stays within 2 % of the step", "s", "step", measures.settling_time),
+    "error": Measure("Steady-state error, of the last tenth", "value", "error", measures.steady_state_error),
+    "rms-error": Measure("Root of the mean square error", "value", "error", measures.rms),
+    "max-error": Measure("Largest error", "value", "error", measures.peak),
+    "iae": Measure("Integral of the absolute error", "value·s", "error", measures.integral_of_absolute_error),
     "effort-rms": Measure(
-        "Root of the mean square effort", "effort", _of_joint(lambda trace, efforts: measures.rms(trace.times, efforts))
+        "Root of the mean square effort", "effort", "joint", lambda trace: measures.rms(trace.times, trace.efforts)
     ),
     "effort-peak": Measure(
-        "Largest effort", "effort", _of_joint(lambda trace, efforts: measures.peak(trace.times, efforts))
+        "Largest effort", "effort", "joint", lambda trace: measures.peak(trace.times, trace.efforts)
     ),
     "saturation": Measure(
-        "Time at the effort limit",
-        "s",
-        _of_joint(lambda trace, efforts: measures.saturation_time(trace.times, efforts, trace.max_effort)),
+        "Time at the effort limit", "s", "joint",
+        lambda trace: measures.saturation_time(trace.times, trace.efforts, trace.max_effort),
     ),
     "energy": Measure(
-        "Work that the actuator did",
-        "J",
-        _of_joint(lambda trace, efforts: measures.energy(trace.times, efforts, trace.velocities)),
+        "Work that the actuator did", "J", "joint",
+        lambda trace: measures.energy(trace.times, trace.efforts, trace.velocities),
     ),
     "limit-hits": Measure(
-        "How often it came to a bound",
-        "",
-        lambda trace, _: measures.limit_hits(trace.times, trace.values, trace.lower, trace.upper),
+        "How often it came to a bound", "", "values",
+        lambda trace: measures.limit_hits(trace.times, trace.values, trace.lower, trace.upper),
     ),
     "contact": Measure(
-        "Time in contact, of a force", "s", lambda trace, _: measures.contact_time(trace.times, trace.values)
+        "Time in contact, of a force", "s", "values", lambda trace: measures.contact_time(trace.times, trace.values)
     ),
     "peak-force": Measure(
-        "Largest force, of a force", "value", lambda trace, _: measures.peak(trace.times, trace.values)
+        "Largest force, of a force", "value", "values", lambda trace: measures.peak(trace.times, trace.values)
     ),
-}
+}  # fmt: skip
 
 
 # --- joints -----------------------------------------------------------------------------------------------------------

@@ -343,7 +343,7 @@ class _Reader:
             own = {}
             if not commands:
                 return None
-        if len(commands) != 1 and (commands or "at" not in own):
+        if len(commands) != 1 and (commands or own.get("at") is None):
             what = f"is {' and '.join(map(repr, commands))}" if commands else "has no command"
             raise UsageError(f"this step {what}; a step is one command", self._steps_and_fields())
         line = self._lines.get(path, 1)

@@ -152,6 +152,7 @@ steps:
   - spawn: slider --controllers types.yaml --start a
   - record: -a --detach
   - ros: roslaunch my_slider slider.launch
+  - at:
 """)  # fmt: skip
     types = write(
         "types.yaml", "slider:\n  a:\n    type: effort_controllers/JointPositonController\n    joint: joint1\n"
@@ -175,6 +176,7 @@ steps:
         16: "a step acts in the world of its scenario",
         18: "--detach leaves a process behind",
         19: "roslaunch brings up a world, and a scenario has its own",
+        20: "this step has no command; a step is one command",
     }.items():
         assert f"{file}:{line}: {text}" in done.stderr
     assert f"{types}:3: " in done.stderr

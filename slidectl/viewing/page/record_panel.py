@@ -56,15 +56,16 @@ class RecordPanel(Panel):
             so_far = recorder.so_far()
             state = f"recording into {escape(recorder.path.name)}: {so_far}"
             if recorder.process.poll() is not None:
+                self._recorder = None
                 if trouble := recorder.trouble():
                     self.page.notify(f"{recorder.path.name} ended", trouble, "red")
                 else:
                     self.page.notify(f"{recorder.path.name} recorded", so_far)
-                self._recorder = recorder = None
         state = f'<div style="{SCROLLED}">{state}</div>'
         if self._state.content != state:
             self._state.content = state
-        for button, is_off in ((self._start_button, recorder is not None), (self._stop_button, recorder is None)):
+        is_recording = self._recorder is not None
+        for button, is_off in ((self._start_button, is_recording), (self._stop_button, not is_recording)):
             if not self.page.read_only and button.disabled != is_off:
                 button.disabled = is_off
 
