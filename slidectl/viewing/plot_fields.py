@@ -302,6 +302,8 @@ def of_csv(path: Path, fields: Sequence[str]) -> tuple[float, list[Curve]]:
                         curve.values.append(float(cell))  # type: ignore[union-attr]
     except UnicodeDecodeError:
         raise BadFile("this is no text in UTF-8", str(path)) from None
+    except OverflowError:
+        raise BadFile("the time is too large", str(path), reader.line_num) from None
     except ValueError as error:
         raise BadFile(
             f"this is no number: {str(error).rpartition(':')[2].strip()}", str(path), reader.line_num
