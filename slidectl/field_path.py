@@ -27,14 +27,6 @@ Fields = Callable[[str], Iterable[tuple[str, str, int]]]
 """Name, type and array length (-1 for a single value) of the fields of a type; none for a primitive."""
 
 
-class Selection(NamedTuple):
-    """What a path leads to: values of `type` in `depth` nested lists; `take` gets them out of a message."""
-
-    type: str
-    depth: int
-    take: Callable[[Any], Any]
-
-
 class NoElement(Refused):
     """A message whose array is shorter than the index."""
 
@@ -42,7 +34,10 @@ class NoElement(Refused):
         super().__init__(f"index out of range: {step}, but the message has {length} there")
 
 
-class _Step(NamedTuple):
+class PathStep(NamedTuple):
+    """One component of a path: the field `name` of the type `owner`."""
+
+    owner: str
     name: str
     is_packed: bool
     indices: Sequence[int | slice]
@@ -56,6 +51,18 @@ class _Step(NamedTuple):
             except IndexError:
                 raise NoElement(f"{self.name}[{index}]", len(value)) from None
         return value
+
+
+class Selection(NamedTuple):
+    """What a path leads to: values of `type` in `depth` nested lists."""
+
+    type: str
+    depth: int
+    steps: Sequence[PathStep]
+
+    def take(self, message: Any) -> Any:
+        """Get the values out of a message. Raises NoElement."""
+        return _take(message, self.steps)
 
 
 def byte_values(value: Any) -> list[int]:
@@ -85,9 +92,9 @@ def select(fields_of: Fields, root: str, text: str) -> Selection:
                 kind = here + ("" if array < 0 else f"[{array or ''}]")
                 raise UsageError(f"{name!r} of {owner} is {kind}, which has no element {name}{inside}")
             is_list = isinstance(index, slice)
-        steps.append(_Step(name, array >= 0 and here in _BYTES, indices, is_list))
+        steps.append(PathStep(owner, name, array >= 0 and here in _BYTES, indices, is_list))
         depth += is_list
-    return Selection(here, depth, lambda message: _take(message, steps))
+    return Selection(here, depth, steps)
 
 
 def _index(text: str, part: str) -> int | slice:
@@ -110,7 +117,7 @@ def _field(fields_of: Fields, owner: str, name: str) -> tuple[str, int]:
     return known[name]
 
 
-def _take(value: Any, steps: Sequence[_Step]) -> Any:
+def _take(value: Any, steps: Sequence[PathStep]) -> Any:
     for number, step in enumerate(steps, 1):
         value = step.of(value)
         if step.is_list and number < len(steps):

@@ -22,6 +22,7 @@ import tempfile
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
@@ -73,41 +74,37 @@ def pytest_configure(config: pytest.Config) -> None:
 # --- what is kept -----------------------------------------------------------------------------------------------------
 
 
+@dataclass
 class _KeptRun:
     """The run of one world in one test, with its journal. `connect` makes a client of it, `log` has its last lines."""
 
-    def __init__(
-        self,
-        journal: Path | None,
-        options: DaemonOptions,
-        connect: Callable[[], Client],
-        log: Callable[[], Sequence[str]],
-    ) -> None:
-        self._journal = journal
-        self._connect = connect
-        self._log = log
-        self._modules = _path_for(options)
-        self._said = ""
+    journal: Path | None
+    environment: dict[str, str]
+    """In which a replay finds the modules that the world has imported."""
+    connect: Callable[[], Client]
+    log: Callable[[], Sequence[str]]
+    said: str = ""
+    """What there is to say of the recording; empty before it is made."""
 
     def keep(self) -> str:
         """Make the recording, of what there is by now. Returns what to say of it."""
-        if not self._said:
+        if not self.said:
             try:
-                files = [] if self._journal is None else [*self._record(self._journal), f"journal: {self._journal}"]
+                files = [] if self.journal is None else [*self._record(self.journal), f"journal: {self.journal}"]
             except Exception as error:  # the report of the test must come out
                 files = [f"no recording: {type(error).__name__}: {error}"]
-            self._said = "\n".join([*files, "last lines of the log:", *list(self._log())[-_LOG_LINES:]])
-        return self._said
+            self.said = "\n".join([*files, "last lines of the log:", *list(self.log())[-_LOG_LINES:]])
+        return self.said
 
     def _record(self, journal: Path) -> list[str]:
         from slidectl.recording.recording_files import usual_suffix
 
-        with suppress(SlidectlError), self._connect() as client:  # it may have ended
+        with suppress(SlidectlError), self.connect() as client:  # it may have ended
             client.sleep(0)  # an entry: a replay ends with the last one
         file = journal.with_suffix(usual_suffix())
         words = ["replay", str(journal), "--record", str(file), "--last", str(RECORDED_S), "--json"]
         try:
-            done = _slidectl(words, _REPLAY_S, env=self._modules)
+            done = _slidectl(words, _REPLAY_S, env=self.environment)
         except subprocess.TimeoutExpired:
             file.unlink(missing_ok=True)
             return [f"no recording: the replay takes longer than {_REPLAY_S:g} s; slidectl {shlex.join(words)}"]
@@ -120,8 +117,8 @@ class _KeptRun:
 
     def forget(self) -> None:
         """The journal is not wanted, unless `keep` was called."""
-        if self._journal is not None and not self._said:
-            self._journal.unlink(missing_ok=True)
+        if self.journal is not None and not self.said:
+            self.journal.unlink(missing_ok=True)
 
 
 _RUNS = pytest.StashKey[list[_KeptRun]]()
@@ -260,7 +257,9 @@ def slidectl_world(request: pytest.FixtureRequest) -> Iterator[InProcessWorld]:
         with _told():
             simulation = Simulation(options.timestep, options.gravity, options.ground, options.engine, options.imports)
         world = InProcessWorld(simulation, journal)
-        request.node.stash.setdefault(_RUNS, []).append(_KeptRun(path, options, world.client, lambda: world.log))
+        request.node.stash.setdefault(_RUNS, []).append(
+            _KeptRun(path, _path_for(options), world.client, lambda: world.log)
+        )
         if options.engine != "plain":
             first = request.config.stash.setdefault(_FIRST, world)
             simulation.engine.may_load = first is world or object_file.is_there()
@@ -277,11 +276,8 @@ def slidectl_world(request: pytest.FixtureRequest) -> Iterator[InProcessWorld]:
 @pytest.fixture
 def slidectl_client(slidectl_world: InProcessWorld) -> Iterator[Client]:
     """A client of a new world in this process: spawn, publish, wait, measure. Its waits end with the simulated time."""
-    with (
-        _told(),
-        suppress(NoDaemon),
-        slidectl_world.client(timeout=math.inf) as client,
-    ):  # leaving it raises MessageRefused
+    # Leaving the client raises MessageRefused.
+    with _told(), suppress(NoDaemon), slidectl_world.client(timeout=math.inf) as client:
         yield client
 
 
@@ -360,7 +356,7 @@ def slidectl_daemon(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPa
                 patch.setenv(variable, value)
             daemon = TemporaryDaemon(folder, options)
         request.node.stash.setdefault(_RUNS, []).append(
-            _KeptRun(path, options, daemon.connect, lambda: daemon.log.splitlines())
+            _KeptRun(path, _path_for(options), daemon.connect, lambda: daemon.log.splitlines())
         )
         try:
             yield daemon

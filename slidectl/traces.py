@@ -19,13 +19,21 @@ import numpy as np
 from slidectl import measures, names
 from slidectl.errors import UnknownName, UsageError, listing
 from slidectl.fault_kinds import QUANTITIES
-from slidectl.field_path import Fields, Selection, select
+from slidectl.field_path import select
 from slidectl.measures import Array, Measured, NoMeasure
+from slidectl.msgs.schema import Schema, from_typedefs
 
 if TYPE_CHECKING:
     from slidectl.client import Client
     from slidectl.recording.recording_files import Recording
 
+_TURNING = {"position": "rad", "velocity": "rad/s", "effort": "N·m"}
+JOINT_UNITS = {
+    "prismatic": {"position": "m", "velocity": "m/s", "effort": "N"},
+    "revolute": _TURNING,
+    "continuous": _TURNING,
+}
+"""By the type of the joint."""
 _JOINT_STATE = "sensor_msgs/JointState"
 _SECOND = 10**9
 _LONGEST_QUEUE = 1_000_000
@@ -77,7 +85,20 @@ class JointOrFieldTrace:
         """
         if name not in MEASURES:
             raise UnknownName("measure", name, list(MEASURES))
-        return MEASURES[name].take(self, MeasureOptions(set_point, start, band))
+        _, _, kind, take = MEASURES[name]
+        if kind == "step":
+            if set_point is None and self.set_points is not None and len(self.set_points):
+                set_point = float(self.set_points[-1])
+            more = {"band": band} if name == "settling" else {}
+            return take(self.times, self.values, set_point, start, **more)
+        if kind == "error":
+            wanted = self.set_points if set_point is None else set_point
+            if wanted is None:
+                raise NoMeasure("an error needs what the value was to be: a set point")
+            return take(self.times, self.values, wanted)
+        if kind == "joint" and self.efforts is None:
+            raise NoMeasure(f"{self.name} has no effort: that is measured of a joint")
+        return take(self)
 
     def holds(self, condition: str, wanted: float, tolerance: float = 0.0) -> tuple[bool, Measured]:
         """Whether every value is `near` (within the tolerance), `above` or `below` a number, or `equals` it.
@@ -111,90 +132,50 @@ class JointOrFieldTrace:
         return own.get(unit, unit)
 
 
-class MeasureOptions(NamedTuple):
-    """As `JointOrFieldTrace.measure` has them."""
-
-    set_point: float | None
-    start: float | None
-    band: float
-
-
-_Take = Callable[[JointOrFieldTrace, MeasureOptions], Measured]
-
-
 class Measure(NamedTuple):
-    """What is measured, in few words; in which unit; and how."""
+    """What is measured, in few words, and in which unit."""
 
     help: str
     unit: str
-    take: _Take
-
-
-def _of_step(measure: Callable[..., Measured]) -> _Take:
-    def take(trace: JointOrFieldTrace, options: MeasureOptions) -> Measured:
-        if options.set_point is None and trace.set_points is not None and len(trace.set_points):
-            options = options._replace(set_point=float(trace.set_points[-1]))
-        more = {"band": options.band} if measure is measures.settling_time else {}
-        return measure(trace.times, trace.values, options.set_point, options.start, **more)
-
-    return take
-
-
-def _of_error(measure: Callable[..., Measured]) -> _Take:
-    def take(trace: JointOrFieldTrace, options: MeasureOptions) -> Measured:
-        set_point = trace.set_points if options.set_point is None else options.set_point
-        if set_point is None:
-            raise NoMeasure("an error needs what the value was to be: a set point")
-        return measure(trace.times, trace.values, set_point)
-
-    return take
-
-
-def _of_joint(measure: Callable[[JointOrFieldTrace, Any], Measured]) -> _Take:
-    def take(trace: JointOrFieldTrace, _: MeasureOptions) -> Measured:
-        if trace.efforts is None:
-            raise NoMeasure(f"{trace.name} has no effort: that is measured of a joint")
-        return measure(trace, trace.efforts)
-
-    return take
+    kind: str
+    """Of what: `step`, `error`, `joint`, or `values`."""
+    take: Callable[..., Measured]
+    """Of a step and of an error it takes times, values and more; else the trace."""
 
 
 MEASURES: dict[str, Measure] = {
-    "rise": Measure("Rise time, from 10 % to 90 % of the step", "s", _of_step(measures.rise_time)),
-    "overshoot": Measure("Overshoot, in % of the step", "%", _of_step(measures.overshoot)),
-    "settling": Measure("Time until it stays within 2 % of the step", "s", _of_step(measures.settling_time)),
-    "error": Measure("Steady-state error, of the last tenth", "value", _of_error(measures.steady_state_error)),
-    "rms-error": Measure("Root of the mean square error", "value", _of_error(measures.rms)),
-    "max-error": Measure("Largest error", "value", _of_error(measures.peak)),
-    "iae": Measure("Integral of the absolute error", "value·s", _of_error(measures.integral_of_absolute_error)),
+    "rise": Measure("Rise time, from 10 % to 90 % of the step", "s", "step", measures.rise_time),
+    "overshoot": Measure("Overshoot, in % of the step", "%", "step", measures.overshoot),
+    "settling": Measure("Time until it stays within 2 % of the step", "s", "step", measures.settling_time),
+    "error": Measure("Steady-state error, of the last tenth", "value", "error", measures.steady_state_error),
+    "rms-error": Measure("Root of the mean square error", "value", "error", measures.rms),
+    "max-error": Measure("Largest error", "value", "error", measures.peak),
+    "iae": Measure("Integral of the absolute error", "value·s", "error", measures.integral_of_absolute_error),
     "effort-rms": Measure(
-        "Root of the mean square effort", "effort", _of_joint(lambda trace, efforts: measures.rms(trace.times, efforts))
+        "Root of the mean square effort", "effort", "joint", lambda trace: measures.rms(trace.times, trace.efforts)
     ),
     "effort-peak": Measure(
-        "Largest effort", "effort", _of_joint(lambda trace, efforts: measures.peak(trace.times, efforts))
+        "Largest effort", "effort", "joint", lambda trace: measures.peak(trace.times, trace.efforts)
     ),
     "saturation": Measure(
-        "Time at the effort limit",
-        "s",
-        _of_joint(lambda trace, efforts: measures.saturation_time(trace.times, efforts, trace.max_effort)),
+        "Time at the effort limit", "s", "joint",
+        lambda trace: measures.saturation_time(trace.times, trace.efforts, trace.max_effort),
     ),
     "energy": Measure(
-        "Work that the actuator did",
-        "J",
-        _of_joint(lambda trace, efforts: measures.energy(trace.times, efforts, trace.velocities)),
+        "Work that the actuator did", "J", "joint",
+        lambda trace: measures.energy(trace.times, trace.efforts, trace.velocities),
     ),
     "limit-hits": Measure(
-        "How often it came to a bound",
-        "",
-        lambda trace, _: measures.limit_hits(trace.times, trace.values, trace.lower, trace.upper),
+        "How often it came to a bound", "", "values",
+        lambda trace: measures.limit_hits(trace.times, trace.values, trace.lower, trace.upper),
     ),
     "contact": Measure(
-        "Time in contact, of a force", "s", lambda trace, _: measures.contact_time(trace.times, trace.values)
+        "Time in contact, of a force", "s", "values", lambda trace: measures.contact_time(trace.times, trace.values)
     ),
     "peak-force": Measure(
-        "Largest force, of a force", "value", lambda trace, _: measures.peak(trace.times, trace.values)
+        "Largest force, of a force", "value", "values", lambda trace: measures.peak(trace.times, trace.values)
     ),
-}
+}  # fmt: skip
 
 
 # --- joints -----------------------------------------------------------------------------------------------------------
@@ -214,9 +195,7 @@ def _find_joint(text: str, known: Sequence[str], namespace: str) -> tuple[str, s
 
 def _joint_trace(name: str, quantity: str, rows: Array, about: Mapping[str, Any]) -> JointOrFieldTrace:
     """Of rows of time, position, velocity and effort (n, 4), and what is known of the joint (slidectl/JointInfo)."""
-    length = {"prismatic": "m", "revolute": "rad", "continuous": "rad"}.get(str(about.get("type")), "")
-    effort = {"m": "N", "rad": "N·m"}.get(length, "")
-    units = {"position": length, "velocity": length and f"{length}/s", "effort": effort}
+    units = JOINT_UNITS.get(str(about.get("type")), dict.fromkeys(QUANTITIES, ""))
     columns = dict(zip(QUANTITIES, rows.T[1:], strict=True))
     is_position = quantity == "position"
     bounds = {key: about[key] for key in ("lower", "upper") if is_position and about.get(key) is not None}
@@ -224,7 +203,7 @@ def _joint_trace(name: str, quantity: str, rows: Array, about: Mapping[str, Any]
         bounds["max_effort"] = about["max_effort"]
     return JointOrFieldTrace(
         name if is_position else f"{name}/{quantity}", rows[:, 0], columns[quantity], units[quantity],
-        columns["velocity"], columns["effort"], effort, **bounds
+        columns["velocity"], columns["effort"], units["effort"], **bounds
     )  # fmt: skip
 
 
@@ -249,14 +228,13 @@ def number(value: Any) -> float:
 class _Samples:
     """Messages of one topic as a trace: those of a field, and of the field of the set points if there is one."""
 
-    def __init__(self, name: str, root: str, fields_of: Fields, field: str, set_point: str) -> None:
+    def __init__(self, name: str, schema: Schema, field: str, set_point: str) -> None:
         """Without a `field` the only one of the type counts. Raises UnknownName, UsageError."""
-        inside = [name for name, _, _ in fields_of(root)]
-        path = inside[0] if not field and len(inside) == 1 else field
+        inside = schema.fields(schema.root)
+        path = inside[0].name if not field and len(inside) == 1 else field
         self.name = f"{name}/{field}" if field else name
-        self._paths: list[Selection] = [select(fields_of, root, path)]
-        if set_point:
-            self._paths.append(select(fields_of, root, set_point))
+        paths = [path, set_point] if set_point else [path]
+        self._paths = [select(schema.fields, schema.root, each) for each in paths]
         self.rows: list[list[float]] = []
 
     def take(self, time_ns: int, message: Any) -> None:
@@ -334,11 +312,7 @@ def _of_topic(
     client: Client, found: dict[str, Any], duration: float, set_point: str, timeout: float | None
 ) -> JointOrFieldTrace:
     """`found` is what a name of a topic means (slidectl/Resolve)."""
-    types = {
-        entry["type"]: list(zip(entry["fieldnames"], entry["fieldtypes"], entry["fieldarraylen"], strict=True))
-        for entry in found["typedefs"]
-    }
-    samples = _Samples(found["name"], found["type"], lambda name: types.get(name, ()), found["field"], set_point)
+    samples = _Samples(found["name"], from_typedefs(found["typedefs"]), found["field"], set_point)
 
     def take(published: dict[str, Any]) -> None:
         time = published["time"]
@@ -381,10 +355,12 @@ def recorded(
         rows = [_joint_row(message, joint, time_ns) for time_ns, message in _messages(recording, topic)]
         trace = _joint_trace(full, quantity, np.array(rows, dtype=np.float64).reshape(-1, 1 + len(QUANTITIES)), {})
     else:
-        topic, field = _recorded_topic(recording, target, namespace, list(joints))
-        channel = next(channel for channel in recording.channels if channel.topic == topic)
-        types = recording.codec(channel).types
-        samples = _Samples(topic, channel.type, lambda name: types.get(name, ()), field, set_point)
+        try:
+            topic, field = recording.topic_and_field(target, namespace)
+        except UnknownName as error:
+            error.hint = f"{error.hint}\njoints: {listing(joints)}"
+            raise
+        samples = _Samples(topic, recording.schema(topic), field, set_point)
         for time_ns, message in _messages(recording, topic):
             samples.take(time_ns, message)
         trace = samples.trace()
@@ -408,12 +384,3 @@ def _joint_row(message: Any, joint: str, time_ns: int) -> list[float]:
     place = message["name"].index(joint) if joint in message["name"] else len(message["name"])
     states = (message[quantity] for quantity in QUANTITIES)
     return [time_ns / _SECOND, *(state[place] if place < len(state) else math.nan for state in states)]
-
-
-def _recorded_topic(recording: Recording, target: str, namespace: str, joints: list[str]) -> tuple[str, str]:
-    for name, field in names.cut_from_field(target):
-        with suppress(UnknownName):
-            return names.resolve(name, recording.topics, kind="topic", namespace=namespace), field
-    error = UnknownName("topic", target, recording.topics, f"in {recording.path}")
-    error.hint = f"{error.hint}\njoints: {listing(joints)}"
-    raise error

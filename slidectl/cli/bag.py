@@ -16,7 +16,6 @@ from slidectl.cli import completion, output
 from slidectl.cli.commands import Variadic, finite, group
 from slidectl.cli.context import Context
 from slidectl.errors import Refused, UsageError
-from slidectl.msgs.schema import Schema
 
 if TYPE_CHECKING:
     from slidectl.recording.flat_rows import Rows
@@ -127,9 +126,8 @@ def diff(ctx: Context, run: str, baseline: str, fields: tuple[str, ...], tol: fl
     """
     from slidectl.recording.comparison import compare_file, tolerances_of
 
-    tolerances = tolerances_of(fields, tol)
     found = compare_file(
-        Path(run), Path(baseline), list(tolerances), tolerances or tol, update_baseline,
+        Path(run), Path(baseline), tolerances_of(fields, tol), tol, update_baseline,
         lambda path: open_recording(ctx, path),
     )  # fmt: skip
     if ctx.format != "text":
@@ -221,9 +219,9 @@ def _condition(text: str | None, recording: Recording) -> Callable[[Record], boo
     filters: dict[int, Filter] = {}
     refusal: UsageError | None = None
     for channel in recording.channels:
-        codec = recording.codec(channel)
+        schema = recording.codec(channel).schema
         try:
-            filters[channel.number] = Filter(text, Schema(codec.type, codec.types), ("topic", "t"))
+            filters[channel.number] = Filter(text, schema, ("topic", "t"))
         except UsageError as error:
             refusal = error
     if not filters and refusal is not None:

@@ -23,7 +23,7 @@ from slidectl.errors import MessageRefused, NoDaemon, Refused, SlidectlError, Un
 if TYPE_CHECKING:
     from slidectl.client import Subscription
     from slidectl.recording.codec import Codec
-    from slidectl.recording.split_files import SplitFiles
+    from slidectl.recording.recording_files import SplitFiles
 
 _LOOK_EVERY_S = 0.2
 _FLUSH_EVERY_S = 1.0
@@ -95,7 +95,7 @@ def record(ctx: Context, /, topics: tuple[str, ...], **given: Any) -> None:
     choice.resolve(ctx)
     from slidectl.cli.detached import Background, pid_file
     from slidectl.launch.supervision import Interrupted, Interrupts
-    from slidectl.recording.split_files import SplitFiles
+    from slidectl.recording.recording_files import SplitFiles
 
     background = None
     client = ctx.client  # without a daemon no file is touched

@@ -26,8 +26,9 @@ from slidectl.writing import write_whole
 
 if TYPE_CHECKING:
     from slidectl.scenarios.case_run import CaseResult
+    from slidectl.scenarios.live import Live
     from slidectl.scenarios.scenario_file import Case
-    from slidectl.scenarios.stages import CaseRuns, StageMaker
+    from slidectl.scenarios.stages import CaseRuns, InProcess
     from slidectl.scenarios.step_commands import Commands
 
 TIMEOUT_S = 60.0
@@ -108,9 +109,9 @@ def test(
 
     commands = StepRunner(live)
     if schema:
-        from slidectl.scenarios.scenario_schema import FILE
+        from slidectl.scenarios.scenario_file import schema_text
 
-        output.write(FILE.read_text("utf-8"))
+        output.write(schema_text(commands))
         return
     if not paths:
         raise UsageError("which scenarios?", "slidectl test FILE or FOLDER")
@@ -216,7 +217,7 @@ def _keyword(text: str) -> Callable[[Case], bool]:
 # --- running --------------------------------------------------------------------------------------------------------
 
 
-def _stage(ctx: Context, live: bool) -> StageMaker:
+def _stage(ctx: Context, live: bool) -> InProcess | Live:
     from slidectl.scenarios import live as daemon_stage
     from slidectl.scenarios import stages
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import click
@@ -131,14 +131,10 @@ def tree(ctx: Context) -> None:
     frames = _frames(ctx)
     if ctx.format != "text":
         return _rows(ctx, frames)
-    return output.write("\n".join(line for root in frames.roots for line in _branch(frames, root, "")))
-
-
-def _branch(frames: Frames, name: str, indent: str) -> Iterator[str]:
-    edge = frames.edges.get(name)
-    yield f"{indent}{name}" + ("" if edge is None else " (static)" if edge.is_static else " (moving)")
-    for child in frames.children(name):
-        yield from _branch(frames, child, indent + "  ")
+    lines = []
+    for depth, name, edge in frames.tree():
+        lines.append("  " * depth + name + ("" if edge is None else " (static)" if edge.is_static else " (moving)"))
+    return output.write("\n".join(lines))
 
 
 @tf.command("echo", examples=["slidectl tf echo base_link link2", "slidectl tf echo world link2 -f --rate 5 --json"])

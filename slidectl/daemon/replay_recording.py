@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 from slidectl.daemon.journal import PICTURE
 from slidectl.errors import Refused
 from slidectl.recording import codec
-from slidectl.recording.recording_files import EVERY_CYCLE
-from slidectl.recording.split_files import SplitFiles
+from slidectl.recording.recording_files import EVERY_CYCLE, SplitFiles
 
 if TYPE_CHECKING:
     from slidectl.daemon.journal_replay import Replay

@@ -8,6 +8,7 @@ from functools import cache
 from slidectl import msgs
 from slidectl.errors import SlidectlError
 from slidectl.msgs.definitions import md5_of, parse_message
+from slidectl.msgs.schema import Schema
 from slidectl.msgs.serialization import packer, unpacker
 
 _SECTION = re.compile(r"^=+\s*\nMSG: *(\S+) *\n", re.MULTILINE)
@@ -33,10 +34,11 @@ class Codec:
         """Each type with its text; the first is the type itself."""
         try:
             parsed = {name: parse_message(text, name) for name, text in self.texts.items()}
-            self.types = {name: one.fields for name, one in parsed.items()}
-            self.encode = packer(type_name, self.types.__getitem__)
+            types = {name: one.fields for name, one in parsed.items()}
+            self.schema = Schema(type_name, types)
+            self.encode = packer(type_name, types.__getitem__)
             """The bytes of a complete message."""
-            self.decode = unpacker(type_name, self.types.__getitem__)
+            self.decode = unpacker(type_name, types.__getitem__)
             """The message in the bytes. Raises struct.error, ValueError: they are none."""
             self.md5 = md5 or md5_of(type_name, parsed.__getitem__)
         except KeyError as error:

@@ -10,15 +10,16 @@ import csv
 import io
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from slidectl import names, writing
-from slidectl.errors import BadFile, Refused, UnknownName, UsageError, cut, listing
-from slidectl.field_path import Fields, NoElement, Selection, select
-from slidectl.recording.recording_files import COMPRESSIONS, Record, RecordedTopic, Recording, opened
+from slidectl import writing
+from slidectl.errors import BadFile, Refused, UsageError, cut, listing
+from slidectl.field_path import NoElement, Selection, select
+from slidectl.recording.recording_files import COMPRESSIONS, Record, RecordedTopic, Recording, opened, topic_and_field
 
 LEFT_OUT = ("/rosout",)
 """Topics that are not compared unless a field of them is asked for."""
@@ -68,38 +69,34 @@ def _tolerance(text: str) -> float:
 
 
 def compare(
-    run: Recording,
-    baseline: Recording,
-    fields: Sequence[str] = (),
-    tolerances: float | Mapping[str, float] = 0.0,
+    run: Recording, baseline: Recording, fields: Mapping[str, float], tolerance: float = 0.0
 ) -> list[Difference]:
     """The first difference of each field, the earliest first; none when the run is as the baseline.
 
     Messages belong together that were published on a topic at the same simulated time, in their order.
 
     Args:
-        fields: topics, or `TOPIC/FIELD[I]`, by names as the command line has them; without any all topics of the
-            baseline but LEFT_OUT.
-        tolerances: how far numbers may be off, of all or by field as it stands in `fields`; 0 compares exactly.
+        fields: topics, or `TOPIC/FIELD[I]`, by names as the command line has them, each with how far its numbers may
+            be off; 0 compares exactly.
+        tolerance: without fields, that of all topics of the baseline but LEFT_OUT, which are compared then.
 
     Raises:
         UnknownName, AmbiguousName, UsageError: not in the baseline. NoElement: in no message of it. BadRecording.
     """
-    found: list[Difference] = []
-    for wanted in fields or [topic for topic in baseline.topics if topic not in LEFT_OUT]:
-        allowed = tolerances if isinstance(tolerances, float | int) else tolerances.get(wanted, 0.0)
-        topic, field = _named(wanted, baseline.topics, f"in {baseline.path}")
-        found += itertools.islice(_differences(run, baseline, topic, field, allowed), 1)
-    return sorted(found, key=lambda difference: difference.time)
+    wanted = fields or {topic: tolerance for topic in baseline.topics if topic not in LEFT_OUT}
+    found = (
+        _first_difference(run, baseline, *baseline.topic_and_field(text), allowed) for text, allowed in wanted.items()
+    )
+    return sorted(filter(None, found), key=lambda difference: difference.time)
 
 
 def compare_file(
     run: Path,
     baseline: Path,
-    fields: Sequence[str] = (),
-    tolerances: float | Mapping[str, float] = 0.0,
-    update: bool = False,
-    open_file: Callable[[Path], Recording] = opened,
+    fields: Mapping[str, float],
+    tolerance: float,
+    update: bool,
+    open_file: Callable[[Path], Recording],
 ) -> list[Difference]:
     """`compare` with a file, or with that of the run's name in a folder; `update` puts the run there.
 
@@ -116,14 +113,14 @@ def compare_file(
     if not update and not kept.exists():
         raise BadFile("there is no such baseline", str(kept), hint=_UPDATE)
     if kept.suffix == TABLE:
-        return _compare_table(run, kept, fields, tolerances, update, open_file)
+        return _compare_table(run, kept, fields, tolerance, update, open_file)
     if update:
         with opened(run) as recording:
             _check_complete(recording)
         _put(kept, run.read_bytes())
         return []
     with open_file(run) as one, open_file(kept) as other:
-        return compare(one, other, fields, tolerances)
+        return compare(one, other, fields, tolerance)
 
 
 def _check_complete(run: Recording) -> None:
@@ -135,30 +132,28 @@ def _check_complete(run: Recording) -> None:
 
 
 def _compare_table(
-    run: Path, kept: Path, fields: Sequence[str], tolerances: float | Mapping[str, float], update: bool,
+    run: Path,
+    kept: Path,
+    fields: Mapping[str, float],
+    tolerance: float,
+    update: bool,
     open_file: Callable[[Path], Recording],
-) -> list[Difference]:  # fmt: skip
-    golden = GoldenTable.read(kept) if kept.exists() else GoldenTable()
-    wanted = fields or golden.columns
+) -> list[Difference]:
+    golden = GoldenTable.read(kept) if kept.exists() else GoldenTable({}, {}, "")
+    wanted = fields or dict.fromkeys(golden.columns, tolerance)
     if not wanted:
         raise UsageError("which fields are to be in the baseline?", "--fields joint_states/position")
     with open_file(run) as recording:
         if update:
             _check_complete(recording)
-        types = {channel.topic: (_types_in(recording, channel), channel.type) for channel in recording.channels}
-        of_all = tolerances if isinstance(tolerances, float | int) else 0.0
-        own = {} if isinstance(tolerances, float | int) else tolerances
-        table = GoldenTable({field: own.get(field, of_all) for field in wanted}, types, f"in {run}")
+        topics = {topic: partial(recording.select, topic) for topic in recording.topics}
+        table = GoldenTable(wanted, topics, f"in {run}")
         for one in recording.records(table.topics):
             table.add(one.channel.topic, one.time_ns, recording.message(one))
     if update:
         table.write(kept)
         return []
     return table.differences(golden, str(kept))
-
-
-def _types_in(recording: Recording, channel: RecordedTopic) -> Fields:
-    return lambda name: recording.codec(channel).types.get(name, ())
 
 
 def _put(path: Path, content: bytes) -> None:
@@ -170,14 +165,6 @@ def _put(path: Path, content: bytes) -> None:
         raise Refused(f"cannot write {path}: {error.strerror or error}") from None
 
 
-def _named(text: str, topics: Iterable[str], where: str) -> tuple[str, str]:
-    """Topic and field. Raises UnknownName, AmbiguousName."""
-    for name, field in names.cut_from_field(text):
-        with suppress(UnknownName):
-            return names.resolve(name, topics, kind="topic"), field
-    raise UnknownName("topic", text, sorted(topics), where)
-
-
 # --- tables -----------------------------------------------------------------------------------------------------------
 
 
@@ -186,7 +173,7 @@ class GoldenTable:
 
     Args:
         fields: what is in it, by names as the command line has them, each with its tolerance.
-        topics: those that there are, each with its type and what that and the types in it are made of.
+        topics: those that there are, each with what selects a path in its messages.
         where: for messages, where these topics are.
 
     Raises:
@@ -195,19 +182,17 @@ class GoldenTable:
 
     def __init__(
         self,
-        fields: Mapping[str, float] | None = None,
-        topics: Mapping[str, tuple[Fields, str]] | None = None,
-        where: str = "",
+        fields: Mapping[str, float],
+        topics: Mapping[str, Callable[[str], Selection]],
+        where: str,
     ) -> None:
         self.rows: list[dict[str, str]] = []
         self._tolerances: dict[str, float] = {}
         """Columns, in the order in which they came first."""
         self._selections: dict[str, list[tuple[str, Selection, float]]] = {}
-        for wanted, tolerance in (fields or {}).items():
-            topic, path = _named(wanted, topics or {}, where)
-            fields_of, type_name = (topics or {})[topic]
-            chosen = (path, select(fields_of, type_name, path), tolerance)
-            self._selections.setdefault(topic, []).append(chosen)
+        for wanted, tolerance in fields.items():
+            topic, path = topic_and_field(wanted, topics, where)
+            self._selections.setdefault(topic, []).append((path, topics[topic](path), tolerance))
 
     @property
     def topics(self) -> set[str]:
@@ -266,7 +251,7 @@ class GoldenTable:
     @classmethod
     def read(cls, path: Path) -> GoldenTable:
         """Raises BadFile: it cannot be read, is no such table, or is cut off."""
-        found, line = cls(), 1
+        found, line = cls({}, {}, ""), 1
         try:
             text = path.read_bytes().decode()
             rows = csv.reader(io.StringIO(text, newline=""))
@@ -337,30 +322,30 @@ class _Reader:
 
     def _selection(self, channel: RecordedTopic) -> Selection:
         if channel.number not in self._selections:
-            types = self.recording.codec(channel).types
-            self._selections[channel.number] = select(lambda name: types.get(name, ()), channel.type, self._field)
+            schema = self.recording.codec(channel).schema
+            self._selections[channel.number] = select(schema.fields, schema.root, self._field)
         return self._selections[channel.number]
 
     def value(self, record: Record) -> Any:
         return self._selection(record.channel).take(self.recording.message(record))
 
 
-def _differences(run: Recording, baseline: Recording, topic: str, field: str, tolerance: float) -> Iterator[Difference]:
+def _first_difference(
+    run: Recording, baseline: Recording, topic: str, field: str, tolerance: float
+) -> Difference | None:
     ours, theirs = _Reader(run, topic, field), _Reader(baseline, topic, field)
     theirs.check()
     for one, other in itertools.zip_longest(ours.records(), theirs.records()):
         if one is None or other is None or one.time_ns != other.time_ns:
             is_ours = other is None or (one is not None and one.time_ns < other.time_ns)
-            time = (one if is_ours else other).time_ns / _SECOND
-            yield _unpaired(topic, time, is_ours)
-            return
+            return _unpaired(topic, (one if is_ours else other).time_ns / _SECOND, is_ours)
         if one.channel.md5 != other.channel.md5:
-            yield Difference(topic, "", one.time_ns / _SECOND, one.channel.type, other.channel.type, 0.0)
-            return
+            return Difference(topic, "", one.time_ns / _SECOND, one.channel.type, other.channel.type, 0.0)
         if one.raw != other.raw:
             for path, value, expected in _leaves(field, ours.value(one), theirs.value(other)):
                 if not _is_same(value, expected, tolerance):
-                    yield Difference(topic, path, one.time_ns / _SECOND, value, expected, tolerance)
+                    return Difference(topic, path, one.time_ns / _SECOND, value, expected, tolerance)
+    return None
 
 
 def _leaves(path: str, value: Any, expected: Any) -> Iterator[tuple[str, Any, Any]]:

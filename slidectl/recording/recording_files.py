@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import fcntl
 import io
+import math
 import os
 import struct
 from abc import ABC, abstractmethod
@@ -19,7 +20,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
-from slidectl.errors import BadFile, Refused, SlidectlError, UsageError
+from slidectl import names
+from slidectl.errors import BadFile, Refused, SlidectlError, UnknownName, UsageError
+from slidectl.field_path import Selection, select
+from slidectl.msgs.schema import Schema
 from slidectl.recording.codec import BadDefinition, Codec
 
 COMPRESSIONS = {".bag": ("none", "bz2", "lz4"), ".mcap": ("none", "lz4", "zstd")}
@@ -27,6 +31,9 @@ EVERY_CYCLE = "/clock|/gazebo/(link|model)_states"
 """Topics that come in every cycle, as a regular expression: the frames on /tf say the same."""
 CHUNK = 768 * 1024
 """Bytes of messages in a chunk, as rosbag has it."""
+MEGABYTE = 1_000_000
+_LOOK_AT_SIZE = 64
+"""Messages between two looks at the file's size."""
 _BAG_MAGIC = b"#ROSBAG V2.0\n"
 _MCAP_MAGIC = b"\x89MCAP0\r\n"
 _NO_TIME_NS = 1
@@ -258,6 +265,121 @@ class _McapWriter(RecordingWriter):
             self.file.close()
 
 
+class SplitFiles:
+    """A recording of simulated `length_s` and `size_mb` (10^6 bytes) at most, or with `split` one after the other.
+
+    Each topic is added to a file when its first message comes.
+
+    Args:
+        most_files: of a split, how many of the last files are kept; None: all.
+        repeat_latched: whether latched messages stand again at the beginning of each file of a split.
+        force: write over files that are there.
+
+    Raises:
+        UsageError, Refused: as `create` does; of a split, for each of its files.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        compression: str = "none",
+        length_s: float | None = None,
+        size_mb: float | None = None,
+        split: bool = False,
+        most_files: int | None = None,
+        repeat_latched: bool = False,
+        force: bool = False,
+    ) -> None:
+        self._base = path
+        self._compression = compression
+        self._length_ns = None if length_s is None else round(length_s * 1e9)
+        self._most_bytes = None if size_mb is None else size_mb * MEGABYTE
+        self._split = split
+        self._most_files = most_files or math.inf
+        self._repeat_latched = repeat_latched
+        self._force = force
+        self._latched: dict[str, tuple[Codec, bytes]] = {}
+        self._numbers = 0
+        self.files: list[Path] = []
+        self.counts: Counter[str] = Counter()
+        self.first_ns: int | None = None
+        self.last_ns = 0
+        self.bytes = 0
+        """Of files that are complete."""
+        self.is_full = False
+        self._writer: RecordingWriter | None = None
+        """None after `close`, and after a next file could not be opened."""
+        self._open()
+
+    @property
+    def path(self) -> Path:
+        """The file that is written now."""
+        return self.files[-1]
+
+    def _open(self) -> None:
+        path = self._base
+        if self._split:
+            path = path.with_name(f"{path.stem}_{self._numbers}{path.suffix}")
+            self._numbers += 1
+        self._writer = create(path, self._compression, self._force)
+        self.files.append(path)
+        self._topics: dict[str, Any] = {}
+        self._begin_ns: int | None = None
+        if len(self.files) > self._most_files:
+            gone = self.files.pop(0)
+            self.bytes -= gone.stat().st_size
+            gone.unlink()
+
+    def write(self, topic: str, codec: Codec, latching: bool, time_ns: int, raw: bytes) -> None:
+        """A message; `latching`: it was published before the subscription. Raises OSError, Refused."""
+        if self._ends(time_ns):
+            if not self._split:
+                self.is_full = True
+                return
+            self.close()
+            self._open()
+        if self._begin_ns is None:
+            self._begin_ns = time_ns
+            if self._repeat_latched:
+                for name, (kind, message) in self._latched.items():
+                    self._put(name, kind, True, time_ns, message)
+        if latching or topic in self._latched:
+            self._latched[topic] = codec, raw
+        self._put(topic, codec, latching, time_ns, raw)
+        self.counts[topic] += 1
+        self.first_ns = time_ns if self.first_ns is None else min(self.first_ns, time_ns)
+        self.last_ns = max(self.last_ns, time_ns)
+
+    def _put(self, topic: str, codec: Codec, latching: bool, time_ns: int, raw: bytes) -> None:
+        assert self._writer is not None
+        handle = self._topics.get(topic)
+        if handle is None:
+            handle = self._topics[topic] = self._writer.add(topic, codec, latching)
+        self._writer.write(handle, time_ns, raw)
+
+    def _ends(self, time_ns: int) -> bool:
+        if self._length_ns is not None and self._begin_ns is not None and time_ns - self._begin_ns >= self._length_ns:
+            return True
+        if self._most_bytes is None or self.counts.total() % _LOOK_AT_SIZE:
+            return False
+        return self._writer is not None and self._writer.size >= self._most_bytes
+
+    def flush(self) -> None:
+        """Raises OSError."""
+        if self._writer is not None:
+            self._writer.flush()
+
+    def close(self) -> None:
+        """Complete the file. Harmless when that was done. Raises OSError."""
+        if self._writer is None:
+            return
+        writer, self._writer = self._writer, None
+        try:
+            writer.close()
+        finally:
+            self.bytes += self.path.stat().st_size
+
+
 # --- reading ----------------------------------------------------------------------------------------------------------
 
 
@@ -283,6 +405,19 @@ class Recording(ABC):
     def topics(self) -> list[str]:
         """In the order in which the recording met them."""
         return list(dict.fromkeys(channel.topic for channel in self.channels))
+
+    def topic_and_field(self, text: str, namespace: str = "/") -> tuple[str, str]:
+        """What `TOPIC/FIELD[I]` means in it. Raises UnknownName, AmbiguousName."""
+        return topic_and_field(text, self.topics, f"in {self.path}", namespace)
+
+    def schema(self, topic: str) -> Schema:
+        """What the messages of one of its topics are made of. Raises BadRecording."""
+        return self.codec(next(channel for channel in self.channels if channel.topic == topic)).schema
+
+    def select(self, topic: str, path: str) -> Selection:
+        """What a path selects in the messages of a topic. Raises UnknownName, UsageError, BadRecording."""
+        schema = self.schema(topic)
+        return select(schema.fields, schema.root, path)
 
     def codec(self, channel: RecordedTopic) -> Codec:
         """What reads its messages. Raises BadRecording."""
@@ -310,6 +445,14 @@ class Recording(ABC):
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def topic_and_field(text: str, topics: Iterable[str], where: str, namespace: str = "/") -> tuple[str, str]:
+    """What `TOPIC/FIELD[I]` means among these topics, which are there `where`. Raises UnknownName, AmbiguousName."""
+    for name, field_path in names.cut_from_field(text):
+        with suppress(UnknownName):
+            return names.resolve(name, topics, kind="topic", namespace=namespace), field_path
+    raise UnknownName("topic", text, sorted(topics), where)
 
 
 @contextmanager

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -14,6 +15,7 @@ from urllib.parse import quote
 from slidectl import msgs
 from slidectl.client import Client
 from slidectl.errors import Refused, SlidectlError
+from slidectl.field_path import select
 from slidectl.names import cut_from_field
 from slidectl.recording.comparison import TABLE, GoldenTable
 from slidectl.scenarios.case_run import FAILED, CaseResult
@@ -63,7 +65,8 @@ class HeardRun:
         fields = self._wanted.fields or {
             f"{topic}/{field}": self._wanted.tol for topic in sorted(self._types) for field in _DEFAULT
         }
-        table = GoldenTable(fields, {topic: (msgs.fields, kind) for topic, kind in self._types.items()}, "in this run")
+        topics = {topic: partial(select, msgs.fields, kind) for topic, kind in self._types.items()}
+        table = GoldenTable(fields, topics, "in this run")
         for topic, time_ns, message in self._records:
             if topic in table.topics:
                 table.add(topic, time_ns, message)

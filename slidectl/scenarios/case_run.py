@@ -92,66 +92,46 @@ class Stage:
         raise NotImplementedError
 
 
-def run_case(
-    case: Case,
-    commands: Commands,
-    stage: Stage,
-    sim_timeout: float,
-    temporary: str,
-    steps: Sequence[ScenarioStep],
-    look: Callable[[], None],
-) -> CaseResult:
-    """Run the steps to the end, teardown included, with a `look` after each before it.
+@dataclass
+class CaseRun:
+    """The steps of a case on a stage, to the end, teardown included, with a `look` after each before it."""
 
-    Raises nothing but what is no failure of the case.
-    """
-    began_s = time.monotonic()
-    result = CaseResult(case.id, PASSED)
-    runner = _CaseRunner(steps, commands, stage, case.sim_timeout or sim_timeout, temporary, result, look)
-    try:
-        runner.run()
-    finally:
-        result.wall_time = time.monotonic() - began_s
-    if case.xfail and result.verdict in (PASSED, FAILED):
-        result.verdict = XPASSED if result.verdict == PASSED else XFAILED
-        if result.verdict == XPASSED:
-            result.message = f"it passed, and was known to fail: {case.xfail}"
-            result.hint = "take xfail out of the file"
-    return result
+    case: Case
+    commands: Commands
+    stage: Stage
+    sim_timeout: float
+    temporary: str
+    steps: Sequence[ScenarioStep]
+    look: Callable[[], None]
 
-
-def _late(outcome: StepOutcome, limit: str) -> StepOutcome:
-    return outcome._replace(message=f"not done within {limit} of simulated time: {outcome.message}")
-
-
-class _CaseRunner:
-    def __init__(
-        self,
-        steps: Sequence[ScenarioStep],
-        commands: Commands,
-        stage: Stage,
-        sim_timeout: float,
-        temporary: str,
-        result: CaseResult,
-        look: Callable[[], None],
-    ) -> None:
-        self._look = look
-        self._steps = steps
-        self._commands = commands
-        self._stage = stage
-        self._sim_timeout = sim_timeout
-        self._temporary = temporary
-        self._result = result
+    def __post_init__(self) -> None:
+        self.sim_timeout = self.case.sim_timeout or self.sim_timeout
+        self._result = CaseResult(self.case.id, PASSED)
         self._background: list[tuple[ScenarioStep, Any, list[StepOutcome]]] = []
         self._step: ScenarioStep | None = None
 
-    def run(self) -> None:
+    def run(self) -> CaseResult:
+        """Raises nothing but what is no failure of the case."""
+        began_s = time.monotonic()
         result = self._result
         try:
-            for step in self._steps:
+            self._run_steps()
+        finally:
+            result.wall_time = time.monotonic() - began_s
+        if self.case.xfail and result.verdict in (PASSED, FAILED):
+            result.verdict = XPASSED if result.verdict == PASSED else XFAILED
+            if result.verdict == XPASSED:
+                result.message = f"it passed, and was known to fail: {self.case.xfail}"
+                result.hint = "take xfail out of the file"
+        return result
+
+    def _run_steps(self) -> None:
+        result = self._result
+        try:
+            for step in self.steps:
                 if step.section != "teardown":
-                    self._do(step, self._sim_timeout - self._stage.now_s())
-                    self._look()
+                    self._do(step, self.sim_timeout - self.stage.now_s())
+                    self.look()
             self._end_background()
         except _Failed as failure:
             self._note(failure, FAILED if failure.step.section == "steps" else ERROR)
@@ -161,14 +141,14 @@ class _CaseRunner:
         except SlidectlError as error:
             self._fail(ERROR, error.message, error.hint)
         with suppress(SlidectlError, WallTimeUp):
-            result.sim_time = self._stage.now_s()
+            result.sim_time = self.stage.now_s()
         self._tear_down()
 
     def _tear_down(self) -> None:
         """Every step of it, whatever happens. The first failure counts where all went well before."""
         with suppress(_Failed, WallTimeUp, SlidectlError):
             self._end_background()
-        for step in self._steps:
+        for step in self.steps:
             if step.section == "teardown":
                 try:
                     self._do(step, TEARDOWN_S)
@@ -188,8 +168,8 @@ class _CaseRunner:
         if self._step is not None:
             result.step, result.section, result.line = self._step.text, self._step.section, self._step.line
         with suppress(SlidectlError, WallTimeUp):
-            result.failed_at = self._stage.now_s()
-        result.log = self._stage.log()
+            result.failed_at = self.stage.now_s()
+        result.log = self.stage.log()
 
     def _note(self, failure: _Failed, verdict: str) -> None:
         self._step = failure.step
@@ -203,7 +183,7 @@ class _CaseRunner:
     def _do(self, step: ScenarioStep, most_s: float) -> None:
         """Raises _Failed."""
         self._step = step
-        stage = self._stage
+        stage = self.stage
         try:
             began_s = stage.now_s()
             if step.at is not None:
@@ -223,7 +203,7 @@ class _CaseRunner:
             is_late = bool(outcome.exit_code) and took_s >= limit_s - _EARLY_S
             if is_late and limit_s != step.within:
                 is_teardown = step.section == "teardown"
-                whole = f"{TEARDOWN_S:g} s of the teardown" if is_teardown else f"{self._sim_timeout:g} s of the case"
+                whole = f"{TEARDOWN_S:g} s of the teardown" if is_teardown else f"{self.sim_timeout:g} s of the case"
                 raise self._failed(step, _late(outcome, f"the {whole}"))
             self._judge(step, outcome, f"{step.within:g} s" if is_late else "")
             if step.within is not None and not step.fails and took_s > step.within + _EARLY_S:
@@ -235,16 +215,16 @@ class _CaseRunner:
         """None: it goes on in the background."""
         if not step.words:
             return StepOutcome(0)
-        words = [word.replace(TEMPORARY, self._temporary) for word in step.words]
-        stays = self._commands.stays(words)
+        words = [word.replace(TEMPORARY, self.temporary) for word in step.words]
+        stays = self.commands.stays(words)
         if not step.background and not stays:
-            return self._commands.run(words, self._stage.client)
+            return self.commands.run(words, self.stage.client)
         outcomes: list[StepOutcome] = []
         is_up = threading.Event()
-        handle = self._stage.begin(lambda client: outcomes.append(self._commands.run(words, client, is_up.set)))
+        handle = self.stage.begin(lambda client: outcomes.append(self.commands.run(words, client, is_up.set)))
         self._background.append((step, handle, outcomes))
         while stays and not step.background and not is_up.is_set() and not outcomes:
-            next(self._stage.client.events(_LOOK_EVERY_S), None)
+            next(self.stage.client.events(_LOOK_EVERY_S), None)
         return outcomes[0] if outcomes else None
 
     def _end_background(self) -> None:
@@ -267,12 +247,12 @@ class _CaseRunner:
             raise self._failed(step, StepOutcome(1, text, outcome.hint))
 
     def _failed(self, step: ScenarioStep, outcome: StepOutcome) -> _Failed:
-        return _Failed(step, outcome, self._stage.now_s())
+        return _Failed(step, outcome, self.stage.now_s())
 
     def _wait_for(self, at_s: float) -> None:
         """Raises Refused: the time has passed."""
-        client = self._stage.client
-        left_s = at_s - self._stage.now_s()
+        client = self.stage.client
+        left_s = at_s - self.stage.now_s()
         if left_s < -_EARLY_S:
             raise Refused(f"it is {at_s - left_s:.9g} s already, and the step is at {at_s:g} s")
         if left_s > _EARLY_S:
@@ -280,3 +260,7 @@ class _CaseRunner:
                 client.step(seconds=left_s)
             else:
                 client.call("/slidectl/sleep", {"duration": left_s}, timeout=math.inf)
+
+
+def _late(outcome: StepOutcome, limit: str) -> StepOutcome:
+    return outcome._replace(message=f"not done within {limit} of simulated time: {outcome.message}")

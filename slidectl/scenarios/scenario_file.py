@@ -5,12 +5,14 @@ The tables of keys here are what the check, the JSON schema and the documentatio
 
 from __future__ import annotations
 
-import math
+import json
 import os
 import re
 import shlex
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -22,7 +24,15 @@ from slidectl.description import yaml_tree
 from slidectl.description.models import read_file
 from slidectl.errors import BadFile, SlidectlError, UsageError, closest
 from slidectl.recording.comparison import tolerances_of
-from slidectl.scenarios.step_commands import CheckedWords, Commands, as_word, split, words_of
+from slidectl.scenarios.step_commands import (
+    CheckedWords,
+    Commands,
+    StepCommand,
+    StepOption,
+    as_word,
+    split,
+    words_of,
+)
 
 SUFFIXES = (".yaml", ".yml")
 SECTIONS = ("setup", "steps", "teardown")
@@ -333,7 +343,7 @@ class _Reader:
             own = {}
             if not commands:
                 return None
-        if len(commands) != 1 and (commands or "at" not in own):
+        if len(commands) != 1 and (commands or own.get("at") is None):
             what = f"is {' and '.join(map(repr, commands))}" if commands else "has no command"
             raise UsageError(f"this step {what}; a step is one command", self._steps_and_fields())
         line = self._lines.get(path, 1)
@@ -498,7 +508,8 @@ def _check_named(files: tuple[str, ...], names: tuple[str, ...]) -> None:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return is_number and abs(value) <= sys.float_info.max  # an int may be larger than any float
 
 
 def _all(value: Any, fits: Callable[[Any], bool]) -> bool:
@@ -561,3 +572,92 @@ def _not(kind: str, value: Any) -> str:
     """What was expected of a value that is not of the kind; empty when it is."""
     expected, fits, _ = KINDS[kind]
     return "" if fits(value) else expected
+
+
+# --- the JSON schema --------------------------------------------------------------------------------------------------
+
+_VALUE = {"type": ["string", "number", "boolean"]}
+_TYPES: dict[str, dict[str, Any]] = {
+    "flag": {"type": "boolean"},
+    "integer": {"type": ["integer", "string"]},
+    "number": {"type": ["number", "string"]},
+    "text": _VALUE,
+}
+
+
+def schema_text(commands: Commands) -> str:
+    """The JSON schema of scenario files, as text: editors complete and check with it."""
+    return json.dumps(schema(commands), indent=1, ensure_ascii=False) + "\n"
+
+
+def schema(commands: Commands) -> dict[str, Any]:
+    """A JSON schema (draft 2020-12)."""
+    table = _object(SCENARIO_KEYS, required=["steps"])
+    rows = table["properties"]["cases"]["items"]
+    rows["properties"] = _properties(CASE_KEYS)
+    tops = {command.split()[0] for command in commands.known}
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "A scenario of slidectl test",
+        **table,
+        "$defs": {
+            "world": _object(WORLD_KEYS),
+            "baseline": _object(BASELINE_KEYS),
+            "step": {
+                "anyOf": [
+                    {"type": "string", "description": "A whole command line."},
+                    {
+                        "type": "object",
+                        "properties": {
+                            **_properties(STEP_KEYS),
+                            **{
+                                top: _VALUE | {"type": [*_VALUE["type"], "null", "array", "object"]}
+                                for top in sorted(tops)
+                            },
+                            **{name: _command(command) for name, command in commands.known.items()},
+                        },
+                        "additionalProperties": False,
+                        "minProperties": 1,
+                    },
+                ]
+            },
+        },
+    }
+
+
+def _object(keys: Mapping[str, Key], **more: Any) -> dict[str, Any]:
+    return {"type": "object", "properties": _properties(keys), "additionalProperties": False, **more}
+
+
+def _properties(keys: Mapping[str, Key]) -> dict[str, Any]:
+    found = {}
+    for name, key in keys.items():
+        shape = deepcopy(KINDS[key.kind][2])
+        if keys is STEP_KEYS and shape.get("type") in ("number", "boolean"):  # a variable may stand for it
+            shape["type"] = [shape["type"], "string"]
+        found[name] = {"description": key.help, **shape}
+    return found
+
+
+def _command(command: StepCommand) -> dict[str, Any]:
+    inside: dict[str, Any] = {}
+    for argument in command.arguments:
+        inside[argument.name] = {"type": ["string", "number", "boolean", "array", "object", "null"]}
+    for option in command.options:
+        inside[option.name] = {"description": option.help, **_option(option)}
+    required = [argument.name for argument in command.arguments if argument.required]
+    return {
+        "description": command.help,
+        "anyOf": [
+            {"type": ["string", "number", "boolean", "null", "array"]},
+            {
+                "type": "object", "properties": inside, "additionalProperties": False,
+                **({"required": required} if required else {}),
+            },
+        ],
+    }  # fmt: skip
+
+
+def _option(option: StepOption) -> dict[str, Any]:
+    one = {"enum": list(option.choices)} if option.choices else dict(_TYPES[option.kind])
+    return {"anyOf": [one, {"type": "array", "items": one}]} if option.takes_several else one

@@ -8,19 +8,21 @@ import os
 import re
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, redirect_stderr, redirect_stdout
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from slidectl.client import Client
 from slidectl.errors import SlidectlError
-from slidectl.scenarios.case_run import BAD, ERROR, PASSED, CaseResult, Stage, WallTimeUp, run_case
+from slidectl.scenarios.baselines import Baselines, HeardRun
+from slidectl.scenarios.case_run import BAD, ERROR, PASSED, CaseResult, CaseRun, Stage, WallTimeUp
 from slidectl.scenarios.scenario_file import Case, ScenarioStep
 from slidectl.scenarios.step_commands import Commands
 
 if TYPE_CHECKING:
-    from slidectl.scenarios.baselines import Baselines
+    from slidectl.scenarios.live import Live
 
 LOG_LINES = 20
 _WARM = (
@@ -31,47 +33,27 @@ _WARM = (
 )
 
 
-class StageMaker(Protocol):
-    """Makes a stage for each case."""
-
-    has_journals: ClassVar[bool]
-    """Whether a case can leave a journal, of which its recording is made."""
-
-    def warm(self, cases: Sequence[Case], commands: Commands) -> None:
-        """Load what all cases need, before processes for them are made."""
-
-    def of(self, case: Case, journal: str = "") -> AbstractContextManager[Stage]:
-        """The stage of a case, with a journal there if its world is new. Raises SlidectlError: it cannot begin."""
-
-
+@dataclass
 class CaseRuns:
     """Runs cases with these commands, for workers. `keep` is a folder that is there, for recordings of failures."""
 
-    def __init__(
-        self,
-        commands: Commands,
-        stages: StageMaker,
-        sim_timeout: float,
-        keep: str | None,
-        baselines: Baselines | None = None,
-    ) -> None:
-        self._baselines = baselines
-        self._commands = commands
-        self._stages = stages
-        self._sim_timeout = sim_timeout
-        self._keep = keep
+    commands: Commands
+    stages: InProcess | Live
+    sim_timeout: float
+    keep: str | None
+    baselines: Baselines | None
 
     def run(self, case: Case, temporary: str) -> CaseResult:
         """In a process of its own: what commands print goes into a file in the case's folder."""
         _print_into(os.path.join(temporary, "output"))
         result = self._try(case, temporary)
-        if self._keep is not None and result.was_ended:
+        if self.keep is not None and result.was_ended:
             result.hint = "not recorded: for that it would run once more"
-        elif self._keep is not None and result.verdict in BAD:
+        elif self.keep is not None and result.verdict in BAD:
             try:
                 self._run_recorded(case, temporary)  # the same once more: who passes pays nothing
             except OSError as error:
-                result.message += f"\nnot recorded: {error.filename or self._keep}: {error.strerror or error}"
+                result.message += f"\nnot recorded: {error.filename or self.keep}: {error.strerror or error}"
             except (SlidectlError, WallTimeUp) as error:
                 result.message += f"\nnot recorded: {error}"
             result.kept = [str(file) for file in self._files(case) if file.exists()]
@@ -80,28 +62,26 @@ class CaseRuns:
     def _try(self, case: Case, temporary: str, journal: str = "", first: Sequence[ScenarioStep] = ()) -> CaseResult:
         folder = tempfile.mkdtemp(dir=temporary)  # empty, whatever an earlier try has left
         try:
-            with self._stages.of(case, journal) as stage:
+            with self.stages.of(case, journal) as stage:
                 return self._run(case, stage, folder, (*first, *case.steps))
         except SlidectlError as error:
             return CaseResult(case.id, ERROR, message=error.message, hint=error.hint or "")
 
     def _run(self, case: Case, stage: Stage, folder: str, steps: Sequence[ScenarioStep]) -> CaseResult:
-        if self._baselines is None:
-            return run_case(case, self._commands, stage, self._sim_timeout, folder, steps, lambda: None)
-        from slidectl.scenarios.baselines import HeardRun
-
+        if self.baselines is None:
+            return CaseRun(case, self.commands, stage, self.sim_timeout, folder, steps, lambda: None).run()
         heard = HeardRun(stage.client, case.baseline)
-        result = run_case(case, self._commands, stage, self._sim_timeout, folder, steps, heard.look)
+        result = CaseRun(case, self.commands, stage, self.sim_timeout, folder, steps, heard.look).run()
         if result.verdict == PASSED:
-            self._baselines.judge(case, heard.table(), result)
+            self.baselines.judge(case, heard.table(), result)
         return result
 
     def _stem(self, case: Case) -> str:
-        assert self._keep is not None
+        assert self.keep is not None
         name = re.sub(r"[^\w.=-]+", "_", case.id.removesuffix(".yaml"), flags=re.ASCII)[-_LONGEST_NAME:].lstrip(".")
         if f"{name}.yaml" != case.id:  # another case may come to the same
             name += f"-{hashlib.sha256(case.id.encode()).hexdigest()[:8]}"
-        return os.path.join(self._keep, name)
+        return os.path.join(self.keep, name)
 
     def _files(self, case: Case) -> list[Path]:
         return [Path(f"{self._stem(case)}{suffix}") for suffix in _KEPT]
@@ -119,7 +99,7 @@ class CaseRuns:
         for old in self._files(case):
             old.unlink(missing_ok=True)
         journal, file = f"{self._stem(case)}.journal", f"{self._stem(case)}{usual_suffix()}"
-        if self._stages.has_journals:
+        if self.stages.has_journals:
             self._try(case, temporary, journal)
             with ReplayRecording(Path(file)) as recording:
                 replay = Replay(read(journal))
@@ -151,6 +131,7 @@ class InProcess:
     """A new world for each case."""
 
     has_journals: ClassVar[bool] = True
+    """Whether a case can leave a journal, of which its recording is made."""
 
     def warm(self, cases: Sequence[Case], commands: Commands) -> None:
         """Do once what most cases do: that imports and reads what they need, and loads the engine.
@@ -169,6 +150,7 @@ class InProcess:
 
     @contextmanager
     def of(self, case: Case, journal: str = "") -> Iterator[Stage]:
+        """The stage of a case, with a journal there. Raises SlidectlError: it cannot begin."""
         from slidectl.control import user_classes
         from slidectl.daemon.journal import Journal
         from slidectl.daemon.options import DaemonOptions

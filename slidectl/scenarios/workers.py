@@ -19,7 +19,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from typing import NamedTuple
+from dataclasses import dataclass, field
 
 from slidectl.scenarios.case_run import ERROR, CaseResult, WallTimeUp
 from slidectl.scenarios.scenario_file import Case
@@ -33,13 +33,21 @@ RunCase = Callable[[Case, str], CaseResult]
 """Runs a case with the folder that is its own."""
 
 
-class _Worker(NamedTuple):
+@dataclass
+class _Worker:
     case: Case
     pid: int
     pipe: int
-    said: bytearray
-    began_s: float
     folder: str
+    limit_s: float
+    began_s: float = field(default_factory=time.monotonic)
+    said: bytearray = field(default_factory=bytearray)
+    told: str = ""
+    """Why it was told to end; empty where it was not."""
+
+    def __post_init__(self) -> None:
+        self.deadline_s = self.began_s + self.limit_s
+        """When it is told to end, and then killed."""
 
 
 class WorkerPool:
@@ -52,8 +60,6 @@ class WorkerPool:
         self._count = count
         self._timeout = timeout
         self._running: dict[int, _Worker] = {}
-        self._deadlines: dict[int, float] = {}
-        self._told: dict[int, str] = {}
         self._selector = selectors.DefaultSelector()
 
     def __enter__(self) -> WorkerPool:
@@ -62,10 +68,7 @@ class WorkerPool:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for pipe in list(self._running):
-            self._tell(pipe, "interrupted")
-        while self._running:
-            self._take()
+        self.ended()
         self._selector.close()
         gc.unfreeze()
 
@@ -80,8 +83,8 @@ class WorkerPool:
     def ended(self) -> list[CaseResult]:
         """End those that run, with their teardown, and say what became of them."""
         found: list[CaseResult] = []
-        for pipe in list(self._running):
-            self._tell(pipe, "interrupted")
+        for worker in self._running.values():
+            _tell(worker, "interrupted")
         while self._running:
             found += self._take()
         return found
@@ -93,20 +96,18 @@ class WorkerPool:
         sys.stdout.flush()
         sys.stderr.flush()
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore", DeprecationWarning
-            )  # of threads: those of numpy's algebra have nothing to do
+            # Of threads: those of numpy's algebra have nothing to do.
+            warnings.simplefilter("ignore", DeprecationWarning)
             pid = os.fork()
         if pid == 0:
             _work(self._run, case, folder, writing, parent)
         os.close(writing)
-        self._running[reading] = _Worker(case, pid, reading, bytearray(), time.monotonic(), folder)
-        self._deadlines[reading] = time.monotonic() + (case.timeout or self._timeout)
+        self._running[reading] = _Worker(case, pid, reading, folder, case.timeout or self._timeout)
         self._selector.register(reading, selectors.EVENT_READ)
 
     def _take(self) -> list[CaseResult]:
         """Wait for something. Returns the results that it brought."""
-        wait_s = min([_LONGEST_WAIT_S, *(until - time.monotonic() for until in self._deadlines.values())])
+        wait_s = min([_LONGEST_WAIT_S, *(worker.deadline_s - time.monotonic() for worker in self._running.values())])
         results = []
         for key, _ in self._selector.select(max(0.0, wait_s)):
             worker = self._running[key.fd]
@@ -115,27 +116,19 @@ class WorkerPool:
             if not piece:
                 results.append(self._reap(worker))
         now_s = time.monotonic()
-        for pipe in [pipe for pipe, until in self._deadlines.items() if now_s >= until]:
-            if pipe in self._told:
+        for worker in self._running.values():
+            if now_s >= worker.deadline_s and worker.told:
                 with suppress(ProcessLookupError):
-                    os.kill(self._running[pipe].pid, signal.SIGKILL)
-            else:
-                limit_s = self._running[pipe].case.timeout or self._timeout
-                self._tell(pipe, f"not done within {limit_s:g} s of wall time")
+                    os.kill(worker.pid, signal.SIGKILL)
+            elif now_s >= worker.deadline_s:
+                _tell(worker, f"not done within {worker.limit_s:g} s of wall time")
         return results
-
-    def _tell(self, pipe: int, why: str) -> None:
-        """Tell a worker to end."""
-        self._told.setdefault(pipe, why)
-        self._deadlines[pipe] = time.monotonic() + _GRACE_S
-        with suppress(ProcessLookupError):
-            os.kill(self._running[pipe].pid, signal.SIGTERM)
 
     def _reap(self, worker: _Worker) -> CaseResult:
         self._selector.unregister(worker.pipe)
         os.close(worker.pipe)
-        del self._running[worker.pipe], self._deadlines[worker.pipe]
-        was_told, why = worker.pipe in self._told, self._told.pop(worker.pipe, "")
+        del self._running[worker.pipe]
+        why = worker.told
         status = os.waitpid(worker.pid, 0)[1]
         shutil.rmtree(worker.folder, ignore_errors=True)
         with suppress(ValueError, TypeError):
@@ -147,7 +140,15 @@ class WorkerPool:
             why = why or f"its process was ended by {signal.Signals(os.WTERMSIG(status)).name}"
         why = why or f"its process ended with exit code {os.waitstatus_to_exitcode(status)} and no result"
         wall_s = time.monotonic() - worker.began_s
-        return CaseResult(worker.case.id, ERROR, message=why, wall_time=wall_s, was_ended=was_told)
+        return CaseResult(worker.case.id, ERROR, message=why, wall_time=wall_s, was_ended=bool(worker.told))
+
+
+def _tell(worker: _Worker, why: str) -> None:
+    """Tell a worker to end."""
+    worker.told = worker.told or why
+    worker.deadline_s = time.monotonic() + _GRACE_S
+    with suppress(ProcessLookupError):
+        os.kill(worker.pid, signal.SIGTERM)
 
 
 def _work(run: RunCase, case: Case, folder: str, writing: int, parent: int) -> None:

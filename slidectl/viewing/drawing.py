@@ -3,23 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from slidectl.client import Client
 from slidectl.errors import Refused
-from slidectl.viewing.drawn_scene import DrawnScene
+from slidectl.viewing.drawn_scene import DrawnScene, ViewpointChoice
 from slidectl.viewing.picture_files import Pixels
 from slidectl.viewing.rasteriser import Rasteriser
-from slidectl.viewing.viewpoints import Viewpoint, ViewpointChoice
 
-
-class Drawer(Protocol):
-    """`GlRenderer`, or `Rasteriser`."""
-
-    name: str
-
-    def draw(self, scene: DrawnScene, view: Viewpoint) -> Pixels:
-        """Raises Refused."""
+if TYPE_CHECKING:
+    from slidectl.viewing.gl_renderer import GlRenderer
 
 
 class WorldView:
@@ -34,7 +27,7 @@ class WorldView:
         self._tell = tell
         self.scene = self._new_scene()
         self._choice = ViewpointChoice(self.scene, camera, size)
-        self.drawer: Drawer = Rasteriser(size)
+        self.drawer: GlRenderer | Rasteriser = Rasteriser(size)
         if not software:
             try:
                 from slidectl import physics  # noqa: F401 - MuJoCo, which may not be usable

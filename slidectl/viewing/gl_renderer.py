@@ -7,13 +7,12 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from slidectl.errors import Refused
 from slidectl.physics import rendering
 from slidectl.viewing import drawn_scene
-from slidectl.viewing.drawn_scene import DrawnScene
-from slidectl.viewing.viewpoints import Viewpoint
+from slidectl.viewing.drawn_scene import DrawnScene, Viewpoint
+from slidectl.viewing.picture_files import Pixels
 
 _MOST_SHAPES = 10_000
 
@@ -36,7 +35,7 @@ class GlRenderer:
             raise Refused(f"OpenGL ({backend}) cannot be used: {error}", rendering.INSTALL) from None
         self._scene: DrawnScene | None = None
 
-    def draw(self, scene: DrawnScene, view: Viewpoint) -> NDArray[np.uint8]:
+    def draw(self, scene: DrawnScene, view: Viewpoint) -> Pixels:
         """Red, green and blue of each pixel, shape (height, width, 3). Raises Refused."""
         if self._scene is not scene:
             self._take(scene, view)

@@ -32,7 +32,7 @@ def write_png(path: Path, pixels: Pixels) -> None:
     try:
         writing.write_whole(path, b"\x89PNG\r\n\x1a\n" + b"".join(chunks))
     except OSError as error:
-        raise Refused(f"cannot write {path}: {error.strerror}") from None
+        raise Refused(f"cannot write {path}: {error.strerror or error}") from None
 
 
 def check_video(path: Path, size: tuple[int, int], rate: Fraction) -> None:

@@ -12,16 +12,15 @@ from array import array
 from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slidectl import names
 from slidectl.errors import AmbiguousName, BadFile, Refused, UnknownName, UsageError, listing
 from slidectl.fault_kinds import QUANTITIES
-from slidectl.field_path import Fields, NoElement, Selection, select
-from slidectl.msgs.schema import PRIMITIVES, TIMES
-from slidectl.traces import number
+from slidectl.field_path import NoElement, Selection, select
+from slidectl.msgs.schema import PRIMITIVES, TIMES, Schema, from_typedefs
+from slidectl.traces import JOINT_UNITS, number
 from slidectl.viewing.plots import Curve
 
 if TYPE_CHECKING:
@@ -46,13 +45,8 @@ _UNITS = {
     "control_msgs/JointControllerState": {"time_step": "s"},
 }
 """Type -> field -> unit of it and of what is inside, where the definition of the message says so."""
-_JOINT_UNITS = {
-    "prismatic": {"position": "m", "velocity": "m/s", "effort": "N"},
-    "revolute": {"position": "rad", "velocity": "rad/s", "effort": "N·m"},
-    "continuous": {"position": "rad", "velocity": "rad/s", "effort": "N·m"},
-    "": {"position": "rad or m", "velocity": "rad/s or m/s", "effort": "N·m or N"},
-}
-"""By the type of the joint; empty where it is not known."""
+_UNITS_OF_ANY_JOINT = {"position": "rad or m", "velocity": "rad/s or m/s", "effort": "N·m or N"}
+"""Where its type is not known."""
 _RATES = {"position": "velocity", "velocity": "acceleration"}
 
 
@@ -71,26 +65,27 @@ def braces_expanded(text: str) -> list[str]:
     ]
 
 
-def _numbers_in(fields_of: Fields, root: str, path: str) -> list[str]:
+def _numbers_in(schema: Schema, path: str) -> list[str]:
     """The paths of the numbers that a path leads to: itself, or those inside of the message that is there.
 
     Raises:
         UnknownName, UsageError: there is no such field, or none that is a number.
     """
-    selection = select(fields_of, root, path)
+    root = schema.root
+    selection = select(schema.fields, root, path)
     if selection.type in PRIMITIVES - {"string"} and selection.depth <= 1:
         return [path]
     found: list[str] = []
-    for name, kind, _ in () if selection.type in PRIMITIVES else fields_of(selection.type):
+    for name, kind, _ in schema.fields(selection.type):
         if kind not in ("std_msgs/Header", "string"):
             with suppress(UsageError):  # a message inside that has no numbers
-                found += _numbers_in(fields_of, root, f"{path}/{name}".lstrip("/"))
+                found += _numbers_in(schema, f"{path}/{name}".lstrip("/"))
     if found:
         return found
     what = f"{path} of {root}" if path else root
     if selection.depth > 1:
         raise UsageError(f"{what} is a list of lists", "choose an element: NAME[0]/FIELD")
-    known = [name for name, kind, _ in fields_of(root) if kind != "string"]
+    known = [name for name, kind, _ in schema.fields(root) if kind != "string"]
     raise UsageError(f"{what} is {selection.type}, which is no number", f"other fields of {root}: {listing(known)}")
 
 
@@ -109,17 +104,14 @@ class Units:
 
     def of_joint(self, joint: str, quantity: str) -> str:
         """`joint` in full."""
-        kind = self._joints.get(joint, "")
-        return _JOINT_UNITS.get(kind, _JOINT_UNITS[""]).get(quantity, "")
+        return JOINT_UNITS.get(self._joints.get(joint, ""), _UNITS_OF_ANY_JOINT).get(quantity, "")
 
-    def of(self, fields_of: Fields, topic: str, root: str, path: str) -> str:
-        """Of what the path leads to in messages of the type `root`; empty where it is not known."""
-        unit, here = "", root
-        for name in re.findall(r"(?:^|[/.])([A-Za-z_]\w*)", path):
-            unit = _UNITS.get(here, {}).get(name, unit)
-            field = next((field for field in fields_of(here) if field[0] == name), None)
-            here = field[1] if field else ""
-        return unit or ("s" if here in TIMES else "") or self._of_controller(topic, root, path)
+    def of(self, topic: str, root: str, path: str, selection: Selection) -> str:
+        """Of what the path selects in messages of the type `root`; empty where it is not known."""
+        unit = ""
+        for step in selection.steps:
+            unit = _UNITS.get(step.owner, {}).get(step.name, unit)
+        return unit or ("s" if selection.type in TIMES else "") or self._of_controller(topic, root, path)
 
     def _of_controller(self, topic: str, root: str, path: str) -> str:
         """Of the set point and the state of a controller of one joint, whose type says what it takes and gives."""
@@ -146,11 +138,10 @@ class Units:
 class TopicCurves:
     """Messages of one topic as curves, which are there from the first message on: it may say how many there are."""
 
-    def __init__(self, topic: str, root: str, fields_of: Fields, units: Units) -> None:
+    def __init__(self, topic: str, schema: Schema, units: Units) -> None:
         self.topic = topic
         self.curves: list[Curve] = []
-        self._root = root
-        self._fields_of = fields_of
+        self._schema = schema
         self._units = units
         self._fields: dict[str, tuple[Selection, Selection | str, dict[int, Curve]]] = {}
         """Path -> what it selects; the names of the joints of these numbers, or else their unit; curve a number."""
@@ -159,13 +150,15 @@ class TopicCurves:
 
     def add(self, field: str) -> None:
         """Draw a field too; the whole message when it is empty. Raises UnknownName, UsageError."""
-        for path in _numbers_in(self._fields_of, self._root, field):
+        fields_of, root = self._schema.fields, self._schema.root
+        for path in _numbers_in(self._schema, field):
+            selection = select(fields_of, root, path)
             about: Selection | str
-            if self._root == _JOINT_STATE and path.startswith(QUANTITIES):
-                about = select(self._fields_of, self._root, re.sub(r"^\w+", "name", path))
+            if root == _JOINT_STATE and path.startswith(QUANTITIES):
+                about = select(fields_of, root, re.sub(r"^\w+", "name", path))
             else:
-                about = self._units.of(self._fields_of, self.topic, self._root, path)
-            self._fields.setdefault(path, (select(self._fields_of, self._root, path), about, {}))
+                about = self._units.of(self.topic, root, path, selection)
+            self._fields.setdefault(path, (selection, about, {}))
 
     def take(self, time: float, message: Any) -> None:
         """One message. Raises as the function `take`."""
@@ -216,13 +209,13 @@ class TopicCurves:
 
 
 def _by_topic(
-    fields: Sequence[str], look_up: Callable[[str], tuple[str, str, Fields, str]], units: Units
+    fields: Sequence[str], look_up: Callable[[str], tuple[str, Schema, str]], units: Units
 ) -> dict[str, TopicCurves]:
-    """Topic -> its curves. `look_up` gives the topic, the type, the types and the field of a text."""
+    """Topic -> its curves. `look_up` gives the topic, its schema and the field of a text."""
     found: dict[str, TopicCurves] = {}
     for text in (whole for field in fields for whole in braces_expanded(field)):
-        topic, root, fields_of, field = look_up(text)
-        found.setdefault(topic, TopicCurves(topic, root, fields_of, units)).add(field)
+        topic, schema, field = look_up(text)
+        found.setdefault(topic, TopicCurves(topic, schema, units)).add(field)
     return found
 
 
@@ -232,13 +225,9 @@ def _by_topic(
 def of_live(client: Client, fields: Sequence[str], namespace: str = "/") -> dict[str, TopicCurves]:
     """Topic -> its curves, for messages to come. Raises UnknownName, AmbiguousName, Unused, UsageError."""
 
-    def look_up(text: str) -> tuple[str, str, Fields, str]:
+    def look_up(text: str) -> tuple[str, Schema, str]:
         found = client.resolve("topic", text, namespace=namespace, role="publishers", with_field=True)
-        types: Mapping[str, Any] = {
-            entry["type"]: list(zip(entry["fieldnames"], entry["fieldtypes"], entry["fieldarraylen"], strict=True))
-            for entry in found["typedefs"]
-        }
-        return found["name"], found["type"], partial(_fields_in, types), found["field"]
+        return found["name"], from_typedefs(found["typedefs"]), found["field"]
 
     return _by_topic(fields, look_up, Units(client))
 
@@ -246,22 +235,14 @@ def of_live(client: Client, fields: Sequence[str], namespace: str = "/") -> dict
 def of_recording(recording: Recording, fields: Sequence[str], namespace: str = "/") -> dict[str, TopicCurves]:
     """Topic -> its curves. Raises UnknownName, AmbiguousName, UsageError, BadRecording."""
 
-    def look_up(text: str) -> tuple[str, str, Fields, str]:
-        for name, field in names.cut_from_field(text):
-            with suppress(UnknownName):
-                topic = names.resolve(name, recording.topics, kind="topic", namespace=namespace)
-                channel = next(channel for channel in recording.channels if channel.topic == topic)
-                return topic, channel.type, partial(_fields_in, recording.codec(channel).types), field
-        raise UnknownName("topic", text, recording.topics, f"in {recording.path}")
+    def look_up(text: str) -> tuple[str, Schema, str]:
+        topic, field = recording.topic_and_field(text, namespace)
+        return topic, recording.schema(topic), field
 
     found = _by_topic(fields, look_up, Units())
     for record in recording.records(set(found)):
         take(found, record.channel.topic, record.time_ns, recording.message(record))
     return found
-
-
-def _fields_in(types: Mapping[str, Any], name: str) -> Any:
-    return types.get(name, ())
 
 
 def take(found: Mapping[str, TopicCurves], topic: str, time_ns: int, message: Any) -> None:
@@ -321,6 +302,8 @@ def of_csv(path: Path, fields: Sequence[str]) -> tuple[float, list[Curve]]:
                         curve.values.append(float(cell))  # type: ignore[union-attr]
     except UnicodeDecodeError:
         raise BadFile("this is no text in UTF-8", str(path)) from None
+    except OverflowError:
+        raise BadFile("the time is too large", str(path), reader.line_num) from None
     except ValueError as error:
         raise BadFile(
             f"this is no number: {str(error).rpartition(':')[2].strip()}", str(path), reader.line_num

@@ -10,11 +10,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from slidectl.measures import Array
 from slidectl.viewing import drawn_scene
-from slidectl.viewing.drawn_scene import Array, DrawnScene
-from slidectl.viewing.viewpoints import Viewpoint
+from slidectl.viewing.drawn_scene import DrawnScene, Viewpoint
+from slidectl.viewing.picture_files import Pixels
 
 _MOST_AT_ONCE = 1_000_000
 """Pixels of triangles that are looked at together, some 100 bytes each."""
@@ -30,7 +30,7 @@ class Rasteriser:
         self._size = size
         self._seen_from: tuple[bytes, bool] | None = None
 
-    def draw(self, scene: DrawnScene, view: Viewpoint) -> NDArray[np.uint8]:
+    def draw(self, scene: DrawnScene, view: Viewpoint) -> Pixels:
         """Red, green and blue of each pixel, shape (height, width, 3)."""
         seen_from = (np.hstack(view).tobytes(), scene.ground)
         if self._seen_from != seen_from:  # in most videos the eye stays where it is

@@ -11,7 +11,6 @@ from slidectl import names, traces
 from slidectl.client import Client
 from slidectl.errors import Refused, UsageError
 from slidectl.measures import Array, Measured, NoMeasure, measure_text
-from slidectl.viewing.plot_fields import Units
 from slidectl.viewing.plots import Curve, Plot
 
 _CONTROLLED = {"JointPositionController": "position", "JointVelocityController": "velocity"}
@@ -70,13 +69,12 @@ def step_response(
             measured[name] = None
             texts.append(f"{name}: {error.message}")
     wanted: Array = np.where(now >= start - 1e-9, set_point, np.nan)
-    unit = Units(client).of_joint(joint, quantity)
     efforts = trace.efforts if trace.efforts is not None else np.full(now.shape, math.nan)
     curves = [
-        Curve(f"{space}/set_point", "", unit, now, wanted),
-        Curve(f"{space}/process_value", f"{quantity} of {about['joint']}", unit, now, trace.values),
-        Curve(f"{space}/error", "", unit, now, wanted - trace.values),
+        Curve(f"{space}/set_point", "", trace.unit, now, wanted),
+        Curve(f"{space}/process_value", f"{quantity} of {about['joint']}", trace.unit, now, trace.values),
+        Curve(f"{space}/error", "", trace.unit, now, wanted - trace.values),
         Curve(f"{space}/effort", str(about["joint"]), trace.effort_unit, now, efforts),
     ]
     drawn = Plot(f"{space}: step to {set_point:g}", curves, notes=[", ".join(texts[:3]), ", ".join(texts[3:])])
-    return StepResponse(drawn, start, measured, unit)
+    return StepResponse(drawn, start, measured, trace.unit)

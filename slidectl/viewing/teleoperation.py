@@ -6,7 +6,7 @@ A driver takes keys and gives messages. It knows no terminal and no wall time.
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from slidectl import names
 from slidectl.errors import Refused
@@ -33,27 +33,8 @@ _POSITION, _VELOCITY, _EFFORT = "JointPositionController", "JointVelocityControl
 _ARROWS = {"up": 1, "right": 1, "down": -1, "left": -1}
 
 
-class Driver(Protocol):
-    """What drives something by keys. `topic` takes its messages, and `help` says what the keys are."""
-
-    topic: str
-    help: str
-
-    def press(self, key: str) -> bool:
-        """A key is pressed. True: it moves something, as long as it is held; a key without a meaning stops."""
-
-    def stop(self) -> None:
-        """The key was let go."""
-
-    def message(self) -> Message | None:
-        """What is to be published; None as long as it cannot be told."""
-
-    def text(self) -> str:
-        """The speeds, and what it does, in one line."""
-
-
 class BaseDriver:
-    """Twists for a base. Speeds in m/s and rad/s."""
+    """Twists for a base. Speeds in m/s and rad/s. `topic` takes the messages, and `help` says what the keys are."""
 
     help = """\
    u    i    o        i and , drive, j and l turn, the others do both; arrow keys, too
@@ -67,6 +48,7 @@ q/z both speeds   w/x speed   e/c turning speed: by 10 %   Ctrl-C ends it"""
         self._direction = _STILL
 
     def press(self, key: str) -> bool:
+        """A key is pressed. True: it moves something, as long as it is held; a key without a meaning stops."""
         if key in _FACTORS:
             self._speed, self._turn = self._speed * _FACTORS[key][0], self._turn * _FACTORS[key][1]
             return any(self._direction)
@@ -74,14 +56,17 @@ q/z both speeds   w/x speed   e/c turning speed: by 10 %   Ctrl-C ends it"""
         return any(self._direction)
 
     def stop(self) -> None:
+        """The key was let go."""
         self._direction = _STILL
 
-    def message(self) -> Message:
+    def message(self) -> Message | None:
+        """What is to be published; None as long as it cannot be told."""
         x, y, z, turn = self._direction
         linear = {"x": x * self._speed, "y": y * self._speed, "z": z * self._speed}
         return {"linear": linear, "angular": {"x": 0.0, "y": 0.0, "z": turn * self._turn}}
 
     def text(self) -> str:
+        """The speeds, and what it does, in one line."""
         x, y, z, turn = self._direction
         return f"speed {self._speed:.3g} m/s, turn {self._turn:.3g} rad/s: x {x} y {y} z {z} turn {turn}"
 
@@ -100,12 +85,7 @@ It stops when the key is let go; any other key stops it at once."""
 
     def __init__(self, client: Client, joint: str, speed: float | None, namespace: str = "/") -> None:
         """`speed` is in m/s or rad/s, of an effort controller in N or N m; None for one that suits most joints."""
-        joints = {
-            names.join(robot["namespace"], one["name"]): (robot, one)
-            for robot in client.robots()
-            for one in robot["joints"]
-            if one["position"] is not None
-        }
+        joints = _joints(client)
         full = names.resolve(joint, joints, kind="joint", namespace=namespace)
         robot, self._joint = joints[full]
         name, self._kind = _controller_of(client, robot, self._joint["name"])
@@ -140,12 +120,8 @@ It stops when the key is let go; any other key stops it at once."""
         """Others may have moved the set point since the last motion. A controller without a state holds the joint."""
         self._time_ns, self._set_point = self._now_ns(), None
         if not self._has_state:
-            joints = {
-                names.join(robot["namespace"], one["name"]): one["position"]
-                for robot in self._client.robots()
-                for one in robot["joints"]
-            }
-            self._set_point = joints.get(self._full)
+            _, joint = _joints(self._client).get(self._full, ({}, {}))
+            self._set_point = joint.get("position")
 
     def _take(self, published: Message) -> None:
         if self._set_point is None and _nanoseconds(published["time"]) > self._time_ns:
@@ -181,6 +157,19 @@ It stops when the key is let go; any other key stops it at once."""
         if self._direction and self._kind == _POSITION and not place:
             place = ", waits for the set point"
         return f"{self._joint['name']}: {self._speed:.3g} {self._unit}{place}, {doing}"
+
+
+Driver = BaseDriver | JointDriver
+
+
+def _joints(client: Client) -> dict[str, tuple[Message, Message]]:
+    """By the full names of all joints that move: the robot, and the joint (slidectl/RobotInfo, slidectl/JointInfo)."""
+    return {
+        names.join(robot["namespace"], joint["name"]): (robot, joint)
+        for robot in client.robots()
+        for joint in robot["joints"]
+        if joint["position"] is not None
+    }
 
 
 def _nanoseconds(time: Message) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from rich.text import Text
@@ -72,11 +73,13 @@ class TopScreen:
         return True
 
     def _actions(self) -> dict[str, Callable[[], object]]:
+        show_help = partial(setattr, self, "_help", True)
         return {
             "space": self._pause, ".": self._step, "enter": self._switch, "tab": self._next_section,
             "up": lambda: self._move(-1), "k": lambda: self._move(-1),
             "down": lambda: self._move(1), "j": lambda: self._move(1),
-            "s": self._sort, "r": self._reverse, "?": self._show_help, "h": self._show_help, "/": self._begin_to_type,
+            "s": self._sort, "r": self._reverse, "?": show_help, "h": show_help,
+            "/": partial(setattr, self, "_types", True),
         }  # fmt: skip
 
     def _type(self, key: str) -> None:
@@ -87,12 +90,6 @@ class TopScreen:
         elif key == "space" or (len(key) == 1 and key.isprintable()):
             self._filter += " " if key == "space" else key
         self._types = key not in ("enter", "escape")
-
-    def _begin_to_type(self) -> None:
-        self._types = True
-
-    def _show_help(self) -> None:
-        self._help = True
 
     def _next_section(self) -> None:
         every = list(_COLUMNS)

@@ -6,7 +6,8 @@ Plain arithmetic on tuples: translations x y z in m, quaternions x y z w.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 from slidectl import names
@@ -66,9 +67,18 @@ class Frames:
         """Frames without a parent, sorted."""
         return [name for name in self.names if name not in self.edges]
 
-    def children(self, name: str) -> list[str]:
-        """Frames whose parent is `name`, sorted."""
-        return sorted(child for child, edge in self.edges.items() if edge.parent == name)
+    def tree(self) -> Iterator[tuple[int, str, Edge | None]]:
+        """Each frame below its parent, with its depth and its place there; a root has none."""
+        children: defaultdict[str, list[str]] = defaultdict(list)
+        for name in sorted(self.edges):
+            children[self.edges[name].parent].append(name)
+
+        def below(frames: list[str], depth: int) -> Iterator[tuple[int, str, Edge | None]]:
+            for name in frames:
+                yield depth, name, self.edges.get(name)
+                yield from below(children[name], depth + 1)
+
+        return below(self.roots, 0)
 
     def way_up(self, name: str) -> list[str]:
         """The frame, its parent and so on to the root."""

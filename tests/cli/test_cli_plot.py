@@ -132,6 +132,7 @@ def test_the_columns_of_a_csv_are_read_wherever_they_have_their_first_value(
         (b"%time,a,b\n0,1,\n1,2,\n", ("b",), 1, "no values of b in bad.csv"),
         (b"%time,a\n0,\n", (), 1, "no values in bad.csv"),
         (b"%time,a\n0,\xff\n", (), 2, "bad.csv: this is no text in UTF-8"),
+        (b"%time,a\n1" + 400 * b"0" + b",1\n", (), 2, "bad.csv:2: the time is too large"),
         (b"%time,/a/p[0],/b/p[0]\n0,1,2\n", ("p",), 2, "'p' fits more than one column: /a/p, /b/p"),
         (b"%time,a\n0,1\n", ("c",), 1, "no column 'c'"),
     ],

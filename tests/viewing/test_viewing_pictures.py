@@ -15,10 +15,10 @@ from slidectl.errors import AmbiguousName, UnknownName
 from slidectl.physics import rendering
 from slidectl.simulation import Simulation
 from slidectl.viewing.drawing import WorldView
+from slidectl.viewing.drawn_scene import ViewpointChoice
 from slidectl.viewing.gl_renderer import GlRenderer
 from slidectl.viewing.picture_files import Pixels
 from slidectl.viewing.rasteriser import Rasteriser
-from slidectl.viewing.viewpoints import ViewpointChoice
 
 ROOT = Path(__file__).parent.parent.parent
 SIZE = (320, 240)

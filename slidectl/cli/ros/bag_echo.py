@@ -32,7 +32,7 @@ class Bag:
         for channel in recording.channels:
             codec = recording.codec(channel)
             self.texts |= codec.texts
-            self.schemas[channel.topic] = Schema(codec.type, codec.types)
+            self.schemas[channel.topic] = codec.schema
 
     @property
     def topics(self) -> list[str]:

@@ -10,8 +10,7 @@ from viser import GuiButtonGroupHandle, GuiHtmlHandle
 
 from slidectl.client.client import STARTED, UNLOADED, Manager, claimed_text, configured
 from slidectl.errors import UsageError
-from slidectl.viewing.page.html_table import html_table
-from slidectl.viewing.page.page import Message, Page, Panel, WorldState
+from slidectl.viewing.page.page import Message, Page, Panel, WorldState, html_table, offer
 
 _NOTHING = "nothing"
 _STOP, _START = "switch: stop", "switch: start"
@@ -88,10 +87,10 @@ class ControllersPanel(Panel):
             running = {name for name, state in states.items() if state in STARTED}
             for name in self._known[space]:
                 idle = ("start", "unload") if name in states else ("load", "load and start")
-                _offer(self._buttons[space, name], ("stop",) if name in running else idle)
+                offer(self._buttons[space, name], ("stop",) if name in running else idle)
             if states or others:
-                _offer(self._dropdowns[space, _STOP], (_NOTHING, *sorted(running)))
-                _offer(self._dropdowns[space, _START], (_NOTHING, *sorted(states.keys() - running)))
+                offer(self._dropdowns[space, _STOP], (_NOTHING, *sorted(running)))
+                offer(self._dropdowns[space, _START], (_NOTHING, *sorted(states.keys() - running)))
 
     def leave(self) -> None:
         self._chosen |= {key: dropdown.value for key, dropdown in self._dropdowns.items()}
@@ -117,9 +116,3 @@ class ControllersPanel(Panel):
 
 def _names(controllers: Sequence[Message]) -> list[str]:
     return [one["name"] for one in controllers]
-
-
-def _offer(handle: Any, options: tuple[str, ...]) -> None:
-    """Let one choose among these; viser would send them anew each time."""
-    if handle.options != options:
-        handle.options = options

@@ -14,15 +14,14 @@ from html import escape
 from typing import Any
 
 import yaml
-from viser import GuiHtmlHandle
+from viser import ClientHandle, GuiHtmlHandle
 
 from slidectl import names
 from slidectl.client import Subscription
 from slidectl.control.reconfigure import Values
 from slidectl.description.parameter_trees import nest
 from slidectl.errors import Refused
-from slidectl.viewing.page.html_table import PADDING, html_table
-from slidectl.viewing.page.page import Message, Page, Panel, WorldState
+from slidectl.viewing.page.page import PADDING, Message, Page, Panel, WorldState, html_table
 
 _STILL_S = 0.5
 _LATCHED_S = 0.5
@@ -75,7 +74,8 @@ class GainsPanel(Panel):
             self._add_inputs(space)
         self.page.acting(self.gui.add_button("Undo"), lambda _: self._undo())
         self._history = self.gui.add_html("")
-        self.gui.add_button("Save as YAML", hint="a file for spawn --controllers").on_click(self._asked_to_save)
+        save = self.gui.add_button("Save as YAML", hint="a file for spawn --controllers")
+        self.page.answering(save, lambda _, browser: self._save(browser))
         self._file = self.gui.add_html(self._saved)
         self.refresh(world)
 
@@ -83,7 +83,7 @@ class GainsPanel(Panel):
         client = self.page.client
         with client.subscribe(f"{space}/parameter_descriptions") as descriptions:
             described = descriptions.get(_LATCHED_S)
-        updates = self._updates[space] = client.subscribe(f"{space}/parameter_updates", queue_length=1)
+        updates = self._updates[space] = self.subscribe(f"{space}/parameter_updates", queue_length=1)
         values = self._values[space] = _values(updates.get(_LATCHED_S))
         low, high = _values(described["min"]), _values(described["max"])
         with self.gui.add_folder(space.removeprefix(self._robot).lstrip("/")):
@@ -164,10 +164,7 @@ class GainsPanel(Panel):
             if (space, name) in self._inputs and (space, name) not in self._typed:
                 self._inputs[space, name].value = value
 
-    async def _asked_to_save(self, event: Any) -> None:
-        self.page.do(lambda: self._save(event.client))
-
-    def _save(self, browser: Any) -> None:
+    def _save(self, browser: ClientHandle) -> None:
         """Offer the parameters of the robot's controllers as a file to the browser that asked, and show them to all."""
         manager = self.page.client.controllers(self._robot)
         tree = {name: self.page.client.params[names.join(self._robot, name)] for name in manager.configured()}
@@ -178,8 +175,7 @@ class GainsPanel(Panel):
         browser.send_file_download(file, text.encode(), save_immediately=True)
 
     def leave(self) -> None:
-        for updates in self._updates.values():
-            updates.close()
+        super().leave()
         for kept in (self._updates, self._inputs, self._values):
             kept.clear()
 

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import re
 import time
-from collections import defaultdict
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Mapping
 from html import escape
 from typing import Any
 
-from slidectl.client import Subscription
 from slidectl.errors import SlidectlError
 from slidectl.viewing.graph_drawing import as_svg, read_graph
-from slidectl.viewing.page.html_table import SCROLLED
-from slidectl.viewing.page.page import Page, Panel, WorldState
-from slidectl.viewing.transform_tree import MOVING, STATIC, Frames
+from slidectl.viewing.page.page import SCROLLED, Page, Panel, WorldState
+from slidectl.viewing.transform_tree import MOVING, STATIC, Edge, Frames
 
 _SHOW_S = 0.5
 
@@ -29,7 +26,6 @@ class GraphPanel(Panel):
         self._words = ""
         self._is_followed = False
         self._frames = Frames()
-        self._subscriptions: list[Subscription] = []
         self._show_at = 0.0
 
     def shape(self, world: WorldState) -> Hashable:
@@ -43,19 +39,15 @@ class GraphPanel(Panel):
         followed = self.gui.add_checkbox("tf tree", self._is_followed)
         self.page.looking(followed, self._follow)
         self._tree = self.gui.add_html("")
-        self._subscribe()
+        self._follow_frames()
         self._read()
-
-    def leave(self) -> None:
-        for one in self._subscriptions:
-            one.close()
-        self._subscriptions.clear()
 
     def refresh(self, world: WorldState) -> None:
         now = time.monotonic()
         if self._is_followed and now >= self._show_at:
             self._show_at = now + _SHOW_S
-            lines = "\n".join(_lines(self._frames, world.status["time"]))
+            now = world.status["time"]
+            lines = "\n".join(f"{'  ' * depth}{name}{_age(edge, now)}" for depth, name, edge in self._frames.tree())
             self._tree.content = f'<pre style="{SCROLLED}">{escape(lines) or "no frames yet"}</pre>'
 
     def _choose_words(self, value: str) -> None:
@@ -80,31 +72,18 @@ class GraphPanel(Panel):
         self.leave()
         self._frames = Frames()
         self._tree.content = ""
-        self._subscribe()
+        self._follow_frames()
 
-    def _subscribe(self) -> None:
+    def _follow_frames(self) -> None:
         for topic in (MOVING, STATIC) if self._is_followed else ():
-            self._subscriptions.append(
-                self.page.client.subscribe(topic, "tf2_msgs/TFMessage", queue_length=1000, take=self._take, wait=False)
-            )
+            self.subscribe(topic, "tf2_msgs/TFMessage", queue_length=1000, take=self._take, wait=False)
 
     def _take(self, published: Mapping[str, Any]) -> None:
         self._frames.add(published["msg"], published["topic"] == STATIC)
 
 
-def _lines(frames: Frames, now: float) -> Iterator[str]:
-    """Each frame, below its parent, with its age in simulated time."""
-    children: defaultdict[str, list[str]] = defaultdict(list)
-    for name in sorted(frames.edges):
-        children[frames.edges[name].parent].append(name)
-
-    def branch(names: Sequence[str], indent: str) -> Iterator[str]:
-        for name in names:
-            edge = frames.edges.get(name)
-            age = (
-                "" if edge is None else " static" if edge.is_static else f" {max(now - edge.time_ns / 1e9, 0.0):.1f} s"
-            )
-            yield f"{indent}{name}{age}"
-            yield from branch(children[name], indent + "  ")
-
-    return branch(frames.roots, "")
+def _age(edge: Edge | None, now: float) -> str:
+    """Of a frame, in simulated time."""
+    if edge is None:
+        return ""
+    return " static" if edge.is_static else f" {max(now - edge.time_ns / 1e9, 0.0):.1f} s"

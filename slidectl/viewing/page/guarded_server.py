@@ -90,7 +90,8 @@ class AccessGuard:
         """What is answered in place of the page; None: it may be had."""
         headers, url = request.headers, urlsplit(request.path)
         named = headers.get("Host", "")
-        if not self._knows(host_of(named)):
+        # A name that a foreign site has made lead to this machine must not open the page: unless a token does.
+        if not self._token and host_of(named) not in (*LOOPBACK, self._host):
             return _refused(f"this page does not go by the name {named!r}")
         origin = headers.get("Origin")
         if origin is not None and urlsplit(origin).netloc != named:
@@ -100,21 +101,17 @@ class AccessGuard:
         query = parse_qs(url.query)
         if self._token:
             given = query.pop("token", [""])[0]
-            if given and (self._is_token(given) or self._is_word(given)):
+            if given and (is_secret(given, self._token) or self._is_word(given)):
                 more = f"?{urlencode(query, doseq=True)}" if query else ""
                 cookie = f"{self._cookie}={self._token}; HttpOnly; SameSite=Lax; Path=/"
                 return Response(302, "Found", Headers({"Location": f"/{more}", "Set-Cookie": cookie, **_KEPT_OUT}))
-            if not self._is_token(_cookie(headers, self._cookie)):
+            if not is_secret(_cookie(headers, self._cookie), self._token):
                 what = "the token is wrong" if given else "a token is needed"
                 return _refused(f"{what}: the whole address is printed by slidectl view")
         is_tab = headers.get("Sec-Fetch-Dest", "document") == "document" and "Upgrade" not in headers
         if url.path == "/" and is_tab:
             self.opened.put(query)
         return None
-
-    def _knows(self, host: str) -> bool:
-        """A name that a foreign site has made lead to this machine must not open the page: unless a token does."""
-        return bool(self._token) or host in (*LOOPBACK, self._host)
 
     def word(self) -> str:
         """What opens the page once in the place of the token: the list of processes shows a browser's arguments."""
@@ -126,9 +123,6 @@ class AccessGuard:
         if is_it:
             self._word = ""
         return is_it
-
-    def _is_token(self, given: str) -> bool:
-        return is_secret(given, self._token)
 
 
 def _cookie(headers: Headers, name: str) -> str:

@@ -11,10 +11,8 @@ from typing import Any, NamedTuple
 from viser import GuiHtmlHandle
 
 from slidectl import names
-from slidectl.client.client import Subscription
 from slidectl.description.robot import MOVING
-from slidectl.viewing.page.html_table import html_table
-from slidectl.viewing.page.page import Message, Page, Panel, WorldState
+from slidectl.viewing.page.page import Message, Page, Panel, WorldState, html_table
 
 _SCALAR, _ARRAY = "std_msgs/Float64", "std_msgs/Float64MultiArray"
 _QUANTITIES = ("Position", "Velocity", "Effort")
@@ -48,7 +46,6 @@ class JointsPanel(Panel):
         """Command topic -> what its sliders say."""
         self._tables: dict[str, GuiHtmlHandle] = {}
         """Robot -> its table."""
-        self._subscriptions: list[Subscription] = []
         self._settled: dict[str, float] = {}
         """Command topic -> until when its sliders stay where somebody drags them."""
 
@@ -111,11 +108,8 @@ class JointsPanel(Panel):
                     commands[index] = value
                     slider.value = placed(value, slider.min, slider.max)
 
-        self._subscriptions.append(
-            self.page.client.subscribe(
-                state if is_told else drive.topic, queue_length=1, throttle_rate=_FOLLOW_MS, take=take, wait=False
-            )
-        )
+        topic = state if is_told else drive.topic
+        self.subscribe(topic, queue_length=1, throttle_rate=_FOLLOW_MS, take=take, wait=False)
 
     def _send(self, drive: _Drive, index: int, value: float) -> None:
         values = self._commands.get(drive.topic)
@@ -137,10 +131,8 @@ class JointsPanel(Panel):
             table.content = html_table(("joint", "position", "velocity", "effort"), rows[robot])
 
     def leave(self) -> None:
+        super().leave()
         self._tables = {}
-        for subscription in self._subscriptions:
-            subscription.close()
-        self._subscriptions.clear()
 
 
 def _robots(world: WorldState) -> Iterator[tuple[Message, list[Message]]]:

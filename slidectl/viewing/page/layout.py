@@ -7,39 +7,20 @@ from slidectl.viewing.page.gains_panel import GainsPanel
 from slidectl.viewing.page.graph_panel import GraphPanel
 from slidectl.viewing.page.joints_panel import JointsPanel
 from slidectl.viewing.page.log_panel import LogPanel
+from slidectl.viewing.page.message_panels import PublishPanel, ServicesPanel
 from slidectl.viewing.page.page import Page, Panel
 from slidectl.viewing.page.plots_panel import PlotsPanel
-from slidectl.viewing.page.publish_panel import PublishPanel
 from slidectl.viewing.page.record_panel import RecordPanel
 from slidectl.viewing.page.scene_view import SceneView
-from slidectl.viewing.page.services_panel import ServicesPanel
 from slidectl.viewing.page.simulation_panel import SimulationPanel
 from slidectl.viewing.page.topics_panel import TopicsPanel
 from slidectl.viewing.page.trajectories_panel import TrajectoriesPanel
 
-_WORLD: tuple[type[Panel], ...] = (
-    SimulationPanel,
-    SceneView,
-    RecordPanel,
-)
-_ROBOT: tuple[type[Panel], ...] = (
-    JointsPanel,
-    ControllersPanel,
-    GainsPanel,
-    TrajectoriesPanel,
-)
+_WORLD: tuple[type[Panel], ...] = (SimulationPanel, SceneView, RecordPanel)
+_ROBOT: tuple[type[Panel], ...] = (JointsPanel, ControllersPanel, GainsPanel, TrajectoriesPanel)
 """What moves robots."""
-_DATA: tuple[type[Panel], ...] = (
-    PlotsPanel,
-    PublishPanel,
-    ServicesPanel,
-    TopicsPanel,
-    LogPanel,
-    GraphPanel,
-)
+_DATA: tuple[type[Panel], ...] = (PlotsPanel, PublishPanel, ServicesPanel, TopicsPanel, LogPanel, GraphPanel)
 """What shows and sends messages."""
-
-
 _WIDTH = 380.0
 """Of the panels beside the view, pixels."""
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
+from functools import partial
 from html import escape
 from typing import Any
 
-from slidectl.client import Subscription
 from slidectl.errors import cut
-from slidectl.viewing.page.html_table import SCROLLED
-from slidectl.viewing.page.page import Page, Panel, WorldState
+from slidectl.viewing.page.page import SCROLLED, Page, Panel, WorldState
 
 _SEVERITIES = {"debug": 1, "info": 2, "warn": 4, "error": 8, "fatal": 16}
 _COLOURS = {"debug": "#888", "warn": "#c77700", "error": "#d33", "fatal": "#d33"}
@@ -30,27 +29,19 @@ class LogPanel(Panel):
         self._text = ""
         self._paused = False
         self._is_new = True
-        self._subscription: Subscription | None = None
 
     def build(self, world: WorldState) -> None:
         severity = self.gui.add_dropdown("severity from", tuple(_SEVERITIES), initial_value=self._severity)
-        self.page.looking(severity, self._choose_severity)
+        self.page.looking(severity, partial(self._choose, "_severity"))
         text = self.gui.add_text("log contains", self._text)
-        self.page.looking(text, self._choose_text)
+        self.page.looking(text, partial(self._choose, "_text"))
         paused = self.gui.add_checkbox("pause the log", self._paused)
-        self.page.looking(paused, self._pause)
+        self.page.looking(paused, partial(setattr, self, "_paused"))
         self.page.looking(self.gui.add_button("Clear the log"), lambda _: self._clear())
         self._shown = self.gui.add_html("")
         self._is_new = True
-        self._subscription = self.page.client.subscribe(
-            "/rosout", "rosgraph_msgs/Log", queue_length=_MOST_KEPT, take=self._take
-        )
+        self.subscribe("/rosout", "rosgraph_msgs/Log", queue_length=_MOST_KEPT, take=self._take)
         self.refresh(world)
-
-    def leave(self) -> None:
-        if self._subscription is not None:
-            self._subscription.close()
-            self._subscription = None
 
     def refresh(self, world: WorldState) -> None:  # noqa: ARG002
         if not self._is_new or self._paused:
@@ -74,16 +65,9 @@ class LogPanel(Panel):
         self._lines.append((level, text, f"<div{style}>{escape(text)}</div>"))
         self._is_new = True
 
-    def _choose_severity(self, value: str) -> None:
-        self._severity = value
+    def _choose(self, what: str, value: str) -> None:
+        setattr(self, what, value)
         self._is_new = True
-
-    def _choose_text(self, value: str) -> None:
-        self._text = value
-        self._is_new = True
-
-    def _pause(self, value: bool) -> None:
-        self._paused = value
 
     def _clear(self) -> None:
         self._lines.clear()

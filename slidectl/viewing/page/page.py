@@ -9,20 +9,21 @@ from __future__ import annotations
 import queue
 import time
 import traceback
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
+from html import escape
 from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from viser import GuiButtonGroupHandle
 
 from slidectl import names
-from slidectl.client import Client
+from slidectl.client import Client, Subscription
 from slidectl.errors import NoDaemon, Refused, SlidectlError, cut
 
 if TYPE_CHECKING:
-    from viser import GuiFolderHandle, GuiTabHandle
+    from viser import ClientHandle, GuiFolderHandle, GuiTabHandle
 
     from slidectl.viewing.page.guarded_server import GuardedServer
 
@@ -37,6 +38,15 @@ _NOTICE_S = 8.0
 _MOST_TAKEN = 10_000
 """Of what arrives in one turn while no browser is there: a fast world may send more than can be read."""
 _LONGEST_NOTICE = 600
+PADDING = "padding:0.2em 0.7em"
+"""Of HTML in a panel, so that it stands below the inputs."""
+_TABLE = "width:100%;font-size:0.8em;font-variant-numeric:tabular-nums;overflow-wrap:anywhere"
+_LONGEST_WORD = 12
+"""Letters of a cell that is never broken."""
+HIGHEST = "max-height:50vh;overflow:auto"
+"""Of what may be long."""
+SCROLLED = f"{HIGHEST};{PADDING};font-size:0.8em;white-space:pre-wrap;overflow-wrap:anywhere"
+"""Of text that may be long."""
 
 Message = dict[str, Any]
 
@@ -62,6 +72,7 @@ class Panel:
     def __init__(self, page: Page) -> None:
         self.page = page
         self.gui = page.server.gui
+        self._subscriptions: list[Subscription] = []
 
     def shape(self, world: WorldState) -> Hashable:  # noqa: ARG002
         """What decides which elements the panel has: it is built anew when that becomes another."""
@@ -79,8 +90,39 @@ class Panel:
     def opened(self, query: Mapping[str, Sequence[str]]) -> None:
         """A browser has opened the page with this query in its address."""
 
+    def subscribe(self, topic: str, type_name: str | None = None, **options: Any) -> Subscription:
+        """As `Client.subscribe`, until the panel is left."""
+        self._subscriptions.append(self.page.client.subscribe(topic, type_name, **options))
+        return self._subscriptions[-1]
+
     def leave(self) -> None:
         """Before the panel is built anew, and when the daemon has gone: end subscriptions."""
+        for subscription in self._subscriptions:
+            subscription.close()
+        self._subscriptions.clear()
+
+
+def html_table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Numbers stand on the right, with four decimals; None, as NaN comes from the daemon, is a dash."""
+    lines = [list(row) for row in rows]
+    is_number = [bool(lines) and (one is None or isinstance(one, float)) for one in (*lines, columns)[0]]
+    head = "".join(map(_cell, columns, is_number, ["th"] * len(columns)))
+    body = "".join(f"<tr>{''.join(map(_cell, line, is_number, ['td'] * len(line)))}</tr>" for line in lines)
+    text = f"<tr>{head}</tr>{body}"
+    return f'<div style="{PADDING}"><table style="{_TABLE}">{text}</table></div>'
+
+
+def _cell(value: object, is_number: bool, kind: str) -> str:
+    text = "–" if value is None else f"{value:z.4f}" if isinstance(value, float) else str(value)
+    wrap = "nowrap" if len(text) <= _LONGEST_WORD else "normal"
+    style = f"text-align:{'right' if is_number else 'left'};white-space:{wrap}"
+    return f'<{kind} style="{style}">{escape(text)}</{kind}>'
+
+
+def offer(handle: Any, options: tuple[str, ...]) -> None:
+    """Let one choose among these; viser would send them anew each time."""
+    if handle.options != options:
+        handle.options = options
 
 
 class Page:
@@ -164,14 +206,15 @@ class Page:
 
     def looking(self, handle: Any, action: Callable[[Any], object], coalesce: bool = False) -> None:
         """As `acting`, for what changes the page alone."""
+        self.answering(handle, lambda value, _: action(value), coalesce)
 
+    def answering(self, handle: Any, action: Callable[[Any, ClientHandle], object], coalesce: bool = False) -> None:
+        """As `looking`, with the browser that asks, which may get a file."""
         key = object() if coalesce else None  # a handle cannot be a key
 
         async def changed(event: Any) -> None:  # async: in the order in which they come
-            if event.client is None:  # the page itself has set the value
-                return
-            value = event.target.value
-            self.do(lambda: action(value), key)
+            if event.client is not None:  # else the page itself has set the value
+                self.do(partial(action, event.target.value, event.client), key)
 
         register = getattr(handle, "on_click", None) or handle.on_update
         register(changed)

@@ -52,10 +52,10 @@ class PlotsPanel(Panel):
         self._topic = gui.add_dropdown("plot topic", (_NONE, *self._known))
         looking(self._topic, self._choose_topic)
         self._text: Any = gui.add_text("plot field", self._field, hint="TOPIC/FIELD[I]; an array is a curve a number")
-        looking(self._text, self._choose_field)
+        looking(self._text, partial(setattr, self, "_field"))
         self._into = self._into if self._into in self._targets() else _NEW
         self._target = gui.add_dropdown("into plot", self._targets(), initial_value=self._into)
-        looking(self._target, self._choose_target)
+        looking(self._target, partial(setattr, self, "_into"))
         looking(gui.add_button("Plot"), lambda _: self._plot())
         seconds = gui.add_number("plot seconds", self._seconds, min=1.0, max=_LONGEST_S, step=1.0)
         looking(seconds, self._choose_seconds)
@@ -90,14 +90,8 @@ class PlotsPanel(Panel):
         if topic != _NONE:
             self._field = self._text.value = topic
 
-    def _choose_field(self, value: str) -> None:
-        self._field = value
-
-    def _choose_target(self, value: str) -> None:
-        self._into = value
-
     def _choose_seconds(self, value: float) -> None:
-        self._seconds = min(max(1.0, value), _LONGEST_S)
+        self._seconds = value
         for plot in self._plots.values():
             plot.is_drawn = False
 
@@ -127,12 +121,7 @@ class PlotsPanel(Panel):
         with self._folder, self.gui.add_folder(f"plot {number}") as plot.folder:
             plot.note = self.gui.add_html("", order=0)
             buttons = self.gui.add_button_group(f"plot {number}", (_PAUSE, _CSV, _REMOVE), order=2)
-
-        async def pressed(event: Any) -> None:
-            if event.client is not None:
-                self.page.do(partial(self._press, number, event.target.value, event.client))
-
-        buttons.on_click(pressed)
+        self.page.answering(buttons, partial(self._press, number))
 
     def _press(self, number: int, button: str, browser: ClientHandle) -> None:
         plot = self._plots.get(number)

@@ -8,13 +8,13 @@ import signal
 import subprocess
 import sys
 import tempfile
+from functools import partial
 from html import escape
 from pathlib import Path
 from typing import IO, Any
 
 from slidectl.errors import Refused, UsageError
-from slidectl.viewing.page.html_table import SCROLLED
-from slidectl.viewing.page.page import Page, Panel, WorldState
+from slidectl.viewing.page.page import SCROLLED, Page, Panel, WorldState
 
 _LAST = 4096
 """Bytes of the end of what a recorder has said."""
@@ -36,9 +36,9 @@ class RecordPanel(Panel):
     def build(self, world: WorldState) -> None:
         acting = self.page.acting
         name = self.gui.add_text("file", self._name, hint=f".bag or .mcap, in {self._folder}")
-        acting(name, self._choose_name)
+        acting(name, partial(setattr, self, "_name"))
         topics = self.gui.add_text("topics to record", self._topics, hint="names or their ends; empty: all")
-        acting(topics, self._choose_topics)
+        acting(topics, partial(setattr, self, "_topics"))
         self._start_button = self.gui.add_button("Record")
         acting(self._start_button, lambda _: self._start())
         self._stop_button = self.gui.add_button("Stop recording")
@@ -57,24 +57,17 @@ class RecordPanel(Panel):
             state = f"recording into {escape(recorder.path.name)}: {so_far}"
             if recorder.process.poll() is not None:
                 self._recorder = None
-                trouble = recorder.trouble()
-                if trouble:
+                if trouble := recorder.trouble():
                     self.page.notify(f"{recorder.path.name} ended", trouble, "red")
                 else:
                     self.page.notify(f"{recorder.path.name} recorded", so_far)
         state = f'<div style="{SCROLLED}">{state}</div>'
         if self._state.content != state:
             self._state.content = state
-        if not self.page.read_only and self._start_button.disabled != (self._recorder is not None):
-            self._start_button.disabled = self._recorder is not None
-        if not self.page.read_only and self._stop_button.disabled != (self._recorder is None):
-            self._stop_button.disabled = self._recorder is None
-
-    def _choose_name(self, value: str) -> None:
-        self._name = value
-
-    def _choose_topics(self, value: str) -> None:
-        self._topics = value
+        is_recording = self._recorder is not None
+        for button, is_off in ((self._start_button, is_recording), (self._stop_button, not is_recording)):
+            if not self.page.read_only and button.disabled != is_off:
+                button.disabled = is_off
 
     def _start(self) -> None:
         if self._recorder is not None:

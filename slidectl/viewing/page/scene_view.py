@@ -10,10 +10,10 @@ import numpy as np
 from viser import SceneNodeHandle
 
 from slidectl.description.robot import MOVING, Robot
+from slidectl.measures import Array
 from slidectl.rotations import IDENTITY, Vector, compose, conjugate, relative, rotate
-from slidectl.viewing.drawn_scene import Array, DrawnScene
+from slidectl.viewing.drawn_scene import VIEWS, DrawnScene
 from slidectl.viewing.page.page import Page, Panel, WorldState
-from slidectl.viewing.viewpoints import VIEWS
 
 FRAMES, AXES, MASSES, CONTACTS = "frames of links", "joint axes", "centres of mass", "contacts and their forces"
 _MOST_TRACED = 2000
@@ -91,12 +91,15 @@ class SceneView(Panel):
         self._held.clear()
         self.page.server.scene.remove_by_name("/push")
         self._choose_placed(_NOTHING)
+        self._remove_robots()
+        self._scene = None
+
+    def _remove_robots(self) -> None:
         for link in self._links.values():
             link.remove()
         self._links.clear()
         for nodes in self._extra.values():
             nodes.clear()
-        self._scene = None
 
     def _choose_shapes(self, value: str) -> None:
         self._collisions = value == "collisions"
@@ -144,11 +147,7 @@ class SceneView(Panel):
 
     def _look(self) -> None:
         """Make the robots anew that there are now. Raises NoDaemon."""
-        for link in self._links.values():
-            link.remove()
-        self._links.clear()
-        for nodes in self._extra.values():
-            nodes.clear()
+        self._remove_robots()
         scene = self._scene = DrawnScene(
             self.page.client.call("/slidectl/scene", {"descriptions": True}), self._collisions
         )

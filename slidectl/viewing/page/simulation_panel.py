@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
+from functools import partial
 from typing import Any
 
 from slidectl.client import Client
@@ -39,7 +40,7 @@ class SimulationPanel(Panel):
         self._pause = self.gui.add_button("")
         acting(self._pause, lambda _: self._toggle())
         cycles = self.gui.add_number("cycles of a step", self._cycles, min=1, max=1_000_000, step=1)
-        acting(cycles, self._choose_cycles)
+        acting(cycles, partial(setattr, self, "_cycles"))
         acting(self.gui.add_button("Step", hint="key: ."), lambda _: self._step())
         self._speed: Any = self.gui.add_dropdown("speed", _SPEEDS)
         self._seen_speed = ""
@@ -47,7 +48,7 @@ class SimulationPanel(Panel):
         reset = self.gui.add_button_group("reset", ("robots", "robots and time"))
         acting(reset, self._reset)
         name = self.gui.add_text("snapshot", self._name)
-        acting(name, self._choose_name)
+        acting(name, partial(setattr, self, "_name"))
         acting(self.gui.add_button("Save"), lambda _: self._save())
         known = tuple(one["name"] for one in self.page.client.snapshots())
         self._snapshots: Any = self.gui.add_dropdown("load", (_NONE, *known))
@@ -94,12 +95,6 @@ class SimulationPanel(Panel):
             raise Refused("the world is stepping", "Pause ends it")
         client = self.page.client
         self._stepping = client, client.call_async("/slidectl/step", {"cycles": self._cycles})
-
-    def _choose_cycles(self, value: int) -> None:
-        self._cycles = value
-
-    def _choose_name(self, value: str) -> None:
-        self._name = value
 
     def _set_speed(self, value: str) -> None:
         self.page.call("/slidectl/set_speed", {"speed": 0.0 if value == "max" else float(value)})

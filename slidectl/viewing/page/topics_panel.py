@@ -16,8 +16,7 @@ from slidectl import msgs
 from slidectl.client import Client
 from slidectl.errors import cut
 from slidectl.viewing.graph_drawing import NodeGraph, read_graph
-from slidectl.viewing.page.html_table import HIGHEST, SCROLLED, html_table
-from slidectl.viewing.page.page import Page, Panel, WorldState
+from slidectl.viewing.page.page import HIGHEST, SCROLLED, Page, Panel, WorldState, html_table
 from slidectl.viewing.world_monitor import FollowedTopic
 
 _NONE = "none"

@@ -11,9 +11,8 @@ from slidectl import names
 from slidectl.client import Subscription
 from slidectl.client.action_client import Action
 from slidectl.client.trajectory_goals import desired_positions, goal_to, hold, trajectory_controllers
-from slidectl.viewing.page.html_table import PADDING, html_table
 from slidectl.viewing.page.joints_panel import bounds, placed, step_of
-from slidectl.viewing.page.page import Message, Page, Panel, WorldState
+from slidectl.viewing.page.page import PADDING, Message, Page, Panel, WorldState, html_table
 
 _STATE_EVERY_MS = 100
 _LONGEST_S = 1e6
@@ -68,22 +67,19 @@ class TrajectoriesPanel(Panel):
             self.page.acting(slider, partial(targets.__setitem__, name), coalesce=True)
         cycle = world.status["timestep"]
         duration = self.gui.add_number("duration (s)", max(self._duration, cycle), min=cycle, max=_LONGEST_S, step=0.1)
-        self.page.acting(duration, self._choose_duration)
+        self.page.acting(duration, partial(setattr, self, "_duration"))
         goal = self.gui.add_button_group("goal", ("send", "hold", "cancel"))
         self.page.acting(goal, partial(self._act, controller, action))
         present = self.gui.add_button("Take present positions", hint="targets where the joints are meant to be now")
         self.page.acting(present, lambda _: self._take_present(controller))
         self._told_of_goal = self.gui.add_html("")
         self._table = self.gui.add_html("")
-        self._states = self.page.client.subscribe(f"{controller}/state", queue_length=1, throttle_rate=_STATE_EVERY_MS)
+        self._states = self.subscribe(f"{controller}/state", queue_length=1, throttle_rate=_STATE_EVERY_MS)
         self.refresh(world)
 
     def _choose(self, controller: str) -> None:
         self._controller = controller
         self.page.look_again()
-
-    def _choose_duration(self, value: float) -> None:
-        self._duration = value
 
     def _take_present(self, controller: str) -> None:
         for name, position in desired_positions(self.page.client, controller).items():
@@ -129,8 +125,7 @@ class TrajectoriesPanel(Panel):
             self._goal, self._told = None, "how it ended is not known"
 
     def leave(self) -> None:
-        if self._states is not None:
-            self._states.close()
+        super().leave()
         self._states = None
         self._end_goal()
         self._sliders.clear()
