@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import sys
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -50,10 +50,8 @@ def info(ctx: Context, file: str) -> None:
     (type and md5sum), topics (topic, type, messages, latching).
     """
     with open_recording(ctx, file) as recording:
-        summary, channels = recording.summary(), recording.channels
-        damage = recording.damage
-    begin = None if summary.begin_ns is None else summary.begin_ns / _SECOND
-    end = None if summary.end_ns is None else summary.end_ns / _SECOND
+        summary, channels, damage = recording.summary(), recording.channels, recording.damage
+    begin, end = (None if ns is None else ns / _SECOND for ns in (summary.begin_ns, summary.end_ns))
     latched = {channel.topic for channel in channels if channel.latching}
     types = {channel.topic: channel.type for channel in channels}
     record = {
@@ -144,16 +142,6 @@ def diff(ctx: Context, run: str, baseline: str, fields: tuple[str, ...], tol: fl
 # --- copies -----------------------------------------------------------------------------------------------------------
 
 
-def _check_target(target: str, force: bool) -> Path:
-    """Raises Refused: the file is there."""
-    from slidectl.recording.recording_files import refuse_existing
-
-    path = Path(target)
-    if not force:
-        refuse_existing(path)
-    return path
-
-
 @bag.command("reindex", examples=["slidectl bag reindex run.bag"])
 @click.argument("file", shell_complete=completion.files)
 @click.pass_obj
@@ -200,9 +188,11 @@ def filter_command(
     its math module; topics whose messages lack a field that EXPR names are left out. Without EXPR everything is copied:
     from .bag to .mcap or back, or with another compression. JSON keys: file, messages, of.
     """
-    from slidectl.recording.recording_files import copy
+    from slidectl.recording.recording_files import copy, refuse_existing
 
-    path = _check_target(target, force)
+    path = Path(target)
+    if not force:
+        refuse_existing(path)
     if path.resolve() == Path(source).resolve():
         raise UsageError("the target is the source", "give another name")
     with open_recording(ctx, source) as recording:
@@ -267,32 +257,28 @@ def export(
     if target is None or (csv_file and parquet_file):
         raise UsageError("give one of --csv and --parquet")
     from slidectl.recording.flat_rows import Rows
+    from slidectl.recording.recording_files import refuse_existing
 
-    path = None if target == "-" else _check_target(target, force)
+    path = Path(target)
+    to_stdout = csv_file == "-"
+    if not (force or to_stdout):
+        refuse_existing(path)
     with open_recording(ctx, file) as recording:
-        wanted = _wanted(recording, topics)
+        wanted = {names.resolve(topic, recording.topics, kind="topic") for topic in topics} or set(recording.topics)
         rows = Rows(recording, wanted)
         columns = rows.columns()
         if parquet_file:
-            count = _write_parquet(path or Path(target), rows, columns)
+            count = _write_parquet(path, rows, columns)
         else:
-            count = _write_csv(path, rows, columns)
-    if path is not None:
+            count = _write_csv(None if to_stdout else path, rows, columns)
+    if not to_stdout:
         ctx.done({"file": target, "rows": count, "columns": len(columns)}, f"{target}: {count} rows")
-
-
-def _wanted(recording: Recording, topics: tuple[str, ...]) -> set[str]:
-    """Raises UnknownName, AmbiguousName."""
-    return {names.resolve(topic, recording.topics, kind="topic") for topic in topics} or set(recording.topics)
 
 
 def _write_csv(path: Path | None, rows: Rows, columns: list[str]) -> int:
     count = 0
     try:
-        with ExitStack() as stack:
-            file = sys.stdout
-            if path is not None:
-                file = stack.enter_context(path.open("w", encoding="utf-8", newline=""))
+        with nullcontext(sys.stdout) if path is None else path.open("w", encoding="utf-8", newline="") as file:
             table = csv.DictWriter(file, columns, lineterminator="\n")
             table.writeheader()
             for row in rows:

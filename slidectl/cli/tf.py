@@ -38,14 +38,13 @@ class Listener:
         self._topics = topics
         self.frames = Frames()
         self._heard: Counter[str] = Counter()
-        self._is_still = False
 
     def listen(self, enough: Callable[[Frames], bool]) -> None:
         """Until it is enough, all frames have come, or `--timeout` (3 s) is over."""
         deadline = self._stream.monotonic() + self._ctx.wait_limit(PATIENCE_S)
         # Its answer comes after all that a world that stands still has to tell.
-        self._is_still = self._ctx.call("/slidectl/status")["paused"]
-        while not enough(self.frames) and not self._is_complete():
+        is_paused = self._ctx.call("/slidectl/status")["paused"]
+        while not enough(self.frames) and not self._is_complete(is_paused):
             event = self._stream.next(deadline)
             if event is None:
                 return
@@ -72,9 +71,9 @@ class Listener:
         if topic == MOVING:
             self._heard.update(transform["child_frame_id"] for transform in message["transforms"])
 
-    def _is_complete(self) -> bool:
+    def _is_complete(self, is_paused: bool) -> bool:
         """Static transforms are latched: they come at once, before the first moving one or the answer of a call."""
-        if MOVING not in self._topics or (self._is_still and self._heard and self._stream.is_drained):
+        if MOVING not in self._topics or (is_paused and self._heard and self._stream.is_drained):
             return self._stream.is_drained
         return any(count >= _ROUNDS for count in self._heard.values())
 
