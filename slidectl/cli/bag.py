@@ -142,6 +142,18 @@ def diff(ctx: Context, run: str, baseline: str, fields: tuple[str, ...], tol: fl
 # --- copies -----------------------------------------------------------------------------------------------------------
 
 
+def _target(file: str, source: str, force: bool) -> Path:
+    """Raises Refused: the file is there. UsageError: it is the source."""
+    from slidectl.recording.recording_files import refuse_existing
+
+    path = Path(file)
+    if not force:
+        refuse_existing(path)
+    if path.resolve() == Path(source).resolve():
+        raise UsageError("the target is the source", "give another name")
+    return path
+
+
 @bag.command("reindex", examples=["slidectl bag reindex run.bag"])
 @click.argument("file", shell_complete=completion.files)
 @click.pass_obj
@@ -188,13 +200,9 @@ def filter_command(
     its math module; topics whose messages lack a field that EXPR names are left out. Without EXPR everything is copied:
     from .bag to .mcap or back, or with another compression. JSON keys: file, messages, of.
     """
-    from slidectl.recording.recording_files import copy, refuse_existing
+    from slidectl.recording.recording_files import copy
 
-    path = Path(target)
-    if not force:
-        refuse_existing(path)
-    if path.resolve() == Path(source).resolve():
-        raise UsageError("the target is the source", "give another name")
+    path = _target(target, source, force)
     with open_recording(ctx, source) as recording:
         keep = _condition(condition, recording)
         total = recording.summary().counts.total()
@@ -257,21 +265,14 @@ def export(
     if target is None or (csv_file and parquet_file):
         raise UsageError("give one of --csv and --parquet")
     from slidectl.recording.flat_rows import Rows
-    from slidectl.recording.recording_files import refuse_existing
 
-    path = Path(target)
-    to_stdout = csv_file == "-"
-    if not (force or to_stdout):
-        refuse_existing(path)
+    path = None if csv_file == "-" else _target(target, file, force)
     with open_recording(ctx, file) as recording:
         wanted = {names.resolve(topic, recording.topics, kind="topic") for topic in topics} or set(recording.topics)
         rows = Rows(recording, wanted)
         columns = rows.columns()
-        if parquet_file:
-            count = _write_parquet(path, rows, columns)
-        else:
-            count = _write_csv(None if to_stdout else path, rows, columns)
-    if not to_stdout:
+        count = _write_csv(path, rows, columns) if csv_file else _write_parquet(Path(target), rows, columns)
+    if path is not None:
         ctx.done({"file": target, "rows": count, "columns": len(columns)}, f"{target}: {count} rows")
 
 

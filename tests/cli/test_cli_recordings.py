@@ -365,6 +365,19 @@ def test_copies_and_tables(slider: CommandLine, tmp_path: Path) -> None:
     assert {"time", "topic", "header.stamp", "name[0]", "effort[0]"} <= rows[0].keys()
 
 
+def test_a_table_takes_the_place_of_no_file_unasked_and_never_of_its_recording(
+    slidectl: CommandLine, tmp_path: Path
+) -> None:
+    two_publishers(tmp_path / "run.bag")
+    before = (tmp_path / "run.bag").read_bytes()
+    done = slidectl("bag", "export", "run.bag", "--csv", "run.bag", "--force", cwd=tmp_path)
+    assert (done.returncode, "the target is the source" in done.stderr) == (2, True)
+    assert (tmp_path / "run.bag").read_bytes() == before
+    (tmp_path / "-").touch()
+    done = slidectl("bag", "export", "run.bag", "--parquet", "-", cwd=tmp_path)
+    assert (done.returncode, "- is there already" in done.stderr) == (1, True)
+
+
 def two_publishers(path: Path) -> None:
     """A bag as rosbag makes it of a topic with two publishers, one of which came twice."""
     store = get_typestore(Stores.ROS1_NOETIC)
