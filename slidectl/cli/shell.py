@@ -129,8 +129,8 @@ def _run_script(context: Context, file: str | None, keep_going: bool) -> int:
 def _script(file: str | None) -> Iterator[tuple[str, Iterator[str]]]:
     """Name and lines of the script. One that comes by stdin is not for its commands to read: they find it empty."""
     if file is not None and file != "-":
-        try:
-            opened = open(file, encoding="utf-8")  # noqa: SIM115 - closed below
+        try:  # what is no text stays in the words as it does on stdin: names of files may have such bytes
+            opened = open(file, encoding="utf-8", errors="surrogateescape")  # noqa: SIM115 - closed below
         except OSError as error:
             raise BadFile(error.strerror or str(error), file) from None
         with opened:

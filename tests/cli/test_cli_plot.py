@@ -290,7 +290,7 @@ def test_a_plot_is_live_on_a_terminal_and_stays_there_at_the_end(moving: Command
 
 def test_a_terminal_that_is_closed_ends_a_live_plot_as_an_interrupt(moving: CommandLine) -> None:
     with Terminal(moving, "plot", f"{STATES}/position[0]") as terminal:
-        terminal.until(lambda: "position[0]" in terminal.output)
+        terminal.says("position[0]")
         terminal.close()
         assert terminal.process.wait(60) == 130
 
