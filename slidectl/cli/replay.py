@@ -102,7 +102,7 @@ def _replay(
         "whole": not contents.is_cut, "states": one.states, "differs": one.differs, "messages": messages,
         "robots": [robots.record(robot, with_report=False) for robot in found],
     }  # fmt: skip
-    shown = [robots.robot_text({**robot, "report": []}, with_report=False) for robot in record["robots"]]
+    shown = [robots.robot_text(robot, with_report=False) for robot in record["robots"]]
     head = f"{contents.path}: {seconds:.3f} s, {one.taken} of {entries} entries; {one.states} states are the same"
     if one.differs:
         ctx.warn(one.differs)

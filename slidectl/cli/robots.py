@@ -102,8 +102,7 @@ def robot_text(robot: Robot, with_report: bool) -> str:
     parts = [output.as_lines(head)]
     if rows:
         parts.append(output.table(rows, _JOINT_COLUMNS).rstrip())
-    notices = robot["report"]
-    if notices:
+    if notices := robot.get("report"):
         parts.append("\n".join(map(notice_text, notices)) if with_report else summary(robot["name"], notices))
     return "\n\n".join(parts)
 
