@@ -161,10 +161,9 @@ def show(
         for record in records or [_record(curve, drawn.begin, save) for curve in drawn.curves]:
             ctx.emit(record)
     elif save is not None:
-        count = sum(len(curve.times) for curve in drawn.curves)
-        if not ctx.quiet:
-            about = f"{save}: {output.count(len(drawn.curves), 'curve')}, {output.count(count, 'sample')}"
-            output.write("\n".join([about, *drawn.notes]))
+        samples = sum(len(curve.times) for curve in drawn.curves)
+        about = f"{save}: {output.count(len(drawn.curves), 'curve')}, {output.count(samples, 'sample')}"
+        ctx.done({}, "\n".join([about, *drawn.notes]))
     else:
         output.write(_text(drawn, at_least=_LEAST_PLAIN_ROWS))
 
