@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -15,6 +13,7 @@ from slidectl.cli import completion, output, robots
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
 from slidectl.cli.echo import echo as echo_topic
+from slidectl.cli.terminal_progress import status_line
 from slidectl.cli.topic_streams import paused, way_on
 from slidectl.errors import Refused, TimedOut, UsageError
 
@@ -133,9 +132,7 @@ def echo(click_context: click.Context, name: str, topic: str, count: int | None)
 
     As 'slidectl echo' prints them, until -n is reached or Ctrl-C is pressed.
     """
-    ctx = click_context.find_object(Context)
-    assert ctx is not None
-    with _open(ctx, name) as chosen:
+    with _open(click_context.obj, name) as chosen:
         full = f"{chosen.name}/{topic}"
     click_context.invoke(echo_topic, target=full, count=count)
 
@@ -178,8 +175,8 @@ def run(
         if ended is None:
             for reason in reasons:
                 ctx.warn(reason)
-        if ended is None and wait:
-            ended = _follow(ctx, chosen, goal_id, tell_feedback, describe)
+            if wait:
+                ended = _follow(ctx, chosen, goal_id, tell_feedback, describe)
     except KeyboardInterrupt:
         if wait:
             chosen.cancel(goal_id)
@@ -199,39 +196,25 @@ def _follow(ctx: Context, chosen: Action, goal_id: str, tell_feedback: bool, des
     if status["paused"]:
         ctx.say(f"{paused(status)}; this waits until it goes on: {way_on(status)}")
     try:
-        with _progress(ctx, chosen.name, wanted=not tell_feedback) as show:
+        with status_line(ctx, f"{chosen.name}: the goal is sent", wanted=not tell_feedback) as show:
             for event in chosen.follow(goal_id, ctx.wait_limit(math.inf)):
                 if isinstance(event, ActionResult):
                     return event
                 if tell_feedback:
                     ctx.emit(event, output.as_yaml(event) + "---")
                 else:
-                    show(describe(event))
+                    show(f"{chosen.name}: {describe(event)}")
     except TimedOut as error:
         hint = error.hint or f"it goes on; to end it: slidectl action cancel {chosen.name}"
         raise TimedOut(error.message, hint) from None
     raise AssertionError("follow ends with a result")
 
 
-@contextmanager
-def _progress(ctx: Context, name: str, *, wanted: bool) -> Iterator[Callable[[str], None]]:
-    """One line on the terminal that changes, and is gone at the end; nothing where there is no terminal."""
-    if not wanted or ctx.quiet or not output.is_terminal(sys.stderr):
-        yield lambda _text: None
-        return
-    from rich.console import Console
-    from rich.text import Text  # brackets of a name are no styles
-
-    with Console(stderr=True, highlight=False).status(Text(f"{name}: the goal is sent"), spinner="line") as status:
-        yield lambda text: status.update(Text(f"{name}: {text}"))
-
-
 def _tell(ctx: Context, chosen: Action, goal_id: str, ended: ActionResult, reasons: Sequence[str]) -> None:
     """Say how a goal ended. Raises Refused unless it succeeded."""
     result = dict(ended.result)
     code, text = result.pop("error_code", 0), result.pop("error_string", "")
-    parts = [ended.state]
-    parts += [f"error_code {code}"] if code else []
+    parts = [ended.state, *([f"error_code {code}"] if code else [])]
     parts += [f"{field} {output.cell(value)}" for field, value in result.items()]
     text = ended.text or text or "; ".join(reasons)
     line = f"{chosen.name}: {', '.join(parts)}" + (f": {text}" if text else "")

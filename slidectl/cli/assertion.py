@@ -6,6 +6,7 @@ What is measured, and how, is in `slidectl.measures`.
 from __future__ import annotations
 
 import math
+import operator
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -26,13 +27,8 @@ from slidectl.traces import MEASURES, JointOrFieldTrace
 
 _BOUND = re.compile(r"\s*(<=|>=|==|=|<|>)\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S*)\s*\Z")
 _HOLDS: dict[str, Callable[[float, float], bool]] = {
-    "<": lambda measured, bound: measured < bound,
-    "<=": lambda measured, bound: measured <= bound,
-    ">": lambda measured, bound: measured > bound,
-    ">=": lambda measured, bound: measured >= bound,
-    "==": lambda measured, bound: measured == bound,
-    "=": lambda measured, bound: measured == bound,
-}
+    "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "==": operator.eq, "=": operator.eq,
+}  # fmt: skip
 _UNITS = {
     "%": ("%", 1.0), "s": ("s", 1.0), "ms": ("s", 1e-3), "m": ("m", 1.0), "mm": ("m", 1e-3), "rad": ("rad", 1.0),
     "deg": ("rad", math.pi / 180), "N": ("N", 1.0), "Nm": ("N·m", 1.0), "N·m": ("N·m", 1.0), "J": ("J", 1.0),
@@ -91,15 +87,17 @@ class _Verdict(NamedTuple):
 
     def record(self, trace: JointOrFieldTrace) -> dict[str, Any]:
         begin, end = (float(trace.times[0]), float(trace.times[-1])) if len(trace.times) else (None, None)
-        about = {**self._asdict(), "message": self.text, "target": trace.name, "start": begin, "end": end}
-        keys = ("target", "condition", "expected", "holds", "measured", "unit", "time", "start", "end", "message")
-        return {key: about[key] for key in keys}
+        return {
+            "target": trace.name, "condition": self.condition, "expected": self.expected, "holds": self.holds,
+            "measured": self.measured, "unit": self.unit, "time": self.time, "start": begin, "end": end,
+            "message": self.text,
+        }  # fmt: skip
 
 
 def _measure_options(function: Callable[..., None]) -> Callable[..., None]:
     """An option for each measure."""
     for name, measure in reversed(MEASURES.items()):
-        function = click.option(f"--{name}", metavar="COND", callback=_bound, help=f"{measure.help}.")(function)
+        click.option(f"--{name}", metavar="COND", callback=_bound, help=f"{measure.help}.")(function)
     return function
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import sys
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -49,10 +49,8 @@ def info(ctx: Context, file: str) -> None:
     (type and md5sum), topics (topic, type, messages, latching).
     """
     with open_recording(ctx, file) as recording:
-        summary, channels = recording.summary(), recording.channels
-        damage = recording.damage
-    begin = None if summary.begin_ns is None else summary.begin_ns / _SECOND
-    end = None if summary.end_ns is None else summary.end_ns / _SECOND
+        summary, channels, damage = recording.summary(), recording.channels, recording.damage
+    begin, end = (None if ns is None else ns / _SECOND for ns in (summary.begin_ns, summary.end_ns))
     latched = {channel.topic for channel in channels if channel.latching}
     types = {channel.topic: channel.type for channel in channels}
     record = {
@@ -142,13 +140,15 @@ def diff(ctx: Context, run: str, baseline: str, fields: tuple[str, ...], tol: fl
 # --- copies -----------------------------------------------------------------------------------------------------------
 
 
-def _check_target(target: str, force: bool) -> Path:
-    """Raises Refused: the file is there."""
+def _target(file: str, source: str, force: bool) -> Path:
+    """Raises Refused: the file is there. UsageError: it is the source."""
     from slidectl.recording.recording_files import refuse_existing
 
-    path = Path(target)
+    path = Path(file)
     if not force:
         refuse_existing(path)
+    if path.resolve() == Path(source).resolve():
+        raise UsageError("the target is the source", "give another name")
     return path
 
 
@@ -200,9 +200,7 @@ def filter_command(
     """
     from slidectl.recording.recording_files import copy
 
-    path = _check_target(target, force)
-    if path.resolve() == Path(source).resolve():
-        raise UsageError("the target is the source", "give another name")
+    path = _target(target, source, force)
     with open_recording(ctx, source) as recording:
         keep = _condition(condition, recording)
         total = recording.summary().counts.total()
@@ -266,31 +264,20 @@ def export(
         raise UsageError("give one of --csv and --parquet")
     from slidectl.recording.flat_rows import Rows
 
-    path = None if target == "-" else _check_target(target, force)
+    path = None if csv_file == "-" else _target(target, file, force)
     with open_recording(ctx, file) as recording:
-        wanted = _wanted(recording, topics)
+        wanted = {names.resolve(topic, recording.topics, kind="topic") for topic in topics} or set(recording.topics)
         rows = Rows(recording, wanted)
         columns = rows.columns()
-        if parquet_file:
-            count = _write_parquet(path or Path(target), rows, columns)
-        else:
-            count = _write_csv(path, rows, columns)
+        count = _write_csv(path, rows, columns) if csv_file else _write_parquet(Path(target), rows, columns)
     if path is not None:
         ctx.done({"file": target, "rows": count, "columns": len(columns)}, f"{target}: {count} rows")
-
-
-def _wanted(recording: Recording, topics: tuple[str, ...]) -> set[str]:
-    """Raises UnknownName, AmbiguousName."""
-    return {names.resolve(topic, recording.topics, kind="topic") for topic in topics} or set(recording.topics)
 
 
 def _write_csv(path: Path | None, rows: Rows, columns: list[str]) -> int:
     count = 0
     try:
-        with ExitStack() as stack:
-            file = sys.stdout
-            if path is not None:
-                file = stack.enter_context(path.open("w", encoding="utf-8", newline=""))
+        with nullcontext(sys.stdout) if path is None else path.open("w", encoding="utf-8", newline="") as file:
             table = csv.DictWriter(file, columns, lineterminator="\n")
             table.writeheader()
             for row in rows:

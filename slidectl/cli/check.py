@@ -41,24 +41,13 @@ _COLOURS = {"used": "green", "converted": "cyan", "ignored": "yellow", "wrong": 
 )
 @click.argument("source", metavar="MODEL|LAUNCH|CONTROLLERS", shell_complete=completion.models)
 @click.argument("arguments", nargs=-1, metavar="[KEY:=VALUE]...")
-@click.option(
-    "--controllers",
-    multiple=True,
-    metavar="FILE",
-    shell_complete=completion.files,
-    help="Controllers of the model; may repeat.",
-)
+@click.option("--controllers", multiple=True, metavar="FILE", shell_complete=completion.files,
+              help="Controllers of the model; may repeat.")  # fmt: skip
 @click.option(
     "--transmissions", type=click.Choice(["gazebo", "real"]), help="As for spawn: how transmissions of the model count."
 )
-@click.option(
-    "--import",
-    "imports",
-    multiple=True,
-    metavar="MODULE",
-    shell_complete=completion.files,
-    help="Know the controllers and hardware of your own in this module or FILE.py; may repeat.",
-)
+@click.option("--import", "imports", multiple=True, metavar="MODULE", shell_complete=completion.files,
+              help="Know the controllers and hardware of your own in this module or FILE.py; may repeat.")  # fmt: skip
 @click.option("--strict", is_flag=True, help="Exit 1 when anything is ignored, too, and refuse what spawn mends.")
 @click.option("--only", multiple=True, type=click.Choice(_VERDICTS), help="Print findings of this kind; may repeat.")
 @click.option("--keep-going", is_flag=True, help="Leave out what is not there, as launch and spawn do with it.")
@@ -87,8 +76,7 @@ def check(
     at the end, and the exit code is 1 only when nothing is left to drive. --import runs the code of the module, but no
     controller. JSON keys: file, line, verdict, subject, text.
     """
-    ctx = click_context.find_object(Context)
-    assert ctx is not None
+    ctx: Context = click_context.obj
     from slidectl.check.run import check as run
     from slidectl.cli.daemon import module_or_file
     from slidectl.description.missing import Missing
@@ -102,18 +90,11 @@ def check(
     words += [word for word in arguments if ":=" not in word]
     given = pairs([word for word in arguments if ":=" in word], ":=", "check")
     missing = Missing("all" if keep_going else "nothing")
+    modules = [module_or_file(module) for module in imports]
     findings = run(
-        words,
-        given,
-        places,
-        files,
-        text,
-        ask_others=second_opinion,
-        strict=strict,
-        missing=missing,
-        transmissions=transmissions,
-        imports=[module_or_file(module) for module in imports],
-    )
+        words, given, places, files, text, ask_others=second_opinion, strict=strict, missing=missing,
+        transmissions=transmissions, imports=modules,
+    )  # fmt: skip
     tell_own_packages(ctx, places)
     _print(ctx, findings, only)
     if lines := missing.lines():

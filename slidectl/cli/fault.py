@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from slidectl.cli import completion
+from slidectl.cli import completion, robots
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
 from slidectl.fault_kinds import KINDS, OPTIONS, QUANTITIES, check_span, checked_options
@@ -18,18 +18,14 @@ _COLUMNS = ("name", "kind", "target", "from", "to", "seed", "options", "state", 
 
 
 def _names(context: Context) -> list[str]:
-    return [fault["name"] for fault in context.call("/slidectl/fault/list")["faults"]]
+    return [fault["name"] for fault in context.client.faults()]
 
 
 def _targets(context: Context) -> list[str]:
-    robots = context.call("/slidectl/list_robots", {"name": ""})["robots"]
-    parts = [f"/{robot['name']}/{part}" for robot in robots for part in _parts(robot)]
-    controllers = [f"{robot['namespace'].rstrip('/')}/{name}" for robot in robots for name in robot["controllers"]]
+    present = robots.all_robots(context)
+    parts = [f"/{one['name']}/{part}" for one in present for part in (*robots.moving(one), *one["links"])]
+    controllers = [f"{one['namespace'].rstrip('/')}/{name}" for one in present for name in one["controllers"]]
     return [*parts, *controllers, *context.names("topic")]
-
-
-def _parts(robot: dict[str, Any]) -> list[str]:
-    return [*(joint["name"] for joint in robot["joints"] if joint["type"] != "fixed"), *robot["links"]]
 
 
 def _kind_options(command: Callable[..., None]) -> Callable[..., None]:
@@ -75,12 +71,10 @@ def _check_words(kind: str, start: float | None, end: float | None, **given: Any
 @click.argument("target", shell_complete=completion.completer(_targets))
 @click.option("--kind", required=True, metavar="KIND", shell_complete=completion.completer(lambda _: KINDS),
               help="What goes wrong; 'slidectl fault kinds' lists them.")  # fmt: skip
-@click.option(
-    "--from", "start", type=float, metavar="TIME", help="When it begins, simulated s (default: the next cycle)."
-)
-@click.option(
-    "--to", "end", type=float, metavar="TIME", help="When it ends, simulated s (default: when it is removed)."
-)
+@click.option("--from", "start", type=float, metavar="TIME",
+              help="When it begins, simulated s (default: the next cycle).")  # fmt: skip
+@click.option("--to", "end", type=float, metavar="TIME",
+              help="When it ends, simulated s (default: when it is removed).")  # fmt: skip
 @click.option("--seed", type=int, default=0, metavar="N", help="Seed of its random numbers (0).")
 @click.option("--name", default="", metavar="NAME", help="Its name in the list (default: made from the kind).")
 @_kind_options
@@ -93,7 +87,9 @@ def add(ctx: Context, /, target: str, kind: str, start: float | None, end: float
     """
     options = {option: value for option, value in given.items() if value is not None}
     added = ctx.client.add_fault(target, kind, start, end, namespace=ctx.namespace, **options)
-    ctx.done(_record(added), f"{added['name']}: {kind} on {added['target']} {_span(added)}")
+    until = "until it is removed" if added["end"] == math.inf else f"to {added['end']:g} s"
+    span = f"from {added['start']:g} s {until}"
+    ctx.done(_record(added), f"{added['name']}: {kind} on {added['target']} {span}")
 
 
 def _record(found: dict[str, Any]) -> dict[str, Any]:
@@ -101,11 +97,6 @@ def _record(found: dict[str, Any]) -> dict[str, Any]:
     end = None if found["end"] == math.inf else found["end"]
     record = {**found, "from": found["start"], "to": end}
     return {key: record[key] for key in _COLUMNS}
-
-
-def _span(found: dict[str, Any]) -> str:
-    end = "until it is removed" if found["end"] == math.inf else f"to {found['end']:g} s"
-    return f"from {found['start']:g} s {end}"
 
 
 @fault.command("list", examples=["slidectl fault list", "slidectl fault list --json"])

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from slidectl.cli import completion
+from slidectl.cli import completion, output
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
 from slidectl.client.link import command
 from slidectl.errors import NoDaemon, Refused
+
+if TYPE_CHECKING:
+    from slidectl.gateways.process import RunningGateway
 
 PORTS = {"ros1": 11311, "websocket": 9090, "foxglove": 8765}
 """Where each listens unless told otherwise, as roscore, rosbridge and Foxglove's bridge do."""
@@ -128,8 +131,7 @@ def start(ctx: Context, kind: str, options: dict[str, Any]) -> bool:
     """Start one in the background, and say so. True when it ran already. Raises Refused, TimedOut."""
     from slidectl.gateways import process
 
-    limit_s = ctx.wait_limit(process.START_LIMIT_S)
-    found, already = process.start(ctx.paths, kind, options, limit_s)
+    found, already = process.start(ctx.paths, kind, options, ctx.wait_limit(process.START_LIMIT_S))
     how = "runs already" if already else "started"
     text = f"{kind} gateway: {how}, process {found.pid}, {found.address}"
     ctx.done({**_place(found), "already": already}, text)
@@ -164,14 +166,14 @@ def _act(ctx: Context, kind: str, action: str, options: dict[str, Any]) -> None:
         if found is None:
             raise Refused(f"no {kind} gateway runs", "start it with: " + command(ctx.paths, f"gateway {kind} start"))
         state = _state(ctx, found)
-        ctx.emit(state, _text(state))
+        ctx.emit(state, output.as_lines({key: value for key, value in state.items() if key != "running"}))
 
 
-def _place(found: Any) -> dict[str, Any]:
+def _place(found: RunningGateway) -> dict[str, Any]:
     return {"kind": found.kind, "running": True, "pid": found.pid, "address": found.address}
 
 
-def _state(ctx: Context, found: Any) -> dict[str, Any]:
+def _state(ctx: Context, found: RunningGateway) -> dict[str, Any]:
     """Where it is, and what it says of itself."""
     from slidectl.gateways.gateway import status_service
 
@@ -179,15 +181,5 @@ def _state(ctx: Context, found: Any) -> dict[str, Any]:
         answer = ctx.call(status_service(found.kind))
     except (NoDaemon, Refused):
         return {**_place(found), "daemon": "the gateway waits for the daemon"}
-    return {
-        **_place(found),
-        **{
-            name: int(text) if text.isdigit() else text
-            for name, text in zip(answer["names"], answer["values"], strict=True)
-        },
-    }
-
-
-def _text(state: dict[str, Any]) -> str:
-    width = max(map(len, state)) + 1
-    return "\n".join(f"{key + ':':<{width}} {value}" for key, value in state.items() if key != "running")
+    counters = zip(answer["names"], answer["values"], strict=True)
+    return _place(found) | {name: int(text) if text.isdigit() else text for name, text in counters}

@@ -10,7 +10,7 @@ import select
 import signal
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -75,14 +75,10 @@ def _launch_files(context: click.Context, param: click.Parameter, incomplete: st
 @click.option("--log", "output_of_all", flag_value="log", help="Write the output of all nodes into logs.")
 @click.option("--required", is_flag=True, help="The launch ends when any process of it ends.")
 @click.option("--pid", "pid_file", metavar="FILE", help="Write the process id into a file; removed at the end.")
-@click.option(
-    "--sigint-timeout", type=float, default=15.0, callback=positive_seconds, metavar="S",
-    help="How long a process may take to end on SIGINT (15 s).",
-)  # fmt: skip
-@click.option(
-    "--sigterm-timeout", type=float, default=2.0, callback=positive_seconds, metavar="S",
-    help="How long it may take on SIGTERM (2 s).",
-)  # fmt: skip
+@click.option("--sigint-timeout", type=float, default=15.0, callback=positive_seconds, metavar="S",
+              help="How long a process may take to end on SIGINT (15 s).")  # fmt: skip
+@click.option("--sigterm-timeout", type=float, default=2.0, callback=positive_seconds, metavar="S",
+              help="How long it may take on SIGTERM (2 s).")  # fmt: skip
 @click.pass_obj
 def launch(ctx: Context, /, words: tuple[str, ...], packages: tuple[str, ...], **given: Any) -> None:
     """Run a launch file as roslaunch does.
@@ -134,15 +130,12 @@ def load_plan(
     given_arguments = pairs([word for word in words if ":=" in word], ":=", "launch")
     arguments = {name: value.strip() for name, value in given_arguments.items()}
     sources = files.find(names, lookup)
+    namespace = join("/", os.environ.get("ROS_NAMESPACE", "").strip("/"))
+    missing = Missing("all" if given["keep_going"] else "nodes" if given["skip_unknown"] else "nothing")
     plan = loader.load(
-        sources,
-        arguments,
-        lookup,
-        run_commands=not given["no_commands"],
-        arguments_only=given["ros_args"],
-        namespace=join("/", os.environ.get("ROS_NAMESPACE", "").strip("/")),
-        missing=Missing("all" if given["keep_going"] else "nodes" if given["skip_unknown"] else "nothing"),
-    )
+        sources, arguments, lookup, run_commands=not given["no_commands"], arguments_only=given["ros_args"],
+        namespace=namespace, missing=missing,
+    )  # fmt: skip
     return plan, lookup, " ".join(source.shown for source in sources)
 
 
@@ -211,31 +204,26 @@ class LaunchDaemon:
             self.context.detail(f"daemon {self.context.paths.name}: stopped")
 
 
-class _WorldOfScenario:
-    """The world in which a step acts is there already, and stays."""
+class RunningDaemon:
+    """The daemon, or the world of a scenario, that is there already, and stays."""
 
-    def __init__(self, client: Client) -> None:
-        self._client = client
+    def __init__(self, context: Context) -> None:
+        self.context = context
 
     def begin(self, settings: WorldSettings) -> bool:  # noqa: ARG002 - the node sets up the world that is there
         return False
 
     def connect(self) -> tuple[Client, bool]:
-        return self._client, False
+        return self.context.client, False
 
     def stop(self) -> None:
-        pass
+        """It is not ours."""
 
 
 def _run(
-    ctx: Context,
-    plan: LaunchPlan,
-    tasks: Sequence[Task],
-    packages: Packages,
-    title: str,
-    given: dict[str, Any],
+    ctx: Context, plan: LaunchPlan, tasks: Sequence[Task], packages: Packages, title: str, given: dict[str, Any],
     master: str,
-) -> None:
+) -> None:  # fmt: skip
     from slidectl.cli.detached import Background, pid_file
     from slidectl.cli.launch_text import Terminal
     from slidectl.launch.execution import Execution
@@ -262,15 +250,13 @@ def _run(
             run = Run(plan, packages, Terminal(ctx), options, interrupts, str(paths.folder / "launch"), environment)
             daemon: DaemonAccess = LaunchDaemon(ctx, child=not given["detach"], wait=given["wait"])
             if ctx.up is not None:
-                daemon, run.watch = _WorldOfScenario(ctx.client), WorldWatch(ctx.client)
-            _drive(Execution(run, tasks, daemon), title, given["detach"], background, ctx.up)
+                daemon, run.watch = RunningDaemon(ctx), WorldWatch(ctx.client)
+            _drive(ctx, Execution(run, tasks, daemon), title, given["detach"], background)
     except Interrupted as interrupted:  # before there was anything to end
         _interrupted(interrupted.number, was_up=False)
 
 
-def _drive(
-    execution: Execution, title: str, detach: bool, background: Background | None, up: Callable[[], None] | None
-) -> None:
+def _drive(ctx: Context, execution: Execution, title: str, detach: bool, background: Background | None) -> None:
     """Up, watched, down. A detached launch that needs nobody to stay is left as it is."""
     from slidectl.launch.supervision import Interrupted
 
@@ -278,11 +264,11 @@ def _drive(
     try:
         execution.bring_up()
         _tell_running(execution, title, detach, background)
-        if up is not None:
-            up()
-        leave = detach and background is None
+        if ctx.up is not None:
+            ctx.up()
         if background is not None:
             background.everything_runs()
+        leave = detach and background is None
         if not leave:
             execution.watch()
     except Interrupted as interrupted:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 import os
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
+from itertools import repeat
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -22,6 +23,7 @@ from slidectl.errors import MessageRefused, Refused, UsageError
 if TYPE_CHECKING:
     from slidectl.cli.detached import Background
     from slidectl.recording.playback import DueMessage
+    from slidectl.recording.recording_files import RecordedTopic
 
 _SECOND = 10**9
 _AHEAD, _AHEAD_BYTES = 1000, 4 * 1024 * 1024
@@ -95,15 +97,16 @@ def play(
         left_out = {"/rosout", "/rosout_agg", *(() if clock else (CLOCK,))} - chosen
         wanted = (chosen or set(known)) - left_out
         begin_ns, last_ns = span_ns(recordings)
-        player = _Player(ctx, renames, background)
         for channel in (channel for recording in recordings for channel in recording.channels):
             if channel.topic in wanted:
-                player.check(channel.topic, channel.type, channel.md5)
-        rounds: Iterable[None] = iter(lambda: None, 0) if loop else (None,)
+                _check_type(channel)
+        player = _Player(ctx, renames, background)
         end_ns = None if until is None else round(until * _SECOND)
         start_ns = round(start * _SECOND)
-        base_ns = begin_ns + start_ns if at_recorded_times else player.now_ns() + _FIRST_DELAY_NS
-        for _ in rounds:
+        base_ns = begin_ns + start_ns
+        if not at_recorded_times:
+            base_ns = nanoseconds(ctx.call("/rosapi/get_time")["time"]) + _FIRST_DELAY_NS
+        for _ in repeat(None) if loop else (None,):
             due = due_messages(recordings, wanted, start_ns, end_ns, rate)
             base_ns = player.publish(due, base_ns) + _FIRST_DELAY_NS
             if player.refused:
@@ -131,6 +134,17 @@ def _sorted(words: tuple[str, ...]) -> tuple[list[str], dict[str, str]]:
     return files, renames
 
 
+def _check_type(channel: RecordedTopic) -> None:
+    """Raises UsageError: the type is unknown here, or another one of that name."""
+    topic, type_name, md5 = channel.topic, channel.type, channel.md5
+    if not msgs.exists(type_name):
+        raise UsageError(f"{topic} has the type {type_name}, which is not known here", "leave it out: --topic")
+    if md5 and msgs.md5(type_name) != md5:
+        raise UsageError(
+            f"{topic}: {type_name} is another type here ({msgs.md5(type_name)}) than in the recording ({md5})"
+        )
+
+
 class _Player:
     """Publishes at simulated times, some messages ahead."""
 
@@ -146,18 +160,6 @@ class _Player:
         self._topics: set[str] = set()
         self._first_ns: int | None = None
         self._last_ns = 0
-
-    def now_ns(self) -> int:
-        return nanoseconds(self._ctx.call("/rosapi/get_time")["time"])
-
-    def check(self, topic: str, type_name: str, md5: str) -> None:
-        """Raises UsageError: the type is unknown here, or another one of that name."""
-        if not msgs.exists(type_name):
-            raise UsageError(f"{topic} has the type {type_name}, which is not known here", "leave it out: --topic")
-        if md5 and msgs.md5(type_name) != md5:
-            raise UsageError(
-                f"{topic}: {type_name} is another type here ({msgs.md5(type_name)}) than in the recording ({md5})"
-            )
 
     def publish(self, messages: Iterator[DueMessage], base_ns: int) -> int:
         """Until the last is published; the simulated time of that. Raises NoDaemon, Refused."""
@@ -196,12 +198,9 @@ class _Player:
             self.published += 1
         except MessageRefused as error:
             self.refused += 1
-            self._warn(error.message)
-
-    def _warn(self, text: str) -> None:
-        if text not in self._told and len(self._told) < _MOST_TOLD:
-            self._told.add(text)
-            self._ctx.warn(text)
+            if error.message not in self._told and len(self._told) < _MOST_TOLD:
+                self._told.add(error.message)
+                self._ctx.warn(error.message)
 
     def tell(self) -> None:
         """Say what was played. Raises Refused: messages were refused."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
@@ -93,6 +94,7 @@ def plot(
     if files and duration:
         raise UsageError("--for is of the time to come; of a file: --window for its last seconds")
     live = not files and not once and save is None and output.is_terminal(sys.stdout) and ctx.format == "text"
+    cut = window or (_LIVE_S if live else None)
     check(ctx, save)
     if xy and save and file_kind(save) == ".csv":
         raise UsageError(
@@ -100,7 +102,6 @@ def plot(
         )
 
     def made(curves: list[Curve]) -> Plot:
-        cut = window or (_LIVE_S if live else None)
         shown = Plot(title or "", curves, panels, window=cut)
         return _phase(shown, wanted) if xy else shown
 
@@ -114,7 +115,6 @@ def plot(
     ended: BaseException | None = None
     with suppress(Interrupted), Interrupts() as interrupts, interrupts.held():
         try:
-            cut = window or (_LIVE_S if live else None)
             now = (lambda: made(plot_fields.curves_of(found, bool(xy)))) if live else None
             _follow(ctx, found, length, cut, now, lambda: bool(interrupts.received))
         except (NoDaemon, TimedOut, KeyboardInterrupt) as error:  # what has arrived is shown first
@@ -161,17 +161,14 @@ def show(
         for record in records or [_record(curve, drawn.begin, save) for curve in drawn.curves]:
             ctx.emit(record)
     elif save is not None:
-        count = sum(len(curve.times) for curve in drawn.curves)
-        if not ctx.quiet:
-            about = f"{save}: {output.count(len(drawn.curves), 'curve')}, {output.count(count, 'sample')}"
-            output.write("\n".join([about, *drawn.notes]))
+        samples = sum(len(curve.times) for curve in drawn.curves)
+        about = f"{save}: {output.count(len(drawn.curves), 'curve')}, {output.count(samples, 'sample')}"
+        ctx.done({}, "\n".join([about, *drawn.notes]))
     else:
         output.write(_text(drawn, at_least=_LEAST_PLAIN_ROWS))
 
 
 def _text(drawn: Plot, at_least: int = 0) -> str:
-    import shutil
-
     width, height = shutil.get_terminal_size()
     rows = max(height - 1, at_least * len(drawn.rows()))
     return plots.as_text(drawn, width, rows, output.wants_colour(sys.stdout))

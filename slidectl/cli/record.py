@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import os
 import re
-import sys
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +16,7 @@ import click
 from slidectl.cli import completion, output
 from slidectl.cli.commands import command, finite
 from slidectl.cli.context import Context
+from slidectl.cli.terminal_progress import status_line
 from slidectl.cli.topic_streams import nanoseconds
 from slidectl.errors import MessageRefused, NoDaemon, Refused, SlidectlError, UnknownName, UsageError
 
@@ -98,12 +98,11 @@ def record(ctx: Context, /, topics: tuple[str, ...], **given: Any) -> None:
     from slidectl.recording.recording_files import SplitFiles
 
     background = None
-    client = ctx.client  # without a daemon no file is touched
+    _ = ctx.client  # without a daemon no file is touched
     if given["detach"]:
-        client.close()
+        ctx.close()
         background = Background(ctx.paths, "recording")
         background.fork()
-        ctx.close()
     with suppress(Interrupted), Interrupts() as interrupts, pid_file(given["pid_file"]), interrupts.held():
         out = SplitFiles(
             path, given["compression"], given["duration"], given["size"], given["split"], given["max_splits"],
@@ -112,7 +111,8 @@ def record(ctx: Context, /, topics: tuple[str, ...], **given: Any) -> None:
         recorder = _Recorder(ctx, choice, out, given)
         try:
             recorder.begin()
-            ctx.say(f"recording {recorder.what()} into {out.path}" + ("" if background else "; Ctrl-C ends it"))
+            topics_text = output.count(len(recorder.subscriptions), "topic")
+            ctx.say(f"recording {topics_text} into {out.path}" + ("" if background else "; Ctrl-C ends it"))
             if background is not None:
                 ctx.emit({"pid": os.getpid(), "file": str(out.path), "log": background.log}, str(os.getpid()))
                 background.everything_runs()
@@ -150,16 +150,12 @@ class _Choice:
 
     def resolve(self, ctx: Context) -> None:
         """Make the names full. Raises UnknownName for a short one that fits no topic."""
-        self.named = [self._full(ctx, name) for name in self.named]
-
-    @staticmethod
-    def _full(ctx: Context, name: str) -> str:
-        try:
-            return str(ctx.resolve("topic", name)["name"])
-        except UnknownName:
-            if not name.startswith("/"):
-                raise
-            return name  # it is recorded as soon as it is there
+        for index, name in enumerate(self.named):
+            try:
+                self.named[index] = ctx.resolve("topic", name)["name"]
+            except UnknownName:
+                if not name.startswith("/"):  # a full name is recorded as soon as it is there
+                    raise
 
     def takes(self, topic: str) -> bool:
         if self._exclude is not None and self._exclude.fullmatch(topic):
@@ -184,16 +180,13 @@ class _Recorder:
         self._limit = given["limit"]
         self._tells_progress = given["progress"]
         self._length_s = None if given["split"] else given["duration"]
-        self._subscriptions: dict[str, Subscription] = {}
+        self.subscriptions: dict[str, Subscription] = {}
         self._codecs: dict[str, Codec] = {}
         self._sleep: str | None = None
         self._topics_call: str | None = None
         self._failure: OSError | SlidectlError | None = None
         self._left_out: set[str] = set()
         self._progress_at = 0.0
-
-    def what(self) -> str:
-        return output.count(len(self._subscriptions), "topic")
 
     def begin(self) -> None:
         """Returns when everything that is there is subscribed."""
@@ -215,30 +208,26 @@ class _Recorder:
                 try:
                     self._codecs[topic] = codec.of(kind)
                 except SlidectlError as error:
-                    self._leave_out(topic, error)
+                    self._left_out.add(topic)
+                    self._ctx.warn(f"{topic} is not recorded: {error.message}")
         client = self._ctx.client
-        new = [topic for topic in self._codecs if topic not in self._subscriptions]
+        new = [topic for topic in self._codecs if topic not in self.subscriptions]
         for topic in new:  # all from the same moment on
-            options: dict[str, Any] = {"queue_length": _QUEUE, "take": self._take, "wait": False}
-            self._subscriptions[topic] = client.subscribe(topic, topics[topic], **options)
+            self.subscriptions[topic] = client.subscribe(
+                topic, topics[topic], queue_length=_QUEUE, take=self._take, wait=False
+            )
         if new:
             try:
                 client.flush()
             except MessageRefused as error:  # somebody advertised it with another type meanwhile
                 self._ctx.warn(f"not recorded: {error.message}")
 
-    def _leave_out(self, topic: str, error: SlidectlError) -> None:
-        self._left_out.add(topic)
-        self._ctx.warn(f"{topic} is not recorded: {error.message}")
-
     def _take(self, published: dict[str, Any]) -> None:
         topic = published["topic"]
         if self._failure is not None or (self._limit is not None and self._out.counts[topic] >= self._limit):
             return
-        kind = self._codecs[topic]
-        latching = published.get("latch", False)
+        kind, latching, time_ns = self._codecs[topic], published.get("latch", False), nanoseconds(published["time"])
         try:
-            time_ns = nanoseconds(published["time"])
             self._out.write(topic, kind, latching, time_ns, kind.encode(published["msg"]))
         except (OSError, SlidectlError) as error:
             self._failure = error
@@ -252,7 +241,7 @@ class _Recorder:
         client = self._ctx.client
         flush_at = client.monotonic() + _FLUSH_EVERY_S
         try:
-            with self._status() as tell:
+            with status_line(self._ctx, wanted=not self._tells_progress) as show:
                 while not is_over() and not self._is_done():
                     look_at = client.monotonic() + _LOOK_EVERY_S
                     for _ in client.events(_LOOK_EVERY_S):
@@ -260,9 +249,15 @@ class _Recorder:
                             break
                     self._look_for_topics()
                     if client.monotonic() >= flush_at:
-                        self._flush()
+                        try:
+                            self._out.flush()
+                        except OSError as error:
+                            self._failure = error
                         flush_at = client.monotonic() + _FLUSH_EVERY_S
-                    tell()
+                    if self._tells_progress:
+                        self._progress()
+                    else:
+                        show(self._so_far())
             if is_over():  # what was published up to now is on its way
                 client.call("/rosapi/get_time")
         except KeyboardInterrupt:  # so the background of a scenario ends
@@ -282,12 +277,6 @@ class _Recorder:
         if self._topics_call is None:
             self._topics_call = client.call_async("/rosapi/topics")
 
-    def _flush(self) -> None:
-        try:
-            self._out.flush()
-        except OSError as error:
-            self._failure = error
-
     def _is_done(self) -> bool:
         if self._failure is not None or self._out.is_full:
             return True
@@ -296,22 +285,8 @@ class _Recorder:
             return True
         return self._sleep is not None and self._ctx.client.is_answered(self._sleep)
 
-    @contextmanager
-    def _status(self) -> Iterator[Callable[[], None]]:
-        """A line on the terminal that says how far it is, or one a second on stdout where that is wanted."""
-        if self._tells_progress:
-            yield self._progress
-            return
-        if not output.is_terminal(sys.stderr) or self._ctx.quiet:
-            yield lambda: None
-            return
-        from rich.console import Console
-        from rich.text import Text
-
-        with Console(stderr=True, highlight=False).status("", spinner="line") as status:
-            yield lambda: status.update(Text(self._so_far()))
-
     def _progress(self) -> None:
+        """A line a second on stdout."""
         now = self._ctx.client.monotonic()
         if now >= self._progress_at:
             self._progress_at = now + _PROGRESS_EVERY_S
@@ -335,7 +310,7 @@ class _Recorder:
             Refused: the file could not be completed, or messages were lost.
         """
         out = self._out
-        dropped = sum(subscription.dropped for subscription in self._subscriptions.values())
+        dropped = sum(subscription.dropped for subscription in self.subscriptions.values())
         try:
             out.close()
         except OSError as error:
@@ -346,13 +321,12 @@ class _Recorder:
                 f"cannot write {out.path}: {why}; of the {self._so_far()} that came, {kept} messages can be read in it",
                 f"complete it with: slidectl bag reindex {out.path}" if kept else None,
             )
-        size = out.bytes
-        names = ", ".join(map(str, out.files))
+        files = [str(path) for path in out.files]
         record = {
-            "files": [str(path) for path in out.files], "messages": out.counts.total(), "topics": len(out.counts),
-            "seconds": self._seconds(), "bytes": size, "dropped": dropped,
+            "files": files, "messages": out.counts.total(), "topics": len(out.counts), "seconds": self._seconds(),
+            "bytes": out.bytes, "dropped": dropped,
         }  # fmt: skip
-        self._ctx.done(record, f"{names}: {self._so_far()}, {output.megabytes(size)}")
+        self._ctx.done(record, f"{', '.join(files)}: {self._so_far()}, {output.megabytes(out.bytes)}")
         if self._failure is not None:
             raise self._failure
         if dropped:

@@ -13,6 +13,7 @@ import click
 from slidectl.cli import completion, output
 from slidectl.cli.commands import command, finite, pixel_size, simulated_seconds
 from slidectl.cli.context import Context
+from slidectl.cli.terminal_progress import progress_bar
 from slidectl.cli.topic_streams import paused, way_on
 from slidectl.errors import EXIT_INTERRUPTED, TimedOut, UsageError
 
@@ -109,9 +110,9 @@ def video(ctx: Context, /, file: str, seconds: float | None, fps: float, **given
                 out = VideoFile(Path(file), given["size"], rate)
                 leaving.callback(_complete, ctx, out, view, given)
                 out.add(first)
-            tell = leaving.enter_context(_progress(ctx, total))
+            show = leaving.enter_context(progress_bar(ctx, total, "pictures"))
             while not interrupts.received:
-                tell(out.count)
+                show(out.count, "")
                 advance(out.count)
                 if out.count == total:
                     return
@@ -175,20 +176,3 @@ def _complete(ctx: Context, out: VideoFile, view: WorldView, given: dict[str, An
     }  # fmt: skip
     text = f"{out.path}: {output.count(out.count, 'picture')}, {record['seconds']:.3f} s, {width}x{height}, {camera}"
     ctx.done(record, text)
-
-
-@contextmanager
-def _progress(ctx: Context, total: int | None) -> Iterator[Callable[[int], None]]:
-    """A bar on the terminal; takes how many pictures there are."""
-    import sys
-
-    if not output.is_terminal(sys.stderr) or ctx.quiet:
-        yield lambda _: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (BarColumn(), MofNCompleteColumn(), TextColumn("pictures"), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True, auto_refresh=False) as bar:
-        task = bar.add_task("", total=total)
-        yield lambda count: bar.update(task, completed=count, refresh=True)

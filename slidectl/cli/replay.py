@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os
 import traceback
 from contextlib import nullcontext
 from pathlib import Path
@@ -40,17 +41,10 @@ def _time(_click: click.Context, _param: click.Parameter, value: float | None) -
 @click.argument("file", metavar="FILE", shell_complete=completion.files)
 @click.option("--to", "until", type=float, callback=_time, metavar="T", help="End at this simulated time, s.")
 @click.option("--check", is_flag=True, help="Exit 1 at the first state that is not that of the journal.")
-@click.option(
-    "--record", "recording", metavar="FILE", shell_complete=completion.files,
-    help="Record what was published into a new .bag or .mcap file.",
-)  # fmt: skip
-@click.option(
-    "--last",
-    type=float,
-    callback=simulated_seconds,
-    metavar="S",
-    help="Record only the last S simulated seconds.",
-)
+@click.option("--record", "recording", metavar="FILE", shell_complete=completion.files,
+              help="Record what was published into a new .bag or .mcap file.")  # fmt: skip
+@click.option("--last", type=float, callback=simulated_seconds, metavar="S",
+              help="Record only the last S simulated seconds.")  # fmt: skip
 @click.option("--keep", is_flag=True, help="Leave the world in a daemon (-i NAME), paused.")
 @click.pass_obj
 def replay(
@@ -68,9 +62,8 @@ def replay(
     JSON keys: file, time, cycles, entries, whole (false where its end is missing), states (compared), differs,
     messages (recorded, null without --record), robots (as those of robots).
     """
-    import os
-
     from slidectl.daemon import journal
+    from slidectl.daemon.journal_replay import other_versions
 
     if keep and check:
         raise UsageError("--keep and --check exclude each other: a replay that differs is not kept")
@@ -79,21 +72,14 @@ def replay(
     if last is not None and recording is None:
         raise UsageError("--last goes with --record")
     contents = journal.read(file)
-    _warn(ctx, contents)
+    if contents.is_cut:
+        ctx.warn(f"{file}: its end is missing; it is replayed up to its last whole entry")
+    if others := other_versions(contents):
+        ctx.warn(f"{file} was written elsewhere, the bits may differ: {'; '.join(others)}")
     if keep:
         _keep(ctx, contents, os.path.abspath(file), until)
     else:
         _replay(ctx, contents, until, check, recording, last)
-
-
-def _warn(ctx: Context, contents: Contents) -> None:
-    from slidectl.daemon.journal_replay import other_versions
-
-    if contents.is_cut:
-        ctx.warn(f"{contents.path}: its end is missing; it is replayed up to its last whole entry")
-    others = other_versions(contents)
-    if others:
-        ctx.warn(f"{contents.path} was written elsewhere, the bits may differ: {'; '.join(others)}")
 
 
 def _replay(
@@ -116,7 +102,7 @@ def _replay(
         "whole": not contents.is_cut, "states": one.states, "differs": one.differs, "messages": messages,
         "robots": [robots.record(robot, with_report=False) for robot in found],
     }  # fmt: skip
-    shown = [robots.robot_text({**robot, "report": []}, with_report=False) for robot in record["robots"]]
+    shown = [robots.robot_text(robot, with_report=False) for robot in record["robots"]]
     head = f"{contents.path}: {seconds:.3f} s, {one.taken} of {entries} entries; {one.states} states are the same"
     if one.differs:
         ctx.warn(one.differs)

@@ -97,13 +97,12 @@ def robot_text(robot: Robot, with_report: bool) -> str:
     }
     if robot["estop"]:
         head["estop"] = "on"
-    shown = (joint for joint in robot["joints"] if joint["type"] != "fixed")
-    rows = [{**joint, "interface": joint["interface"].rpartition("/")[2]} for joint in shown]
+    movable = [joint for joint in robot["joints"] if joint["type"] != "fixed"]
+    rows = [{**joint, "interface": joint["interface"].rpartition("/")[2]} for joint in movable]
     parts = [output.as_lines(head)]
     if rows:
         parts.append(output.table(rows, _JOINT_COLUMNS).rstrip())
-    notices = robot["report"]
-    if notices:
+    if notices := robot.get("report"):
         parts.append("\n".join(map(notice_text, notices)) if with_report else summary(robot["name"], notices))
     return "\n\n".join(parts)
 
@@ -140,10 +139,8 @@ def delete(ctx: Context, names: tuple[str, ...]) -> None:
 
 @command("estop", examples=["slidectl estop", "slidectl estop slider", "slidectl estop release"])
 @click.argument("words", nargs=-1, metavar="[release] [NAME]...", shell_complete=completion.robots)
-@click.option(
-    "--cm", "namespaces", multiple=True, metavar="NAMESPACE", shell_complete=completion.managers,
-    help="The robot with this controller manager, as /rrbot; may repeat.",
-)  # fmt: skip
+@click.option("--cm", "namespaces", multiple=True, metavar="NAMESPACE", shell_complete=completion.managers,
+              help="The robot with this controller manager, as /rrbot; may repeat.")  # fmt: skip
 @click.pass_obj
 def estop(ctx: Context, words: tuple[str, ...], namespaces: tuple[str, ...]) -> None:
     """Stop robots at once, or release them.

@@ -10,8 +10,8 @@ import io
 import os
 import shlex
 import sys
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 
 import click
 
@@ -111,9 +111,8 @@ def _run_apart(context: Context, words: list[str]) -> int:
 
 def _run_script(context: Context, file: str | None, keep_going: bool) -> int:
     """The exit code of the first line that failed, else 0."""
-    name, lines, give_back = _script(file)
     first_failure = EXIT_DONE
-    try:
+    with _script(file) as (name, lines):
         for number, line in enumerate(lines, 1):
             if line.strip() in _LEAVE:
                 break
@@ -123,26 +122,25 @@ def _run_script(context: Context, file: str | None, keep_going: bool) -> int:
                 first_failure = first_failure or code
             if (first_failure and not keep_going) or code == EXIT_INTERRUPTED or output.reader_has_gone():
                 break
-    finally:
-        give_back()
     return first_failure
 
 
-def _script(file: str | None) -> tuple[str, Iterable[str], Callable[[], None]]:
+@contextmanager
+def _script(file: str | None) -> Iterator[tuple[str, Iterator[str]]]:
     """Name and lines of the script. One that comes by stdin is not for its commands to read: they find it empty."""
     if file is not None and file != "-":
-        try:
-            opened = open(file, encoding="utf-8")  # noqa: SIM115 - closed by who reads it
+        try:  # what is no text stays in the words as it does on stdin: names of files may have such bytes
+            opened = open(file, encoding="utf-8", errors="surrogateescape")  # noqa: SIM115 - closed below
         except OSError as error:
             raise BadFile(error.strerror or str(error), file) from None
-        return file, bounded(opened, file), opened.close
-    stdin = sys.stdin
-    sys.stdin = io.StringIO()
-
-    def give_back() -> None:
+        with opened:
+            yield file, bounded(opened, file)
+        return
+    stdin, sys.stdin = sys.stdin, io.StringIO()
+    try:
+        yield "stdin", bounded(stdin, "stdin")
+    finally:
         sys.stdin = stdin
-
-    return "stdin", bounded(stdin, "stdin"), give_back
 
 
 # --- on a terminal --------------------------------------------------------------------------------------------------

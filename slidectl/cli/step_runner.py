@@ -76,8 +76,8 @@ class StepRunner:
         if leaf == "sim fork" or values.get("keep"):
             what = "--keep" if values.get("keep") else leaf
             raise UsageError(f"{what} leaves a daemon behind", "a scenario has a world of its own")
-        if leaf == "ros" and words[1] in _NO_ROS_STEPS:
-            raise UsageError(f"{words[1]} brings up a world, and a scenario has its own", "spawn what is needed")
+        if leaf == "ros" and (tool := values["words"][0]) in _NO_ROS_STEPS:
+            raise UsageError(f"{tool} brings up a world, and a scenario has its own", "spawn what is needed")
         if leaf == "launch":
             return _check_launch(values, self._live)
         refusal = None
@@ -86,18 +86,14 @@ class StepRunner:
                 command.check_words(**values)
             except SlidectlError as error:
                 refusal = error
-        spawns = leaf == "spawn"
-        file = values["controllers"] if spawns else None
-        others = values["keep_going"] if spawns else leaf == "controller load" and values["source"] is not None
-        return CheckedWords(
-            controllers=file or "",
-            named=tuple(values["start"]) if spawns else _named(leaf, values),
-            brings_others=self._live  # it may have them already
-            or others
-            or leaf.startswith(_BRING_OTHERS),
-            model=values["model"] if spawns else "",
-            refusal=refusal,
-        )
+        others = self._live or leaf.startswith(_BRING_OTHERS)  # a world with a daemon may have them already
+        if leaf == "spawn":
+            return CheckedWords(
+                controllers=values["controllers"] or "", named=tuple(values["start"]), model=values["model"],
+                brings_others=others or values["keep_going"], refusal=refusal,
+            )  # fmt: skip
+        others = others or (leaf == "controller load" and values["source"] is not None)
+        return CheckedWords(named=_named(leaf, values), brings_others=others, refusal=refusal)
 
     def stays(self, words: Sequence[str]) -> bool:
         """Of all commands only a launch does."""
@@ -112,25 +108,23 @@ class StepRunner:
         own = Context(shell)
         timeout = client.timeout
         begin = _written()
-        error: Exception | None = None
-        code = EXIT_DONE
+        code, message, hint = EXIT_DONE, "", None
         try:
             invoke(list(words), own)
         except click.exceptions.Exit as leaving:
             code = leaving.exit_code
         except (KeyboardInterrupt, click.Abort):
             code = EXIT_INTERRUPTED
-        except Exception as raised:
-            error = raised
+        except Exception as error:
+            message, hint, code = described(error)
         finally:
             client.timeout = timeout
             sys.stdout.flush()
             sys.stderr.flush()
         output = _output_since(begin)
-        if error is not None:
-            message, hint, code = described(error)
-            return StepOutcome(code, message, hint or "", output)
-        return StepOutcome(code, f"exit code {code}: {output.strip()}" if code else "", "", output)
+        if code and not message:
+            message = f"exit code {code}: {output.strip()}"
+        return StepOutcome(code, message, hint or "", output)
 
 
 def _named(leaf: str, values: Mapping[str, Any]) -> tuple[str, ...]:

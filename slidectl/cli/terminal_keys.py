@@ -10,7 +10,7 @@ import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
-from slidectl.errors import EXIT_INTERRUPTED, UsageError
+from slidectl.errors import EXIT_INTERRUPTED
 from slidectl.launch.supervision import Interrupted, Interrupts
 
 _NAMES = {
@@ -27,14 +27,9 @@ def terminal_keys() -> Iterator[Callable[[], list[str]]]:
     Yields what reads the keys that are there: a character, or one of `up`, `down`, `left`, `right`, `enter`, `tab`,
     `escape`, `backspace`, `space`; it waits for one. Ctrl-Z is a key: a process that is stopped stops no robot. Ctrl-C,
     SIGTERM, and the end of the terminal end the block, with the exit code of an interrupt.
-
-    Raises:
-        UsageError: stdin is no terminal.
     """
     import click
 
-    if not sys.stdin.isatty():
-        raise UsageError("keys are read from a terminal, and stdin is none")
     descriptor = sys.stdin.fileno()
     before = termios.tcgetattr(descriptor)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import ast
 import os
 import re
-import sys
+import textwrap
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -20,6 +20,7 @@ import click
 from slidectl.cli import completion, output
 from slidectl.cli.commands import command, positive_seconds, simulated_seconds
 from slidectl.cli.context import Context
+from slidectl.cli.terminal_progress import progress_bar
 from slidectl.errors import EXIT_INTERRUPTED, EXIT_REFUSED, BadFile, UsageError, listing
 from slidectl.expressions import evaluate, parsed
 from slidectl.writing import write_whole
@@ -28,12 +29,11 @@ if TYPE_CHECKING:
     from slidectl.scenarios.case_run import CaseResult
     from slidectl.scenarios.live import Live
     from slidectl.scenarios.scenario_file import Case
-    from slidectl.scenarios.stages import CaseRuns, InProcess
+    from slidectl.scenarios.stages import CaseRuns
     from slidectl.scenarios.step_commands import Commands
 
-TIMEOUT_S = 60.0
-SIM_TIMEOUT_S = 600.0
-_COLOURS = {"passed": "green", "xfailed": "yellow", "failed": "red", "error": "red", "xpassed": "red"}
+_VERDICTS = ("passed", "xfailed", "failed", "error", "xpassed")
+"""In the order of the last line."""
 _WORDS = re.compile(r"\(|\)|[^\s()]+")
 _MOST_WORDS = 100
 _OPERATORS = ("and", "or", "not", "(", ")")
@@ -50,21 +50,15 @@ _ALLOWED = (ast.BoolOp, ast.UnaryOp, ast.Name, ast.boolop, ast.Not, ast.expr_con
     ]
 )
 @click.argument("paths", nargs=-1, metavar="FILE|FOLDER|FILE::CASE...", shell_complete=completion.files)
-@click.option(
-    "-n", "--workers", type=click.IntRange(min=1), metavar="N",
-    help="How many cases run at the same time (default: one per core).",
-)  # fmt: skip
+@click.option("-n", "--workers", type=click.IntRange(min=1), metavar="N",
+              help="How many cases run at the same time (default: one per core).")  # fmt: skip
 @click.option("-k", "--keyword", metavar="EXPR", help="Only cases that have this in their names; and, or, not, ( ).")
 @click.option("--tag", "tags", multiple=True, metavar="TAG", help="Only cases with this tag; may repeat.")
 @click.option("--maxfail", type=click.IntRange(min=1), metavar="N", help="Stop after so many failures.")
-@click.option(
-    "--timeout", type=float, default=TIMEOUT_S, callback=positive_seconds, metavar="S",
-    help="Wall seconds that a case may take (60).",
-)  # fmt: skip
-@click.option(
-    "--sim-timeout", type=float, default=SIM_TIMEOUT_S, callback=simulated_seconds, metavar="S",
-    help="Simulated seconds that a case may take (600).",
-)  # fmt: skip
+@click.option("--timeout", type=float, default=60.0, callback=positive_seconds, metavar="S",
+              help="Wall seconds that a case may take (60).")  # fmt: skip
+@click.option("--sim-timeout", type=float, default=600.0, callback=simulated_seconds, metavar="S",
+              help="Simulated seconds that a case may take (600).")  # fmt: skip
 @click.option("--list", "only_list", is_flag=True, help="List the cases, and run nothing.")
 @click.option("--check", "only_check", is_flag=True, help="Check the files, and run nothing.")
 @click.option(
@@ -127,11 +121,13 @@ def test(
     if only_list:
         _list(ctx, cases)
         return
+    from slidectl.scenarios import live as daemon_stage
     from slidectl.scenarios import stages
     from slidectl.scenarios.baselines import Baselines
 
     baselines = None if baseline is None else Baselines(baseline, update_baseline)
-    stage = _stage(ctx, live)
+    ctx.close()
+    stage: stages.StageMaker = daemon_stage.Live(ctx.paths.socket_text) if live else stages.InProcess()
     if keep_failed is not None:
         with _written(keep_failed):
             os.makedirs(keep_failed, exist_ok=True)
@@ -217,14 +213,6 @@ def _keyword(text: str) -> Callable[[Case], bool]:
 # --- running --------------------------------------------------------------------------------------------------------
 
 
-def _stage(ctx: Context, live: bool) -> InProcess | Live:
-    from slidectl.scenarios import live as daemon_stage
-    from slidectl.scenarios import stages
-
-    ctx.close()
-    return daemon_stage.Live(ctx.paths.socket_text) if live else stages.InProcess()
-
-
 def _run(
     ctx: Context,
     cases: Sequence[Case],
@@ -240,48 +228,23 @@ def _run(
     from slidectl.scenarios.workers import WorkerPool
 
     results: list[CaseResult] = []
-    failures = 0
+    failures = Counter[str]()
     with suppress(Interrupted), Interrupts() as interrupts:
         warm()
         with (
             interrupts.held(),
-            _progress(ctx, len(cases)) as advance,
+            progress_bar(ctx, len(cases), "cases") as show,
             WorkerPool(runner.run, count, timeout, lambda: bool(interrupts.received)) as pool,
         ):
             for result in pool.results(cases):
                 results.append(result)
-                advance(result)
-                failures += result.verdict in BAD
-                if maxfail is not None and failures >= maxfail:
+                if result.verdict in BAD:
+                    failures[result.verdict] += 1
+                show(len(results), ", ".join(f"{number} {verdict}" for verdict, number in failures.items()))
+                if maxfail is not None and failures.total() >= maxfail:
                     break
             results += pool.ended()
     return results, bool(interrupts.received)
-
-
-@contextmanager
-def _progress(ctx: Context, total: int) -> Iterator[Callable[[CaseResult], None]]:
-    """A bar on a terminal."""
-    if not output.is_terminal(sys.stderr) or ctx.quiet:
-        yield lambda _: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    from slidectl.scenarios.case_run import BAD
-
-    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
-    console = Console(stderr=True, highlight=False)
-    # No thread that refreshes it: a fork would take over the locks that it holds.
-    with Progress(*columns, console=console, transient=True, auto_refresh=False) as bar:
-        task = bar.add_task("", total=total)
-        failures = Counter[str]()
-
-        def advance(result: CaseResult) -> None:
-            failures[result.verdict] += result.verdict in BAD
-            text = ", ".join(f"{count} {verdict}" for verdict, count in failures.items() if count)
-            bar.update(task, advance=1, description=text, refresh=True)
-
-        yield advance
 
 
 @contextmanager
@@ -298,7 +261,7 @@ def _write_junit(path: str, cases: Sequence[Case], results: Sequence[CaseResult]
     from slidectl.scenarios.junit import junit
 
     with _written(path):
-        write_whole(path, junit(cases, results).decode())
+        write_whole(path, junit(cases, results))
 
 
 # --- telling --------------------------------------------------------------------------------------------------------
@@ -320,22 +283,15 @@ def _tell(ctx: Context, cases: Sequence[Case], results: Sequence[CaseResult]) ->
         ctx.emit_rows(rows, ["id", "verdict", "sim_time", "wall_time", "message"])
         return len(failures)
     if not ctx.quiet:
-        output.write(
-            output.table([{"case": row.pop("id"), **row} for row in rows], ["case", "verdict", "sim_time", "wall_time"])
-        )
+        table = [{"case": row["id"], **row} for row in rows]
+        output.write(output.table(table, ["case", "verdict", "sim_time", "wall_time"]))
     for case, result in failures:
-        output.write(
-            "\n"
-            + "\n".join([f"{result.verdict.upper()} {case.id}", *(f"  {line}" for line in _lines(told(case, result)))])
-        )
+        details = textwrap.indent("\n".join(told(case, result)), "  ")
+        output.write(f"\n{result.verdict.upper()} {case.id}\n{details}")
     if written := [result.baseline for _, result in ran if result.baseline]:
         output.write("\n" + "\n".join(written))
     counts = Counter(result.verdict for _, result in ran)
-    text = ", ".join(f"{counts[verdict]} {verdict}" for verdict in _COLOURS if counts[verdict])
+    text = ", ".join(f"{counts[verdict]} {verdict}" for verdict in _VERDICTS if counts[verdict])
     missing = len(cases) - len(ran)
     output.write(f"\n{text or 'nothing ran'}" + (f", {missing} not run" if missing else ""))
     return len(failures)
-
-
-def _lines(texts: Sequence[str]) -> list[str]:
-    return [line for text in texts for line in text.splitlines()]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import click
@@ -34,28 +35,27 @@ class Listener:
 
     def __init__(self, ctx: Context, stream: Stream, topics: list[str]) -> None:
         self._ctx = ctx
-        self._stream = stream
+        self.stream = stream
         self._topics = topics
         self.frames = Frames()
         self._heard: Counter[str] = Counter()
-        self._is_still = False
 
     def listen(self, enough: Callable[[Frames], bool]) -> None:
         """Until it is enough, all frames have come, or `--timeout` (3 s) is over."""
-        deadline = self._stream.monotonic() + self._ctx.wait_limit(PATIENCE_S)
+        deadline = self.stream.monotonic() + self._ctx.wait_limit(PATIENCE_S)
         # Its answer comes after all that a world that stands still has to tell.
-        self._is_still = self._ctx.call("/slidectl/status")["paused"]
-        while not enough(self.frames) and not self._is_complete():
-            event = self._stream.next(deadline)
+        is_paused = self._ctx.call("/slidectl/status")["paused"]
+        while not enough(self.frames) and not self._is_complete(is_paused):
+            event = self.stream.next(deadline)
             if event is None:
                 return
             self._take(event.topic, event.message)
 
     def until(self, deadline: float) -> None:
         """Take in what comes until then (on the stream's clock)."""
-        while (event := self._stream.next(deadline)) is not None:
+        while (event := self.stream.next(deadline)) is not None:
             self._take(event.topic, event.message)
-            if self._stream.monotonic() >= deadline:
+            if self.stream.monotonic() >= deadline:
                 return
 
     def find(self, *wanted: str) -> list[str]:
@@ -72,28 +72,28 @@ class Listener:
         if topic == MOVING:
             self._heard.update(transform["child_frame_id"] for transform in message["transforms"])
 
-    def _is_complete(self) -> bool:
+    def _is_complete(self, is_paused: bool) -> bool:
         """Static transforms are latched: they come at once, before the first moving one or the answer of a call."""
-        if MOVING not in self._topics or (self._is_still and self._heard and self._stream.is_drained):
-            return self._stream.is_drained
+        if MOVING not in self._topics or (is_paused and self._heard and self.stream.is_drained):
+            return self.stream.is_drained
         return any(count >= _ROUNDS for count in self._heard.values())
 
 
-def open_stream(ctx: Context) -> tuple[Stream, list[str]]:
-    """A stream of the topics of transforms that somebody publishes. Raises Refused when there is none."""
+@contextmanager
+def listening(ctx: Context) -> Iterator[Listener]:
+    """A listener to the topics of transforms that somebody publishes. Raises Refused when there is none."""
     known = ctx.client.topics()
     users = users_of(ctx, [topic for topic in (STATIC, MOVING) if topic in known], PUBLISHERS)
     topics = [topic for topic, nodes in users.items() if nodes]
     if not topics:
         raise Refused("nobody publishes transforms", "spawn a robot: slidectl spawn slider")
-    return Stream(ctx, topics), topics
+    with Stream(ctx, topics) as stream:
+        yield Listener(ctx, stream, topics)
 
 
 def _frames(ctx: Context) -> Frames:
     """All frames there are."""
-    stream, topics = open_stream(ctx)
-    with stream:
-        listener = Listener(ctx, stream, topics)
+    with listening(ctx) as listener:
         listener.listen(lambda _: False)
     return listener.frames
 
@@ -153,12 +153,10 @@ def echo(ctx: Context, reference: str, target: str, count: int | None, follow: b
     JSON keys: reference, target, time (simulated s; null when nothing between them moves), translation (x y z, m),
     rotation (x y z w), rpy (rad).
     """
-    stream, topics = open_stream(ctx)
     left = math.inf if follow and count is None else count or 1
-    with stream:
-        listener = Listener(ctx, stream, topics)
+    with listening(ctx) as listener:
         listener.listen(lambda frames: ctx.namespace == "/" and frames.are_connected(reference, target))
-        due = stream.monotonic()
+        due = listener.stream.monotonic()
         reference, target = listener.find(reference, target)
         while True:
             _tell(ctx, reference, target, listener.frames.look_up(reference, target))
@@ -173,13 +171,9 @@ def _tell(ctx: Context, reference: str, target: str, view: View) -> None:
     pose, rpy = view.pose, roll_pitch_yaw(view.pose.rotation)
     time = None if view.time_ns is None else view.time_ns / 1e9
     record = {
-        "reference": reference,
-        "target": target,
-        "time": time,
-        "translation": list(pose.translation),
-        "rotation": list(pose.rotation),
-        "rpy": list(rpy),
-    }
+        "reference": reference, "target": target, "time": time, "translation": list(pose.translation),
+        "rotation": list(pose.rotation), "rpy": list(rpy),
+    }  # fmt: skip
     ctx.emit(record, f"At time {time or 0.0:.3f}\n{pose_text(view.pose)}")
 
 

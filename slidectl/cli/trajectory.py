@@ -10,7 +10,7 @@ import csv
 import io
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -77,17 +77,10 @@ def send(ctx: Context, controller: str, file: str, wait: bool) -> None:
     "plan", examples=["slidectl trajectory plan arm_controller --to joint1=1.5 joint2=-0.4 --duration 2 --wait"]
 )
 @_controller
-@click.option(
-    "--to", "targets", cls=Variadic, metavar="JOINT=POSITION...", required=True, help="Where to go, rad or m."
-)
-@click.option(
-    "--duration",
-    type=float,
-    callback=simulated_seconds,
-    required=True,
-    metavar="S",
-    help="Simulated seconds that it takes.",
-)
+@click.option("--to", "targets", cls=Variadic, metavar="JOINT=POSITION...", required=True,
+              help="Where to go, rad or m.")  # fmt: skip
+@click.option("--duration", type=float, callback=simulated_seconds, required=True, metavar="S",
+              help="Simulated seconds that it takes.")  # fmt: skip
 @_wait
 @click.pass_obj
 def plan(ctx: Context, controller: str, targets: tuple[str, ...], duration: float, wait: bool) -> None:
@@ -174,8 +167,13 @@ def read_goal(file: str) -> Message:
     ending = file.lower().rpartition(".")[2]
     if ending == "csv":
         goal = _from_csv(text, shown)
+    elif ending == "json":
+        goal = _from_document(_from_json(text, shown), shown)
     else:
-        goal = _from_document((_from_json if ending == "json" else _from_yaml)(text, shown), shown)
+        documents = list(values.read_documents(text, "file", shown)) or [None]
+        if len(documents) > 1:
+            raise BadFile(f"holds {len(documents)} YAML documents where one was expected", shown)
+        goal = _from_document(documents[0], shown)
     if not goal["trajectory"]["points"]:
         raise BadFile("has no points", shown, hint="to hold the joints in place: slidectl trajectory hold CONTROLLER")
     return goal
@@ -188,13 +186,6 @@ def _from_json(text: str, file: str) -> Any:
         raise BadFile(f"not valid JSON: {error.msg}", file, error.lineno) from None
     except (ValueError, RecursionError) as error:
         raise BadFile(f"not valid JSON: {error}", file) from None
-
-
-def _from_yaml(text: str, file: str) -> Any:
-    documents = list(values.read_documents(text, "file", file))
-    if len(documents) > 1:
-        raise BadFile(f"holds {len(documents)} YAML documents where one was expected", file)
-    return documents[0] if documents else None
 
 
 def _from_document(document: Any, file: str) -> Message:
@@ -216,7 +207,7 @@ def _from_document(document: Any, file: str) -> Message:
     return goal
 
 
-def _duration(value: Any, what: str, file: str | None = None, line: int | None = None) -> dict[str, Any]:
+def _duration(value: Any, what: str, file: str, line: int | None = None) -> dict[str, Any]:
     """A duration as secs and nsecs: from seconds, or from either of the forms of ROS. Raises BadFile."""
     for seconds, nanoseconds in _DURATIONS:
         if isinstance(value, Mapping) and {seconds, nanoseconds}.issuperset(value):
@@ -243,30 +234,21 @@ def _from_csv(text: str, file: str) -> Message:
     if len(set(columns)) < len(columns):
         raise BadFile("names a column twice", file, line)
     joints = list(dict.fromkeys(joint for joint, _ in columns))
-    for quantity in {quantity for _, quantity in columns}:
+    quantities = list(dict.fromkeys(quantity for _, quantity in columns))
+    for quantity in quantities:
         if lacking := [joint for joint in joints if (joint, quantity) not in columns]:
             raise BadFile(f"has no {quantity} of {', '.join(lacking)}", file, line)
-    points = [_point(row, header, columns, joints, file, number) for number, row in rows[1:]]
+    points = []
+    for line, row in rows[1:]:
+        if len(row) != len(header):
+            raise BadFile(f"has {len(row)} values, expected {len(header)}", file, line)
+        time_s, *numbers = (_number(cell, file, line) for cell in row)
+        by_column = dict(zip(columns, numbers, strict=True))
+        point: Message = {"time_from_start": _duration(time_s, header[0], file, line)}
+        for quantity in quantities:
+            point[_QUANTITIES[quantity]] = [by_column[joint, quantity] for joint in joints]
+        points.append(point)
     return {"trajectory": {"joint_names": joints, "points": points}}
-
-
-def _point(
-    row: Sequence[str],
-    header: Sequence[str],
-    columns: Sequence[tuple[str, str]],
-    joints: Sequence[str],
-    file: str,
-    line: int,
-) -> Message:
-    """The trajectory_msgs/JointTrajectoryPoint of one line."""
-    if len(row) != len(header):
-        raise BadFile(f"has {len(row)} values, expected {len(header)}", file, line)
-    time_s, *numbers = (_number(cell, file, line) for cell in row)
-    by_column = dict(zip(columns, numbers, strict=True))
-    point: Message = {"time_from_start": _duration(time_s, header[0], file, line)}
-    for quantity in dict.fromkeys(quantity for _, quantity in columns):
-        point[_QUANTITIES[quantity]] = [by_column[joint, quantity] for joint in joints]
-    return point
 
 
 def _column(name: str, file: str, line: int) -> tuple[str, str]:

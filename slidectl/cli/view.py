@@ -8,7 +8,7 @@ from contextlib import suppress
 import click
 
 from slidectl.cli.commands import command
-from slidectl.cli.context import Context
+from slidectl.cli.context import DEFAULT_TIMEOUT_S, Context
 from slidectl.errors import Refused, UsageError
 
 
@@ -57,10 +57,8 @@ def view(ctx: Context, port: int, host: str, token: str | None, read_only: bool,
     if taken != port and port:
         ctx.warn(f"port {port} is taken: {taken} is used")
 
-    def connect() -> Client:
-        return Client(ctx.instance, ctx.socket, timeout=ctx.wait_limit(10.0))
-
-    page = Page(server, connect, read_only, guard.opened)
+    limit = ctx.wait_limit(DEFAULT_TIMEOUT_S)
+    page = Page(server, lambda: Client(ctx.instance, ctx.socket, timeout=limit), read_only, guard.opened)
     lay_out(page)
     address = f"http://{shown_host(host)}:{taken}/"
     url = address + (f"?token={token}" if token else "")

@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from waiting import eventually
+
 from slidectl import Client
 
 ROOT = Path(__file__).parent.parent.parent
@@ -26,6 +28,12 @@ class CommandLine:
     def client(self) -> Client:
         """A connection to the daemon of the default instance."""
         return Client(socket=str(self.runtime / "slidectl" / "default" / "socket"))
+
+    def until_subscribed(self, topic: str) -> None:
+        """Wait until somebody subscribes to the topic."""
+        with self.client() as client:
+            request = {"topic": topic}
+            eventually(lambda: client.call("/rosapi/subscribers", request)["subscribers"], f"nobody hears {topic}")
 
     def argv(self, *words: str) -> list[str]:
         return [sys.executable, "-m", "slidectl", *words]

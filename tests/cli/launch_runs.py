@@ -92,51 +92,6 @@ def write_everything(folder: Path) -> str:
     return str(path)
 
 
-class OnATerminal:
-    """A `slidectl launch` on a terminal of its own, as its session's leader."""
-
-    def __init__(self, slidectl: CommandLine, *words: str) -> None:
-        self._master, slave = os.openpty()
-        self.process = subprocess.Popen(
-            slidectl.argv("launch", *words),
-            env={**slidectl.environment, "TERM": "dumb"},
-            preexec_fn=lambda: os.login_tty(slave),
-        )
-        os.close(slave)
-        self._text = b""
-
-    @property
-    def text(self) -> str:
-        return self._text.decode("utf-8", "replace").replace("\r\n", "\n")
-
-    def until(self, text: str) -> None:
-        """Read until the text has come."""
-        deadline = time.monotonic() + DEADLINE_S
-        while text not in self.text:
-            left = deadline - time.monotonic()
-            assert left > 0, f"{text!r} did not come:\n{self.text}"
-            if select.select([self._master], [], [], left)[0]:
-                self._read()
-
-    def type(self, key: bytes) -> None:
-        os.write(self._master, key)
-
-    def end(self) -> int:
-        """Read all that is left; the exit code."""
-        with suppress(OSError):  # the last process that had the terminal open has ended
-            while True:
-                self._read()
-        return self.process.wait(DEADLINE_S)
-
-    def close(self) -> int:
-        """Close the terminal, as its window would be; the exit code."""
-        os.close(self._master)
-        return self.process.wait(DEADLINE_S)
-
-    def _read(self) -> None:
-        self._text += os.read(self._master, 65536)
-
-
 def processes(runtime: Path) -> list[int]:
     """Ids of all processes with this runtime folder, but for a compiler, which outlives its daemon."""
     mark = f"XDG_RUNTIME_DIR={runtime}\0".encode()

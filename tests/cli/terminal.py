@@ -23,7 +23,9 @@ _HOME = "\x1b[H"
 class Terminal:
     """It is the command's controlling terminal: its end is a SIGHUP for the command. Use it as a context manager."""
 
-    def __init__(self, slidectl: CommandLine, *words: str, size: tuple[int, int] = (80, 24)) -> None:
+    def __init__(
+        self, slidectl: CommandLine, *words: str, size: tuple[int, int] = (80, 24), **environment: str
+    ) -> None:
         self._master, slave = os.openpty()
         self.resize(*size)
         self.settings = termios.tcgetattr(slave)
@@ -36,7 +38,7 @@ class Terminal:
             stdin=slave,
             stdout=slave,
             stderr=slave,
-            env={**kept, "TERM": "xterm"},
+            env={**kept, "TERM": "xterm", **environment},
             cwd=ROOT,
             start_new_session=True,
             preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
@@ -68,11 +70,18 @@ class Terminal:
         """Take in what is written until the condition holds; its value. `meanwhile` is done again and again."""
         deadline = time.monotonic() + DEADLINE_S
         while not (value := condition()):
-            assert time.monotonic() < deadline, "\n".join(self.screen)
+            assert time.monotonic() < deadline, self.output
             meanwhile()
             if select.select([self._master], (), (), 0.05)[0]:
-                self.output += os.read(self._master, 65536).decode(errors="replace")
+                self._read()
         return value
+
+    def _read(self) -> None:
+        self.output += os.read(self._master, 65536).decode(errors="replace")
+
+    def says(self, *texts: str) -> None:
+        """Wait until all the texts have been written."""
+        self.until(lambda: all(text in self.output for text in texts))
 
     def shows(self, *texts: str) -> list[str]:
         """Wait until all the texts are on the screen, and give its lines."""
@@ -80,11 +89,11 @@ class Terminal:
         return self.screen
 
     def ended(self) -> int:
-        """Wait for the end, and take in what was written before it; the exit code."""
-        code = int(self.until(lambda: self.process.poll() is not None and [self.process.returncode])[0])
-        while select.select([self._master], (), (), 0)[0]:
-            self.output += os.read(self._master, 65536).decode(errors="replace")
-        return code
+        """Wait for the end, and take in all that was written; the exit code."""
+        self.until(lambda: self.process.poll() is not None)
+        while select.select([self._master], (), (), 0.0)[0]:
+            self._read()
+        return int(self.process.returncode)
 
     def close(self) -> None:
         """The terminal is closed, as by its window's button."""

@@ -33,10 +33,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[CommandLine,
         started = ("joint_state_controller", "joint1_position_controller")
         slidectl.ok("spawn", "slider", "--controllers", "config/slider_control.yaml", "--start", *started)
         slidectl.ok("record", STATES, STATE, COMMAND, "-O", str(path), "--duration", "14", "--detach")
-        with slidectl.client() as client:
-            client.wait_until(
-                lambda: bool(client.call("/rosapi/subscribers", {"topic": STATES})["subscribers"]), 60, "no recorder"
-            )
+        slidectl.until_subscribed(STATES)
         slidectl.ok("sim", "step", "--until", "1")
         slidectl.ok("pub", COMMAND, "0.8")
         slidectl.ok("sim", "step", "--until", "15")

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 from command_line import CommandLine
-from launch_runs import Launched, OnATerminal, kill_all, nothing_is_left, processes, write_everything
+from launch_runs import Launched, kill_all, nothing_is_left, processes, write_everything
+from terminal import Terminal
 
 NEVER = '<node pkg="controller_manager" type="spawner" name="never" ns="/nobody" args="nothing"/>'
 """A step that waits for a robot that does not come."""
@@ -95,27 +96,25 @@ def test_a_detached_launch_can_be_interrupted_while_it_starts(slidectl: CommandL
 def test_one_interrupt_on_a_terminal_counts_once(
     slidectl: CommandLine, tmp_path: Path, slow: str, detach: tuple[str, ...]
 ) -> None:
-    launched = OnATerminal(slidectl, slow, *detach)
-    launched.until("/never: waits for")
-    launched.until("[slow] up")
-    launched.type(b"\x03")
-    launched.until("[slow] cleaning up")
-    (tmp_path / "done").write_text("")
-    assert launched.end() == 130
-    assert "[slow] clean\n" in launched.text
-    assert "does not end" not in launched.text
+    with Terminal(slidectl, "launch", slow, *detach, TERM="dumb") as terminal:
+        terminal.says("/never: waits for", "[slow] up")
+        terminal.press("\x03")
+        terminal.says("[slow] cleaning up")
+        (tmp_path / "done").write_text("")
+        assert terminal.ended() == 130
+    assert "[slow] clean\r\n" in terminal.output
+    assert "does not end" not in terminal.output
     nothing_is_left(slidectl.runtime)
 
 
 def test_a_second_interrupt_on_a_terminal_waits_for_nobody(slidectl: CommandLine, slow: str) -> None:
-    launched = OnATerminal(slidectl, slow, "--detach")
-    launched.until("/never: waits for")
-    launched.until("[slow] up")
-    launched.type(b"\x03")
-    launched.until("[slow] cleaning up")
-    launched.type(b"\x03")
-    assert launched.end() == 130
-    assert "/slow: does not end; it gets SIGTERM" in launched.text
+    with Terminal(slidectl, "launch", slow, "--detach", TERM="dumb") as terminal:
+        terminal.says("/never: waits for", "[slow] up")
+        terminal.press("\x03")
+        terminal.says("[slow] cleaning up")
+        terminal.press("\x03")
+        assert terminal.ended() == 130
+    assert "/slow: does not end; it gets SIGTERM" in terminal.output
     nothing_is_left(slidectl.runtime)
 
 
@@ -125,17 +124,18 @@ def test_a_terminal_that_closes_before_everything_runs_ends_the_launch(
 ) -> None:
     path = Path(everything)
     path.write_text(path.read_text().replace("</launch>", f"{NEVER}</launch>"))
-    launched = OnATerminal(slidectl, everything, *detach)
-    launched.until("/never: waits for")
-    assert launched.close() == 130  # as Ctrl-C
+    with Terminal(slidectl, "launch", everything, *detach, TERM="dumb") as terminal:
+        terminal.says("/never: waits for")
+        terminal.close()
+        assert terminal.process.wait(60) == 130  # as Ctrl-C
     nothing_is_left(slidectl.runtime)
 
 
 def test_a_terminal_that_closes_later_does_not_end_a_detached_launch(slidectl: CommandLine, everything: str) -> None:
-    launched = OnATerminal(slidectl, everything, "--detach")
-    launched.until("everything runs")
-    assert launched.process.wait(60) == 0
-    launched.close()
+    with Terminal(slidectl, "launch", everything, "--detach", TERM="dumb") as terminal:
+        terminal.says("everything runs")
+        assert terminal.ended() == 0
+        terminal.close()
     assert "running" in slidectl.ok("controller", "list")
     slidectl.ok("daemon", "stop")
     nothing_is_left(slidectl.runtime)

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import select
-import subprocess
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,6 +11,7 @@ from typing import Any
 import pytest
 from command_line import CommandLine
 from launch_runs import Launched, kill_all, nothing_is_left
+from terminal import Terminal
 
 POSITION = "/slider/joint1_position_controller"
 
@@ -396,21 +394,10 @@ def test_json_tells_every_step_in_a_line(slidectl: CommandLine) -> None:
 
 
 def test_on_a_terminal_a_line_at_the_bottom_shows_how_things_stand(slidectl: CommandLine) -> None:
-    master, slave = os.openpty()
-    environment = {**slidectl.environment, "TERM": "xterm"}
-    words = slidectl.argv("launch", "slider")
-    process = subprocess.Popen(words, stdin=slave, stdout=slave, stderr=slave, env=environment)
-    os.close(slave)
-    shown = b""
-    deadline = time.monotonic() + 60
-    while b"2 of 2 controllers run" not in shown and time.monotonic() < deadline:
-        if select.select([master], [], [], 1.0)[0]:
-            shown += os.read(master, 65536)
-    process.send_signal(2)
-    assert process.wait(30) == 130
-    os.close(master)
-    assert b"everything runs" in shown
-    assert b"robots: slider, 2 of 2 controllers run" in shown
+    with Terminal(slidectl, "launch", "slider") as terminal:
+        terminal.says("everything runs", "robots: slider, 2 of 2 controllers run")
+        terminal.press("\x03")
+        assert terminal.ended() == 130
 
 
 def test_meshes_of_a_plain_urdf_are_found_from_the_launch_files_folder(slidectl: CommandLine, tmp_path: Path) -> None:

@@ -55,11 +55,22 @@ def interrupting(slidectl: CommandLine, tmp_path: Path) -> str:
     return f"{tmp_path / 'hook'}:{slidectl.environment['PYTHONPATH']}"
 
 
+@contextmanager
+def inherited(number: signal.Signals, handler: signal.Handlers) -> Iterator[None]:
+    """What programs that are started meanwhile do at this signal, whatever the tests' own shell has set."""
+    previous = signal.signal(number, handler)
+    try:
+        yield
+    finally:
+        signal.signal(number, previous)
+
+
 @pytest.mark.parametrize("moment", MOMENTS)
 def test_an_interrupt_at_any_moment_leaves_nothing(
     slidectl: CommandLine, everything: str, interrupting: str, moment: int
 ) -> None:
-    launched = Launched(slidectl, everything, PYTHONPATH=interrupting, INTERRUPT_AFTER=str(moment))
+    with inherited(signal.SIGINT, signal.SIG_DFL):
+        launched = Launched(slidectl, everything, PYTHONPATH=interrupting, INTERRUPT_AFTER=str(moment))
     launched.until_one_of("now\n", RUNS)
     code = launched.interrupt() if RUNS in launched.text else launched.end()
     assert code == 130, launched.text
@@ -71,7 +82,8 @@ def test_an_interrupt_at_any_moment_leaves_nothing(
 def test_interrupts_in_a_row_leave_nothing(
     slidectl: CommandLine, everything: str, interrupting: str, moment: int
 ) -> None:
-    launched = Launched(slidectl, everything, PYTHONPATH=interrupting, INTERRUPT_AFTER=str(moment))
+    with inherited(signal.SIGINT, signal.SIG_DFL):
+        launched = Launched(slidectl, everything, PYTHONPATH=interrupting, INTERRUPT_AFTER=str(moment))
     launched.until_one_of("now\n", RUNS)
     for _ in range(5):
         launched.signal()
@@ -80,16 +92,6 @@ def test_interrupts_in_a_row_leave_nothing(
     assert launched.end() == 130, launched.text
     assert "Traceback" not in launched.text
     nothing_is_left(slidectl.runtime)
-
-
-@contextmanager
-def inherited(number: signal.Signals, handler: signal.Handlers) -> Iterator[None]:
-    """What programs that are started meanwhile do at this signal, whatever the tests' own shell has set."""
-    previous = signal.signal(number, handler)
-    try:
-        yield
-    finally:
-        signal.signal(number, previous)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])

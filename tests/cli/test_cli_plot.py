@@ -38,15 +38,10 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[CommandLine,
         slidectl.ok("spawn", "slider", "--controllers", "config/slider_control.yaml", "--start", *STARTED)
         slidectl.ok("pub", COMMAND, "0.8")
         slidectl.ok("record", STATES, STATE, "-O", str(path), "--duration", "2", "--detach")
-        wait_for_subscriber(slidectl, STATES)
+        slidectl.until_subscribed(STATES)
         slidectl.ok("sim", "step", "--until", "3")
         eventually(lambda: path.exists() and '"damage": null' in slidectl("bag", "info", str(path), "--json").stdout)
         yield slidectl, path
-
-
-def wait_for_subscriber(slidectl: CommandLine, topic: str) -> None:
-    with slidectl.client() as client:
-        eventually(lambda: client.call("/rosapi/subscribers", {"topic": topic})["subscribers"], "nobody subscribes")
 
 
 def drawn_paths(svg: str) -> list[str]:
@@ -255,7 +250,7 @@ def test_topics_without_a_message_are_told_and_the_others_are_drawn(
         client.advertise("/quiet", "std_msgs/Float64")
         client.flush()
         process = slidectl.start("plot", *words, "--for", "0.5", "--json")
-        wait_for_subscriber(slidectl, "/quiet")
+        slidectl.until_subscribed("/quiet")
         slidectl.ok("sim", "step", "600")
         out, err = process.communicate(timeout=60)
     assert process.returncode == code
@@ -291,7 +286,7 @@ def test_a_plot_is_live_on_a_terminal_and_stays_there_at_the_end(moving: Command
 
 def test_a_terminal_that_is_closed_ends_a_live_plot_as_an_interrupt(moving: CommandLine) -> None:
     with Terminal(moving, "plot", f"{STATES}/position[0]") as terminal:
-        terminal.until(lambda: "position[0]" in terminal.output)
+        terminal.says("position[0]")
         terminal.close()
         assert terminal.process.wait(60) == 130
 
@@ -308,7 +303,7 @@ def test_what_arrived_before_the_daemon_ended_is_saved(tmp_path: Path) -> None:
         slidectl, saved = CommandLine(runtime.folder), tmp_path / "gone.csv"
         slidectl.ok("spawn", "slider", "--controllers", "config/slider_control.yaml", "--start", *STARTED)
         process = slidectl.start("plot", f"{STATES}/position[0]", "--for", "100", "--save", str(saved))
-        wait_for_subscriber(slidectl, STATES)
+        slidectl.until_subscribed(STATES)
         slidectl.ok("sim", "step", "500")
         runtime.stop()
         out, err = process.communicate(timeout=60)
@@ -326,7 +321,7 @@ def test_a_plot_that_is_terminated_leaves_the_terminal_as_it_was_and_saves_what_
     assert seen.count(b"\x1b[?1049h") == seen.count(b"\x1b[?1049l") == 1
     assert b"paused" in seen.partition(b"\x1b[?1049h")[2].partition(b"\x1b[?1049l")[0]
     process = slidectl.start("plot", f"{STATES}/position[0]", "--for", "100", "--save", str(saved))
-    wait_for_subscriber(slidectl, STATES)
+    slidectl.until_subscribed(STATES)
     slidectl.ok("sim", "step", "500")
     process.terminate()
     out, _ = process.communicate(timeout=60)

@@ -90,11 +90,6 @@ def messages_so_far(path: Path) -> list[tuple[str, int, Any]]:
         return []
 
 
-def wait_for_subscriber(slidectl: CommandLine, topic: str) -> None:
-    with slidectl.client() as client:
-        eventually(lambda: client.call("/rosapi/subscribers", {"topic": topic})["subscribers"], f"nobody hears {topic}")
-
-
 @pytest.mark.parametrize("suffix", [".bag", ".mcap"])
 def test_a_recording_holds_every_message_with_its_simulated_time(
     slider: CommandLine, tmp_path: Path, suffix: str
@@ -124,7 +119,7 @@ def test_all_topics_are_recorded_also_those_that_come_later(tmp_path: Path) -> N
         slidectl = CommandLine(runtime.folder)
         recorder = Recorder(slidectl, "-a", "-x", "/gazebo/.*", "-O", str(tmp_path / "all"))
         spawn_slider(slidectl)
-        wait_for_subscriber(slidectl, STATES)
+        slidectl.until_subscribed(STATES)
         slidectl.ok("sim", "step", "100ms")
         done = recorder.end(signal.SIGINT)
         assert done.returncode == 0
@@ -178,7 +173,7 @@ def test_playing_keeps_the_distances_on_other_topics_and_at_other_rates(slider: 
     )
     with slider.client() as client:
         eventually(lambda: "/copy" in client.topics(), "nobody publishes /copy")
-    wait_for_subscriber(slider, "/copy")
+    slider.until_subscribed("/copy")
     slider.ok("sim", "step", "300")
     stdout, _ = player.communicate(timeout=60)
     assert json.loads(stdout) == {"published": 10, "late": 0, "refused": 0, "topics": ["/copy"], "seconds": 0.09}
@@ -363,6 +358,19 @@ def test_copies_and_tables(slider: CommandLine, tmp_path: Path) -> None:
         message["position"][0] for topic, _, message in messages(tmp_path / "run.bag") if topic == STATES
     ]
     assert {"time", "topic", "header.stamp", "name[0]", "effort[0]"} <= rows[0].keys()
+
+
+def test_a_table_takes_the_place_of_no_file_unasked_and_never_of_its_recording(
+    slidectl: CommandLine, tmp_path: Path
+) -> None:
+    two_publishers(tmp_path / "run.bag")
+    before = (tmp_path / "run.bag").read_bytes()
+    done = slidectl("bag", "export", "run.bag", "--csv", "run.bag", "--force", cwd=tmp_path)
+    assert (done.returncode, "the target is the source" in done.stderr) == (2, True)
+    assert (tmp_path / "run.bag").read_bytes() == before
+    (tmp_path / "-").touch()
+    done = slidectl("bag", "export", "run.bag", "--parquet", "-", cwd=tmp_path)
+    assert (done.returncode, "- is there already" in done.stderr) == (1, True)
 
 
 def two_publishers(path: Path) -> None:

@@ -126,6 +126,7 @@ def test_wrong_files_are_named_with_their_lines_and_never_tracebacks(slidectl: C
         "option": ("steps:\n  - wait: {target: a, near: }", "2: 'near' of wait has no value"),
         "fork": ("steps:\n  - sim fork: x -i forked", "2: sim fork leaves a daemon behind"),
         "keep": ("steps:\n  - replay: x --keep", "2: --keep leaves a daemon behind"),
+        "tool": ("steps:\n  - ros: -q roslaunch x.launch", "2: roslaunch brings up a world"),
     }
     paths = {name: write(f"{name}.yaml", text) for name, (text, _) in files.items()}
     os.mkfifo(paths["key"].parent / "pipe.yaml")

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
-import select
 import subprocess
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from command_line import ROOT, CommandLine
+from terminal import Terminal
 
 CONTROLLERS = ("joint_state_controller", "joint1_position_controller")
 
@@ -74,6 +72,14 @@ def test_a_missing_script_is_a_bad_file(slidectl: CommandLine) -> None:
     done = slidectl("shell", "no_such_script")
     assert done.returncode == 2
     assert "no_such_script" in done.stderr
+
+
+def test_bytes_that_are_no_text_are_words_of_their_line(slidectl: CommandLine, tmp_path: Path) -> None:
+    (tmp_path / "script").write_bytes(b"version\nbag info \xff.bag\n")
+    done = slidectl("shell", str(tmp_path / "script"))
+    assert (done.returncode, done.stdout.startswith("slidectl ")) == (2, True)
+    assert "error: \\udcff.bag: No such file or directory" in done.stderr
+    assert "script, line 2: bag info" in done.stderr
 
 
 def test_a_line_without_end_is_refused(slidectl: CommandLine) -> None:
@@ -258,58 +264,35 @@ def test_a_daemon_that_was_replaced_is_told_once(slidectl: CommandLine) -> None:
 # --- at a terminal --------------------------------------------------------------------------------------------------
 
 
-class Conversation:
-    """A shell on a terminal of its own: `say` a line, `hear` until a text has come."""
-
-    def __init__(self, slidectl: CommandLine, home: Path) -> None:
-        self.master, slave = os.openpty()
-        environment = {**slidectl.environment, "TERM": "dumb", "XDG_STATE_HOME": str(home)}
-        argv = slidectl.argv("shell")
-        self.process = subprocess.Popen(argv, stdin=slave, stdout=slave, stderr=slave, env=environment, cwd=ROOT)
-        os.close(slave)
-        self.heard = ""
-
-    def say(self, text: str) -> None:
-        os.write(self.master, text.encode())
-
-    def hear(self, text: str) -> None:
-        """Wait for the text behind what was heard before."""
-        deadline = time.monotonic() + 30
-        while text not in self.heard:
-            assert select.select([self.master], [], [], max(0.0, deadline - time.monotonic()))[0], self.heard
-            self.heard += os.read(self.master, 4096).decode()
-        self.heard = self.heard.partition(text)[2]
-
-
 @pytest.fixture
-def conversation(slider: CommandLine, tmp_path: Path) -> Iterator[Conversation]:
-    talk = Conversation(slider, tmp_path)
-    talk.hear("slidectl> ")
-    yield talk
-    talk.process.kill()
-    talk.process.wait()
-    os.close(talk.master)
+def conversation(slider: CommandLine, tmp_path: Path) -> Iterator[Terminal]:
+    with Terminal(slider, "shell", TERM="dumb", XDG_STATE_HOME=str(tmp_path)) as talk:
+        hear(talk, "slidectl> ")
+        yield talk
 
 
-def test_a_failure_does_not_end_a_conversation(conversation: Conversation) -> None:
-    conversation.say("param get /no/such\n")
-    conversation.hear("error:")
-    conversation.hear("slidectl> ")
-    conversation.say("param get /slider/joint1_position_controller/pid/p\n")
-    conversation.hear("100.0")
-    conversation.hear("slidectl> ")
-    conversation.say("exit\n")
-    assert conversation.process.wait(30) == 0
+def hear(conversation: Terminal, *texts: str) -> None:
+    """Wait for the texts, one after the other, behind what was heard before."""
+    for text in texts:
+        conversation.says(text)
+        conversation.output = conversation.output.partition(text)[2]
 
 
-def test_what_was_typed_is_remembered_and_names_are_completed(conversation: Conversation, tmp_path: Path) -> None:
+def test_a_failure_does_not_end_a_conversation(conversation: Terminal) -> None:
+    conversation.press("param get /no/such\n")
+    hear(conversation, "error:", "slidectl> ")
+    conversation.press("param get /slider/joint1_position_controller/pid/p\n")
+    hear(conversation, "100.0", "slidectl> ")
+    conversation.press("exit\n")
+    assert conversation.ended() == 0
+
+
+def test_what_was_typed_is_remembered_and_names_are_completed(conversation: Terminal, tmp_path: Path) -> None:
     pytest.importorskip("readline")
-    conversation.say("param get joint1_position_controller/pid/p\t\n")
-    conversation.hear("100.0")
-    conversation.hear("slidectl> ")
-    conversation.say("vers\t\n")
-    conversation.hear("slidectl 0")
-    conversation.hear("slidectl> ")
-    conversation.say("\x04")
-    assert conversation.process.wait(30) == 0
+    conversation.press("param get joint1_position_controller/pid/p\t\n")
+    hear(conversation, "100.0", "slidectl> ")
+    conversation.press("vers\t\n")
+    hear(conversation, "slidectl 0", "slidectl> ")
+    conversation.press("\x04")
+    assert conversation.ended() == 0
     assert "joint1_position_controller/pid/p" in (tmp_path / "slidectl" / "history").read_text()

@@ -61,12 +61,12 @@ def planar(twist: dict[str, Any]) -> tuple[float, float, float]:
 def test_a_base_drives_while_a_key_is_held_and_stops_when_it_is_let_go(run: CommandLine, client: Client) -> None:
     heard = listen(client, CMD_VEL, planar)
     with Terminal(run, "teleop") as terminal:
-        terminal.until(lambda: f"publishes on {CMD_VEL}" in terminal.output)
+        terminal.says(f"publishes on {CMD_VEL}")
         terminal.until(lambda: (0.5, 0.0, 0.0) in heard(), lambda: terminal.press("i"))
         terminal.until(lambda: heard()[-1] == STILL)
         terminal.until(lambda: (0.0, 0.5, 0.0) in heard(), lambda: terminal.press("J"))
         terminal.press("q")
-        terminal.until(lambda: "speed 0.55 m/s, turn 1.1 rad/s" in terminal.output)
+        terminal.says("speed 0.55 m/s, turn 1.1 rad/s")
         terminal.until(lambda: (-0.55, 0.0, 1.1) in heard(), lambda: terminal.press("."))
         terminal.press("\x03")
         assert terminal.ended() == 130
@@ -78,7 +78,7 @@ def test_a_base_drives_while_a_key_is_held_and_stops_when_it_is_let_go(run: Comm
 def test_what_ends_the_drive_stops_the_base(run: CommandLine, client: Client, end: str) -> None:
     heard = listen(client, CMD_VEL, planar)
     with Terminal(run, "teleop", "cmd_vel", "--speed", "0.2", *FOR_EVER) as terminal:
-        terminal.until(lambda: "publishes on" in terminal.output)
+        terminal.says("publishes on")
         terminal.press("o" if end == "Ctrl-Z and a signal" else "\x1b[A")
         terminal.until(lambda: len(heard()) > 3)  # it is repeated for bases that have a time-out
         assert heard()[-1][0] == 0.2
@@ -100,9 +100,9 @@ def test_what_ends_the_drive_stops_the_base(run: CommandLine, client: Client, en
 def test_nothing_is_published_before_a_key_moves_something(run: CommandLine, client: Client) -> None:
     heard = listen(client, CMD_VEL, planar)
     with Terminal(run, "teleop") as terminal:
-        terminal.until(lambda: "publishes on" in terminal.output)
+        terminal.says("publishes on")
         terminal.press("qz k")
-        terminal.until(lambda: "speed 0.495 m/s" in terminal.output)
+        terminal.says("speed 0.495 m/s")
         terminal.press("\x03")
         assert terminal.ended() == 130
     assert heard() == []
@@ -116,19 +116,19 @@ def test_a_joint_begins_at_the_set_point_of_others_and_stands_in_a_paused_world(
     heard = listen(client, f"{controller}/command", lambda message: message["data"])
     told = listen(client, f"{controller}/state", lambda message: message["set_point"])
     with Terminal(run, "teleop", "--joint", "joint1", "--speed", "0.01", *FOR_EVER) as terminal:
-        terminal.until(lambda: "publishes on" in terminal.output)
+        terminal.says("publishes on")
         terminal.press("\x1b[C")
         terminal.until(lambda: len(heard()) > 2)
         terminal.press(" ")
-        terminal.until(lambda: "stopped" in terminal.output)
+        terminal.says("stopped")
         client.deliver(f"{controller}/command", {"data": 0.7})
         terminal.until(lambda: told()[-1] == 0.7)
         terminal.press("qz")
-        terminal.until(lambda: "0.0099 m/s" in terminal.output)
+        terminal.says("0.0099 m/s")
         assert heard()[-1] == 0.7
         run.ok("sim", "pause")
         terminal.press("\x1b[C")
-        terminal.until(lambda: "waits for the set point" in terminal.output)
+        terminal.says("waits for the set point")
         client.deliver(f"{controller}/command", {"data": 0.4})
         count = len(heard())
         run.ok("sim", "step", "100")
@@ -144,7 +144,7 @@ def test_a_joint_follows_the_arrow_keys_by_its_set_point(run: CommandLine, clien
     run.ok("controller", "spawn", "joint1_position_controller")
     heard = listen(client, "/slider/joint1_position_controller/command", lambda message: message["data"])
     with Terminal(run, "teleop", "--joint", "joint1", "--speed", "0.5") as terminal:
-        terminal.until(lambda: "publishes on" in terminal.output)
+        terminal.says("publishes on")
         terminal.until(lambda: heard() and heard()[-1] > 0.3, lambda: terminal.press("\x1b[C"))
         terminal.until(lambda: "stopped" in terminal.output.rpartition("forwards")[2])
         highest = heard()[-1]
@@ -164,7 +164,7 @@ def test_an_effort_is_given_while_the_key_is_held_and_the_end_of_the_daemon_ends
     run.ok("controller", "spawn", "joint1_effort_controller")
     heard = listen(client, COMMAND, lambda message: message["data"])
     with Terminal(run, "teleop", "--joint", "/slider/joint1", "--speed", "3") as terminal:
-        terminal.until(lambda: "publishes on" in terminal.output)
+        terminal.says("publishes on")
         terminal.until(lambda: -3.0 in heard(), lambda: terminal.press("\x1b[D"))
         terminal.until(lambda: heard()[-1] == 0)
         runtime.stop()

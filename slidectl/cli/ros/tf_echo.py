@@ -11,7 +11,7 @@ import click
 from slidectl.cli import output
 from slidectl.cli.context import Context
 from slidectl.cli.ros.arguments import Parser, option, without_remappings
-from slidectl.cli.tf import Listener, open_stream, pose_text
+from slidectl.cli.tf import listening, pose_text
 from slidectl.errors import Refused, UnknownName
 from slidectl.viewing.transform_tree import Frames, View
 
@@ -93,12 +93,10 @@ def _look_ups(ctx: Context, source: str, target: str, rate: float) -> Iterator[t
         The simulated time in s, the pose or None, the reason when there is none, and all frames.
     """
     source, target = source.removeprefix("/"), target.removeprefix("/")
-    stream, topics = open_stream(ctx)
-    with stream:
-        listener = Listener(ctx, stream, topics)
+    with listening(ctx) as listener:
         # A publisher repeats itself: what is not there after a while is not there.
         listener.listen(lambda frames: frames.are_connected(source, target))
-        due = stream.monotonic()
+        due = listener.stream.monotonic()
         while True:
             time = ctx.call("/rosapi/get_time")["time"]
             now = f"{time['secs']}.{time['nsecs']:09d}"
