@@ -207,14 +207,6 @@ def ask_each(ctx: Context, question: str, services: Iterable[str], key: str) -> 
     return {name: str(ctx.client.answer(call)[key]) for name, call in calls.items()}
 
 
-def typedefs(ctx: Context, kind: str) -> tuple[Typedefs, Typedefs]:
-    """What the request and the response of a service type are made of, asked in one go."""
-    questions = "/rosapi/service_request_details", "/rosapi/service_response_details"
-    calls = [ctx.client.call_async(question, {"type": kind}) for question in questions]
-    request, response = (list(ctx.client.answer(call)["typedefs"]) for call in calls)
-    return request, response
-
-
 def argument_names(request: Typedefs) -> list[str]:
     """The fields of a request, nested ones as `a.b`."""
     return field_paths(fields_from(request), str(request[0]["type"]))

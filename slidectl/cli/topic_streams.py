@@ -87,7 +87,7 @@ class Stream:
         self._client = ctx.client
         self._topics = topics
         self._with_clock = with_clock
-        self._sim_seconds = sim_seconds
+        self.sim_seconds = sim_seconds
         self._queue: deque[Event] = deque()
         self._subscriptions: list[Subscription] = []
         self._sleep: str | None = None
@@ -102,8 +102,8 @@ class Stream:
         if self._with_clock:
             self.time_ns = nanoseconds(self._client.call("/rosapi/get_time")["time"])
             topics = [CLOCK, *(topic for topic in topics if topic != CLOCK)]  # the time first, then what came at it
-        if self._sim_seconds is not None:  # before the topics: who sees a subscriber can rely on it
-            self._sleep = self._client.call_async("/slidectl/sleep", {"duration": self._sim_seconds})
+        if self.sim_seconds is not None:  # before the topics: who sees a subscriber can rely on it
+            self._sleep = self._client.call_async("/slidectl/sleep", {"duration": self.sim_seconds})
         for topic in topics:
             self._subscriptions.append(self._client.subscribe(topic))
         self._doubt = self.monotonic() + _SILENCE_S
@@ -213,9 +213,11 @@ def usage_of_topics(types: Mapping[str, str], publishers: Users | None, subscrib
 
 def usage_of_topic(kind: str, publishers: Sequence[str], subscribers: Sequence[str], uri: str) -> str:
     """What `rostopic info` prints; `uri` is where the nodes answer."""
-    blocks = [_nodes("Publishers", publishers, uri), _nodes("Subscribers", subscribers, uri)]
+    users = {"Publishers": publishers, "Subscribers": subscribers}
+    blocks = [block(title, [f"{node} ({uri})" for node in nodes]) for title, nodes in users.items()]
     return f"Type: {kind}\n\n" + "\n".join(blocks) + "\n\n"
 
 
-def _nodes(title: str, nodes: Sequence[str], uri: str) -> str:
-    return f"{title}: \n" + "".join(f" * {node} ({uri})\n" for node in nodes) if nodes else f"{title}: None\n"
+def block(title: str, items: Sequence[str]) -> str:
+    """A list as `rostopic info` and `rosnode info` print it."""
+    return f"{title}: \n" + "".join(f" * {item}\n" for item in items) if items else f"{title}: None\n"
