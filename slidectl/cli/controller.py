@@ -554,22 +554,29 @@ def owner(context: Context, wanted: str | None, controllers: Sequence[str]) -> t
         raise Refused("no robot with controllers in the world", "spawn one: slidectl spawn slider")
     places = _places(candidates, controllers)
     fitting = [m for m in candidates if all(m.namespace in found for found in places.values())]
-    if not fitting:
-        raise _nowhere(candidates, places)
-    if len(fitting) > 1:
+    if len(fitting) == 1:
+        (manager,) = fitting
+        return manager, [places[name][manager.namespace] for name in controllers]
+    if fitting:
         spaces = [manager.namespace for manager in fitting]
         if not controllers:
             raise AmbiguousName("controller manager", "", spaces)
         matches = [join(space, name) for name in controllers for space in spaces]
         raise AmbiguousName("controller", " ".join(controllers), matches)
-    manager = fitting[0]
-    return manager, [places[name][manager.namespace] for name in controllers]
+    for name, found in places.items():
+        if not found:
+            known = sorted({known for manager in candidates for known in manager.known()})
+            where = f"in {candidates[0].namespace}" if len(candidates) == 1 else ""
+            error = UnknownName("controller", name, known, where)
+            error.hint = f"{error.hint}\nload its configuration first: slidectl controller config FILE.yaml"
+            raise error
+    listed = "; ".join(f"{name} of {', '.join(sorted(found))}" for name, found in places.items())
+    raise UsageError(f"no controller manager has all of these: {listed}", "one command for each robot, please")
 
 
 def owner_of_some(context: Context, wanted: str | None, controllers: Sequence[str]) -> tuple[Manager, list[str]]:
     """As `owner`, but it is enough when the manager knows some of them, or is the only one: for best effort."""
-    candidates = chosen(context, wanted)
-    known = [name for name, found in _places(candidates, controllers).items() if found]
+    known = [name for name, found in _places(chosen(context, wanted), controllers).items() if found]
     manager, _ = owner(context, wanted, known)
     return manager, [name.removeprefix(manager.namespace.rstrip("/") + "/") for name in controllers]
 
@@ -611,18 +618,6 @@ def _places(candidates: Sequence[Manager], controllers: Sequence[str]) -> dict[s
     return places
 
 
-def _nowhere(candidates: Sequence[Manager], places: dict[str, dict[str, str]]) -> Exception:
-    for name, found in places.items():
-        if not found:
-            known = sorted({known for manager in candidates for known in manager.known()})
-            where = f"in {candidates[0].namespace}" if len(candidates) == 1 else ""
-            error = UnknownName("controller", name, known, where)
-            error.hint = f"{error.hint}\nload its configuration first: slidectl controller config FILE.yaml"
-            return error
-    listed = "; ".join(f"{name} of {', '.join(sorted(found))}" for name, found in places.items())
-    return UsageError(f"no controller manager has all of these: {listed}", "one command for each robot, please")
-
-
 def wait_for_owner(context: Context, manager: str | None, controllers: Sequence[str]) -> None:
     """Return when a controller manager knows all the controllers. Raises TimedOut with what is missing."""
     limit, client = context.wait_limit(WAIT_S), context.client
@@ -632,6 +627,7 @@ def wait_for_owner(context: Context, manager: str | None, controllers: Sequence[
             owner(context, manager, controllers)
             return
         except (Refused, UnknownName) as missing:
-            if client.monotonic() >= deadline:
+            left = deadline - client.monotonic()
+            if left <= 0:
                 raise TimedOut(f"still so after {limit:g} s: {missing.message}", missing.hint) from None
-            context.pause(min(_LOOK_AGAIN_S, deadline - client.monotonic()))
+            context.pause(min(_LOOK_AGAIN_S, left))

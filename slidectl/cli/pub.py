@@ -141,7 +141,11 @@ def _target(
         if not allow_unheard:
             step = "--allow-unheard publishes on a new topic: give its TYPE"
             raise _with_next_step(ctx, name, error, step) from None
-        return _new_topic(ctx, name, given)
+        if not given or not re.match(_TYPE, given[0]):
+            hint = "slidectl msg list shows the types"
+            raise UsageError(f"there is no topic {name!r} yet, so give its TYPE", hint) from None
+        full = names.check(names.join(ctx.namespace, name))
+        return Target(full, given[0], "", details(ctx, given[0]), []), given[1:]
     has_type = bool(given) and _is_type(given, target, from_elsewhere)
     if has_type and given[0] != target.type:
         raise UsageError(f"{target.topic} has the type {target.type}, not {given[0]}", "TYPE may be left out")
@@ -166,13 +170,6 @@ def _is_type(given: Sequence[str], target: Target, from_elsewhere: bool) -> bool
     alone = [word for word in given if word != _ONCE] == [given[0]] and not from_elsewhere
     takes_text = target.typedefs[0]["fieldtypes"] == ["string"]
     return "/" in given[0] and bool(re.match(_TYPE, given[0])) and not (alone and takes_text)
-
-
-def _new_topic(ctx: Context, name: str, given: list[str]) -> tuple[Target, list[str]]:
-    if not given or not re.match(_TYPE, given[0]):
-        raise UsageError(f"there is no topic {name!r} yet, so give its TYPE", "slidectl msg list shows the types")
-    full = names.check(names.join(ctx.namespace, name))
-    return Target(full, given[0], "", details(ctx, given[0]), []), given[1:]
 
 
 # --- the values -----------------------------------------------------------------------------------------------------
@@ -240,20 +237,17 @@ class Publication:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._rate is not None and kind in (None, KeyboardInterrupt):
-            self._judge_rate(self._rate)
+        # One late message among a handful says nothing about the rate.
+        if self._rate is not None and kind in (None, KeyboardInterrupt) and self.published > 10:
+            seconds = self._latest - self._began
+            reached = (self.published - 1) / seconds if seconds > 0 else math.inf
+            if reached < _KEPT_UP * self._rate:
+                self._ctx.warn(f"published at {reached:.1f} Hz instead of {self._rate:g} Hz")
         if kind is None:
             topic, users = self._target.topic, self._target.users
             record = {"topic": topic, "type": self._target.type, "published": self.published, "subscribers": users}
             self._ctx.emit(record, "")
             self._ctx.detail(f"published {self.published} on {topic} to {', '.join(users) or 'nobody'}")
-
-    def _judge_rate(self, rate: float) -> None:
-        seconds = self._latest - self._began
-        reached = (self.published - 1) / seconds if seconds > 0 else math.inf
-        # One late message among a handful says nothing about the rate.
-        if self.published > 10 and reached < _KEPT_UP * rate:
-            self._ctx.warn(f"published at {reached:.1f} Hz instead of {rate:g} Hz")
 
     def publish(self, sources: Iterable[Values]) -> None:
         """Send one message for each of the values and wait until it has been taken in.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import click
@@ -144,8 +144,11 @@ def call(ctx: Context, name: str, given: tuple[str, ...], stdin: bool) -> None:
             f"no VALUE given for {full} ({found['type']})", f"the request has the fields: {', '.join(fields)}"
         )
     fields_of, schema = fields_from(parts), from_typedefs(parts)
+    requests: Iterable[Sequence[Any]] = [[read(word) if word else "" for word in given]]
+    if stdin:
+        requests = ([{} if document is None else document] for document in documents_on_stdin())
     refusals = []
-    for values in _requests(given, stdin):
+    for values in requests:
         template = template_of(schema, values)
         chosen = values if template is None else template.at(0, 0.0)
         request = fill(fields_of, parts[0]["type"], chosen, now(ctx, template))
@@ -156,13 +159,6 @@ def call(ctx: Context, name: str, given: tuple[str, ...], stdin: bool) -> None:
         refusals += answer.refusal
     if refusals:
         raise Refused("\n".join(refusals))
-
-
-def _requests(given: Sequence[str], stdin: bool) -> Iterator[Sequence[Any]]:
-    if stdin:
-        yield from ([{} if document is None else document] for document in documents_on_stdin())
-    else:
-        yield [read(word) if word else "" for word in given]
 
 
 # --- what rosservice shares -----------------------------------------------------------------------------------------

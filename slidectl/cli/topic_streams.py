@@ -132,7 +132,9 @@ class Stream:
             elif now >= deadline:
                 return None
             else:
-                self._check_reader(now)
+                if now >= self._look_at:  # who reads our output may have gone, though there is nothing to write
+                    self._look_at = now + _LOOK_EVERY_S
+                    check_reader()
                 self._ask_why(now)
                 next(self._client.events(max(0.0, min(deadline, self._doubt, self._look_at) - now)), None)
         return self._queue.popleft() if self._queue else None
@@ -159,12 +161,6 @@ class Stream:
                     self._queue.append(Event(subscription.topic, message, self.time_ns))
         return bool(self._queue)
 
-    def _check_reader(self, now: float) -> None:
-        """Raises ClosedPipe soon after the reader of our output has gone, though there may be nothing to write."""
-        if now >= self._look_at:
-            self._look_at = now + _LOOK_EVERY_S
-            check_reader()
-
     def _ask_why(self, now: float) -> None:
         """When nothing has come for a while: say so, once, if the world stands still."""
         if self._status is not None and self._client.is_answered(self._status):
@@ -179,12 +175,12 @@ class Stream:
 
 def paused(status: dict[str, Any]) -> str:
     """That the world of an answer of /slidectl/status stands still, and why, where nobody wanted it."""
-    return "the simulation is paused" + (f" ({status['trouble']})" if status.get("trouble") else "")
+    return "the simulation is paused" + (f" ({status['trouble']})" if status["trouble"] else "")
 
 
 def way_on(status: dict[str, Any]) -> str:
     """What to type that lets the same world go on."""
-    if status.get("trouble"):
+    if status["trouble"]:
         return "slidectl sim reset, then slidectl sim resume"
     return "slidectl sim resume, or slidectl sim step"
 

@@ -119,13 +119,13 @@ class _Types:
             raise Failure(f"{trouble}: invalid name [{wanted}]\n{_PLEASE}")
         try:
             self._kind.source(wanted)  # the list of all types would take longer than everything else here
+            return [wanted]
         except UnknownName:
             package, _, word = wanted.partition("/")
-            where = f" in package [{package}]"
-            if package not in _packages():
-                where = f": unknown package [{package}] on search path [{_packages()}]"
+            packages = _packages()
+            unknown = f": unknown package [{package}] on search path [{packages}]"
+            where = f" in package [{package}]" if package in packages else unknown
             raise Failure(f"{trouble}: Cannot locate message [{word}]{where}{self._suggestion(wanted)}") from None
-        return [wanted]
 
     def _suggestion(self, wanted: str) -> str:
         near = closest(wanted, self._kind.names())

@@ -15,10 +15,10 @@ from slidectl.cli import output
 from slidectl.cli.context import Context
 from slidectl.cli.pub import Publication
 from slidectl.cli.ros import genpy
-from slidectl.cli.ros.arguments import Failure, Parser, option, resolve_remapped, without_remappings
+from slidectl.cli.ros.arguments import Failure, Parser, option, refusals, resolve_remapped, without_remappings
 from slidectl.cli.service import argument_names
 from slidectl.cli.topic_streams import SUBSCRIBERS, Target, details, look_up, users_of
-from slidectl.errors import BadMessage, Refused, SlidectlError, UnknownName, Unused, UsageError
+from slidectl.errors import Refused, SlidectlError, UnknownName, Unused
 from slidectl.values import check_quotes
 
 _ONCE = "-1"
@@ -59,11 +59,13 @@ def pub(ctx: Context, argv: Sequence[str]) -> None:
     topic, type_name, *words = given.words
     if given.file is not None and words:
         _PARSER.error("args conflict with -f setting")
-    _check_quotes(words)
+    with refusals():
+        check_quotes(words)
     values = [_value(word) for word in words]
     target, nobody = _target(ctx, resolve_remapped(ctx, topic, "rostopic", argv, _PAYLOAD), type_name)
     fields = target.typedefs[0]["fieldnames"]
-    _check_quotes(words, fields)
+    with refusals():
+        check_quotes(words, fields)
     if _ONCE in words:
         from slidectl.cli.pub import without_once
 
@@ -90,13 +92,6 @@ def _rate(given: Any) -> float | None:
     if not rate > 0:
         _PARSER.error("rate must be greater than zero")
     return rate
-
-
-def _check_quotes(words: Sequence[str], fields: Sequence[str] = ()) -> None:
-    try:
-        check_quotes(words, fields)
-    except UsageError as error:
-        raise Failure(f"ERROR: {error}") from None
 
 
 def _value(word: str) -> Any:
@@ -227,7 +222,8 @@ class _Run:
     def _message(self, values: Sequence[Any]) -> genpy.Message:
         typedefs = self._target.typedefs
         try:
-            return genpy.filled(self._ctx, typedefs, values)
+            with refusals():
+                return genpy.filled(self._ctx, typedefs, values)
         except genpy.Misfit as error:
             raise Failure(f"ERROR: {error}\n\nArgs are: [{' '.join(argument_names(typedefs))}]") from None
         except genpy.WrongType as error:
@@ -237,5 +233,3 @@ class _Run:
                 "ERROR: Unable to publish message. One of the fields has an incorrect type:\n"
                 f"  {error}\n\nmsg file:\n{msgs.definition(self._target.type).strip()}"
             ) from None
-        except BadMessage as error:
-            raise Failure(f"ERROR: {error}") from None
