@@ -17,7 +17,6 @@ from slidectl.cli import completion, output
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
 from slidectl.errors import AmbiguousName, BadFile, Refused, UnknownName, UsageError, closest, listing
-from slidectl.writing import write_whole
 
 if TYPE_CHECKING:
     from slidectl.client.spawning import Tree
@@ -211,13 +210,10 @@ def dump(ctx: Context, file: str | None, namespace: str | None) -> None:
     """
     value = get_value(ctx, "/" if namespace is None else _resolved(ctx, namespace))
     text = output.as_json(value) + "\n" if ctx.format == "json" else dumped(value)
-    if file in (None, "-"):
-        return output.write(text)
-    try:
-        write_whole(str(file), text)
-    except OSError as error:
-        raise BadFile(f"cannot be written: {error.strerror or error}", str(file)) from None
-    return None
+    if file is None or file == "-":
+        output.write(text)
+    else:
+        output.save(file, text)
 
 
 # --- values ---------------------------------------------------------------------------------------------------------

@@ -163,7 +163,6 @@ def urdf(ctx: Context, model: str, arguments: tuple[str, ...], target: str | Non
     meshes keep the names that the model gives them. JSON keys: urdf, file.
     """
     from slidectl import description
-    from slidectl.writing import write_whole
 
     places = package_lookup(packages, "urdf")
     source, given = in_package(model, arguments, places, "urdf")
@@ -183,10 +182,7 @@ def urdf(ctx: Context, model: str, arguments: tuple[str, ...], target: str | Non
         else:
             ctx.emit({"urdf": document.urdf, "file": document.file})
         return
-    try:
-        write_whole(target, document.urdf)
-    except OSError as error:
-        raise BadFile(f"cannot be written: {error.strerror or error}", target) from None
+    output.save(target, document.urdf)
     ctx.done({"file": target}, f"{target}: written")
 
 

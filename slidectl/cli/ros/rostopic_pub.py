@@ -13,7 +13,7 @@ from typing import Any
 
 from slidectl.cli import output
 from slidectl.cli.context import Context
-from slidectl.cli.pub import Publication
+from slidectl.cli.pub import publish, without_once
 from slidectl.cli.ros import genpy
 from slidectl.cli.ros.arguments import Failure, Parser, option, refusals, resolve_remapped, without_remappings
 from slidectl.cli.service import argument_names
@@ -67,8 +67,6 @@ def pub(ctx: Context, argv: Sequence[str]) -> None:
     with refusals():
         check_quotes(words, fields)
     if _ONCE in words:
-        from slidectl.cli.pub import without_once
-
         kept, marked = without_once(words, len(fields))
         values = [_value(word) for word in kept]
         given.once = given.once or marked
@@ -209,10 +207,8 @@ class _Run:
 
     def _publish(self, messages: Iterator[genpy.Message], rate: float | None, stays: bool = False) -> None:
         advertise = self._latch or self._nobody is not None
-        with Publication(self._ctx, self._target, rate, latch=self._latch, advertise=advertise) as run:
-            run.publish([message] for message in messages)
-            if stays:
-                run.hold()
+        values = ([message] for message in messages)
+        publish(self._ctx, self._target, values, rate, latch=self._latch, advertise=advertise, stays=stays)
 
     def _announce(self, message: genpy.Message, for_a_while: bool) -> None:
         what = f"[{genpy.as_yaml(self._target.typedefs, message)}]" if self._given.verbose else "message"
