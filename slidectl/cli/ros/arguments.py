@@ -98,6 +98,13 @@ class Parser(OptionParser):
         except ValueError:
             self.error(complaint)
 
+    def number(self, text: str | None, default: float, complaint: str) -> float:
+        """The number that an option was given. A usage error with `complaint` when it is none."""
+        try:
+            return default if text is None else float(text)
+        except ValueError:
+            self.error(complaint)
+
     def error(self, msg: str) -> NoReturn:
         """Raise the usage error that the tool would print."""
         usage, gap = ("usage", "\n") if self.modern else ("Usage", "\n\n")

@@ -118,7 +118,8 @@ def roscore(ctx: Context, argv: Sequence[str]) -> None:
     )
     given = parser.parse(argv, most=0, extra="roscore does not take arguments")
     _warn_idle(ctx, given)
-    limit = _STOP_LIMIT_S if given.sigint_timeout is None else float(given.sigint_timeout)
+    complaint = f"option --sigint-timeout: invalid floating-point value: {given.sigint_timeout!r}"
+    limit = parser.number(given.sigint_timeout, _STOP_LIMIT_S, complaint)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         pid = _start(ctx)

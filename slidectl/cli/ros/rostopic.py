@@ -181,7 +181,7 @@ _NODELAY = option("--tcpnodelay", "no effect: there is no TCP")
 def _window(parser: Parser, text: str | None, default: int) -> int:
     argparse_text = f"argument -w/--window: invalid int value: {text!r}"
     window = parser.integer(text, default, argparse_text if parser.modern else "window size must be an integer")
-    return window if window > 1 else default
+    return min(window, sys.maxsize) if window > 1 else default
 
 
 def hz(ctx: Context, argv: Sequence[str]) -> None:

@@ -83,10 +83,7 @@ def _rate(given: Any) -> float | None:
         return None
     if given.once:
         _PARSER.error("You cannot select both -r and -1 (--once)")
-    try:
-        rate = float(given.rate)
-    except ValueError:
-        _PARSER.error("rate must be a number")
+    rate = _PARSER.number(given.rate, 0.0, "rate must be a number")
     if not rate > 0:
         _PARSER.error("rate must be greater than zero")
     return rate
