@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import click
 
@@ -152,11 +152,11 @@ def call(ctx: Context, name: str, given: tuple[str, ...], stdin: bool) -> None:
         template = template_of(schema, values)
         chosen = values if template is None else template.at(0, 0.0)
         request = fill(fields_of, parts[0]["type"], chosen, now(ctx, template))
-        answer = call_service(ctx, full, request)
-        ctx.emit(answer.response, as_yaml(answer.response, found["response_typedefs"]))
-        for reason in [] if answer.refusal else answer.reasons:
+        response, refusal = call_service(ctx, full, request)
+        ctx.emit(response, as_yaml(response, found["response_typedefs"]))
+        for reason in [] if refusal else ctx.client.reasons:
             ctx.warn(reason)
-        refusals += answer.refusal
+        refusals += refusal
     if refusals:
         raise Refused("\n".join(refusals))
 
@@ -167,34 +167,23 @@ _RESULT_OK = 1
 """Of simulation_interfaces/Result."""
 
 
-class Answer(NamedTuple):
-    """What came of a call.
+def call_service(ctx: Context, full: str, request: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """The response, and when it says no (a false `ok` or `success`, or a result) the lines that say so, with reasons.
 
-    `refusal`: when the response says no (a false `ok` or `success`, or a result) the lines that say so, with the
-    reasons.
-    `reasons`: the warnings and errors of the call.
+    Raises as Client.call; TimedOut after a minute.
     """
-
-    response: dict[str, Any]
-    refusal: list[str]
-    reasons: list[str]
-
-
-def call_service(ctx: Context, full: str, request: dict[str, Any]) -> Answer:
-    """Call it. Raises as Client.call; TimedOut after a minute."""
     response = ctx.call(full, request, ctx.wait_limit(CALL_TIMEOUT_S))
-    given = ctx.client.reasons
     verdict = next((f"{field}: false" for field in ("ok", "success") if response.get(field) is False), None)
     texts = [response.get(field) for field in ("message", "status_message")]
     result = response.get("result")
     if isinstance(result, dict) and result.keys() == {"result", "error_message"} and result["result"] != _RESULT_OK:
         verdict, texts = f"result {result['result']}", [result["error_message"]]
     if verdict is None:
-        return Answer(response, [], given)
+        return response, []
     reasons = [str(text) for text in texts if text]
-    reasons += [reason for reason in given if reason not in reasons][-2:]
+    reasons += [reason for reason in ctx.client.reasons if reason not in reasons][-2:]
     lines = [f"  {line}" for reason in reasons for line in reason.splitlines()]
-    return Answer(response, [f"{full} answered {verdict}", *lines], given)
+    return response, [f"{full} answered {verdict}", *lines]
 
 
 def ask_each(ctx: Context, question: str, services: Iterable[str], key: str) -> dict[str, str]:

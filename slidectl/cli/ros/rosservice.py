@@ -171,16 +171,15 @@ def _filled(ctx: Context, kind: str, request: Typedefs, values: Sequence[Any]) -
 def _call_once(ctx: Context, full: str, request: dict[str, Any], response: Typedefs) -> list[str]:
     """Call and print the response. The lines that say so when it says no. Raises Failure (2) when the call fails."""
     try:
-        answer = call_service(ctx, full, request)
+        answer, refusal = call_service(ctx, full, request)
     except Refused as error:
         first, *rest = str(error).splitlines()
         text = repr(f"error processing request: {first}".encode())
         raise Failure("\n".join([f"ERROR: service [{full}] responded with an error: {text}", *rest]), _FAILED) from None
-    output.write(as_yaml(answer.response, response))
-    if not answer.refusal:
-        for line in answer.reasons:
-            ctx.warn(line)
-    return answer.refusal
+    output.write(as_yaml(answer, response))
+    for reason in [] if refusal else ctx.client.reasons:
+        ctx.warn(reason)
+    return refusal
 
 
 rosservice = Tool(
