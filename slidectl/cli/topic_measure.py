@@ -9,6 +9,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import pairwise
 from time import monotonic, monotonic_ns
 from typing import Any
 
@@ -42,22 +43,29 @@ class Meter:
         self.topic = topic
         self.total = self.new = 0
         """Messages in all, and since the last report."""
-        self._numbers: deque[float] = deque(maxlen=window)
+        self._window: deque[tuple[float, float]] = deque(maxlen=window)
+        """A time and a number of each message. A clock that jumps back starts the window anew."""
 
-    def take(self, event: Event) -> None:  # noqa: ARG002
+    def take(self, event: Event) -> None:
+        raise NotImplementedError
+
+    def _count(self, time: float, number: float = 0.0) -> None:
         self.total += 1
         self.new += 1
+        if self._window and time < self._window[-1][0]:
+            self._window.clear()
+        self._window.append((time, number))
 
     def record(self) -> Record:
         """The figures by name; those that cannot be told yet are None."""
-        return {"topic": self.topic, **self._figures(), "new": self.new}
+        return {"topic": self.topic, **self._figures(), "window": len(self._window), "new": self.new}
 
     def _figures(self) -> Record:
         raise NotImplementedError
 
 
 class RateMeter(Meter):
-    """Intervals between messages; a silent topic keeps its rate. A clock that jumps back starts the window anew.
+    """Intervals between messages; a silent topic keeps its rate.
 
     `time_ns` gives a message's time, `keep` whether it counts.
     """
@@ -69,28 +77,19 @@ class RateMeter(Meter):
         time_ns: Callable[[Event], int],
         keep: Callable[[dict[str, Any]], bool] = lambda _: True,
     ) -> None:
-        super().__init__(topic, window - 1)
+        super().__init__(topic, window)
         self._time_ns = time_ns
         self._keep = keep
-        self._last: int | None = None
 
     def take(self, event: Event) -> None:
-        if not self._keep(event.message):
-            return
-        super().take(event)
-        at_ns = self._time_ns(event)
-        if self._last is not None and at_ns < self._last:
-            self._numbers.clear()
-        elif self._last is not None:
-            self._numbers.append((at_ns - self._last) / 1e9)
-        self._last = at_ns
+        if self._keep(event.message):
+            self._count(self._time_ns(event))
 
     def _figures(self) -> Record:
         """`rate` in Hz (None when all messages came at one time), and of the intervals in s."""
-        spread = spread_of(self._numbers)
+        spread = spread_of([(after - before) / 1e9 for (before, _), (after, _) in pairwise(self._window)])
         mean = spread.pop("mean")
-        window = len(self._numbers) + 1 if self.total else 0
-        return {"rate": 1.0 / mean if mean else None, **spread, "window": window}
+        return {"rate": 1.0 / mean if mean else None, **spread}
 
 
 class SizeMeter(Meter):
@@ -102,36 +101,28 @@ class SizeMeter(Meter):
         super().__init__(topic, window)
         self._size = size
         self._now = now
-        self._times: deque[float] = deque(maxlen=window)
 
     def take(self, event: Event) -> None:
-        super().take(event)
-        now = self._now()
-        if self._times and now < self._times[-1]:
-            self._times.clear()
-            self._numbers.clear()
-        self._times.append(now)
-        self._numbers.append(self._size(event.message))
+        self._count(self._now(), self._size(event.message))
 
     def _figures(self) -> Record:
         """`rate` in bytes a second, and of the sizes in bytes."""
-        passed = self._now() - self._times[0] if len(self._times) > 1 else 0.0
-        rate = sum(self._numbers) / passed if passed > 0 else None
-        spread = spread_of(self._numbers)
-        return {"rate": rate, **{key: spread[key] for key in ("mean", "min", "max")}, "window": len(self._numbers)}
+        sizes = [number for _, number in self._window]
+        passed = self._now() - self._window[0][0] if len(sizes) > 1 else 0.0
+        spread = spread_of(sizes)
+        return {"rate": sum(sizes) / passed if passed > 0 else None, **{k: spread[k] for k in ("mean", "min", "max")}}
 
 
 class DelayMeter(Meter):
     """Simulated time from a message's stamp to its arrival."""
 
     def take(self, event: Event) -> None:
-        super().take(event)
-        self._numbers.append((event.time_ns - nanoseconds(event.message["header"]["stamp"])) / 1e9)
+        self._count(0.0, (event.time_ns - nanoseconds(event.message["header"]["stamp"])) / 1e9)
 
     def _figures(self) -> Record:
         """`delay`, the mean, and the others in s."""
-        spread = spread_of(self._numbers)
-        return {"delay": spread.pop("mean"), **spread, "window": len(self._numbers)}
+        spread = spread_of([number for _, number in self._window])
+        return {"delay": spread.pop("mean"), **spread}
 
 
 def spread_of(numbers: Sequence[float]) -> dict[str, float | None]:
