@@ -110,7 +110,7 @@ def ros_commands(ctx: Context, shell: str | None) -> None:
     With eval "$(slidectl ros-commands)" the lines of a ROS tutorial work in this shell, and in bash scripts that it
     starts. Each function calls 'slidectl ros NAME'; the daemon that --instance or --socket choose here is theirs.
     """
-    prefix = " ".join(map(quote, _program(ctx)))
+    prefix = " ".join(map(quote, program(ctx)))
     if (shell or _users_shell()) == "fish":
         output.write("\n".join(f"function {name}; {prefix} ros {name} $argv; end" for name in TOOLS))
     else:
@@ -130,7 +130,7 @@ def _users_shell() -> str:
     raise UsageError(f"no functions for the shell {name!r} ($SHELL)", f"give --shell {' or '.join(SHELLS)}")
 
 
-def _program(ctx: Context) -> list[str]:
+def program(ctx: Context) -> list[str]:
     """The command line before `ros`: this program, from wherever it was started, with the options of this call."""
     started = os.path.abspath(sys.argv[0])
     is_script = os.access(started, os.X_OK) and os.path.basename(started) == "slidectl"

@@ -23,6 +23,7 @@ from slidectl.cli.context import Context
 from slidectl.cli.launch import LaunchDaemon, ros_master
 from slidectl.cli.launch_text import Terminal
 from slidectl.cli.ros.arguments import Failure, Parser, option, without_remappings
+from slidectl.cli.ros.command import program, run
 from slidectl.cli.spawn import package_lookup, tell_own_packages
 from slidectl.errors import BadFile, Refused, SlidectlError, UsageError
 from slidectl.launch.node_kinds import COUNTERPARTS, has_counterpart, tasks
@@ -106,13 +107,8 @@ def rosrun(ctx: Context, argv: Sequence[str]) -> None:
     if not is_ours:
         return _execute([*prefix, str(_find(ctx, package, executable, bool(given.debug))), *words])
     if prefix:
-        chosen = (("--instance", ctx.instance), ("--socket", ctx.socket))
-        options = [word for name, value in chosen if value for word in (name, value)]
-        command = [sys.executable, "-m", "slidectl", *options, "ros", "rosrun", package, executable]
-        return _execute([*prefix, *command, *words])
+        return _execute([*prefix, *program(ctx), "ros", "rosrun", package, executable, *words])
     if is_tool:
-        from slidectl.cli.ros.command import run
-
         return run(ctx, package, words)
     if package == "xacro":
         return _xacro(ctx, words)
