@@ -92,7 +92,7 @@ class Stream:
         self._subscriptions: list[Subscription] = []
         self._sleep: str | None = None
         self._status: str | None = None
-        self._doubt = math.inf
+        self._ask_at = math.inf
         self._look_at = 0.0
         self.time_ns = 0
         self.ended = False
@@ -106,7 +106,7 @@ class Stream:
             self._sleep = self._client.call_async("/slidectl/sleep", {"duration": self.sim_seconds})
         for topic in topics:
             self._subscriptions.append(self._client.subscribe(topic))
-        self._doubt = self.monotonic() + _SILENCE_S
+        self._ask_at = self.monotonic() + _SILENCE_S
         return self
 
     def __exit__(
@@ -135,8 +135,8 @@ class Stream:
                 if now >= self._look_at:  # who reads our output may have gone, though there is nothing to write
                     self._look_at = now + _LOOK_EVERY_S
                     check_reader()
-                self._ask_why(now)
-                next(self._client.events(max(0.0, min(deadline, self._doubt, self._look_at) - now)), None)
+                self._ask_status(now)
+                next(self._client.events(max(0.0, min(deadline, self._ask_at, self._look_at) - now)), None)
         return self._queue.popleft() if self._queue else None
 
     def monotonic(self) -> float:
@@ -153,23 +153,23 @@ class Stream:
         for subscription in self._subscriptions:
             while len(subscription):
                 message = subscription.get()
-                if self._doubt < math.inf:
-                    self._doubt = self.monotonic() + _SILENCE_S
+                if self._ask_at < math.inf:
+                    self._ask_at = self.monotonic() + _SILENCE_S
                 if self._with_clock and subscription.topic == CLOCK:
                     self.time_ns = nanoseconds(message["clock"])
                 if subscription.topic in self._topics:
                     self._queue.append(Event(subscription.topic, message, self.time_ns))
         return bool(self._queue)
 
-    def _ask_why(self, now: float) -> None:
+    def _ask_status(self, now: float) -> None:
         """When nothing has come for a while: say so, once, if the world stands still."""
         if self._status is not None and self._client.is_answered(self._status):
             status, self._status = self._client.answer(self._status), None
             if status["paused"]:
-                self._doubt = math.inf
+                self._ask_at = math.inf
                 self._ctx.say(f"{paused(status)}; nothing comes until it goes on: {way_on(status)}")
-        if now >= self._doubt:
-            self._doubt = now + _ASK_AGAIN_S
+        if now >= self._ask_at:
+            self._ask_at = now + _ASK_AGAIN_S
             self._status = self._client.call_async("/slidectl/status")
 
 

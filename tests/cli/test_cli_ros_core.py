@@ -8,8 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from cli_ros_sessions import usage
-from cli_ros_world import Shell
+from cli_ros_world import Shell, usage
 from command_line import CommandLine
 
 from slidectl.client import Client

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 from cli_graph_world import CONTROLLERS, World, slider_world
-from cli_ros_sessions import Session
-from cli_ros_world import Shell
+from cli_ros_world import Session, Shell
 from command_line import CommandLine
 
 POSITION = "joint1_position_controller"

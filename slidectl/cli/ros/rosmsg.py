@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from slidectl.cli import output
 from slidectl.cli.context import Context
-from slidectl.cli.msg import TypeFamily, messages, services
+from slidectl.cli.msg import TypeFamily, definition_text, messages, services
 from slidectl.cli.ros.arguments import NO_SUCH_VERB, Failure, Parser, Tool, option
 from slidectl.errors import UnknownName, closest
 
@@ -52,11 +52,8 @@ class _Types:
             from slidectl.cli.ros import bag_echo as bag
 
             return output.write(bag.definition(given.bag, wanted, bool(given.raw)).rstrip("\n") + "\n\n")
-        text = self._kind.source if given.raw else self._kind.show
         for found in self._found(wanted):
-            body = text(found).rstrip("\n")
-            heading = "" if "/" in wanted else f"[{found}]:\n"
-            output.write(heading + (f"{body}\n\n" if body else "\n"))
+            output.write(definition_text(self._kind, found, wanted, bool(given.raw)))
         return None
 
     def list_types(self, ctx: Context, argv: Sequence[str]) -> None:  # noqa: ARG002
