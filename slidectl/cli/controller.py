@@ -585,25 +585,18 @@ def next_step(context: Context, topic: str) -> str | None:
     """The command that is missing before a controller takes messages on `topic`; None when none is."""
     controller = parent(join("/", topic)).strip("/").rpartition("/")[2]
     found = context.managers()
-    idle = {}
+    steps = [] if found else ["no robot with controllers is in the world; spawn one: slidectl spawn slider"]
     for manager in found:
-        states, configured = manager.states(), manager.configured()
+        space, states, configured = manager.namespace, manager.states(), manager.configured()
         waiting = [name for name in configured if name not in states]
         if controller in waiting:
             return f"{controller} is not loaded; load and start it: slidectl controller spawn {controller}"
         if waiting:
-            idle[manager.namespace] = waiting
-        elif not states and not configured:
-            idle[manager.namespace] = []
-    if topic.rpartition("/")[2] != "command":
-        return None
-    if not found:
-        return "no robot with controllers is in the world; spawn one: slidectl spawn slider"
-    for namespace, waiting in idle.items():
-        if waiting:
-            return f"not loaded in {namespace}: {listing(waiting)}; load and start: slidectl controller spawn NAME"
-        return f"{namespace} has no controllers yet; load their configuration: slidectl controller config FILE.yaml"
-    return None
+            steps.append(f"not loaded in {space}: {listing(waiting)}; load and start: slidectl controller spawn NAME")
+        elif not states:
+            load_them = "load their configuration: slidectl controller config FILE.yaml"
+            steps.append(f"{space} has no controllers yet; {load_them}")
+    return steps[0] if steps and topic.rpartition("/")[2] == "command" else None
 
 
 def _places(candidates: Sequence[Manager], controllers: Sequence[str]) -> dict[str, dict[str, str]]:

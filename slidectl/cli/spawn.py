@@ -275,8 +275,7 @@ def in_package(
 
 def standard_input() -> str:
     """The model on standard input. Raises BadFile when that is no XML."""
-    text = sys.stdin.buffer.read().decode("utf-8", "replace")
-    text = parameter_text(text)
+    text = parameter_text(sys.stdin.buffer.read().decode("utf-8", "replace"))
     if not text.lstrip("\ufeff \t\r\n").startswith("<"):
         raise BadFile("is no XML", "<stdin>", hint="pipe a URDF in, or name a model")
     return text
@@ -304,8 +303,7 @@ def _rooted(xml: str, file: str, fixed: bool | None) -> str:
 
     if fixed is None:
         return xml
-    change = description.with_root_fixed if fixed else description.with_root_free
-    return change(xml, file)
+    return description.with_root_fixed(xml, file) if fixed else description.with_root_free(xml, file)
 
 
 def _spawn_scene(
@@ -395,7 +393,5 @@ def _tell(ctx: Context, name: str) -> None:
     # Where the physics diverges at once the pose is no number, which is null on the wire.
     x, y, z = (math.nan if value is None else round(value, 3) + 0.0 for value in robot["pose"][:3])
     joints = " ".join(robots.moving(robot)) or "none"
-    if robot["kind"] == "robot":
-        ctx.done(robot, f"{name}: spawned in {robot['namespace']} at {x:g} {y:g} {z:g}, joints: {joints}")
-    else:
-        ctx.done(robot, f"{name}: {robot['kind']}, spawned at {x:g} {y:g} {z:g}, joints: {joints}")
+    how = f"spawned in {robot['namespace']}" if robot["kind"] == "robot" else f"{robot['kind']}, spawned"
+    ctx.done(robot, f"{name}: {how} at {x:g} {y:g} {z:g}, joints: {joints}")
