@@ -137,7 +137,7 @@ def _target(
             hint = "slidectl msg list shows the types"
             raise UsageError(f"there is no topic {name!r} yet, so give its TYPE", hint) from None
         full = names.check(names.join(ctx.namespace, name))
-        return Target(full, given[0], "", details(ctx, given[0]), []), given[1:]
+        target = Target(full, given[0], "", details(ctx, given[0]), [])
     has_type = bool(given) and _is_type(given, target, from_elsewhere)
     if has_type and given[0] != target.type:
         raise UsageError(f"{target.topic} has the type {target.type}, not {given[0]}", "TYPE may be left out")
