@@ -101,7 +101,7 @@ def print_messages(
     count: int | None,
     sim_seconds: float | None = None,
 ) -> None:
-    """Print messages until so many are printed or the time is over.
+    """Print messages of a topic until so many are printed, or so many simulated seconds are over.
 
     Raises:
         TimedOut: none comes for `--timeout`. UsageError: no such field, or no valid condition.
