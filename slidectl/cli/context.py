@@ -128,9 +128,7 @@ class Context:
     # --- names --------------------------------------------------------------------------------------------------
 
     def names(self, kind: str) -> list[str]:
-        """All names of a kind, sorted: `topic`, `service`, `parameter`, `node` or `robot`."""
-        if kind == "robot":
-            return sorted(robot["name"] for robot in self.call("/slidectl/list_robots", {"name": ""})["robots"])
+        """All names of a kind, sorted: `topic`, `service`, `parameter` or `node`."""
         service, key = _LISTS[kind]
         return sorted(self.call(service)[key])
 
