@@ -35,22 +35,18 @@ def entry() -> NoReturn:
 
 
 def _run() -> int:
+    import signal
+
     gc.set_threshold(_GARBAGE_THRESHOLD)
-    _hear_interrupts()
+    # Shells start what a script has in its background with SIGINT ignored; it is to end a command there too.
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:  # it was closed; else a socket gets its number
             setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
     from slidectl.cli.main import run
 
     return run(sys.argv[1:])
-
-
-def _hear_interrupts() -> None:
-    """SIGINT ends a command also in the background of a script, where shells start programs with it ignored."""
-    import signal
-
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _ignore_interrupts() -> None:

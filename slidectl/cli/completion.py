@@ -66,7 +66,7 @@ def completer(ask: Callable[[Context], Iterable[str]]) -> Completer:
 topics = completer(lambda context: context.names("topic"))
 services = completer(lambda context: context.names("service"))
 parameters = completer(lambda context: context.names("parameter"))
-robots = completer(lambda context: context.names("robot"))
+robots = completer(lambda context: [robot["name"] for robot in context.client.robots()])
 controllers = completer(lambda context: [name for manager in context.managers() for name in manager.known()])
 managers = completer(lambda context: [manager.namespace for manager in context.managers()])
 

@@ -73,9 +73,7 @@ class Context:
             return self._client
         from slidectl.client import Client
 
-        if self.instance and self.socket:
-            raise UsageError("--instance and --socket exclude each other")
-        self._client = Client(self.instance, self.socket, timeout=self.wait_limit(DEFAULT_TIMEOUT_S))
+        self._client = Client(socket=self.paths.socket_text, timeout=self.wait_limit(DEFAULT_TIMEOUT_S))
         self._client.on_other_version = self._say_other_version
         return self._client
 
@@ -130,9 +128,7 @@ class Context:
     # --- names --------------------------------------------------------------------------------------------------
 
     def names(self, kind: str) -> list[str]:
-        """All names of a kind, sorted: `topic`, `service`, `parameter`, `node` or `robot`."""
-        if kind == "robot":
-            return sorted(robot["name"] for robot in self.call("/slidectl/list_robots", {"name": ""})["robots"])
+        """All names of a kind, sorted: `topic`, `service`, `parameter` or `node`."""
         service, key = _LISTS[kind]
         return sorted(self.call(service)[key])
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 import functools
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
@@ -66,58 +67,53 @@ def _rests(function: Any) -> Any:
     return zero(hold(with_rest))
 
 
-class ChangeReport:
-    """Says for each controller what it was and what it is, also when the action between failed half way."""
+@contextmanager
+def _changes(ctx: Context, manager: Manager, controllers: Sequence[str]) -> Iterator[dict[str, str]]:
+    """Say for each controller what it was and what it is, of a refused action for those that changed all the same.
 
-    def __init__(self, context: Context, manager: Manager, controllers: Sequence[str]) -> None:
-        self.context = context
-        self.manager = manager
-        self.names = list(dict.fromkeys(controllers))
-        self.before: dict[str, str] = {}
-
-    def __enter__(self) -> ChangeReport:
-        self.before = self.manager.states()
-        return self
-
-    def __exit__(self, _type: object, error: BaseException | None, _trace: object) -> None:
-        if error is not None and not isinstance(error, Refused):
-            return
-        after = self.manager.states()
-        for name in self.names:
-            was, state = self.before.get(name, UNLOADED), after.get(name, UNLOADED)
-            if error is None or was != state:
-                self._tell(name, was, state)
-
-    def _tell(self, name: str, was: str, state: str) -> None:
-        record = {"manager": self.manager.namespace, "name": name, "state": state, "before": was}
-        self.context.done(record, f"{name}: {state}" + (" already" if was == state else f" (was {was})"))
-
-
-class Rest:
-    """What the joints of controllers do after these have been stopped.
-
-    Nothing by default: as in ros_control the last command stays with the hardware.
+    Yields name -> state before the action.
     """
+    before, refused = manager.states(), None
+    try:
+        yield before
+    except Refused as error:
+        refused = error
+    after = manager.states()
+    for name in dict.fromkeys(controllers):
+        was, state = before.get(name, UNLOADED), after.get(name, UNLOADED)
+        if refused is None or was != state:
+            record = {"manager": manager.namespace, "name": name, "state": state, "before": was}
+            ctx.done(record, f"{name}: {state}" + (" already" if was == state else f" (was {was})"))
+    if refused is not None:
+        raise refused
 
-    def __init__(self, ctx: Context, manager: Manager, stopping: Sequence[str], command: str | None) -> None:
-        self._ctx = ctx
-        self._request = {"robot": manager.namespace, "controllers": list(stopping), "command": command or ""}
 
-    def check(self, starting: Sequence[str] = ()) -> None:
-        """Raises Refused when the joints cannot do it, before a controller is stopped."""
-        self._ask(check_only=True, left_to=list(starting))
+def _rest_joints(
+    ctx: Context,
+    manager: Manager,
+    stopping: Sequence[str],
+    command: str | None,
+    *,
+    check_only: bool = False,
+    left_to: Sequence[str] = (),
+) -> None:
+    """Give the joints of stopped controllers the command of `--zero` or `--hold`. Without one the last command stays.
 
-    def apply(self) -> None:
-        """Raises Refused."""
-        self._ctx.say(self._ask())
+    Args:
+        check_only: before the controllers are stopped: whether the joints can do it.
+        left_to: controllers that start in the same switch; their joints are left to them.
 
-    def _ask(self, **more: Any) -> str:
-        if not self._request["command"]:
-            return ""
-        answer = self._ctx.call("/slidectl/rest_joints", {**self._request, **more})
-        if not answer["success"]:
-            raise Refused(answer["message"])
-        return str(answer["message"])
+    Raises:
+        Refused: the joints cannot do it.
+    """
+    if command is None:
+        return
+    request = {"robot": manager.namespace, "controllers": list(stopping), "command": command}
+    answer = ctx.call("/slidectl/rest_joints", {**request, "check_only": check_only, "left_to": list(left_to)})
+    if not answer["success"]:
+        raise Refused(answer["message"])
+    if not check_only:
+        ctx.say(answer["message"])
 
 
 @group(
@@ -142,22 +138,18 @@ def list_controllers(ctx: Context, manager: str | None, with_unloaded: bool) -> 
     rows = [row for one in managers for row in _rows(one, with_unloaded)]
     if ctx.verbose:
         times = {(one.namespace, each["name"]): each for one in managers for each in one.update_times()}
-        rows = [{**row, "update_times": times.get((row["manager"], row["name"]))} for row in rows]
+        for row in rows:
+            row["update_times"] = times.get((row["manager"], row["name"]))
     stopped = ctx.call("/slidectl/status")["estop"]
     if stopped:
         spaces = {robot["namespace"] for robot in robots.all_robots(ctx) if robot["name"] in stopped}
         robots.warn_stopped(ctx, [one.namespace for one in managers if one.namespace in spaces])
-    columns = ["manager", "name", "state", "type"] + (
-        ["claimed", "update"] if ctx.verbose and ctx.format != "json" else []
-    )
-    if "claimed" in columns:
-        rows = [
-            {**row, "claimed": claimed_text(row["claimed_resources"]), "update": _times_text(row["update_times"])}
-            for row in rows
-        ]
-    ctx.emit_rows(
-        rows, columns, empty="no controllers are loaded; 'slidectl controller spawn NAME' loads and starts one"
-    )
+    columns = ["manager", "name", "state", "type"]
+    if ctx.verbose and ctx.format != "json":
+        columns += ["claimed", "update"]
+        for row in rows:
+            row |= {"claimed": claimed_text(row["claimed_resources"]), "update": _times_text(row["update_times"])}
+    ctx.emit_rows(rows, columns, "no controllers are loaded; 'slidectl controller spawn NAME' loads and starts one")
 
 
 def _rows(manager: Manager, with_unloaded: bool) -> list[dict[str, Any]]:
@@ -234,7 +226,7 @@ def load(ctx: Context, manager: str | None, source: str | None, names: tuple[str
         return
     target, local = owner(ctx, manager, names)
     _warn_unknown(ctx, target.namespace, local)
-    with ChangeReport(ctx, target, local):
+    with _changes(ctx, target, local):
         target.loaded(target.ask_to_load(local))
 
 
@@ -248,7 +240,7 @@ def _load_file(ctx: Context, manager: str | None, source: str, names: Sequence[s
         raise UsageError(f"--from takes FILE.py or FILE.py:CLASS, not {source!r}")
     file = os.path.abspath(os.path.expanduser(file))
     target, name = _place_for(ctx, manager, names[0])
-    with ChangeReport(ctx, target, [name]):
+    with _changes(ctx, target, [name]):
         target.load_file(name, file, class_name)
 
 
@@ -258,10 +250,9 @@ def _place_for(ctx: Context, manager: str | None, controller: str) -> tuple[Mana
     inside = [one for one in candidates if controller.startswith(one.namespace.rstrip("/") + "/")] or candidates
     if len(inside) == 1:
         return inside[0], controller.removeprefix(inside[0].namespace.rstrip("/") + "/")
-    if not any(_places(candidates, [controller])[controller]):
-        spaces = [one.namespace for one in candidates]
-        if spaces:
-            raise UsageError(f"which robot is {controller} for?", f"say it with --cm: {', '.join(spaces)}")
+    if inside and not _places(candidates, [controller])[controller]:
+        spaces = ", ".join(one.namespace for one in candidates)
+        raise UsageError(f"which robot is {controller} for?", f"say it with --cm: {spaces}")
     target, [name] = owner(ctx, manager, [controller])
     return target, name
 
@@ -295,7 +286,7 @@ def reload(ctx: Context, manager: str | None, names: tuple[str, ...]) -> None:
 def unload(ctx: Context, manager: str | None, names: tuple[str, ...]) -> None:
     """Unload controllers that are stopped."""
     target, local = owner(ctx, manager, names)
-    with ChangeReport(ctx, target, local):
+    with _changes(ctx, target, local):
         each(target.unload, local)
 
 
@@ -381,13 +372,12 @@ def _switch(
     target, local = (owner if strict else owner_of_some)(ctx, manager, [*start, *stop])
     starting, stopping = local[: len(start)], local[len(start) :]
     known = local if strict else [name for name in local if name in target.known()]
-    after = Rest(ctx, target, stopping, rest)
-    after.check(starting)
-    with ChangeReport(ctx, target, known):
+    _rest_joints(ctx, target, stopping, rest, check_only=True, left_to=starting)
+    with _changes(ctx, target, known):
         target.switch(starting, stopping, STRICT if strict else BEST_EFFORT, asap)
         if strict:
             target.check_started(starting)
-        after.apply()
+        _rest_joints(ctx, target, stopping, rest)
 
 
 @controller.command(
@@ -411,7 +401,7 @@ def spawn(ctx: Context, manager: str | None, stopped: bool, wait: bool, names: t
         wait_for_owner(ctx, manager, names)
     target, local = owner(ctx, manager, names)
     _warn_unknown(ctx, target.namespace, local)
-    with ChangeReport(ctx, target, local):
+    with _changes(ctx, target, local):
         target.bring_up(local, start=not stopped)
 
 
@@ -426,14 +416,14 @@ def unspawn(ctx: Context, manager: str | None, rest: str | None, names: tuple[st
     As in ROS the last commands stay with the hardware; --zero and --hold set others, as with 'controller stop'.
     """
     target, local = owner(ctx, manager, names)
-    with ChangeReport(ctx, target, local) as report:
-        running = [name for name in local if report.before.get(name) in ("running", "waiting")]
-        after = Rest(ctx, target, [name for name in local if name in report.before], rest)
-        after.check()
+    with _changes(ctx, target, local) as before:
+        loaded = [name for name in local if name in before]
+        running = [name for name in loaded if before[name] in STARTED]
+        _rest_joints(ctx, target, loaded, rest, check_only=True)
         if running:
             target.switch((), running)
-        after.apply()
-        each(target.unload, [name for name in reversed(local) if name in report.before])
+        _rest_joints(ctx, target, loaded, rest)
+        each(target.unload, loaded[::-1])
 
 
 @controller.command(
@@ -564,22 +554,29 @@ def owner(context: Context, wanted: str | None, controllers: Sequence[str]) -> t
         raise Refused("no robot with controllers in the world", "spawn one: slidectl spawn slider")
     places = _places(candidates, controllers)
     fitting = [m for m in candidates if all(m.namespace in found for found in places.values())]
-    if not fitting:
-        raise _nowhere(candidates, places)
-    if len(fitting) > 1:
+    if len(fitting) == 1:
+        (manager,) = fitting
+        return manager, [places[name][manager.namespace] for name in controllers]
+    if fitting:
         spaces = [manager.namespace for manager in fitting]
         if not controllers:
             raise AmbiguousName("controller manager", "", spaces)
         matches = [join(space, name) for name in controllers for space in spaces]
         raise AmbiguousName("controller", " ".join(controllers), matches)
-    manager = fitting[0]
-    return manager, [places[name][manager.namespace] for name in controllers]
+    for name, found in places.items():
+        if not found:
+            known = sorted({known for manager in candidates for known in manager.known()})
+            where = f"in {candidates[0].namespace}" if len(candidates) == 1 else ""
+            error = UnknownName("controller", name, known, where)
+            error.hint = f"{error.hint}\nload its configuration first: slidectl controller config FILE.yaml"
+            raise error
+    listed = "; ".join(f"{name} of {', '.join(sorted(found))}" for name, found in places.items())
+    raise UsageError(f"no controller manager has all of these: {listed}", "one command for each robot, please")
 
 
 def owner_of_some(context: Context, wanted: str | None, controllers: Sequence[str]) -> tuple[Manager, list[str]]:
     """As `owner`, but it is enough when the manager knows some of them, or is the only one: for best effort."""
-    candidates = chosen(context, wanted)
-    known = [name for name, found in _places(candidates, controllers).items() if found]
+    known = [name for name, found in _places(chosen(context, wanted), controllers).items() if found]
     manager, _ = owner(context, wanted, known)
     return manager, [name.removeprefix(manager.namespace.rstrip("/") + "/") for name in controllers]
 
@@ -588,25 +585,18 @@ def next_step(context: Context, topic: str) -> str | None:
     """The command that is missing before a controller takes messages on `topic`; None when none is."""
     controller = parent(join("/", topic)).strip("/").rpartition("/")[2]
     found = context.managers()
-    idle = {}
+    steps = [] if found else ["no robot with controllers is in the world; spawn one: slidectl spawn slider"]
     for manager in found:
-        states, configured = manager.states(), manager.configured()
+        space, states, configured = manager.namespace, manager.states(), manager.configured()
         waiting = [name for name in configured if name not in states]
         if controller in waiting:
             return f"{controller} is not loaded; load and start it: slidectl controller spawn {controller}"
         if waiting:
-            idle[manager.namespace] = waiting
-        elif not states and not configured:
-            idle[manager.namespace] = []
-    if topic.rpartition("/")[2] != "command":
-        return None
-    if not found:
-        return "no robot with controllers is in the world; spawn one: slidectl spawn slider"
-    for namespace, waiting in idle.items():
-        if waiting:
-            return f"not loaded in {namespace}: {listing(waiting)}; load and start: slidectl controller spawn NAME"
-        return f"{namespace} has no controllers yet; load their configuration: slidectl controller config FILE.yaml"
-    return None
+            steps.append(f"not loaded in {space}: {listing(waiting)}; load and start: slidectl controller spawn NAME")
+        elif not states:
+            load_them = "load their configuration: slidectl controller config FILE.yaml"
+            steps.append(f"{space} has no controllers yet; {load_them}")
+    return steps[0] if steps and topic.rpartition("/")[2] == "command" else None
 
 
 def _places(candidates: Sequence[Manager], controllers: Sequence[str]) -> dict[str, dict[str, str]]:
@@ -621,18 +611,6 @@ def _places(candidates: Sequence[Manager], controllers: Sequence[str]) -> dict[s
     return places
 
 
-def _nowhere(candidates: Sequence[Manager], places: dict[str, dict[str, str]]) -> Exception:
-    for name, found in places.items():
-        if not found:
-            known = sorted({known for manager in candidates for known in manager.known()})
-            where = f"in {candidates[0].namespace}" if len(candidates) == 1 else ""
-            error = UnknownName("controller", name, known, where)
-            error.hint = f"{error.hint}\nload its configuration first: slidectl controller config FILE.yaml"
-            return error
-    listed = "; ".join(f"{name} of {', '.join(sorted(found))}" for name, found in places.items())
-    return UsageError(f"no controller manager has all of these: {listed}", "one command for each robot, please")
-
-
 def wait_for_owner(context: Context, manager: str | None, controllers: Sequence[str]) -> None:
     """Return when a controller manager knows all the controllers. Raises TimedOut with what is missing."""
     limit, client = context.wait_limit(WAIT_S), context.client
@@ -642,6 +620,7 @@ def wait_for_owner(context: Context, manager: str | None, controllers: Sequence[
             owner(context, manager, controllers)
             return
         except (Refused, UnknownName) as missing:
-            if client.monotonic() >= deadline:
+            left = deadline - client.monotonic()
+            if left <= 0:
                 raise TimedOut(f"still so after {limit:g} s: {missing.message}", missing.hint) from None
-            context.pause(min(_LOOK_AGAIN_S, deadline - client.monotonic()))
+            context.pause(min(_LOOK_AGAIN_S, left))

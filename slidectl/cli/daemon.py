@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import select
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -275,19 +276,14 @@ def _growing(file: TextIO, path: Path, begun: str) -> Iterator[str]:
         if begun.endswith("\n"):
             yield begun[:-1]
             begun = ""
-        elif not _is_current(file, path):
-            file.close()
-            file = _opened(path)
-        else:
-            output.check_reader()
-            select.select([], [], [], _LOOK_AGAIN_S)
-
-
-def _is_current(file: TextIO, path: Path) -> bool:
-    try:
-        return os.path.samestat(os.fstat(file.fileno()), os.stat(path))
-    except FileNotFoundError:
-        return True  # between two renames
+            continue
+        with suppress(FileNotFoundError):  # between two renames
+            if not os.path.samestat(os.fstat(file.fileno()), os.stat(path)):
+                file.close()
+                file = _opened(path)
+                continue
+        output.check_reader()
+        select.select([], [], [], _LOOK_AGAIN_S)
 
 
 def _opened(path: Path) -> TextIO:

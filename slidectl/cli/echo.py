@@ -11,7 +11,7 @@ import click
 from slidectl.cli import completion, output
 from slidectl.cli.commands import command, simulated_seconds
 from slidectl.cli.context import Context
-from slidectl.cli.topic_streams import PUBLISHERS, Event, Stream, look_up, nanoseconds
+from slidectl.cli.topic_streams import PUBLISHERS, Event, Stream, Target, look_up, nanoseconds
 from slidectl.errors import TimedOut, UsageError
 from slidectl.field_path import Selection, select
 from slidectl.msgs.forms import CsvForm, YamlForm
@@ -80,15 +80,8 @@ def echo(
     """
     if plot and ctx.format not in ("text", "csv"):
         raise UsageError(f"-p and -o {ctx.format} exclude each other")
-    found = look_up(ctx, target, PUBLISHERS)
-    schema = found.schema
     look = Look("csv" if plot else ctx.format, not noarr, not nostr, width, clear, offset)
-    write = writer(ctx, schema, select(schema.fields, schema.root, found.field), look)
-    keep = predicate(condition, schema)
-    needs_clock = offset or (look.form == "csv" and not schema.has_header)
-    if count != 0:
-        with Stream(ctx, [found.topic], with_clock=needs_clock, sim_seconds=sim_seconds) as stream:
-            follow(stream, keep, write, count, ctx.timeout)
+    print_messages(ctx, look_up(ctx, target, PUBLISHERS), look, condition, count, sim_seconds)
 
 
 def predicate(condition: str | None, schema: Schema) -> Keep:
@@ -100,25 +93,43 @@ def predicate(condition: str | None, schema: Schema) -> Keep:
     return Filter(condition, schema)
 
 
-def follow(stream: Stream, keep: Keep, write: Write, count: int | None, patience: float | None) -> None:
-    """Print messages until so many are printed or the stream ends. Raises TimedOut when none comes for `patience` s."""
+def print_messages(
+    ctx: Context,
+    target: Target,
+    look: Look,
+    condition: str | None,
+    count: int | None,
+    sim_seconds: float | None = None,
+) -> None:
+    """Print messages of a topic until so many are printed, or so many simulated seconds are over.
+
+    Raises:
+        TimedOut: none comes for `--timeout`. UsageError: no such field, or no valid condition.
+    """
+    schema, patience = target.schema, math.inf if ctx.timeout is None else ctx.timeout
+    write, keep = writer(ctx, schema, target.field, look), predicate(condition, schema)
+    if count is not None and count <= 0:
+        return
+    needs_clock = look.offset or (look.form == "csv" and not schema.has_header)
     printed = 0
-    while printed != count:
-        event = stream.next(math.inf if patience is None else stream.monotonic() + patience)
-        if event is None and stream.ended:
-            return
-        if event is None:
-            raise TimedOut(
-                f"no message came for {patience:g} s",
-                f"{printed} printed; is the simulation paused? see: slidectl sim status",
-            )
-        if keep(event.message):
-            write(event)
-            printed += 1
+    with Stream(ctx, [target.topic], with_clock=needs_clock, sim_seconds=sim_seconds) as stream:
+        while printed != count:
+            event = stream.next(stream.monotonic() + patience)
+            if event is None and stream.ended:
+                return
+            if event is None:
+                raise TimedOut(
+                    f"no message came for {patience:g} s",
+                    f"{printed} printed; is the simulation paused? see: slidectl sim status",
+                )
+            if keep(event.message):
+                write(event)
+                printed += 1
 
 
-def writer(ctx: Context, schema: Schema, selection: Selection, look: Look) -> Write:
-    """The function that prints one message in the form that was asked for."""
+def writer(ctx: Context, schema: Schema, field: str, look: Look) -> Write:
+    """The function that prints one message, or a field of it, in the form that was asked for."""
+    selection = select(schema.fields, schema.root, field)
     if look.form == "csv":
         return _csv_writer(ctx, schema, selection, look)
     if look.form == "json":

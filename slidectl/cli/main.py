@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
+from slidectl import __version__
 from slidectl.cli import output
 from slidectl.cli.commands import Group, environment_namespace
 from slidectl.cli.context import Context, paint
@@ -186,30 +187,13 @@ def load(name: str, entry: Entry) -> click.Command:
     return command
 
 
-def _print_version(click_context: click.Context, _param: click.Parameter, value: bool) -> None:
-    if value and not click_context.resilient_parsing:
-        from slidectl import __version__
-
-        output.write(f"slidectl {__version__}")
-        click_context.exit()
-
-
 root = Root(
     "slidectl",
     help=HELP,
     examples=["slidectl daemon start", "slidectl spawn slider --controllers config/slider_control.yaml"],
     context_settings={"max_content_width": 110},
-    params=[
-        click.Option(
-            ["--version"],
-            is_flag=True,
-            expose_value=False,
-            is_eager=True,
-            callback=_print_version,
-            help="Print the version and exit.",
-        )
-    ],
 )
+click.version_option(__version__, message="slidectl %(version)s", help="Print the version and exit.")(root)
 
 
 def run(argv: Sequence[str]) -> int:

@@ -46,6 +46,12 @@ def found_types(kind: TypeFamily, name: str) -> list[str]:
     return found
 
 
+def definition_text(kind: TypeFamily, found: str, wanted: str, raw: bool) -> str:
+    """The fields of a type, or its definition as it was written, as rosmsg prints them; `wanted` is what was typed."""
+    body = (kind.source if raw else kind.show)(found).rstrip("\n")
+    return ("" if "/" in wanted else f"[{found}]:\n") + (f"{body}\n\n" if body else "\n")
+
+
 def _verbs(parent: Group, kind: Callable[[], TypeFamily], example: str) -> None:
     """Give the group its three commands."""
     tool = f"slidectl {parent.name}"
@@ -67,10 +73,8 @@ def _verbs(parent: Group, kind: Callable[[], TypeFamily], example: str) -> None:
         if not wanted:
             raise UsageError("no TYPE given, and none on stdin")
         for found in found_types(types, wanted):
-            heading = f"[{found}]:\n" if "/" not in wanted else ""
             record = {"type": found, "md5": types.md5(found), "definition": types.source(found)}
-            body = (types.source if raw else types.show)(found).rstrip("\n")
-            ctx.emit(record, heading + (f"{body}\n\n" if body else "\n"))
+            ctx.emit(record, definition_text(types, found, wanted, raw))
 
     @parent.command("list", examples=[f"{tool} list", f"{tool} list {example.partition('/')[0]}"])
     @click.argument("package", required=False)

@@ -1,6 +1,6 @@
 """How results look: text, JSON lines, YAML, CSV; plain in a pipe, rich tables on a terminal.
 
-Pure text building and the one function that writes to stdout. It knows no command and no daemon.
+Text building, and the functions that write to stdout and into a file. It knows no command and no daemon.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TextIO
 
-from slidectl.errors import Refused
+from slidectl.errors import BadFile, Refused
 
 FORMATS = ("text", "json", "yaml", "csv")
 
@@ -36,6 +36,16 @@ def write(text: str) -> None:
         raise ClosedPipe from None
     except OSError as error:
         raise Refused(f"cannot write the output: {error.strerror or error}") from None
+
+
+def save(path: str, text: str) -> None:
+    """A result into a file, whole or not at all. Raises BadFile: it cannot be written."""
+    from slidectl.writing import write_whole
+
+    try:
+        write_whole(path, text)
+    except OSError as error:
+        raise BadFile(f"cannot be written: {error.strerror or error}", path) from None
 
 
 def reader_has_gone() -> bool:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +17,6 @@ from slidectl.cli import completion, output
 from slidectl.cli.commands import group
 from slidectl.cli.context import Context
 from slidectl.errors import AmbiguousName, BadFile, Refused, UnknownName, UsageError, closest, listing
-from slidectl.writing import write_whole
 
 if TYPE_CHECKING:
     from slidectl.client.spawning import Tree
@@ -71,21 +69,17 @@ def get(ctx: Context, name: str, fallback: str | None) -> None:
         if fallback is None:
             raise
         full, value, match = names.join(ctx.namespace, name), typed(fallback), None
-    for index in re.findall(r"-?\d+", match["indices"]) if match else ():
-        value = _element(full, value, int(index))
+    for index in map(int, re.findall(r"-?\d+", match["indices"]) if match else ()):
+        if not isinstance(value, list):
+            raise UsageError(f"{full} is no list: it has no element [{index}]")
+        if not -len(value) <= index < len(value):
+            raise Refused(f"{full} has no element [{index}]: it has {len(value)}")
+        value = value[index]
     ctx.emit({"parameter": full, "value": value}, as_rosparam(value))
 
 
-def _element(full: str, value: Any, index: int) -> Any:
-    if not isinstance(value, list):
-        raise UsageError(f"{full} is no list: it has no element [{index}]")
-    if not -len(value) <= index < len(value):
-        raise Refused(f"{full} has no element [{index}]: it has {len(value)}")
-    return value[index]
-
-
 def as_rosparam(value: Any) -> str:
-    """The value as `rosparam get` prints it: YAML, and an empty line after a mapping or a list."""
+    """The value as `rosparam get` prints it: YAML, an empty line after a mapping or a list, no `...` after a scalar."""
     text = dumped(value)
     return text + "\n" if isinstance(value, dict | list) else text.removesuffix("...\n")
 
@@ -120,8 +114,11 @@ def set_parameter(ctx: Context, name: str, value: str | None, textfile: str | No
     created = store(ctx, settings(content, full), known_only=not new)
     if full != names.join(ctx.namespace, name):
         ctx.say(f"set {full}")
-    if created and not new:
-        _say_new(ctx, created)
+    if created and not new:  # which one of those that were there may have been meant
+        others = [known for known in ctx.names("parameter") if known not in created]
+        for made in created:
+            near = closest(made, others) if names.parent(made) != "/" else None
+            ctx.say(f"{made} is new" + (f"; did you mean {near}?" if near else ""))
     ctx.detail(f"set parameter [{full}] to [{content}]")
     ctx.emit({"parameter": full, "value": content}, "")
 
@@ -158,14 +155,6 @@ def _elsewhere(ctx: Context, name: str, full: str) -> list[str]:
         return [names.join(each, last) for each in found]
     inner = [each for each in found if any(known.startswith(f"{each}/") for known in ctx.names("parameter"))]
     return [names.join(each, last) for each in inner if names.join(each, last) != full]
-
-
-def _say_new(ctx: Context, created: Sequence[str]) -> None:
-    """Say that parameters are new, and which one of those that were there may have been meant."""
-    others = [name for name in ctx.names("parameter") if name not in created]
-    for name in created:
-        near = closest(name, others) if names.parent(name) != "/" else None
-        ctx.say(f"{name} is new" + (f"; did you mean {near}?" if near else ""))
 
 
 @param.command("delete", examples=["slidectl param delete /limit", "slidectl param delete /slider"])
@@ -221,13 +210,10 @@ def dump(ctx: Context, file: str | None, namespace: str | None) -> None:
     """
     value = get_value(ctx, "/" if namespace is None else _resolved(ctx, namespace))
     text = output.as_json(value) + "\n" if ctx.format == "json" else dumped(value)
-    if file in (None, "-"):
-        return output.write(text)
-    try:
-        write_whole(str(file), text)
-    except OSError as error:
-        raise BadFile(f"cannot be written: {error.strerror or error}", str(file)) from None
-    return None
+    if file is None or file == "-":
+        output.write(text)
+    else:
+        output.save(file, text)
 
 
 # --- values ---------------------------------------------------------------------------------------------------------

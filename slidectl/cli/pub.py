@@ -9,7 +9,6 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice, repeat
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -103,16 +102,9 @@ def pub(
     once = once or marked
     _check_options(words, once, rate, file, stdin)
     sources = _from_documents(target, file, rate) if from_elsewhere else _from_words(target, given, rate, count)
-    run = Publication(ctx, target, rate, latch=latch, advertise=allow_unheard or latch)
-    with run:
-        try:
-            run.publish(islice(sources, 1 if once else count))
-        except SlidectlError:
-            if from_elsewhere and run.published:
-                ctx.say(f"{run.published} published on {target.topic} before this:")
-            raise
-        if latch and not once:
-            run.hold()
+    source = islice(sources, 1 if once else count)
+    advertise, stays = allow_unheard or latch, latch and not once
+    publish(ctx, target, source, rate, latch=latch, advertise=advertise, stays=stays, from_documents=from_elsewhere)
 
 
 def _check_options(words: Sequence[str], once: bool, rate: float | None, file: str | None, stdin: bool) -> None:
@@ -141,7 +133,11 @@ def _target(
         if not allow_unheard:
             step = "--allow-unheard publishes on a new topic: give its TYPE"
             raise _with_next_step(ctx, name, error, step) from None
-        return _new_topic(ctx, name, given)
+        if not given or not re.match(_TYPE, given[0]):
+            hint = "slidectl msg list shows the types"
+            raise UsageError(f"there is no topic {name!r} yet, so give its TYPE", hint) from None
+        full = names.check(names.join(ctx.namespace, name))
+        target = Target(full, given[0], "", details(ctx, given[0]), [])
     has_type = bool(given) and _is_type(given, target, from_elsewhere)
     if has_type and given[0] != target.type:
         raise UsageError(f"{target.topic} has the type {target.type}, not {given[0]}", "TYPE may be left out")
@@ -166,13 +162,6 @@ def _is_type(given: Sequence[str], target: Target, from_elsewhere: bool) -> bool
     alone = [word for word in given if word != _ONCE] == [given[0]] and not from_elsewhere
     takes_text = target.typedefs[0]["fieldtypes"] == ["string"]
     return "/" in given[0] and bool(re.match(_TYPE, given[0])) and not (alone and takes_text)
-
-
-def _new_topic(ctx: Context, name: str, given: list[str]) -> tuple[Target, list[str]]:
-    if not given or not re.match(_TYPE, given[0]):
-        raise UsageError(f"there is no topic {name!r} yet, so give its TYPE", "slidectl msg list shows the types")
-    full = names.check(names.join(ctx.namespace, name))
-    return Target(full, given[0], "", details(ctx, given[0]), []), given[1:]
 
 
 # --- the values -----------------------------------------------------------------------------------------------------
@@ -220,84 +209,79 @@ def _spread(document: Any, fields: int) -> Values:
 # --- publishing -----------------------------------------------------------------------------------------------------
 
 
-class Publication:
-    """Messages on one topic. Leaving its `with` tells what was published, and whether the rate was kept."""
+def publish(
+    ctx: Context,
+    target: Target,
+    sources: Iterable[Values],
+    rate: float | None,
+    *,
+    latch: bool,
+    advertise: bool,
+    stays: bool,
+    from_documents: bool = False,
+) -> None:
+    """Send one message for each of the values, each when the one before has been taken in, and tell what was published.
 
-    def __init__(self, ctx: Context, target: Target, rate: float | None, *, latch: bool, advertise: bool) -> None:
-        self._ctx = ctx
-        self._target = target
-        self._rate = rate
-        self._latch = latch
-        self._type = target.type if advertise else None
-        self._fields_of = fields_from(target.typedefs)
-        self._began = self._latest = 0.0
-        self._told: set[str] = set()
-        self.published = 0
+    Args:
+        rate: in Hz; values may be expressions then. The schedule is absolute; after a long halt it begins anew.
+        advertise: become a publisher of the topic, which may be new or have no subscribers.
+        stays: stay connected at the end, so that a latched message stays.
+        from_documents: when one of them fails, say how many were published before it.
 
-    def __enter__(self) -> Publication:
-        return self
+    Raises:
+        BadMessage: values that do not fit the type. MessageRefused: a subscriber will not take the message.
+        UsageError, Refused: an expression that is none, or cannot be computed. NoDaemon.
+        TimedOut: not taken in, or latched for `--timeout`.
+    """
+    client, topic, schema, fields_of = ctx.client, target.topic, target.schema, fields_from(target.typedefs)
+    previous: Values | None = None
+    template: Template | None = None
+    told: set[str] = set()
+    published = 0
+    began = latest = client.monotonic()
+    try:
+        try:
+            for index, values in enumerate(sources):
+                if values is not previous:
+                    template, previous = template_of(schema, values, rate is not None), values
+                if rate is not None:
+                    due = began + index / rate
+                    late = client.monotonic() - due
+                    if late > _FELL_BEHIND_S:
+                        began += late
+                    ctx.pause(due - client.monotonic())
+                chosen = values if template is None else template.at(index, index / (rate or 1.0))
+                message = fill(fields_of, target.type, chosen, now(ctx, template))
+                client.deliver(topic, message, target.type if advertise else None, latch)
+                published += 1
+                latest = client.monotonic()
+                for reason in client.reasons:  # what subscribers say of a message that they took; the same words once
+                    if reason not in told and len(told) < _MOST_TOLD:
+                        told.add(reason)
+                        ctx.warn(reason)
+        except SlidectlError:
+            if from_documents and published:
+                ctx.say(f"{published} published on {topic} before this:")
+            raise
+        if stays:
+            ctx.say(f"{topic} is latched; Ctrl-C ends it")
+            limit = ctx.wait_limit(math.inf)
+            ctx.pause(limit)
+            raise TimedOut(f"{topic} was latched for {limit:g} s")
+    except KeyboardInterrupt:
+        _judge_rate(ctx, rate, published, latest - began)
+        raise
+    _judge_rate(ctx, rate, published, latest - began)
+    ctx.emit({"topic": topic, "type": target.type, "published": published, "subscribers": target.users}, "")
+    ctx.detail(f"published {published} on {topic} to {', '.join(target.users) or 'nobody'}")
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._rate is not None and kind in (None, KeyboardInterrupt):
-            self._judge_rate(self._rate)
-        if kind is None:
-            topic, users = self._target.topic, self._target.users
-            record = {"topic": topic, "type": self._target.type, "published": self.published, "subscribers": users}
-            self._ctx.emit(record, "")
-            self._ctx.detail(f"published {self.published} on {topic} to {', '.join(users) or 'nobody'}")
 
-    def _judge_rate(self, rate: float) -> None:
-        seconds = self._latest - self._began
-        reached = (self.published - 1) / seconds if seconds > 0 else math.inf
-        # One late message among a handful says nothing about the rate.
-        if self.published > 10 and reached < _KEPT_UP * rate:
-            self._ctx.warn(f"published at {reached:.1f} Hz instead of {rate:g} Hz")
-
-    def publish(self, sources: Iterable[Values]) -> None:
-        """Send one message for each of the values and wait until it has been taken in.
-
-        Raises:
-            BadMessage: values that do not fit the type. MessageRefused: a subscriber will not take the message.
-            UsageError, Refused: an expression that is none, or cannot be computed. NoDaemon, TimedOut.
-        """
-        previous: Values | None = None
-        template: Template | None = None
-        self._began = self._ctx.client.monotonic()
-        for index, values in enumerate(sources):
-            if values is not previous:
-                template, previous = template_of(self._target.schema, values, self._rate is not None), values
-            self._wait_for(index)
-            self._send(values if template is None else template.at(index, index / (self._rate or 1.0)), template)
-
-    def hold(self) -> None:
-        """Stay connected, so that a latched message stays. Raises TimedOut after `--timeout`, NoDaemon."""
-        self._ctx.say(f"{self._target.topic} is latched; Ctrl-C ends it")
-        limit = self._ctx.wait_limit(math.inf)
-        self._ctx.pause(limit)
-        raise TimedOut(f"{self._target.topic} was latched for {limit:g} s")
-
-    def _wait_for(self, index: int) -> None:
-        """Until the message of this number is due. The schedule is absolute; after a long halt it begins anew."""
-        if self._rate is None:
-            return
-        due = self._began + index / self._rate
-        late = self._ctx.client.monotonic() - due
-        if late > _FELL_BEHIND_S:
-            self._began += late
-        self._ctx.pause(due - self._ctx.client.monotonic())
-
-    def _send(self, values: Values, template: Template | None) -> None:
-        client, target = self._ctx.client, self._target
-        message = fill(self._fields_of, target.type, values, now(self._ctx, template))
-        client.deliver(target.topic, message, self._type, self._latch)
-        self.published += 1
-        self._latest = client.monotonic()
-        for reason in client.reasons:  # what the subscribers say of a message that they took; the same words once
-            if reason not in self._told and len(self._told) < _MOST_TOLD:
-                self._told.add(reason)
-                self._ctx.warn(reason)
+def _judge_rate(ctx: Context, rate: float | None, published: int, seconds: float) -> None:
+    """Warn of a rate that was not reached. One late message among a handful says nothing about the rate."""
+    if rate is not None and published > 10:
+        reached = (published - 1) / seconds if seconds > 0 else math.inf
+        if reached < _KEPT_UP * rate:
+            ctx.warn(f"published at {reached:.1f} Hz instead of {rate:g} Hz")
 
 
 def template_of(schema: Schema, values: Values, expressions: bool = False) -> Template | None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 import click
 
@@ -144,25 +144,21 @@ def call(ctx: Context, name: str, given: tuple[str, ...], stdin: bool) -> None:
             f"no VALUE given for {full} ({found['type']})", f"the request has the fields: {', '.join(fields)}"
         )
     fields_of, schema = fields_from(parts), from_typedefs(parts)
+    requests: Iterable[Sequence[Any]] = [[read(word) if word else "" for word in given]]
+    if stdin:
+        requests = ([{} if document is None else document] for document in documents_on_stdin())
     refusals = []
-    for values in _requests(given, stdin):
+    for values in requests:
         template = template_of(schema, values)
         chosen = values if template is None else template.at(0, 0.0)
         request = fill(fields_of, parts[0]["type"], chosen, now(ctx, template))
-        answer = call_service(ctx, full, request)
-        ctx.emit(answer.response, as_yaml(answer.response, found["response_typedefs"]))
-        for reason in [] if answer.refusal else answer.reasons:
+        response, refusal = call_service(ctx, full, request)
+        ctx.emit(response, as_yaml(response, found["response_typedefs"]))
+        for reason in [] if refusal else ctx.client.reasons:
             ctx.warn(reason)
-        refusals += answer.refusal
+        refusals += refusal
     if refusals:
         raise Refused("\n".join(refusals))
-
-
-def _requests(given: Sequence[str], stdin: bool) -> Iterator[Sequence[Any]]:
-    if stdin:
-        yield from ([{} if document is None else document] for document in documents_on_stdin())
-    else:
-        yield [read(word) if word else "" for word in given]
 
 
 # --- what rosservice shares -----------------------------------------------------------------------------------------
@@ -171,48 +167,29 @@ _RESULT_OK = 1
 """Of simulation_interfaces/Result."""
 
 
-class Answer(NamedTuple):
-    """What came of a call.
+def call_service(ctx: Context, full: str, request: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """The response, and when it says no (a false `ok` or `success`, or a result) the lines that say so, with reasons.
 
-    `refusal`: when the response says no (a false `ok` or `success`, or a result) the lines that say so, with the
-    reasons.
-    `reasons`: the warnings and errors of the call.
+    Raises as Client.call; TimedOut after a minute.
     """
-
-    response: dict[str, Any]
-    refusal: list[str]
-    reasons: list[str]
-
-
-def call_service(ctx: Context, full: str, request: dict[str, Any]) -> Answer:
-    """Call it. Raises as Client.call; TimedOut after a minute."""
     response = ctx.call(full, request, ctx.wait_limit(CALL_TIMEOUT_S))
-    given = ctx.client.reasons
     verdict = next((f"{field}: false" for field in ("ok", "success") if response.get(field) is False), None)
     texts = [response.get(field) for field in ("message", "status_message")]
     result = response.get("result")
     if isinstance(result, dict) and result.keys() == {"result", "error_message"} and result["result"] != _RESULT_OK:
         verdict, texts = f"result {result['result']}", [result["error_message"]]
     if verdict is None:
-        return Answer(response, [], given)
+        return response, []
     reasons = [str(text) for text in texts if text]
-    reasons += [reason for reason in given if reason not in reasons][-2:]
+    reasons += [reason for reason in ctx.client.reasons if reason not in reasons][-2:]
     lines = [f"  {line}" for reason in reasons for line in reason.splitlines()]
-    return Answer(response, [f"{full} answered {verdict}", *lines], given)
+    return response, [f"{full} answered {verdict}", *lines]
 
 
 def ask_each(ctx: Context, question: str, services: Iterable[str], key: str) -> dict[str, str]:
     """Service -> the answer of rosapi about it, asked in one go."""
     calls = {name: ctx.client.call_async(question, {"service": name}) for name in services}
     return {name: str(ctx.client.answer(call)[key]) for name, call in calls.items()}
-
-
-def typedefs(ctx: Context, kind: str) -> tuple[Typedefs, Typedefs]:
-    """What the request and the response of a service type are made of, asked in one go."""
-    questions = "/rosapi/service_request_details", "/rosapi/service_response_details"
-    calls = [ctx.client.call_async(question, {"type": kind}) for question in questions]
-    request, response = (list(ctx.client.answer(call)["typedefs"]) for call in calls)
-    return request, response
 
 
 def argument_names(request: Typedefs) -> list[str]:

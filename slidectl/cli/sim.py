@@ -38,35 +38,28 @@ def status(ctx: Context) -> None:
 
 def status_text(answer: dict[str, Any]) -> str:
     """The answer of /slidectl/status for people."""
-    trouble = answer.get("trouble")
-    cycles = (
-        f"{_micro(answer['cycle_mean'])} mean, {_micro(answer['cycle_p99'])} p99, {_micro(answer['cycle_worst'])} worst"
-    )
+    cycles = [f"{_micro(answer[f'cycle_{name}'])} {name}" for name in ("mean", "p99", "worst")]
     late = f"{_micro(answer['lateness_p50'])} p50, {_micro(answer['lateness_p99'])} p99"
+    journal_ended = f", which has ended: {answer['journal_trouble']}" if answer["journal_trouble"] else ""
     lines = {
         "time": f"{answer['time']:.3f} s, cycle {answer['cycles']} of {1000 * answer['timestep']:g} ms",
-        "state": "running" if not answer["paused"] else f"paused: {trouble}" if trouble else "paused",
-        **({"held by": " ".join(answer["holders"])} if answer.get("holders") else {}),
-        **({"lock-step": f"with {' '.join(answer['lockstep'])}"} if answer.get("lockstep") else {}),
+        "state": ": ".join(filter(None, ["paused", answer["trouble"]])) if answer["paused"] else "running",
+        "held by": " ".join(answer["holders"]),
+        "lock-step": answer["lockstep"] and f"with {' '.join(answer['lockstep'])}",
         "speed": f"{speed_text(answer['speed'])} asked, {answer['speed_reached'] or 0:.3g} reached",
         "engine": answer["engine"],
-        "cycle time": cycles,
+        "cycle time": ", ".join(cycles),
         "lateness": f"{late}, {answer['overruns']} overruns",
         "robots": " ".join(answer["robots"]) or "none",
-        **({"estop": f"on: {' '.join(answer['estop'])}"} if answer["estop"] else {}),
-        **({"faults": " ".join(answer["faults"])} if answer.get("faults") else {}),
+        "estop": answer["estop"] and f"on: {' '.join(answer['estop'])}",
+        "faults": " ".join(answer["faults"]),
         "controllers": f"{answer['controllers']} loaded, {answer['controllers_running']} running",
         "connections": str(answer["connections"]),
-        **({"journal": _journal_text(answer)} if answer.get("journal") else {}),
+        "journal": answer["journal"] and answer["journal"] + journal_ended,
         "memory": f"{answer['memory'] / 2**20:.0f} MiB",
         "daemon": f"{answer['version']}, {answer['instance']}, process {answer['pid']}, up {answer['uptime']:.0f} s",
     }
-    return "\n".join(f"{key + ':':<12} {text}" for key, text in lines.items())
-
-
-def _journal_text(answer: dict[str, Any]) -> str:
-    trouble = answer["journal_trouble"]
-    return f"{answer['journal']}{f', which has ended: {trouble}' if trouble else ''}"
+    return "\n".join(f"{key + ':':<12} {text}" for key, text in lines.items() if text)
 
 
 def speed_text(speed: float) -> str:

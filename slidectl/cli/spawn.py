@@ -163,7 +163,6 @@ def urdf(ctx: Context, model: str, arguments: tuple[str, ...], target: str | Non
     meshes keep the names that the model gives them. JSON keys: urdf, file.
     """
     from slidectl import description
-    from slidectl.writing import write_whole
 
     places = package_lookup(packages, "urdf")
     source, given = in_package(model, arguments, places, "urdf")
@@ -183,10 +182,7 @@ def urdf(ctx: Context, model: str, arguments: tuple[str, ...], target: str | Non
         else:
             ctx.emit({"urdf": document.urdf, "file": document.file})
         return
-    try:
-        write_whole(target, document.urdf)
-    except OSError as error:
-        raise BadFile(f"cannot be written: {error.strerror or error}", target) from None
+    output.save(target, document.urdf)
     ctx.done({"file": target}, f"{target}: written")
 
 
@@ -279,8 +275,7 @@ def in_package(
 
 def standard_input() -> str:
     """The model on standard input. Raises BadFile when that is no XML."""
-    text = sys.stdin.buffer.read().decode("utf-8", "replace")
-    text = parameter_text(text)
+    text = parameter_text(sys.stdin.buffer.read().decode("utf-8", "replace"))
     if not text.lstrip("\ufeff \t\r\n").startswith("<"):
         raise BadFile("is no XML", "<stdin>", hint="pipe a URDF in, or name a model")
     return text
@@ -308,8 +303,7 @@ def _rooted(xml: str, file: str, fixed: bool | None) -> str:
 
     if fixed is None:
         return xml
-    change = description.with_root_fixed if fixed else description.with_root_free
-    return change(xml, file)
+    return description.with_root_fixed(xml, file) if fixed else description.with_root_free(xml, file)
 
 
 def _spawn_scene(
@@ -399,7 +393,5 @@ def _tell(ctx: Context, name: str) -> None:
     # Where the physics diverges at once the pose is no number, which is null on the wire.
     x, y, z = (math.nan if value is None else round(value, 3) + 0.0 for value in robot["pose"][:3])
     joints = " ".join(robots.moving(robot)) or "none"
-    if robot["kind"] == "robot":
-        ctx.done(robot, f"{name}: spawned in {robot['namespace']} at {x:g} {y:g} {z:g}, joints: {joints}")
-    else:
-        ctx.done(robot, f"{name}: {robot['kind']}, spawned at {x:g} {y:g} {z:g}, joints: {joints}")
+    how = f"spawned in {robot['namespace']}" if robot["kind"] == "robot" else f"{robot['kind']}, spawned"
+    ctx.done(robot, f"{name}: {how} at {x:g} {y:g} {z:g}, joints: {joints}")

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from slidectl.scenarios.case_run import CaseResult
     from slidectl.scenarios.live import Live
     from slidectl.scenarios.scenario_file import Case
-    from slidectl.scenarios.stages import CaseRuns
+    from slidectl.scenarios.stages import CaseRuns, InProcess
     from slidectl.scenarios.step_commands import Commands
 
 _VERDICTS = ("passed", "xfailed", "failed", "error", "xpassed")
@@ -127,7 +127,7 @@ def test(
 
     baselines = None if baseline is None else Baselines(baseline, update_baseline)
     ctx.close()
-    stage: stages.StageMaker = daemon_stage.Live(ctx.paths.socket_text) if live else stages.InProcess()
+    stage: InProcess | Live = daemon_stage.Live(ctx.paths.socket_text) if live else stages.InProcess()
     if keep_failed is not None:
         with _written(keep_failed):
             os.makedirs(keep_failed, exist_ok=True)

@@ -56,13 +56,10 @@ def list_topics(ctx: Context, namespace: str | None, published: bool, subscribed
     if ctx.format != "text":
         ctx.emit_rows(rows, columns)
     elif ctx.verbose:
-        roles = [None if off else role for off, role in ((subscribed, PUBLISHERS), (published, SUBSCRIBERS))]
-        output.write(
-            usage_of_topics(
-                {row["topic"]: row["type"] for row in rows},
-                *(None if role is None else {row["topic"]: row[role] for row in rows} for role in roles),
-            )
-        )
+        by_topic = {role: {row["topic"]: row[role] for row in rows} for role in (PUBLISHERS, SUBSCRIBERS)}
+        publishers = None if subscribed else by_topic[PUBLISHERS]
+        subscribers = None if published else by_topic[SUBSCRIBERS]
+        output.write(usage_of_topics({row["topic"]: row["type"] for row in rows}, publishers, subscribers))
     elif rows:
         ctx.emit_names([row["topic"] for row in rows], "topic")
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import pairwise
 from time import monotonic, monotonic_ns
 from typing import Any
 
@@ -41,27 +43,29 @@ class Meter:
         self.topic = topic
         self.total = self.new = 0
         """Messages in all, and since the last report."""
-        self._numbers: deque[float] = deque(maxlen=window)
+        self._window: deque[tuple[float, float]] = deque(maxlen=window)
+        """A time and a number of each message. A clock that jumps back starts the window anew."""
 
     def take(self, event: Event) -> None:
         raise NotImplementedError
 
-    def record(self) -> Record:
-        """The figures by name; those that cannot be told yet are None."""
-        raise NotImplementedError
-
-    def _count(self) -> None:
+    def _count(self, time: float, number: float = 0.0) -> None:
         self.total += 1
         self.new += 1
+        if self._window and time < self._window[-1][0]:
+            self._window.clear()
+        self._window.append((time, number))
 
-    def _record(self, figures: Record, spread: Sequence[str], window: int) -> Record:
-        found = spread_of(self._numbers) if self._numbers else {}
-        shown = {name: found.get(name) for name in spread}
-        return {"topic": self.topic, **figures, **shown, "window": window, "new": self.new}
+    def record(self) -> Record:
+        """The figures by name; those that cannot be told yet are None."""
+        return {"topic": self.topic, **self._figures(), "window": len(self._window), "new": self.new}
+
+    def _figures(self) -> Record:
+        raise NotImplementedError
 
 
 class RateMeter(Meter):
-    """Intervals between messages; a silent topic keeps its rate. A clock that jumps back starts the window anew.
+    """Intervals between messages; a silent topic keeps its rate.
 
     `time_ns` gives a message's time, `keep` whether it counts.
     """
@@ -73,27 +77,19 @@ class RateMeter(Meter):
         time_ns: Callable[[Event], int],
         keep: Callable[[dict[str, Any]], bool] = lambda _: True,
     ) -> None:
-        super().__init__(topic, window - 1)
+        super().__init__(topic, window)
         self._time_ns = time_ns
         self._keep = keep
-        self._last: int | None = None
 
     def take(self, event: Event) -> None:
-        if not self._keep(event.message):
-            return
-        self._count()
-        at_ns = self._time_ns(event)
-        if self._last is not None and at_ns < self._last:
-            self._numbers.clear()
-        elif self._last is not None:
-            self._numbers.append((at_ns - self._last) / 1e9)
-        self._last = at_ns
+        if self._keep(event.message):
+            self._count(self._time_ns(event))
 
-    def record(self) -> Record:
+    def _figures(self) -> Record:
         """`rate` in Hz (None when all messages came at one time), and of the intervals in s."""
-        mean = math.fsum(self._numbers) / len(self._numbers) if self._numbers else 0.0
-        window = len(self._numbers) + 1 if self.total else 0
-        return self._record({"rate": 1.0 / mean if mean > 0 else None}, ("min", "max", "std_dev", "p50", "p99"), window)
+        spread = spread_of([(after - before) / 1e9 for (before, _), (after, _) in pairwise(self._window)])
+        mean = spread.pop("mean")
+        return {"rate": 1.0 / mean if mean else None, **spread}
 
 
 class SizeMeter(Meter):
@@ -105,39 +101,34 @@ class SizeMeter(Meter):
         super().__init__(topic, window)
         self._size = size
         self._now = now
-        self._times: deque[float] = deque(maxlen=window)
 
     def take(self, event: Event) -> None:
-        self._count()
-        now = self._now()
-        if self._times and now < self._times[-1]:
-            self._times.clear()
-            self._numbers.clear()
-        self._times.append(now)
-        self._numbers.append(self._size(event.message))
+        self._count(self._now(), self._size(event.message))
 
-    def record(self) -> Record:
+    def _figures(self) -> Record:
         """`rate` in bytes a second, and of the sizes in bytes."""
-        passed = self._now() - self._times[0] if len(self._times) > 1 else 0.0
-        rate = sum(self._numbers) / passed if passed > 0 else None
-        return self._record({"rate": rate}, ("mean", "min", "max"), len(self._numbers))
+        sizes = [number for _, number in self._window]
+        passed = self._now() - self._window[0][0] if len(sizes) > 1 else 0.0
+        spread = spread_of(sizes)
+        return {"rate": sum(sizes) / passed if passed > 0 else None, **{k: spread[k] for k in ("mean", "min", "max")}}
 
 
 class DelayMeter(Meter):
     """Simulated time from a message's stamp to its arrival."""
 
     def take(self, event: Event) -> None:
-        self._count()
-        self._numbers.append((event.time_ns - nanoseconds(event.message["header"]["stamp"])) / 1e9)
+        self._count(0.0, (event.time_ns - nanoseconds(event.message["header"]["stamp"])) / 1e9)
 
-    def record(self) -> Record:
+    def _figures(self) -> Record:
         """`delay`, the mean, and the others in s."""
-        mean = math.fsum(self._numbers) / len(self._numbers) if self._numbers else None
-        return self._record({"delay": mean}, ("min", "max", "std_dev", "p50", "p99"), len(self._numbers))
+        spread = spread_of([number for _, number in self._window])
+        return {"delay": spread.pop("mean"), **spread}
 
 
-def spread_of(numbers: Sequence[float]) -> dict[str, float]:
-    """Mean, minimum, maximum, population standard deviation and percentiles of one number at least."""
+def spread_of(numbers: Sequence[float]) -> dict[str, float | None]:
+    """Mean, minimum, maximum, population standard deviation and percentiles; each None where there is no number."""
+    if not numbers:
+        return dict.fromkeys(("mean", "min", "max", "std_dev", "p50", "p99"))
     ordered = sorted(numbers)
     count = len(ordered)
     mean = math.fsum(ordered) / count
@@ -151,16 +142,11 @@ def spread_of(numbers: Sequence[float]) -> dict[str, float]:
     }
 
 
-def size_counter(schema: Schema) -> Callable[[dict[str, Any]], int]:
-    """The function that gives the bytes of a message in ROS 1's serialisation (what rostopic bw counts)."""
-    return lambda message: size(schema.fields, schema.root, message)
-
-
 # --- text -------------------------------------------------------------------------------------------------------------
 
 
-def rates_text(records: Sequence[Record]) -> str:
-    """A report of hz in rostopic's form with microseconds; a table for several topics."""
+def rates_text(records: Sequence[Record], digits: int = 6, digits_of_deviation: int = 6) -> str:
+    """A report of hz in rostopic's form, unless told otherwise with microseconds; a table for several topics."""
     if len(records) > 1:
         rows = [record for record in records if record["min"] is not None]
         table = output.table(rows, ["topic", "rate", "min", "max", "std_dev", "window"])
@@ -169,7 +155,7 @@ def rates_text(records: Sequence[Record]) -> str:
     if not record["new"] or record["min"] is None:
         return NOTHING_NEW
     shown = "inf" if record["rate"] is None else f"{record['rate']:.3f}"
-    return f"average rate: {shown}\n{seconds_line(record)}"
+    return f"average rate: {shown}\n{_seconds_line(record, digits, digits_of_deviation)}"
 
 
 def sizes_text(records: Sequence[Record]) -> str:
@@ -182,13 +168,15 @@ def sizes_text(records: Sequence[Record]) -> str:
     return f"average: {rate}/s\n\tmean: {mean} min: {least} max: {most} window: {record['window']}"
 
 
-def delays_text(records: Sequence[Record]) -> str:
-    """A report of delay with microseconds."""
+def delays_text(records: Sequence[Record], digits: int = 6, digits_of_deviation: int = 6) -> str:
+    """A report of delay in rostopic's form, unless told otherwise with microseconds."""
     (record,) = records
-    return f"average delay: {record['delay']:.6f}\n{seconds_line(record)}" if record["new"] else NOTHING_NEW
+    if not record["new"]:
+        return NOTHING_NEW
+    return f"average delay: {record['delay']:.{digits}f}\n{_seconds_line(record, digits, digits_of_deviation)}"
 
 
-def seconds_line(record: Record, digits: int = 6, digits_of_deviation: int = 6) -> str:
+def _seconds_line(record: Record, digits: int, digits_of_deviation: int) -> str:
     """The second line of a report, as rostopic indents it."""
     least, most = (f"{record[key]:.{digits}f}s" for key in ("min", "max"))
     deviation = f"{record['std_dev']:.{digits_of_deviation}f}s"
@@ -211,14 +199,12 @@ def measure(
     text: Render,
     say: Callable[[str], None],
     reports: int | None = None,
-    once_at_end: bool = False,
 ) -> None:
     """Take messages into the meters and report each second of wall time, until all is reported or the stream ends.
 
     Args:
         say: tells that it listens.
-        reports: how many; None for no end but that of the stream.
-        once_at_end: one report at the end of the stream instead, unless `reports` says how many.
+        reports: how many; None for no end but that of the stream. A stream that has one is reported once then.
 
     Raises:
         TimedOut: no message came for `--timeout`. Refused: not one message came. NoDaemon.
@@ -229,7 +215,7 @@ def measure(
     with stream:
         say("\n".join(f"subscribed to [{topic}]" for topic in by_topic))
         heard = stream.monotonic()
-        period = math.inf if once_at_end and reports is None else _REPORT_PERIOD_S
+        period = _REPORT_PERIOD_S if stream.sim_seconds is None or reports is not None else math.inf
         due = heard + period
         try:
             while left > 0 and not stream.ended:
@@ -274,7 +260,7 @@ def rates(
 
     Their times are the stamps of their headers, else the clock when they came; with `wall_time` the computer's clock.
     """
-    found = {target.topic: (target, target.schema) for target in targets}
+    schemas = {target.topic: target.schema for target in targets}
 
     def time_of(schema: Schema) -> Callable[[Event], int]:
         if wall_time:
@@ -284,10 +270,10 @@ def rates(
         return lambda event: event.time_ns
 
     meters = [
-        RateMeter(topic, window, time_of(schema), predicate(condition, schema)) for topic, (_, schema) in found.items()
+        RateMeter(topic, window, time_of(schema), predicate(condition, schema)) for topic, schema in schemas.items()
     ]
-    clock = not wall_time and not all(schema.has_header for _, schema in found.values())
-    return Stream(ctx, list(found), with_clock=clock, sim_seconds=sim_seconds), meters
+    clock = not wall_time and not all(schema.has_header for schema in schemas.values())
+    return Stream(ctx, list(schemas), with_clock=clock, sim_seconds=sim_seconds), meters
 
 
 def _options(function: Callable[..., None]) -> Callable[..., None]:
@@ -336,7 +322,7 @@ def hz(
     """
     targets = [look_up(ctx, text, PUBLISHERS) for text in topics]
     stream, meters = rates(ctx, targets, window, condition, wall_time, sim_seconds)
-    measure(ctx, stream, meters, rates_text, ctx.say, reports, sim_seconds is not None)
+    measure(ctx, stream, meters, rates_text, ctx.say, reports)
     limits = [f"{word} {limit:g}" for word, limit in (("at least", least), ("at most", most)) if limit is not None]
     for meter in meters:
         rate = meter.record()["rate"] or 0.0
@@ -356,10 +342,11 @@ def bw(ctx: Context, topic: str, window: int, reports: int | None, sim_seconds: 
     messages are JSON. JSON keys: topic, rate (bytes/s), mean, min, max (bytes), window, new.
     """
     target = look_up(ctx, topic, PUBLISHERS)
+    schema = target.schema
     stream = Stream(ctx, [target.topic], with_clock=not wall_time, sim_seconds=sim_seconds)
     now = monotonic if wall_time else lambda: stream.time_ns / 1e9
-    meter = SizeMeter(target.topic, window, size_counter(target.schema), now)
-    measure(ctx, stream, [meter], sizes_text, ctx.say, reports, sim_seconds is not None)
+    meter = SizeMeter(target.topic, window, partial(size, schema.fields, schema.root), now)
+    measure(ctx, stream, [meter], sizes_text, ctx.say, reports)
 
 
 @command(examples=["slidectl topic delay joint_states --for 2", "slidectl topic delay joint_states -n 3 --json"])
@@ -376,4 +363,4 @@ def delay(ctx: Context, topic: str, window: int, reports: int | None, sim_second
     if not target.schema.has_header:
         raise Refused(f"{target.topic} has no header ({target.type}), so there is no stamp to measure from")
     stream = Stream(ctx, [target.topic], with_clock=True, sim_seconds=sim_seconds)
-    measure(ctx, stream, [DelayMeter(target.topic, window)], delays_text, ctx.say, reports, sim_seconds is not None)
+    measure(ctx, stream, [DelayMeter(target.topic, window)], delays_text, ctx.say, reports)

@@ -87,12 +87,12 @@ class Stream:
         self._client = ctx.client
         self._topics = topics
         self._with_clock = with_clock
-        self._sim_seconds = sim_seconds
+        self.sim_seconds = sim_seconds
         self._queue: deque[Event] = deque()
         self._subscriptions: list[Subscription] = []
         self._sleep: str | None = None
         self._status: str | None = None
-        self._doubt = math.inf
+        self._ask_at = math.inf
         self._look_at = 0.0
         self.time_ns = 0
         self.ended = False
@@ -102,11 +102,11 @@ class Stream:
         if self._with_clock:
             self.time_ns = nanoseconds(self._client.call("/rosapi/get_time")["time"])
             topics = [CLOCK, *(topic for topic in topics if topic != CLOCK)]  # the time first, then what came at it
-        if self._sim_seconds is not None:  # before the topics: who sees a subscriber can rely on it
-            self._sleep = self._client.call_async("/slidectl/sleep", {"duration": self._sim_seconds})
+        if self.sim_seconds is not None:  # before the topics: who sees a subscriber can rely on it
+            self._sleep = self._client.call_async("/slidectl/sleep", {"duration": self.sim_seconds})
         for topic in topics:
             self._subscriptions.append(self._client.subscribe(topic))
-        self._doubt = self.monotonic() + _SILENCE_S
+        self._ask_at = self.monotonic() + _SILENCE_S
         return self
 
     def __exit__(
@@ -132,9 +132,11 @@ class Stream:
             elif now >= deadline:
                 return None
             else:
-                self._check_reader(now)
-                self._ask_why(now)
-                next(self._client.events(max(0.0, min(deadline, self._doubt, self._look_at) - now)), None)
+                if now >= self._look_at:  # who reads our output may have gone, though there is nothing to write
+                    self._look_at = now + _LOOK_EVERY_S
+                    check_reader()
+                self._ask_status(now)
+                next(self._client.events(max(0.0, min(deadline, self._ask_at, self._look_at) - now)), None)
         return self._queue.popleft() if self._queue else None
 
     def monotonic(self) -> float:
@@ -151,40 +153,34 @@ class Stream:
         for subscription in self._subscriptions:
             while len(subscription):
                 message = subscription.get()
-                if self._doubt < math.inf:
-                    self._doubt = self.monotonic() + _SILENCE_S
+                if self._ask_at < math.inf:
+                    self._ask_at = self.monotonic() + _SILENCE_S
                 if self._with_clock and subscription.topic == CLOCK:
                     self.time_ns = nanoseconds(message["clock"])
                 if subscription.topic in self._topics:
                     self._queue.append(Event(subscription.topic, message, self.time_ns))
         return bool(self._queue)
 
-    def _check_reader(self, now: float) -> None:
-        """Raises ClosedPipe soon after the reader of our output has gone, though there may be nothing to write."""
-        if now >= self._look_at:
-            self._look_at = now + _LOOK_EVERY_S
-            check_reader()
-
-    def _ask_why(self, now: float) -> None:
+    def _ask_status(self, now: float) -> None:
         """When nothing has come for a while: say so, once, if the world stands still."""
         if self._status is not None and self._client.is_answered(self._status):
             status, self._status = self._client.answer(self._status), None
             if status["paused"]:
-                self._doubt = math.inf
+                self._ask_at = math.inf
                 self._ctx.say(f"{paused(status)}; nothing comes until it goes on: {way_on(status)}")
-        if now >= self._doubt:
-            self._doubt = now + _ASK_AGAIN_S
+        if now >= self._ask_at:
+            self._ask_at = now + _ASK_AGAIN_S
             self._status = self._client.call_async("/slidectl/status")
 
 
 def paused(status: dict[str, Any]) -> str:
     """That the world of an answer of /slidectl/status stands still, and why, where nobody wanted it."""
-    return "the simulation is paused" + (f" ({status['trouble']})" if status.get("trouble") else "")
+    return "the simulation is paused" + (f" ({status['trouble']})" if status["trouble"] else "")
 
 
 def way_on(status: dict[str, Any]) -> str:
     """What to type that lets the same world go on."""
-    if status.get("trouble"):
+    if status["trouble"]:
         return "slidectl sim reset, then slidectl sim resume"
     return "slidectl sim resume, or slidectl sim step"
 
@@ -213,9 +209,11 @@ def usage_of_topics(types: Mapping[str, str], publishers: Users | None, subscrib
 
 def usage_of_topic(kind: str, publishers: Sequence[str], subscribers: Sequence[str], uri: str) -> str:
     """What `rostopic info` prints; `uri` is where the nodes answer."""
-    blocks = [_nodes("Publishers", publishers, uri), _nodes("Subscribers", subscribers, uri)]
+    users = {"Publishers": publishers, "Subscribers": subscribers}
+    blocks = [block(title, [f"{node} ({uri})" for node in nodes]) for title, nodes in users.items()]
     return f"Type: {kind}\n\n" + "\n".join(blocks) + "\n\n"
 
 
-def _nodes(title: str, nodes: Sequence[str], uri: str) -> str:
-    return f"{title}: \n" + "".join(f" * {node} ({uri})\n" for node in nodes) if nodes else f"{title}: None\n"
+def block(title: str, items: Sequence[str]) -> str:
+    """A list as `rostopic info` and `rosnode info` print it."""
+    return f"{title}: \n" + "".join(f" * {item}\n" for item in items) if items else f"{title}: None\n"

@@ -14,7 +14,9 @@ from slidectl.cli.commands import command, finite, simulated_seconds, wait_for_w
 from slidectl.cli.context import Context
 from slidectl.cli.topic_streams import PUBLISHERS, look_up, nanoseconds, paused, way_on
 from slidectl.errors import Refused, SlidectlError, TimedOut, UsageError
-from slidectl.field_path import Selection
+from slidectl.msgs.schema import Schema
+
+_LOOK_EVERY_S = 0.2
 
 
 def _condition(
@@ -93,11 +95,7 @@ def wait(
     deadline = ctx.client.monotonic() + limit
     try:
         if output.is_terminal(sys.stderr) and not ctx.quiet and not ctx.client.is_answered(call):
-            from slidectl.field_path import select
-
-            _Progress(ctx, request, select(found.schema.fields, found.type, found.field)).show(
-                call, deadline, status["time"]
-            )
+            _show_progress(ctx, request, found.schema, call, deadline, status["time"])
         answer = ctx.client.answer(call, timeout=max(0.0, deadline - ctx.client.monotonic()))
     except TimedOut as error:
         # A scenario may end it before.
@@ -106,60 +104,52 @@ def wait(
     _tell(ctx, request, answer)
 
 
-class _Progress:
-    """One line on the terminal while the daemon watches: the last value, the closest, the simulated time left."""
+def _show_progress(
+    ctx: Context, request: dict[str, Any], schema: Schema, call: str, deadline: float, since: float
+) -> None:
+    """One line on the terminal while the daemon watches: the last value, the closest, the simulated time left.
 
-    def __init__(self, ctx: Context, request: dict[str, Any], selection: Selection) -> None:
-        self._client = ctx.client
-        self._request = request
-        self._take = selection.take
-        self._topic = ctx.client.subscribe(request["topic"], queue_length=1, throttle_rate=int(1000 * _LOOK_EVERY_S))
-        self._last: Any = None
-        self._closest: Any = None
+    Until the call is answered, or the deadline (on the client's clock). `since` is its simulated begin. The line is
+    gone then: what became of it is said elsewhere.
+    """
+    from rich.console import Console
+    from rich.text import Text  # brackets of a field's path are no styles
 
-    def show(self, call: str, deadline: float, since: float) -> None:
-        """Until the call is answered, or the deadline (on the client's clock). `since` is its simulated begin.
+    from slidectl.field_path import select
 
-        The line is gone then: what became of it is said elsewhere.
-        """
-        from rich.console import Console
-        from rich.text import Text  # brackets of a field's path are no styles
+    client, selection = ctx.client, select(schema.fields, schema.root, request["field"])
+    kind, target, within = request["condition"], json.loads(request["value"]), request["within"]
+    time, last = since, None
+    closest: tuple[float, Any] | None = None
 
-        client, console, time = self._client, Console(stderr=True, highlight=False), since
-        with self._topic, console.status(Text(self._text(0.0)), spinner="line") as status:
-            while not client.is_answered(call) and client.monotonic() < deadline:
-                clock = client.call_async("/rosapi/get_time")
-                look_at = min(client.monotonic() + _LOOK_EVERY_S, deadline)
-                while not client.is_answered(call) and (left := look_at - client.monotonic()) > 0:
-                    next(client.events(left), None)
-                if client.is_answered(clock):
-                    time = nanoseconds(client.answer(clock)["time"]) / 1e9
-                else:
-                    client.forget(clock)
-                while len(self._topic):
-                    self._note(self._topic.get())
-                status.update(Text(self._text(max(0.0, time - since))))
-
-    def _note(self, message: dict[str, Any]) -> None:
-        with suppress(SlidectlError, LookupError):  # an element that is not there yet
-            self._last = self._take(message)
-            target, kind = json.loads(self._request["value"]), self._request["condition"]
-            if isinstance(self._last, int | float) and isinstance(target, int | float):
-                past = self._last - target
-                gap = abs(past) if kind in ("near", "equals") else max(0.0, -past if kind == "above" else past)
-                if self._closest is None or gap < self._closest[0]:
-                    self._closest = gap, self._last
-
-    def _text(self, passed: float) -> str:
-        within = self._request["within"]
-        parts = [f"{_where(self._request)} {_expected(self._request)}"]
-        parts.append("no message yet" if self._last is None else f"last {_short(self._last)}")
-        parts += [f"closest {_short(self._closest[1])}"] if self._closest is not None else []
+    def line() -> Text:
+        passed = max(0.0, time - since)
+        parts = [f"{_where(request)} {_expected(request)}"]
+        parts.append("no message yet" if last is None else f"last {_short(last)}")
+        parts += [f"closest {_short(closest[1])}"] if closest is not None else []
         parts.append(f"{max(0.0, within - passed):.1f} s left" if within else f"{passed:.1f} s passed")
-        return "; ".join(parts)
+        return Text("; ".join(parts))
 
-
-_LOOK_EVERY_S = 0.2
+    topic = client.subscribe(request["topic"], queue_length=1, throttle_rate=int(1000 * _LOOK_EVERY_S))
+    with topic, Console(stderr=True, highlight=False).status(line(), spinner="line") as status:
+        while not client.is_answered(call) and client.monotonic() < deadline:
+            clock = client.call_async("/rosapi/get_time")
+            look_at = min(client.monotonic() + _LOOK_EVERY_S, deadline)
+            while not client.is_answered(call) and (left := look_at - client.monotonic()) > 0:
+                next(client.events(left), None)
+            if client.is_answered(clock):
+                time = nanoseconds(client.answer(clock)["time"]) / 1e9
+            else:
+                client.forget(clock)
+            while len(topic):
+                with suppress(SlidectlError, LookupError):  # an element that is not there yet
+                    last = selection.take(topic.get())
+                    if isinstance(last, int | float) and isinstance(target, int | float):
+                        past = last - target
+                        gap = abs(past) if kind in ("near", "equals") else max(0.0, -past if kind == "above" else past)
+                        if closest is None or gap < closest[0]:
+                            closest = gap, last
+            status.update(line())
 
 
 def _short(value: Any) -> str:

@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from command_line import ROOT, CommandLine, Done
 from daemon_fixture import Runtime, running_daemon
@@ -193,3 +193,22 @@ def slide_world() -> Iterator[SlideWorld]:
             yield SlideWorld(daemon, node, client)
         finally:
             node.close()
+
+
+# --- recorded sessions ------------------------------------------------------------------------------------------------
+
+
+class Session(NamedTuple):
+    """A line, what it prints, and its exit code. `stdin` is what is piped into it."""
+
+    line: str
+    stdout: str = ""
+    stderr: str = ""
+    code: int = 0
+    stdin: str = ""
+
+
+def usage(line: str, text: str, complaint: str) -> Session:
+    """Wrong usage, as optparse says it."""
+    tool = line.split()[0]
+    return Session(line, "", f"Usage: {text}\n\n{tool}: error: {complaint}\n", 2)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
+from cli_graph_world import COMMAND, JOINT_STATES
 from command_line import CommandLine
 from fake_daemon import FakeDaemon
 
@@ -30,6 +31,8 @@ ALLOWED_FOR_HELP = {
     "_compression",
     "click._textwrap",
 }
+HEAVY = {"yaml", "rosbags", "numpy", "mujoco", "rich", "asyncio", "argparse", "pathlib", "ast", "importlib.metadata"}
+"""What no everyday ROS command imports; optparse and what it brings are theirs."""
 
 SHOW_MODULES = """
 import os, sys
@@ -55,17 +58,18 @@ STATUS = {
     "engine": "plain",
     "lateness_p50": 1e-6, "lateness_p99": 1e-6, "overruns": 0, "robots": ["slider"], "estop": [], "controllers": 1,
     "controllers_running": 1, "connections": 1, "memory": 1, "uptime": 1.0, "log": "", "lockstep": [],
+    "trouble": "", "holders": [], "faults": [], "journal": "", "journal_trouble": "",
 }  # fmt: skip
 CONTROLLER = {"name": "c", "state": "running", "type": "t", "claimed_resources": []}
 
 
-def modules(slidectl: CommandLine, tmp_path: Path, *words: str) -> set[str]:
-    """The modules that are loaded when the command leaves, which it must do with success."""
+def modules(slidectl: CommandLine, tmp_path: Path, *words: str, codes: Sequence[str] = ("0",)) -> set[str]:
+    """The modules that are loaded when the command leaves, which it must do with one of these exit codes."""
     listing = tmp_path / "modules"
     argv = [sys.executable, "-c", SHOW_MODULES, str(listing), *words]
     done = subprocess.run(argv, capture_output=True, text=True, env=slidectl.environment, timeout=60, check=True)
     code, *names = listing.read_text().split()
-    assert code == "0", done.stderr
+    assert code in codes, done.stderr
     return set(names)
 
 
@@ -149,6 +153,32 @@ def test_a_command_of_the_tutorial_imports_only_what_is_allowed(
     loaded = modules(moving, tmp_path, *words)
     assert foreign(loaded) <= ALLOWED
     assert not {name for name in loaded if name.startswith(("slidectl.description", "slidectl.daemon"))}
+
+
+ROS_HEADLINES = [
+    ("rostopic", "pub", "-1", COMMAND, "std_msgs/Float64", "data: 1.0"),
+    ("rostopic", "pub", COMMAND, "std_msgs/Float64", "1.0"),
+    ("rostopic", "list"),
+    ("rostopic", "info", JOINT_STATES),
+    ("rosservice", "call", "/slider/controller_manager/list_controllers"),
+    # It is loaded already, which is refused.
+    ("rosservice", "call", "/slider/controller_manager/load_controller", "name: 'joint1_position_controller'"),
+    ("rosnode", "list"),
+    ("rosparam", "get", "/slider/joint1_position_controller/pid/p"),
+    ("rosparam", "list"),
+    ("rosmsg", "show", "std_msgs/Float64"),
+]
+
+
+@pytest.mark.parametrize("words", ROS_HEADLINES, ids=" ".join)
+def test_an_everyday_ros_command_imports_nothing_heavy(
+    moving: CommandLine, tmp_path: Path, words: tuple[str, ...]
+) -> None:
+    loaded = modules(moving, tmp_path, "ros", *words, codes=("0", "1"))
+    assert "slidectl.cli.ros.command" in loaded
+    assert not foreign(loaded) & HEAVY
+    rooms = {name.split(".")[1] for name in loaded if name.startswith("slidectl.")}
+    assert not rooms & {"description", "daemon", "launch", "check", "physics", "simulation", "control"}
 
 
 @pytest.mark.parametrize("model", ["rrbot", "slider"])

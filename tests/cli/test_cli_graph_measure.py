@@ -13,11 +13,11 @@ from slidectl.cli.topic_measure import (
     SizeMeter,
     delays_text,
     rates_text,
-    size_counter,
     sizes_text,
     spread_of,
 )
 from slidectl.cli.topic_streams import Event
+from slidectl.msgs.sizes import size as serialised_size
 
 
 def rates(times_ms: list[int], window: int = 1000) -> Record:
@@ -117,4 +117,5 @@ def test_percentiles_are_values_that_occurred() -> None:
     ],
 )  # fmt: skip
 def test_sizes_are_those_of_ros_serialisation(type_name: str, message: dict[str, object], size: int) -> None:
-    assert size_counter(schema(type_name))(msgs.check(type_name, message)) == size
+    types = schema(type_name)
+    assert serialised_size(types.fields, types.root, msgs.check(type_name, message)) == size

@@ -142,6 +142,7 @@ def test_json_says_who_got_it(world: World) -> None:
         (["command", "-r", "10", "1/i"], 1, "cannot compute '1/i'"),
         (["command", "sin(t)"], 2, "not the text 'sin(t)'"),
         (["command", "1.0", "-f", "x.yaml"], 2, "a VALUE beside -f or --stdin"),
+        (["/new", "std_msgs/Float64", "1", "-f", "x", "--allow-unheard"], 2, "a VALUE beside -f or --stdin"),
         (["command", "-f", "x.yaml", "--stdin"], 2, "-f and --stdin exclude each other"),
         (["command", "-f", "/no/file.yaml"], 2, "/no/file.yaml: No such file"),
         ([], 2, "Missing argument"),

@@ -15,7 +15,7 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from slidectl.cli.ros.arguments import Failure
-from slidectl.cli.ros.bag_echo import open_bag
+from slidectl.cli.ros.bag_echo import open_bag, schemas_of
 
 START_NS = 1795220735364070652
 STAMP_NS = 1795220735363786220
@@ -190,5 +190,8 @@ def test_a_damaged_bag_is_read_or_refused(folder: Path, tmp_path: Path, name: st
     for _ in range(data.draw(st.integers(1, 5))):
         whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
     (tmp_path / "damaged.bag").write_bytes(whole)
-    with suppress(Failure), open_bag(str(tmp_path / "damaged.bag")) as bag:
-        assert all(event.topic in bag.topics for event in bag.messages(set(bag.topics)))
+    with suppress(Failure), open_bag(str(tmp_path / "damaged.bag")) as recording:
+        known = schemas_of(recording)
+        for record in recording.records(set(known)):
+            assert record.channel.topic in known
+            assert isinstance(recording.message(record), dict)

@@ -8,8 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from cli_ros_sessions import usage
-from cli_ros_world import Shell
+from cli_ros_world import Shell, usage
 from command_line import CommandLine
 
 from slidectl.client import Client
@@ -85,7 +84,14 @@ def test_a_second_one_is_refused(shell: Shell) -> None:
     )
 
 
-def test_it_takes_no_arguments(shell: Shell) -> None:
-    expected = usage("roscore x", "roscore [options]", "roscore does not take arguments")
+WRONG = {
+    "roscore x": "roscore does not take arguments",
+    "roscore --sigint-timeout x": "option --sigint-timeout: invalid floating-point value: 'x'",
+}
+
+
+@pytest.mark.parametrize("line", WRONG)
+def test_wrong_usage(shell: Shell, line: str) -> None:
+    expected = usage(line, "roscore [options]", WRONG[line])
     done = shell.run(expected.line)
     assert (done.stdout, done.stderr, done.returncode) == (expected.stdout, expected.stderr, expected.code)

@@ -10,8 +10,7 @@ from collections.abc import Iterator
 
 import pytest
 from cli_graph_world import slider_world
-from cli_ros_sessions import usage
-from cli_ros_world import Shell, SlideWorld, slide_world
+from cli_ros_world import Shell, SlideWorld, slide_world, usage
 from command_line import CommandLine
 from fake_daemon import FakeDaemon
 

@@ -6,8 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from cli_ros_sessions import Session, usage
-from cli_ros_world import Shell
+from cli_ros_world import Session, Shell, usage
 from command_line import CommandLine
 from daemon_fixture import running_daemon
 

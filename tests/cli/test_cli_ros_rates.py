@@ -44,6 +44,11 @@ def test_hz_measures_the_topic_of_a_field(slide: SlideWorld) -> None:
     assert text.startswith("subscribed to [/slide/joint_states]\n")
 
 
+def test_a_window_may_be_as_large_as_one_likes(slide: SlideWorld) -> None:
+    text = report(slide, "hz", "-w", str(10**30), "--wall-time", "/slide/joint_states", lines=2)
+    assert "average rate: " in text
+
+
 def test_hz_of_a_silent_topic(slide: SlideWorld) -> None:
     text = report(slide, "hz", "/slide/description", lines=3)
     assert text.startswith("subscribed to [/slide/description]\nno new messages\nno new messages\n")

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 from cli_graph_world import CONTROLLERS, World, slider_world
-from cli_ros_sessions import Session
-from cli_ros_world import Shell
+from cli_ros_world import Session, Shell
 from command_line import CommandLine
 
 POSITION = "joint1_position_controller"
@@ -109,6 +108,8 @@ def test_what_is_not_here_says_what_is(shell: Shell) -> None:
 def test_a_prefix_gets_the_command_line(shell: Shell) -> None:
     done = shell.run('rosrun --prefix "echo" tf tf_echo a b')
     assert done.stdout.endswith(" ros rosrun tf tf_echo a b\n")
+    done = shell.slidectl("-i", "other", "--ns", "/left", "ros", "rosrun", "--prefix", "echo", "tf", "tf_echo", "a")
+    assert done.stdout.endswith(" --instance other --ns /left ros rosrun tf tf_echo a\n")
 
 
 # --- spawners ---------------------------------------------------------------------------------------------------------

@@ -8,8 +8,7 @@ import signal
 from collections.abc import Iterator
 
 import pytest
-from cli_ros_sessions import Session, usage
-from cli_ros_world import SlideWorld, slide_world
+from cli_ros_world import Session, SlideWorld, slide_world, usage
 
 
 @pytest.fixture(scope="module")

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from cli_ros_sessions import Session, usage
-from cli_ros_world import Shell
+from cli_ros_world import Session, Shell, usage
 from command_line import CommandLine
 
 JOINT_STATE = """std_msgs/Header header

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from optparse import Option, OptionParser, Values
 from typing import Any, NamedTuple, NoReturn
 
@@ -17,7 +18,7 @@ from slidectl import names
 from slidectl.cli import output
 from slidectl.cli.commands import looks_like_number
 from slidectl.cli.context import Context
-from slidectl.errors import EXIT_REFUSED, EXIT_USAGE, SlidectlError
+from slidectl.errors import EXIT_REFUSED, EXIT_USAGE, BadFile, Refused, SlidectlError, UsageError
 
 HOST = "localhost"
 """The machine of every node and service."""
@@ -37,6 +38,15 @@ class Failure(SlidectlError):
     def __init__(self, text: str, exit_code: int = EXIT_REFUSED) -> None:
         super().__init__(text)
         self.exit_code = exit_code
+
+
+@contextmanager
+def refusals() -> Iterator[None]:
+    """What a file, a value or a controller is refused with ends a tool with 1, also where slidectl ends with 2."""
+    try:
+        yield
+    except (BadFile, UsageError, Refused) as error:
+        raise Failure(f"ERROR: {error}") from None
 
 
 # --- options ----------------------------------------------------------------------------------------------------------
@@ -85,6 +95,13 @@ class Parser(OptionParser):
         """The whole number that an option was given. A usage error with `complaint` when it is none."""
         try:
             return default if text is None else int(text)
+        except ValueError:
+            self.error(complaint)
+
+    def number(self, text: str | None, default: float, complaint: str) -> float:
+        """The number that an option was given. A usage error with `complaint` when it is none."""
+        try:
+            return default if text is None else float(text)
         except ValueError:
             self.error(complaint)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib import import_module
 from io import TextIOWrapper
 from shlex import quote
@@ -77,19 +78,15 @@ def run(ctx: Context, name: str, argv: Sequence[str]) -> None:
     except SlidectlError as error:
         if ctx.verbose >= 2:
             raise
-        print(_told(error, getattr(module, "PREFIX", "ERROR: ")), file=sys.stderr, flush=True)
+        from slidectl.cli.ros.arguments import Failure
+
+        prefix = getattr(module, "PREFIX", "ERROR: ")
+        if isinstance(error, Failure):
+            prefix = ""
+        elif isinstance(error, NoDaemon):
+            prefix = "ERROR: Unable to communicate with master!\n"
+        print(f"{prefix}{error}", file=sys.stderr, flush=True)
         raise click.exceptions.Exit(error.exit_code) from None
-
-
-def _told(error: SlidectlError, prefix: str) -> str:
-    """What a tool prints about an error: `prefix` stands before what is not in its own words."""
-    from slidectl.cli.ros.arguments import Failure
-
-    if isinstance(error, Failure):
-        return error.message
-    if isinstance(error, NoDaemon):
-        return f"ERROR: Unable to communicate with master!\n{error}"
-    return f"{prefix}{error}"
 
 
 # --- shell functions --------------------------------------------------------------------------------------------------
@@ -113,29 +110,27 @@ def ros_commands(ctx: Context, shell: str | None) -> None:
     With eval "$(slidectl ros-commands)" the lines of a ROS tutorial work in this shell, and in bash scripts that it
     starts. Each function calls 'slidectl ros NAME'; the daemon that --instance or --socket choose here is theirs.
     """
-    prefix = " ".join(map(quote, _program(ctx)))
-    output.write(_fish(prefix) if (shell or _that_calls() or _of_the_user()) == "fish" else _posix(prefix))
+    prefix = " ".join(map(quote, program(ctx)))
+    if (shell or _users_shell()) == "fish":
+        output.write("\n".join(f"function {name}; {prefix} ros {name} $argv; end" for name in TOOLS))
+    else:
+        functions = "\n".join(f'{name}() {{ _slidectl_ros {name} "$@"; }}' for name in TOOLS)
+        output.write(_POSIX.format(prefix=prefix, functions=functions, names=" ".join(TOOLS)))
 
 
-def _that_calls() -> str | None:
-    """The shell that has started this program, which need not be that of $SHELL; None when it was no shell."""
-    try:
-        with open(f"/proc/{os.getppid()}/comm", encoding="utf-8") as file:
-            name = file.read().strip()
-    except (OSError, UnicodeDecodeError):
-        return None
-    return name if name in SHELLS or name in _LIKE_BASH else None
-
-
-def _of_the_user() -> str:
-    """`bash`, `zsh` or `fish` by $SHELL. Raises UsageError for a shell that has no such functions."""
+def _users_shell() -> str:
+    """The shell that has started this program, else that of $SHELL. Raises UsageError: it has no such functions."""
+    with suppress(OSError, UnicodeDecodeError), open(f"/proc/{os.getppid()}/comm", encoding="utf-8") as file:
+        caller = file.read().strip()
+        if caller in SHELLS or caller in _LIKE_BASH:
+            return caller
     name = os.path.basename(os.environ.get("SHELL") or "bash")
     if name in SHELLS or name in _LIKE_BASH:
         return name
     raise UsageError(f"no functions for the shell {name!r} ($SHELL)", f"give --shell {' or '.join(SHELLS)}")
 
 
-def _program(ctx: Context) -> list[str]:
+def program(ctx: Context) -> list[str]:
     """The command line before `ros`: this program, from wherever it was started, with the options of this call."""
     started = os.path.abspath(sys.argv[0])
     is_script = os.access(started, os.X_OK) and os.path.basename(started) == "slidectl"
@@ -147,6 +142,7 @@ def _program(ctx: Context) -> list[str]:
     return words
 
 
+# For bash, zsh and their kin; bash exports functions to the scripts that it starts.
 # A function that runs in the background of a script is a shell of its own, which the script knows by $!. What is sent
 # to it must reach the command. Shells ignore SIGQUIT in such a shell, which tells it from one in a pipe.
 _POSIX = """\
@@ -171,13 +167,3 @@ _slidectl_is_job() {{
 }}
 {functions}
 if [ -n "${{BASH_VERSION:-}}" ]; then export -f _slidectl_ros _slidectl_is_job {names}; fi"""
-
-
-def _posix(prefix: str) -> str:
-    """bash, zsh and their kin. bash exports functions to the scripts that it starts."""
-    functions = "\n".join(f'{name}() {{ _slidectl_ros {name} "$@"; }}' for name in TOOLS)
-    return _POSIX.format(prefix=prefix, functions=functions, names=" ".join(TOOLS))
-
-
-def _fish(prefix: str) -> str:
-    return "\n".join(f"function {name}; {prefix} ros {name} $argv; end" for name in TOOLS)

@@ -12,13 +12,12 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 from slidectl import values as typed_values
 from slidectl.errors import BadMessage, SlidectlError
-from slidectl.msgs.schema import FLOATS, INTEGER_RANGES, TIMES, Field, Schema, from_typedefs
+from slidectl.msgs.schema import FLOATS, INTEGER_RANGES, TIMES, Field, Schema, Typedefs, from_typedefs
 from slidectl.values import bounded
 
 if TYPE_CHECKING:
     from slidectl.cli.context import Context
 
-Typedefs = Sequence[Mapping[str, Any]]
 Message = dict[str, Any]
 
 _KEYWORDS = ("now", "auto")

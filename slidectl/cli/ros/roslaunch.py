@@ -27,8 +27,6 @@ _USAGE = """roslaunch [options] [package] <filename> [arg_name:=value...]
 
 If <filename> is a single dash ('-'), launch XML is read from standard input."""
 _EXCLUSIVE = ("nodes", "find_node", "args", "ros_args")
-_START_LIMIT_S = 30.0
-_STOP_LIMIT_S = 10.0
 
 _NOTHING_TO_SAY = (
     option("--local", "no effect: everything is local"),
@@ -106,6 +104,7 @@ def _in_its_words(error: UnknownName | BadFile, names: Sequence[str]) -> Slidect
 
 def roscore(ctx: Context, argv: Sequence[str]) -> None:
     """Start the daemon and stay until it ends, or Ctrl-C or SIGTERM ends both with exit code 0."""
+    from slidectl.cli.daemon import STOP_LIMIT_S
     from slidectl.daemon import lifecycle
 
     parser = Parser(
@@ -118,7 +117,8 @@ def roscore(ctx: Context, argv: Sequence[str]) -> None:
     )
     given = parser.parse(argv, most=0, extra="roscore does not take arguments")
     _warn_idle(ctx, given)
-    limit = _STOP_LIMIT_S if given.sigint_timeout is None else float(given.sigint_timeout)
+    complaint = f"option --sigint-timeout: invalid floating-point value: {given.sigint_timeout!r}"
+    limit = parser.number(given.sigint_timeout, STOP_LIMIT_S, complaint)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         pid = _start(ctx)
@@ -137,6 +137,7 @@ def roscore(ctx: Context, argv: Sequence[str]) -> None:
 def _start(ctx: Context) -> int:
     """The process id of a new daemon, with the parameters that a core sets. Raises Failure when one runs already."""
     from slidectl import __version__
+    from slidectl.cli.daemon import START_LIMIT_S
     from slidectl.cli.param import store
     from slidectl.daemon import lifecycle
     from slidectl.daemon.options import DaemonOptions
@@ -145,7 +146,7 @@ def _start(ctx: Context) -> int:
     already = lifecycle.running(ctx.paths) is not None
     if not already:
         output.write(f"... logging to {ctx.paths.log}\nPress Ctrl-C to interrupt\nstarted roslaunch server {uri}")
-        pid, already = lifecycle.start(ctx.paths, DaemonOptions(child=True), ctx.wait_limit(_START_LIMIT_S))
+        pid, already = lifecycle.start(ctx.paths, DaemonOptions(child=True), ctx.wait_limit(START_LIMIT_S))
     if already:
         raise Failure(
             f"{PREFIX}roscore cannot run as another roscore/master is already running. \n"

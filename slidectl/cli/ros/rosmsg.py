@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from slidectl.cli import output
 from slidectl.cli.context import Context
-from slidectl.cli.msg import TypeFamily, messages, services
+from slidectl.cli.msg import TypeFamily, definition_text, messages, services
 from slidectl.cli.ros.arguments import NO_SUCH_VERB, Failure, Parser, Tool, option
 from slidectl.errors import UnknownName, closest
 
@@ -52,11 +52,8 @@ class _Types:
             from slidectl.cli.ros import bag_echo as bag
 
             return output.write(bag.definition(given.bag, wanted, bool(given.raw)).rstrip("\n") + "\n\n")
-        text = self._kind.source if given.raw else self._kind.show
         for found in self._found(wanted):
-            body = text(found).rstrip("\n")
-            heading = "" if "/" in wanted else f"[{found}]:\n"
-            output.write(heading + (f"{body}\n\n" if body else "\n"))
+            output.write(definition_text(self._kind, found, wanted, bool(given.raw)))
         return None
 
     def list_types(self, ctx: Context, argv: Sequence[str]) -> None:  # noqa: ARG002
@@ -119,13 +116,13 @@ class _Types:
             raise Failure(f"{trouble}: invalid name [{wanted}]\n{_PLEASE}")
         try:
             self._kind.source(wanted)  # the list of all types would take longer than everything else here
+            return [wanted]
         except UnknownName:
             package, _, word = wanted.partition("/")
-            where = f" in package [{package}]"
-            if package not in _packages():
-                where = f": unknown package [{package}] on search path [{_packages()}]"
+            packages = _packages()
+            unknown = f": unknown package [{package}] on search path [{packages}]"
+            where = f" in package [{package}]" if package in packages else unknown
             raise Failure(f"{trouble}: Cannot locate message [{word}]{where}{self._suggestion(wanted)}") from None
-        return [wanted]
 
     def _suggestion(self, wanted: str) -> str:
         near = closest(wanted, self._kind.names())

@@ -17,11 +17,10 @@ from typing import Any
 from slidectl.cli import output
 from slidectl.cli.context import Context
 from slidectl.cli.ros.arguments import HOST, Failure, Parser, Tool, below, option, resolve
-from slidectl.cli.topic_streams import PUBLISHERS, SUBSCRIBERS, users_of
+from slidectl.cli.topic_streams import PUBLISHERS, SUBSCRIBERS, block, users_of
 from slidectl.errors import NoDaemon, TimedOut
 
 _RULE = "-" * 80
-_STATE_PUBLISHER = "/robot_state_publisher"
 _CLIENT = re.compile(r"/slidectl_(?P<pid>\d+)_\d+\Z")
 _PERIOD_S = 1.0
 _PATIENCE_S = 10.0
@@ -87,30 +86,24 @@ def _description(ctx: Context, full: str, details: dict[str, Any]) -> str:
     # There the type of a topic is what its publishers say.
     known = {topic: types[topic] if published[topic] else "unknown type" for topic in details["subscribing"]}
     parts = [
-        _block("Publications", [f"{topic} [{types[topic]}]" for topic in details["publishing"]]),
-        _block("Subscriptions", [f"{topic} [{kind}]" for topic, kind in known.items()]),
-        _block("Services", details["services"]),
+        block("Publications", [f"{topic} [{types[topic]}]" for topic in details["publishing"]]),
+        block("Subscriptions", [f"{topic} [{kind}]" for topic, kind in known.items()]),
+        block("Services", details["services"]),
     ]
     return f"Node [{full}]\n" + "\n".join(parts) + "\n"
-
-
-def _block(title: str, items: Sequence[str]) -> str:
-    return f"{title}: \n" + "".join(f" * {item}\n" for item in items) if items else f"{title}: None\n"
 
 
 def _connections(ctx: Context, full: str, details: dict[str, Any]) -> str:
     client = _CLIENT.match(full)
     lines = ["", f"contacting node {ctx.uri} ...", f"Pid: {client['pid'] if client else ctx.client.daemon_pid}"]
-    listed: list[tuple[str, str, str]] = []
+    listed: list[str] = []
     for key, way, role in (("publishing", "outbound", SUBSCRIBERS), ("subscribing", "inbound", PUBLISHERS)):
-        peers = users_of(ctx, details[key], role)
-        listed += [(topic, peer, way) for topic in details[key] for peer in peers[topic]]
-    if listed:
-        lines.append("Connections:")
-    for topic, peer, way in listed:
-        transport = "UNIX" if client or _CLIENT.match(peer) else "INTRAPROCESS"
-        lines += [f" * topic: {topic}", f"    * to: {peer}", f"    * direction: {way}", f"    * transport: {transport}"]
-    return "\n".join(lines) + "\n\n"
+        for topic, peers in users_of(ctx, details[key], role).items():
+            for peer in peers:
+                transport = "UNIX" if client or _CLIENT.match(peer) else "INTRAPROCESS"
+                listed += [f" * topic: {topic}", f"    * to: {peer}"]
+                listed += [f"    * direction: {way}", f"    * transport: {transport}"]
+    return "\n".join([*lines, *(["Connections:"] if listed else []), *listed]) + "\n\n"
 
 
 def ping(ctx: Context, argv: Sequence[str]) -> None:
@@ -126,7 +119,11 @@ def ping(ctx: Context, argv: Sequence[str]) -> None:
     if given.all and given.count is not None:
         parser.error("-c may not be used with --all")
     if given.all:
-        return _ping_all(ctx)
+        nodes = ctx.names("node")
+        output.write("Will ping the following nodes: \n" + "".join(f" * {node}\n" for node in nodes) + "\n")
+        for node in nodes:
+            _ping(ctx, node, is_first=True)
+        return
     if not given.words:
         known = "\n".join(ctx.names("node"))
         parser.error(f"Please enter a node to ping. Available nodes are:\n{known}")
@@ -143,13 +140,6 @@ def ping(ctx: Context, argv: Sequence[str]) -> None:
     finally:
         if len(times) > 1:
             output.write(f"ping average: {sum(times) / len(times):f}ms")
-
-
-def _ping_all(ctx: Context) -> None:
-    nodes = ctx.names("node")
-    output.write("Will ping the following nodes: \n" + "".join(f" * {node}\n" for node in nodes) + "\n")
-    for node in nodes:
-        _ping(ctx, node, is_first=True)
 
 
 def _ping(ctx: Context, full: str, is_first: bool) -> float:
@@ -179,15 +169,15 @@ def kill(ctx: Context, argv: Sequence[str]) -> None:
     if unknown:
         raise Failure("\n".join(["ERROR: Unknown node(s):", *(f" * {node}" for node in unknown)]))
     _check_reach(ctx, chosen)
-    for node in sorted(chosen, key=_turn):
+    # Clients first; what ends the daemon comes last, since nobody answers then.
+    for node in sorted(chosen, key=lambda node: 0 if _CLIENT.match(node) else 1 if _is_state_publisher(node) else 2):
         output.write(f"killing {node}")
         _end(ctx, node)
     output.write("killed")
 
 
-def _turn(node: str) -> int:
-    """Clients first; what ends the daemon comes last, since nobody answers then."""
-    return 0 if _CLIENT.match(node) else 1 if node.endswith(_STATE_PUBLISHER) else 2
+def _is_state_publisher(node: str) -> bool:
+    return node.endswith("/robot_state_publisher")
 
 
 def _asked(known: Sequence[str]) -> str:
@@ -217,7 +207,7 @@ def _check_reach(ctx: Context, nodes: Sequence[str]) -> None:
 
 def _end(ctx: Context, node: str) -> None:
     match = _CLIENT.match(node)
-    if match is None and node.endswith(_STATE_PUBLISHER):
+    if match is None and _is_state_publisher(node):
         ctx.call("/rosapi/set_param", {"name": f"{node}/enabled", "value": "false"})
         return
     if match is None:

@@ -6,15 +6,14 @@ Without a verb it prints the list of them and exits 0, as rosparam does.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from typing import Any
 
 from slidectl import names
 from slidectl.cli import output, param
 from slidectl.cli.context import Context
-from slidectl.cli.ros.arguments import Failure, Parser, Tool, option, resolve
-from slidectl.errors import BadFile, Refused, UsageError
+from slidectl.cli.ros.arguments import Failure, Parser, Tool, option, refusals, resolve
+from slidectl.errors import UsageError
 from slidectl.writing import write_whole
 
 _VERBOSE = option("-v", "say what is done", dest="verbose")
@@ -57,22 +56,12 @@ def set_parameter(ctx: Context, argv: Sequence[str]) -> None:
         output.write("\n".join(f"set parameter [{name}] to [{value}]" for name, value in chosen.items()))
 
 
-@contextmanager
-def _failures() -> Iterator[None]:
-    """What a file, a value or a controller is refused with ends rosparam with 1."""
-    try:
-        yield
-    except (BadFile, UsageError, Refused) as error:
-        raise Failure(f"ERROR: {error}") from None
-
-
 def _typed(text: str) -> Any:
     try:
-        with _failures():
-            return param.typed(text)
-    except Failure as error:
+        return param.typed(text)
+    except UsageError as error:
         if "is not text" not in error.message:
-            raise
+            raise Failure(f"ERROR: {error}") from None
         import yaml
 
         keys = "YAML dictionaries must have string keys. Invalid dictionary is:"
@@ -94,13 +83,11 @@ def _content(parser: Parser, file: str, binary: bool) -> str:
 
 def _store(ctx: Context, content: Any, full: str) -> dict[str, Any]:
     """Set it; a mapping is merged. The names and values that were set. Raises Failure for what cannot be set."""
-    from slidectl.cli.param import store
-
-    with _failures():
+    with refusals():
         chosen = param.settings(content, full)
         for name, value in chosen.items():
             _check_integers(name, value)
-        store(ctx, chosen)
+        param.store(ctx, chosen)
     return chosen
 
 
@@ -186,12 +173,12 @@ def load(ctx: Context, argv: Sequence[str]) -> None:
     file, namespace = (*given.words, None)[:2]
     if file != "-" and not os.path.isfile(file):
         raise Failure(f"ERROR: file [{file}] does not exist")
-    with _failures():
+    with refusals():
         text = text_of(file)
     if given.verbose:
         output.write(f"reading parameters from [{file}]")
     inside = _full(ctx, namespace or "")
-    with _failures():
+    with refusals():
         tree = param.parameters_in(ctx, text, "stdin" if file == "-" else file, namespace is not None)
     if tree != {}:
         _store(ctx, tree, inside)

@@ -23,8 +23,8 @@ from slidectl.cli.context import Context
 from slidectl.cli.launch import LaunchDaemon, ros_master
 from slidectl.cli.launch_text import Terminal
 from slidectl.cli.ros.arguments import Failure, Parser, option, without_remappings
-from slidectl.cli.spawn import tell_own_packages
-from slidectl.description.packages import Packages
+from slidectl.cli.ros.command import program, run
+from slidectl.cli.spawn import package_lookup, tell_own_packages
 from slidectl.errors import BadFile, Refused, SlidectlError, UsageError
 from slidectl.launch.node_kinds import COUNTERPARTS, has_counterpart, tasks
 from slidectl.launch.nodes.controller_nodes import ManagerScript, is_command
@@ -107,13 +107,8 @@ def rosrun(ctx: Context, argv: Sequence[str]) -> None:
     if not is_ours:
         return _execute([*prefix, str(_find(ctx, package, executable, bool(given.debug))), *words])
     if prefix:
-        chosen = (("--instance", ctx.instance), ("--socket", ctx.socket))
-        options = [word for name, value in chosen if value for word in (name, value)]
-        command = [sys.executable, "-m", "slidectl", *options, "ros", "rosrun", package, executable]
-        return _execute([*prefix, *command, *words])
+        return _execute([*prefix, *program(ctx), "ros", "rosrun", package, executable, *words])
     if is_tool:
-        from slidectl.cli.ros.command import run
-
         return run(ctx, package, words)
     if package == "xacro":
         return _xacro(ctx, words)
@@ -139,11 +134,6 @@ def _code_of_usage(package: str, executable: str, words: Sequence[str]) -> int |
     if executable == "static_transform_publisher":
         return None if len(words) in ((9, 10) if package == "tf" else (8, 9)) else _WRONG_COUNT
     return None if _HELP.isdisjoint(words) else 0
-
-
-def _lookup() -> Packages:
-    """Packages upwards from the working folder."""
-    return Packages(start=Path.cwd())
 
 
 # --- nodes ------------------------------------------------------------------------------------------------------------
@@ -205,7 +195,7 @@ def _run_node(ctx: Context, package: str, kind: str, words: Sequence[str]) -> No
     from slidectl.launch.supervision import Interrupted, Interrupts
     from slidectl.launch.task import Options, Run
 
-    plan, packages, master = _plan(ctx, package, kind, words), _lookup(), ros_master(ctx)
+    plan, packages, master = _plan(ctx, package, kind, words), package_lookup(()), ros_master(ctx)
     try:
         made = tasks(plan, packages, has_master=bool(master))
     except SlidectlError as error:
@@ -258,7 +248,7 @@ def _xacro(ctx: Context, argv: Sequence[str]) -> None:
     models = [word for word in given.words if ":=" not in word]
     if len(models) != 1:
         raise UsageError(f"xacro takes one file, not {len(models)}", parser.get_usage().strip())
-    lookup = _lookup()
+    lookup = package_lookup(())
     document = description.load(models[0], dict(word.split(":=", 1) for word in given.words if ":=" in word), lookup)
     tell_own_packages(ctx, lookup)
     for notice in document.report:
@@ -275,7 +265,7 @@ def _find(ctx: Context, package: str, executable: str, debug: bool) -> Path:
     """The user's program. Raises Failure: no such package (2), no such program in it (3)."""
     from slidectl.launch import node_kinds
 
-    lookup = _lookup()
+    lookup = package_lookup(())
     folders = lookup.candidates(package)
     ours = [*_PROGRAMS, *_USAGES, *COUNTERPARTS, *((tool, tool) for tool in _TOOLS), *_WINDOWS]
     here = sorted({name for known, name in ours if known == package})

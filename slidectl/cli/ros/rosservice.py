@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
-from slidectl.cli import output, service
+from slidectl.cli import output
 from slidectl.cli.context import Context
 from slidectl.cli.ros import genpy
 from slidectl.cli.ros.arguments import Failure, Parser, Tool, below, option, resolve, without_remappings
-from slidectl.cli.service import argument_names, as_yaml, ask_each
-from slidectl.errors import Refused, TimedOut
+from slidectl.cli.service import argument_names, as_yaml, ask_each, call_service
+from slidectl.errors import EXIT_REFUSED, Refused, TimedOut, UnknownName
 from slidectl.msgs.schema import Typedefs
 from slidectl.values import check_quotes
 
 _FAILED = 2
+_NOT_AVAILABLE = "ERROR: Service [{}] is not available."
 _LOOK_AGAIN_S = 0.1
 
 
@@ -33,48 +34,58 @@ def list_services(ctx: Context, argv: Sequence[str]) -> None:
         output.write("\n".join(known))
 
 
-def _asked(ctx: Context, argv: Sequence[str], verb: str, missing: str = "service must be specified") -> str:
+def _known(ctx: Context, full: str) -> dict[str, Any] | None:
+    """Name, type, typedefs and node of a service (slidectl/Resolve), None when there is none of that name."""
+    try:
+        return ctx.resolve("service", full)
+    except UnknownName:
+        return None
+
+
+def _asked(
+    ctx: Context,
+    argv: Sequence[str],
+    verb: str,
+    unknown: str,
+    code: int = EXIT_REFUSED,
+    missing: str = "service must be specified",
+) -> dict[str, Any]:
+    """The service that the command line names. Raises Failure with `unknown` and `code` when there is none."""
     parser = Parser("rosservice", f"rosservice {verb} /service")
     extra = f"you may only specify one {'service' if verb == 'info' else 'input service'}"
-    return resolve(ctx, parser.parse(without_remappings(argv), 1, 1, missing, extra).words[0], "rosservice")
-
-
-def _type(ctx: Context, full: str) -> str:
-    """The type of a service, empty when there is none of that name."""
-    return str(ctx.call("/rosapi/service_type", {"service": full})["type"])
-
-
-def _node(ctx: Context, full: str) -> str:
-    return ask_each(ctx, "/rosapi/service_node", [full], "node")[full]
+    full = resolve(ctx, parser.parse(without_remappings(argv), 1, 1, missing, extra).words[0], "rosservice")
+    found = _known(ctx, full)
+    if found is None:
+        raise Failure(unknown.format(full), code)
+    return found
 
 
 def info(ctx: Context, argv: Sequence[str]) -> None:
     """Node, URI, type and arguments."""
-    full = _asked(ctx, argv, "info", "you must specify a service name")
-    kind = _type(ctx, full)
-    if not kind:
-        raise Failure("ERROR: unknown service")
-    arguments = argument_names(service.typedefs(ctx, kind)[0])
-    output.write(f"Node: {_node(ctx, full)}\nURI: {ctx.uri}\nType: {kind}\nArgs: {' '.join(arguments)}")
+    found = _asked(ctx, argv, "info", "ERROR: unknown service", missing="you must specify a service name")
+    arguments = " ".join(argument_names(found["typedefs"]))
+    output.write(f"Node: {found['nodes'][0]}\nURI: {ctx.uri}\nType: {found['type']}\nArgs: {arguments}")
 
 
-def _fact(verb: str, ask: Callable[[Context, str], str], unknown: str) -> Callable[[Context, Sequence[str]], None]:
-    """A verb that prints one text about a service; `unknown` is the error when it is empty."""
+def node(ctx: Context, argv: Sequence[str]) -> None:
+    """The node that provides a service."""
+    output.write(_asked(ctx, argv, "node", "Unknown service: {}")["nodes"][0])
 
-    def tell(ctx: Context, argv: Sequence[str]) -> None:
-        full = _asked(ctx, argv, verb)
-        text = ask(ctx, full)
-        if not text:
-            raise Failure(unknown.format(full))
-        output.write(text)
 
-    return tell
+def type_of(ctx: Context, argv: Sequence[str]) -> None:
+    """The type of a service."""
+    output.write(_asked(ctx, argv, "type", "Unknown service [{}]")["type"])
+
+
+def uri(ctx: Context, argv: Sequence[str]) -> None:
+    """Where a service answers."""
+    _asked(ctx, argv, "uri", "Unknown service: {}")
+    output.write(ctx.uri)
 
 
 def args(ctx: Context, argv: Sequence[str]) -> None:
     """The fields of the request in one line."""
-    full = _asked(ctx, argv, "args")
-    output.write(" ".join(argument_names(service.typedefs(ctx, _available(ctx, full))[0])))
+    output.write(" ".join(argument_names(_asked(ctx, argv, "args", _NOT_AVAILABLE, _FAILED)["typedefs"])))
 
 
 def find(ctx: Context, argv: Sequence[str]) -> None:
@@ -100,15 +111,17 @@ def call(ctx: Context, argv: Sequence[str]) -> None:
     except genpy.NotYaml as error:
         parser.error(f"Argument error: {error}")
     full = resolve(ctx, name, "rosservice")
-    kind = _awaited(ctx, full) if given.wait else _available(ctx, full)
-    request, response = service.typedefs(ctx, kind)
+    found = _awaited(ctx, full) if given.wait else _known(ctx, full)
+    if found is None:
+        raise Failure(_NOT_AVAILABLE.format(full), _FAILED)
+    request, response = found["typedefs"], found["response_typedefs"]
     check_quotes(words, request[0]["fieldnames"])
     from_stdin = not values and bool(request[0]["fieldnames"])
     if from_stdin and sys.stdin.isatty():
         parser.error("Please specify service arguments")
     refusals: list[str] = []
     for each in _documents() if from_stdin else [values]:
-        message = _filled(ctx, kind, request, each)
+        message = _filled(ctx, found["type"], request, each)
         if given.verbose:
             output.write(f"{genpy.as_yaml(request, message)}\n---")
         refusals += _call_once(ctx, full, message, response)
@@ -116,23 +129,15 @@ def call(ctx: Context, argv: Sequence[str]) -> None:
         raise Failure("\n".join(["ERROR: " + refusals[0], *refusals[1:]]))
 
 
-def _available(ctx: Context, full: str) -> str:
-    """The type of a service. Raises Failure (2) when there is none of that name."""
-    kind = _type(ctx, full)
-    if not kind:
-        raise Failure(f"ERROR: Service [{full}] is not available.", _FAILED)
-    return kind
-
-
-def _awaited(ctx: Context, full: str) -> str:
-    """The type of a service, as soon as somebody provides it. Raises TimedOut after `--timeout`, else never."""
+def _awaited(ctx: Context, full: str) -> dict[str, Any]:
+    """The service, as soon as somebody provides it. Raises TimedOut after `--timeout`, else never."""
     limit = ctx.wait_limit(float("inf"))
     deadline = ctx.client.monotonic() + limit
-    while not (kind := _type(ctx, full)):
+    while (found := _known(ctx, full)) is None:
         if ctx.client.monotonic() >= deadline:
             raise TimedOut(f"nobody provided {full} within {limit:g} s")
         ctx.pause(_LOOK_AGAIN_S)
-    return kind
+    return found
 
 
 def _documents() -> Iterator[Sequence[Any]]:
@@ -166,16 +171,15 @@ def _filled(ctx: Context, kind: str, request: Typedefs, values: Sequence[Any]) -
 def _call_once(ctx: Context, full: str, request: dict[str, Any], response: Typedefs) -> list[str]:
     """Call and print the response. The lines that say so when it says no. Raises Failure (2) when the call fails."""
     try:
-        answer = service.call_service(ctx, full, request)
+        answer, refusal = call_service(ctx, full, request)
     except Refused as error:
         first, *rest = str(error).splitlines()
         text = repr(f"error processing request: {first}".encode())
         raise Failure("\n".join([f"ERROR: service [{full}] responded with an error: {text}", *rest]), _FAILED) from None
-    output.write(as_yaml(answer.response, response))
-    if not answer.refusal:
-        for line in answer.reasons:
-            ctx.warn(line)
-    return answer.refusal
+    output.write(as_yaml(answer, response))
+    for reason in [] if refusal else ctx.client.reasons:
+        ctx.warn(reason)
+    return refusal
 
 
 rosservice = Tool(
@@ -187,11 +191,8 @@ rosservice = Tool(
         "find": (find, "list services by type"),
         "info": (info, "show who provides a service, its type and arguments"),
         "list": (list_services, "list services"),
-        "node": (_fact("node", _node, "Unknown service: {}"), ""),
-        "type": (_fact("type", _type, "Unknown service [{}]"), "print the type of a service"),
-        "uri": (
-            _fact("uri", lambda ctx, full: _type(ctx, full) and ctx.uri, "Unknown service: {}"),
-            "print where a service answers",
-        ),
+        "node": (node, ""),
+        "type": (type_of, "print the type of a service"),
+        "uri": (uri, "print where a service answers"),
     },
 )

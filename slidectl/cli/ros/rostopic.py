@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
+from functools import partial
 from time import monotonic
 from typing import TYPE_CHECKING
 
@@ -132,9 +133,7 @@ def awaited(ctx: Context, name: str) -> Target:
 
 def echo(ctx: Context, argv: Sequence[str]) -> None:
     """Print messages until -n are printed or Ctrl-C comes."""
-    from slidectl.cli.echo import Look, follow, predicate, writer
-    from slidectl.cli.topic_streams import Stream
-    from slidectl.field_path import select
+    from slidectl.cli.echo import Look, print_messages
 
     parser = Parser(
         "rostopic",
@@ -170,15 +169,7 @@ def echo(ctx: Context, argv: Sequence[str]) -> None:
 
         name = None if given.all else resolve(ctx, given.words[0], "rostopic")
         return bag.echo(ctx, given.bag, name, look, given.condition, count)
-    found = awaited(ctx, given.words[0])
-    schema = found.schema
-    write = writer(ctx, schema, select(schema.fields, schema.root, found.field), look)
-    keep = predicate(given.condition, schema)
-    needs_clock = look.offset or (look.form == "csv" and not schema.has_header)
-    if count is not None and count <= 0:
-        return None
-    with Stream(ctx, [found.topic], with_clock=needs_clock) as stream:
-        return follow(stream, keep, write, count, ctx.timeout)
+    return print_messages(ctx, awaited(ctx, given.words[0]), look, given.condition, count)
 
 
 # --- measuring --------------------------------------------------------------------------------------------------------
@@ -190,7 +181,7 @@ _NODELAY = option("--tcpnodelay", "no effect: there is no TCP")
 def _window(parser: Parser, text: str | None, default: int) -> int:
     argparse_text = f"argument -w/--window: invalid int value: {text!r}"
     window = parser.integer(text, default, argparse_text if parser.modern else "window size must be an integer")
-    return window if window > 1 else default
+    return min(window, sys.maxsize) if window > 1 else default
 
 
 def hz(ctx: Context, argv: Sequence[str]) -> None:
@@ -214,21 +205,23 @@ def hz(ctx: Context, argv: Sequence[str]) -> None:
 
 def bw(ctx: Context, argv: Sequence[str]) -> None:
     """How many bytes come, on the wall clock."""
-    from slidectl.cli.topic_measure import SizeMeter, measure, size_counter
+    from slidectl.cli.topic_measure import SizeMeter, measure
     from slidectl.cli.topic_streams import Stream
+    from slidectl.msgs.sizes import size
 
     parser = Parser("rostopic", "rostopic bw /topic", _WINDOW)
     complaints = "topic must be specified", "you may only specify one input topic"
     given = parser.parse(without_remappings(argv), 1, 1, *complaints)
     window = _window(parser, given.window, _BW_WINDOW)
     target = awaited(ctx, given.words[0])
-    meter = SizeMeter(target.topic, window, size_counter(target.schema), monotonic)
+    schema = target.schema
+    meter = SizeMeter(target.topic, window, partial(size, schema.fields, schema.root), monotonic)
     measure(ctx, Stream(ctx, [target.topic]), [meter], _sizes_text, output.write)
 
 
 def delay(ctx: Context, argv: Sequence[str]) -> None:
     """How late messages come, in simulated time, by the stamps of their headers."""
-    from slidectl.cli.topic_measure import DelayMeter, measure
+    from slidectl.cli.topic_measure import DelayMeter, delays_text, measure
     from slidectl.cli.topic_streams import Stream
 
     parser = Parser("rostopic", "rostopic delay [options] /topic", _WINDOW, _NODELAY, modern=True)
@@ -240,18 +233,16 @@ def delay(ctx: Context, argv: Sequence[str]) -> None:
         output.write(f"subscribed to [{target.topic}]")
         raise Failure("[ERROR] msg does not have header")
     stream = Stream(ctx, [target.topic], with_clock=True)
-    measure(ctx, stream, [DelayMeter(target.topic, window)], _delays_text, output.write)
+    text = partial(delays_text, digits=3, digits_of_deviation=5)
+    measure(ctx, stream, [DelayMeter(target.topic, window)], text, output.write)
 
 
 def _rates_text(records: Sequence[Record]) -> str:
     """rostopic's lines; for several topics a row for each that has a rate, the headings centred over their columns."""
-    from slidectl.cli.topic_measure import NOTHING_NEW, seconds_line
+    from slidectl.cli.topic_measure import NOTHING_NEW, rates_text
 
     if len(records) == 1:
-        (record,) = records
-        if not record["new"] or record["rate"] is None:
-            return NOTHING_NEW
-        return f"average rate: {record['rate']:.3f}\n{seconds_line(record, 3, 5)}"
+        return NOTHING_NEW if records[0]["rate"] is None else rates_text(records, digits=3, digits_of_deviation=5)
     header = ["topic", "rate", "min_delta", "max_delta", "std_dev", "window"]
     rows = [
         [r["topic"], *(f"{r[key]:.4}" for key in ("rate", "min", "max", "std_dev")), str(r["window"])]
@@ -276,13 +267,6 @@ def _sizes_text(records: Sequence[Record]) -> str:
         return ""
     shown, mean, least, most = (in_bytes(records[0][key], rate) for key in ("rate", "mean", "min", "max"))
     return f"average: {shown}/s\n\tmean: {mean} min: {least} max: {most} window: {records[0]['window']}"
-
-
-def _delays_text(records: Sequence[Record]) -> str:
-    from slidectl.cli.topic_measure import NOTHING_NEW, seconds_line
-
-    (record,) = records
-    return f"average delay: {record['delay']:.3f}\n{seconds_line(record, 3, 5)}" if record["new"] else NOTHING_NEW
 
 
 def pub(ctx: Context, argv: Sequence[str]) -> None:

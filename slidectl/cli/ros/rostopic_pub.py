@@ -13,12 +13,12 @@ from typing import Any
 
 from slidectl.cli import output
 from slidectl.cli.context import Context
-from slidectl.cli.pub import Publication
+from slidectl.cli.pub import publish, without_once
 from slidectl.cli.ros import genpy
-from slidectl.cli.ros.arguments import Failure, Parser, option, resolve_remapped, without_remappings
+from slidectl.cli.ros.arguments import Failure, Parser, option, refusals, resolve_remapped, without_remappings
 from slidectl.cli.service import argument_names
 from slidectl.cli.topic_streams import SUBSCRIBERS, Target, details, look_up, users_of
-from slidectl.errors import BadMessage, Refused, SlidectlError, UnknownName, Unused, UsageError
+from slidectl.errors import Refused, SlidectlError, UnknownName, Unused
 from slidectl.values import check_quotes
 
 _ONCE = "-1"
@@ -59,14 +59,14 @@ def pub(ctx: Context, argv: Sequence[str]) -> None:
     topic, type_name, *words = given.words
     if given.file is not None and words:
         _PARSER.error("args conflict with -f setting")
-    _check_quotes(words)
+    with refusals():
+        check_quotes(words)
     values = [_value(word) for word in words]
     target, nobody = _target(ctx, resolve_remapped(ctx, topic, "rostopic", argv, _PAYLOAD), type_name)
     fields = target.typedefs[0]["fieldnames"]
-    _check_quotes(words, fields)
+    with refusals():
+        check_quotes(words, fields)
     if _ONCE in words:
-        from slidectl.cli.pub import without_once
-
         kept, marked = without_once(words, len(fields))
         values = [_value(word) for word in kept]
         given.once = given.once or marked
@@ -83,20 +83,10 @@ def _rate(given: Any) -> float | None:
         return None
     if given.once:
         _PARSER.error("You cannot select both -r and -1 (--once)")
-    try:
-        rate = float(given.rate)
-    except ValueError:
-        _PARSER.error("rate must be a number")
+    rate = _PARSER.number(given.rate, 0.0, "rate must be a number")
     if not rate > 0:
         _PARSER.error("rate must be greater than zero")
     return rate
-
-
-def _check_quotes(words: Sequence[str], fields: Sequence[str] = ()) -> None:
-    try:
-        check_quotes(words, fields)
-    except UsageError as error:
-        raise Failure(f"ERROR: {error}") from None
 
 
 def _value(word: str) -> Any:
@@ -214,10 +204,8 @@ class _Run:
 
     def _publish(self, messages: Iterator[genpy.Message], rate: float | None, stays: bool = False) -> None:
         advertise = self._latch or self._nobody is not None
-        with Publication(self._ctx, self._target, rate, latch=self._latch, advertise=advertise) as run:
-            run.publish([message] for message in messages)
-            if stays:
-                run.hold()
+        values = ([message] for message in messages)
+        publish(self._ctx, self._target, values, rate, latch=self._latch, advertise=advertise, stays=stays)
 
     def _announce(self, message: genpy.Message, for_a_while: bool) -> None:
         what = f"[{genpy.as_yaml(self._target.typedefs, message)}]" if self._given.verbose else "message"
@@ -227,7 +215,8 @@ class _Run:
     def _message(self, values: Sequence[Any]) -> genpy.Message:
         typedefs = self._target.typedefs
         try:
-            return genpy.filled(self._ctx, typedefs, values)
+            with refusals():
+                return genpy.filled(self._ctx, typedefs, values)
         except genpy.Misfit as error:
             raise Failure(f"ERROR: {error}\n\nArgs are: [{' '.join(argument_names(typedefs))}]") from None
         except genpy.WrongType as error:
@@ -237,5 +226,3 @@ class _Run:
                 "ERROR: Unable to publish message. One of the fields has an incorrect type:\n"
                 f"  {error}\n\nmsg file:\n{msgs.definition(self._target.type).strip()}"
             ) from None
-        except BadMessage as error:
-            raise Failure(f"ERROR: {error}") from None
