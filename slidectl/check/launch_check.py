@@ -18,7 +18,7 @@ from slidectl.check import kinds, model, scenes
 from slidectl.check.controllers import ControllerCheck, ParameterFile
 from slidectl.check.findings import Findings
 from slidectl.check.model import Model
-from slidectl.check.tags import Tags, Trace, TracedElement, plain
+from slidectl.check.tags import Tags, Trace, TracedElement, plain, walk
 from slidectl.description import xml_tree
 from slidectl.description.gazebo_tags import TRANSMISSIONS
 from slidectl.description.models import read_file
@@ -124,7 +124,7 @@ class _LaunchCheck:
     def elements(self, tag: str) -> Iterator[Element]:
         """All elements of that tag that were read, and not for their condition alone."""
         for root in self.roots:
-            for element in _walk(root):
+            for element in walk(root):
                 read = self.trace.read_attributes.get(id(element), set())
                 if element.tag == tag and id(element) in self.trace.read and (not read or read - {"if", "unless"}):
                     yield element
@@ -142,8 +142,7 @@ class _LaunchCheck:
         """The text of the `<rosparam>` at a place, moved down so that its lines have the numbers of the file."""
         for element in self.elements("rosparam"):
             if (element.file, element.line) == (place.file, place.line):
-                pieces = (node for node in element.content if isinstance(node, str))
-                return "\n" * (element.line - 1) + "".join(p for p in pieces if not isinstance(p, xml_tree.Comment))
+                return "\n" * (element.line - 1) + element.text
         return ""
 
     def classify(self) -> None:
@@ -161,7 +160,7 @@ class _LaunchCheck:
         by_place: dict[tuple[str, int | None, str], list[Notice]] = {}
         for notice in notices:
             by_place.setdefault((notice.file, notice.line, notice.subject), []).append(notice)
-        for element in (element for root in self.roots for element in _walk(root)):
+        for element in (element for root in self.roots for element in walk(root)):
             for notice in by_place.get((element.file, element.line, element.title), ()):
                 match = _ATTRIBUTE.match(notice.text)
                 self.trace.said.setdefault(id(element), []).append((match[1] if match else None, notice))
@@ -503,12 +502,6 @@ class _LaunchCheck:
                 source = plain(element).get("from") or ""
                 lonely = Remap(source.strip(), "", Location(element.file, element.line))
                 self.say_of_remap("ignored", lonely, "no node comes after it")
-
-
-def _walk(element: Element) -> Iterator[Element]:
-    yield element
-    for child in plain(element).children:
-        yield from _walk(child)
 
 
 def _is_robot(text: str) -> bool:

@@ -39,7 +39,7 @@ from slidectl.description.robot import (
     WheelDrive,
 )
 from slidectl.description.transmissions import driving
-from slidectl.description.xml_tree import Comment, Element
+from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile, BadName, SlidectlError, UnknownName
 
 _PLUGIN = "libgazebo_ros_control.so"
@@ -207,8 +207,7 @@ def _tell_unused(written: Written, findings: Findings) -> None:
             used.add(f"xacro:{element.get('macro')}")
         elif element.tag == "xacro:macro":
             used.update(_WORD.findall(element.get("params") or ""))
-        texts = (node for node in element.content if isinstance(node, str) and not isinstance(node, Comment))
-        for text in (*element.attributes.values(), *texts):
+        for text in (*element.attributes.values(), element.text):
             used.update(word for expression in _EXPRESSION.findall(text) for word in _WORD.findall(expression))
     for element in written.root.walk():
         name = (element.get("name") or "").removeprefix("xacro:")

@@ -11,7 +11,7 @@ from collections.abc import Collection
 from itertools import islice
 
 from slidectl.description.robot import Pose, Vector
-from slidectl.description.xml_tree import Element
+from slidectl.description.xml_tree import Element, below
 from slidectl.errors import BadFile, closest, listing
 
 LONGEST_PERIOD_S = 2**31 - 1
@@ -82,7 +82,7 @@ def child_text(element: Element, tag: str, default: str) -> str:
 
 def child_number(element: Element | None, tag: str, default: float, place: str, finite: bool = True) -> float:
     """The number in a child; the default when there is no child, or it is empty."""
-    child = element.find(tag) if element is not None else None
+    child = below(element, tag)
     if child is None or not child.first_text:
         return default
     return parse_number(child.first_text, child, f"{place}/<{tag}>", finite)

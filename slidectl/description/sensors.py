@@ -22,7 +22,7 @@ from slidectl.description.robot import (
     Sensor,
     Vector,
 )
-from slidectl.description.xml_tree import Element
+from slidectl.description.xml_tree import Element, below
 
 _FORCE_PLUGIN = "libgazebo_ros_ft_sensor"
 _FORCE_TORQUE = {"frame": ("child", "parent"), "measure_direction": ("child_to_parent", "parent_to_child")}
@@ -104,9 +104,9 @@ class SensorReader:
         self, name: str, link: str, sensor: Element, plugin: Element, origin: Pose, rate: float, place: str
     ) -> Laser:
         ray = sensor.find("ray")
-        scan = _below(ray, "scan", "horizontal")
-        extent, noise = _below(ray, "range"), _below(ray, "noise")
-        vertical = _below(ray, "scan", "vertical")
+        scan = below(ray, "scan", "horizontal")
+        extent, noise = below(ray, "range"), below(ray, "noise")
+        vertical = below(ray, "scan", "vertical")
         if vertical is not None and child_count(vertical, "samples", 1, place) > 1:
             self.report.ignored(vertical, "has no effect: a scan has one layer here", f"{place}/<vertical>")
         samples = child_count(scan, "samples", 640, place)
@@ -126,7 +126,7 @@ class SensorReader:
 
     def _camera(self, sensor: Element, plugin: Element, common: Sensor, place: str) -> Camera:
         camera = sensor.find("camera")
-        image, clip, noise = (_below(camera, tag) for tag in ("image", "clip", "noise"))
+        image, clip, noise = (below(camera, tag) for tag in ("image", "clip", "noise"))
         width, height = (child_count(image, tag, size, place) for tag, size in (("width", 320), ("height", 240)))
         view = child_number(camera, "horizontal_fov", 1.047, place)
         near, far = child_number(clip, "near", 0.1, place), child_number(clip, "far", 100.0, place)
@@ -171,7 +171,7 @@ class SensorReader:
         tags = sensor.find("force_torque")
         words = {tag: known[0] for tag, known in _FORCE_TORQUE.items()}
         for tag, known in _FORCE_TORQUE.items():
-            child = tags.find(tag) if tags is not None else None
+            child = below(tags, tag)
             if child is not None and child.first_text in known:
                 words[tag] = child.first_text
             elif child is not None:
@@ -181,7 +181,7 @@ class SensorReader:
             if child.tag not in _KNOWN_TAGS:
                 self.report.ignored(child, "has no effect in a sensor here", f"{place}/{child.title}")
         topic = child_text(plugin, "topicName", "") if plugin is not None else ""
-        noise = _below(tags, "force", "x", "noise")
+        noise = below(tags, "force", "x", "noise")
         self._force_torque(
             sensor.get("name") or kind, joint, topic, child_rate(sensor, "update_rate", 0.0, place),
             child_number(plugin, "gaussianNoise", child_number(noise, "stddev", 0.0, place), place),
@@ -238,12 +238,6 @@ class SensorReader:
 def library(plugin: Element) -> str:
     """The library that a `<plugin>` names, without folder and suffix."""
     return (plugin.get("filename") or "").strip().rpartition("/")[2].removesuffix(".so")
-
-
-def _below(element: Element | None, *tags: str) -> Element | None:
-    for tag in tags:
-        element = element.find(tag) if element is not None else None
-    return element
 
 
 def _vector(element: Element, place: str) -> Vector:

@@ -18,7 +18,7 @@ from pathlib import Path
 from slidectl import names
 from slidectl.description import xml_tree
 from slidectl.description.packages import Packages, UnknownPackage
-from slidectl.description.xml_tree import Comment, Element
+from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile, NotThere, closest
 from slidectl.launch.plan import LaunchPlan, Location, Remap, Setting
 from slidectl.launch.substitution import Substitution, SubstitutionError, absent_packages, plain
@@ -264,11 +264,6 @@ class Tag:
         return True
 
     # --- contents -------------------------------------------------------------------------------------------------
-
-    @property
-    def text(self) -> str:
-        """The text of the tag, without its comments."""
-        return "".join(part for part in self.element.content if isinstance(part, str) and not isinstance(part, Comment))
 
     def knows(self, attributes: Collection[str], conditions: bool = True) -> None:
         """Point out attributes that are not among these; `conditions`: whether it can have an `if`."""
