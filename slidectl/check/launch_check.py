@@ -24,6 +24,7 @@ from slidectl.description.gazebo_tags import TRANSMISSIONS
 from slidectl.description.models import read_file
 from slidectl.description.packages import Packages, is_file, shown
 from slidectl.description.parser import STARTS_OUTSIDE, place_of_limit
+from slidectl.description.report import did_you_mean
 from slidectl.description.robot import Notice, Robot, Verdict
 from slidectl.description.xml_tree import Element
 from slidectl.errors import BadFile, NotThere, closest, listing
@@ -339,8 +340,7 @@ class _LaunchCheck:
             return None
         name = task.node.resolve(task.words.one("-param"))
         if name not in self.values and self.is_complete:
-            near = closest(name, self.descriptions)
-            hint = f"; did you mean {near}?" if near else ""
+            hint = did_you_mean(name, self.descriptions, "{}")
             self._add("wrong", task.node, f"the launch does not set the parameter {name}{hint}")
         elif name not in self.descriptions and self.values.get(name) is not None:
             self._add("wrong", task.node, f"the parameter {name} holds no robot")
@@ -379,12 +379,12 @@ class _LaunchCheck:
         return "note: no controller reads it; a program of this launch may" if self.has_programs else None
 
     def hint(self, name: str) -> str:
-        """Which parameter of a node may have been meant by one that it does not read, or why that has no effect."""
+        """`; ...`: which parameter of a node may be meant by one that it does not read, or why that has no effect."""
         for task in self.tasks:
             if isinstance(task, RobotStatePublisher) and names.parent(name) == task.node.full_name:
                 own = name.rpartition("/")[2]
-                near = closest(own, (*HONOURED, *WITHOUT_EFFECT))
-                return WITHOUT_EFFECT.get(own) or (f"did you mean {near!r}?" if near else "")
+                known = (*HONOURED, *WITHOUT_EFFECT)
+                return f"; {WITHOUT_EFFECT[own]}" if own in WITHOUT_EFFECT else did_you_mean(own, known)
         return ""
 
     def tell(self, controllers: Mapping[str, str], claims: Mapping[str, set[str]]) -> None:
@@ -446,7 +446,9 @@ class _LaunchCheck:
         for word in task.words.rest:
             name = names.join(task.namespace, word)
             if name not in controllers and not is_file(Path(word)) and self.is_complete:
-                self._add("wrong", task.node, self._unknown_controller(name, task.namespace, controllers))
+                inside = [other for other in controllers if names.is_under(other, task.namespace)]
+                hint = did_you_mean(name, inside or controllers, "{}") or f"; controllers: {listing(controllers)}"
+                self._add("wrong", task.node, f"the launch sets no controller {name}{hint}")
 
     def _tell_same_joints(self, task: Spawner, claims: Mapping[str, set[str]]) -> None:
         """Controllers that one spawner starts, and that want the same joint."""
@@ -457,12 +459,6 @@ class _LaunchCheck:
                 if holder != name:
                     text = f"cannot start {name} beside {holder}: both want joint {joint!r} for themselves"
                     self._add("wrong", task.node, text)
-
-    def _unknown_controller(self, name: str, namespace: str, controllers: Mapping[str, str]) -> str:
-        inside = [other for other in controllers if names.is_under(other, namespace)]
-        near = closest(name, inside or controllers)
-        hint = f"; did you mean {near}?" if near else f"; controllers: {listing(controllers)}"
-        return f"the launch sets no controller {name}{hint}"
 
     def _tell_joint_states(self, task: RobotStatePublisher, controllers: Mapping[str, str]) -> None:
         """Find a robot_state_publisher that waits for joint states which nobody publishes."""
@@ -493,9 +489,8 @@ class _LaunchCheck:
         there = {remap for node in self.plan.nodes for remap in node.remaps}
         known = {name for task in self.tasks for name in _names_of(task)}
         for remap in there - used:
-            near = closest(remap.source, known)
-            suggestion = f"; did you mean {near!r}?" if near else ""
-            self.say_of_remap("ignored", remap, f"no node that it is for has the name {remap.source!r}{suggestion}")
+            hint = did_you_mean(remap.source, known)
+            self.say_of_remap("ignored", remap, f"no node that it is for has the name {remap.source!r}{hint}")
         places = {(remap.place.file, remap.place.line) for remap in there}
         for element in self.elements("remap"):
             if (element.file, element.line) not in places:

@@ -14,7 +14,8 @@ from typing import Any, ClassVar, NoReturn, Protocol
 
 from slidectl.client import Client
 from slidectl.description.packages import Packages
-from slidectl.errors import BadFile, NotThere, Refused, SlidectlError, closest
+from slidectl.description.report import did_you_mean
+from slidectl.errors import BadFile, NotThere, Refused, SlidectlError
 from slidectl.launch.plan import LaunchPlan, Leaf, Node
 from slidectl.launch.supervision import Interrupts, Watch
 
@@ -278,10 +279,9 @@ def parse(node: Node, known: Mapping[str, int]) -> Words:
     found, unknown = parser.parse_known_intermixed_args(words)
     for word in unknown:
         name = word.partition("=")[0]
-        near = closest(name, known)
-        suggestion = f"; did you mean {near}?" if near else ""
+        meant = did_you_mean(name, known, "{}")
         hint = f"options: {', '.join(known)}" if known else "it takes no options"
-        raise node.place.error(f"{node.full_name}: {node.kind} has no option {name!r} here{suggestion}", hint)
+        raise node.place.error(f"{node.full_name}: {node.kind} has no option {name!r} here{meant}", hint)
     given = {option: [_bare(values) for values in vars(found)[option]] for option in known if vars(found)[option]}
     return Words(node, given, _bare(found.rest))
 
