@@ -112,6 +112,7 @@ class _LaunchCheck:
         self.is_complete = True
         """False when a value is not known: it cannot be had, or a program would have to be run for it."""
         self.tasks: list[Task] = []
+        self.has_programs = False
         self.robots: list[SpawnedOnPaper] = []
 
     # --- tags -----------------------------------------------------------------------------------------------------
@@ -270,6 +271,7 @@ class _LaunchCheck:
     def read_nodes(self) -> None:
         """Make the tasks, and read the robots among the parameters and those that a task spawns."""
         self.tasks = [task for node in self.plan.nodes if (task := self._task(node)) is not None]
+        self.has_programs = any(isinstance(task, Process) for task in self.tasks)
         for name, value in self.values.items():
             if isinstance(value, str) and _is_robot(value):
                 self._read_robot(name, value)
@@ -295,10 +297,6 @@ class _LaunchCheck:
                 continue
             if task.scene is not None:
                 scenes.tell_scene(task.scene, self.findings, self.strict)
-
-    @property
-    def has_programs(self) -> bool:
-        return any(isinstance(task, Process) for task in self.tasks)
 
     def _task(self, node: Node) -> Task | None:
         """What the node is here, with a finding that says so."""
@@ -347,18 +345,20 @@ class _LaunchCheck:
         return self.descriptions.get(name)
 
     def _withdraw_starts(self) -> None:
-        """A joint that every spawn of a robot puts between its limits (-J) does not start outside of them."""
-        spawns = self._spawns
-        put: dict[int, list[SpawnModel]] = {}
-        for spawned, task in zip(self.robots, spawns, strict=True):
-            if spawned.model is not None:
-                put.setdefault(id(spawned.model.robot), []).append(task)
-        for spawned in self.robots:
+        """A joint that every spawn puts between its limits (-J) does not start outside of them."""
+        outside: dict[tuple[str, str, int | None], bool] = {}
+        for spawned, task in zip(self.robots, self._spawns, strict=True):
             for joint in spawned.model.robot.joints.values() if spawned.model is not None else ():
-                starts = [task.start_of(joint.name) for task in put[id(spawned.model.robot)]]  # type: ignore[union-attr]
-                if joint.limit and all(joint.limit.lower <= start <= joint.limit.upper for start in starts):
-                    said = (notice for notice in self.findings.sorted() if notice.subject == place_of_limit(joint.name))
-                    self.findings.withdraw(notice for notice in said if notice.text.startswith(STARTS_OUTSIDE))
+                if joint.limit is not None:
+                    place = place_of_limit(joint.name), shown(joint.file or ""), joint.limit.line
+                    is_inside = joint.limit.lower <= task.start_of(joint.name) <= joint.limit.upper
+                    outside[place] = outside.get(place, False) or not is_inside
+        self.findings.withdraw(
+            notice
+            for notice in self.findings.sorted()
+            if notice.text.startswith(STARTS_OUTSIDE)
+            and not outside.get((notice.subject, shown(notice.file), notice.line), True)
+        )
 
     def reader(self, name: str) -> str | None:
         """Which node reads a parameter that no controller reads; None when none does."""
