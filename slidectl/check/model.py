@@ -155,14 +155,14 @@ def check_text(
         report.take(error)
     for fault in report.faults:
         findings.refuse(fault)
-    joints = _Joints(robot, trace) if robot is not None else None
-    if robot is not None:
-        _say(robot, traced, report)
-    Tags(trace, findings, joints.explain if joints else lambda *_: None, not has_stopped).classify(traced)
-    if robot is None or joints is None:
+    if robot is None:
+        Tags(trace, findings, lambda *_: None, not has_stopped).classify(traced)
         text = "note: limits, masses and transmissions are not judged together while a part is broken"
         findings.add("used", root.title, text, root.file, root.line)
         return None
+    _say(robot, traced, report)
+    joints = _Joints(robot, trace)
+    Tags(trace, findings, joints.explain).classify(traced)
     joints.tell(findings)
     says_transmissions = robot.plugin is not None and robot.plugin.transmissions is not None and not is_told
     model = Model(robot, _namespace(robot, root, findings), says_transmissions)

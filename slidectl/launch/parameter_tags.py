@@ -106,7 +106,7 @@ def _value(text: str, kind: str, file: str) -> Any:
     if kind == "yaml":
         from slidectl.description.yaml_tree import read_value  # takes as long to import as all of this room
 
-        return read_value(text, file, angles=True)
+        return read_value(text, file)
     return text
 
 

@@ -116,11 +116,11 @@ class Run:
         """Those of them that have a controller manager: not the models that stand around them."""
         return [robot for robot in self.robots() if robot["kind"] == "robot"]
 
-    def new_warnings(self, level: int = 4) -> list[str]:
+    def new_warnings(self) -> list[str]:
         """The warnings and errors of the world since the last time, without those that answers have brought."""
         lines = [self._log.get(0.0) for _ in range(len(self._log))] if self._log is not None else []
         texts = []
-        for text in (str(line["msg"]) for line in lines if line["level"] >= level):
+        for text in (str(line["msg"]) for line in lines if line["level"] >= 4):  # rosgraph_msgs/Log's WARN
             if text in self._answered:
                 self._answered.remove(text)
             else:
