@@ -76,9 +76,7 @@ class SensorReader:
         if plugin is None:
             names = " or ".join(f"{name}.so" for name in _OF_LINK[kind])
             return self.report.ignored(sensor, f"publishes nothing without a <plugin> {names}", place)
-        for child in sensor.children:
-            if child.tag not in _KNOWN_TAGS:
-                self.report.ignored(child, "has no effect in a sensor here", f"{place}/{child.title}")
+        self._tell_unknown(sensor, place)
         name = sensor.get("name") or kind
         text = plugin.find("pose") or sensor.find("pose")
         origin = _pose(text, place) if text is not None else Pose()
@@ -99,6 +97,11 @@ class SensorReader:
             topic = child_text(plugin, "bumperTopicName", "bumper_states")
             self.sensors.append(Bumper(name, link, topic, child_text(plugin, "frameName", "world"), rate, origin, 0.0))
         return None
+
+    def _tell_unknown(self, sensor: Element, place: str) -> None:
+        for child in sensor.children:
+            if child.tag not in _KNOWN_TAGS:
+                self.report.ignored(child, "has no effect in a sensor here", f"{place}/{child.title}")
 
     def _laser(
         self, name: str, link: str, sensor: Element, plugin: Element, origin: Pose, rate: float, place: str
@@ -177,9 +180,7 @@ class SensorReader:
             elif child is not None:
                 text = f"{child.first_text!r} has no effect: it is {words[tag]}, or {known[1]}"
                 self.report.ignored(child, text, f"{place}/<{tag}>")
-        for child in sensor.children:
-            if child.tag not in _KNOWN_TAGS:
-                self.report.ignored(child, "has no effect in a sensor here", f"{place}/{child.title}")
+        self._tell_unknown(sensor, place)
         topic = child_text(plugin, "topicName", "") if plugin is not None else ""
         noise = below(tags, "force", "x", "noise")
         self._force_torque(

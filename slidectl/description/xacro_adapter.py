@@ -350,7 +350,8 @@ class _Node(minidom.Element):
         for name, value in self.attributes.items():
             _set(clone, name, value)
         for child in self.childNodes if deep else ():
-            clone.appendChild(child.cloneNode(deep))
+            copied: Any = child.cloneNode(deep)
+            clone.appendChild(copied)
         return clone
 
 
