@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -206,6 +206,12 @@ class _SceneReader:
     def say(self, verdict: Verdict, element: Element, text: str) -> None:
         self.scene.notices.append(Notice(verdict, element.title, text, element.file, element.line))
 
+    def say_unknown(self, element: Element, known: Collection[str]) -> None:
+        """Report the children of an element that are read nowhere."""
+        for child in element.children:
+            if child.tag not in known:
+                self.say("ignored", child, f"has no effect in <{element.tag}>: there is nothing like it here")
+
     def absent(self, error: NotThere, loss: str) -> None:
         """Note what is not there, or raise it where nobody takes that in."""
         if self.missing is None:
@@ -241,6 +247,7 @@ class _SceneReader:
             self.scene.has_ground = True
             return
         pose, static = element.find("pose"), element.find("static")
+        self.say_unknown(element, ("uri", "name", "pose", "static"))
         with self.included(element) as (model, version):
             name = child_text(element, "name", model.get("name") or short)
             at = states.get(name) or (_pose(pose) if pose is not None else None)
@@ -345,6 +352,7 @@ class _ModelReader:
                 inner = compose(frame, _pose_of(element))
                 self.read(element, inner, f"{prefix}{element.get('name') or 'model'}::")
             elif element.tag == "include":
+                self.scene.say_unknown(element, ("uri", "name", "pose"))
                 with self.scene.included(element) as (inside, _):
                     placed = _pose_of(element if element.find("pose") is not None else inside)
                     name = child_text(element, "name", inside.get("name") or "model")
@@ -356,6 +364,7 @@ class _ModelReader:
 
     def _joint(self, element: Element, prefix: str) -> None:
         name = prefix + (element.get("name") or "joint")
+        self.scene.say_unknown(element, ("parent", "child", "pose", "axis"))
         ends = {}
         for end in ("parent", "child"):
             written = child_text(element, end, "")
