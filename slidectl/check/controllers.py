@@ -293,9 +293,7 @@ def _expected(name: str, tree: Mapping[str, Any]) -> Iterator[str]:
         yield name
         return
     above, _, below = name.partition(sign)
-    branch: Any = tree
-    for part in above.strip("/").split("/"):
-        branch = branch.get(part) if isinstance(branch, Mapping) else None
+    branch = controllers_file.at(tree, above)
     if sign == "[]/" and isinstance(branch, list):
         yield from (f"{above}[{index}]/{below}" for index, entry in enumerate(branch) if isinstance(entry, Mapping))
     elif isinstance(branch, Mapping):

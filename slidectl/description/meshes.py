@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 import os
 import re
-import stat
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -23,6 +22,7 @@ import numpy as np
 from slidectl.description import xml_tree
 from slidectl.description.inertia import LEAST
 from slidectl.description.mesh_files import SUFFIXES
+from slidectl.description.models import read_regular
 from slidectl.description.robot import Vector
 from slidectl.description.xml_tree import Element, below
 from slidectl.errors import BadFile
@@ -140,20 +140,14 @@ def _check_faces(count: int, path: str | Path) -> None:
 def _content(path: Path) -> bytes:
     """All of a regular file of a size that may be. Never waits for one that is no file: a pipe, a device."""
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
+        size = os.stat(path).st_size
+        content = read_regular(path, _MOST_BYTES) if size <= _MOST_BYTES else b""
+    except (BadFile, IsADirectoryError):
+        raise BadMesh("is no file: a mesh is not read from a folder, a pipe or a device", path) from None
     except (OSError, ValueError) as error:
         raise BadMesh(f"cannot read the mesh: {getattr(error, 'strerror', None) or error}", path) from None
-    status = os.fstat(descriptor)
-    if not stat.S_ISREG(status.st_mode):
-        os.close(descriptor)
-        raise BadMesh("is no file: a mesh is not read from a folder, a pipe or a device", path)
-    with os.fdopen(descriptor, "rb") as stream:
-        _check_size(status.st_size, _MOST_BYTES, path)
-        try:
-            content = stream.read(_MOST_BYTES + 1)
-        except OSError as error:
-            raise BadMesh(f"cannot read the mesh: {error.strerror}", path) from None
-    _check_size(len(content), _MOST_BYTES, path)  # it may have grown, or lie about its size as those of /proc do
+    # It may have grown, or lie about its size as those of /proc do.
+    _check_size(max(size, len(content)), _MOST_BYTES, path)
     return content
 
 
