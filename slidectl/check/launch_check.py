@@ -18,7 +18,7 @@ from slidectl.check import kinds, model, scenes
 from slidectl.check.controllers import ControllerCheck, ParameterFile
 from slidectl.check.findings import Findings
 from slidectl.check.model import Model
-from slidectl.check.tags import Tags, Trace, TracedElement, plain, walk
+from slidectl.check.tags import Tags, Trace, TracedElement, plain
 from slidectl.description import xml_tree
 from slidectl.description.gazebo_tags import TRANSMISSIONS
 from slidectl.description.models import read_file
@@ -126,7 +126,7 @@ class _LaunchCheck:
     def elements(self, tag: str) -> Iterator[Element]:
         """All elements of that tag that were read, and not for their condition alone."""
         for root in self.roots:
-            for element in walk(root):
+            for element in root.walk():
                 read = self.trace.read_attributes.get(id(element), set())
                 if element.tag == tag and id(element) in self.trace.read and (not read or read - {"if", "unless"}):
                     yield element
@@ -162,7 +162,7 @@ class _LaunchCheck:
         by_place: dict[tuple[str, int | None, str], list[Notice]] = {}
         for notice in notices:
             by_place.setdefault((notice.file, notice.line, notice.subject), []).append(notice)
-        for element in (element for root in self.roots for element in walk(root)):
+        for element in (element for root in self.roots for element in root.walk()):
             for notice in by_place.get((element.file, element.line, element.title), ()):
                 match = _ATTRIBUTE.match(notice.text)
                 self.trace.said.setdefault(id(element), []).append((match[1] if match else None, notice))

@@ -17,7 +17,7 @@ from pathlib import Path
 from slidectl import description
 from slidectl.check import bodies
 from slidectl.check.findings import Findings
-from slidectl.check.tags import Tags, Trace, TracedElement, TracedReport, plain, walk
+from slidectl.check.tags import Tags, Trace, TracedElement, TracedReport, plain
 from slidectl.control import hardware_types
 from slidectl.control.transmission_interface import load
 from slidectl.description import interfaces, xml_tree
@@ -299,7 +299,7 @@ class _Joints:
 def _say(robot: Robot, root: Element, report: Report) -> None:
     """What the world makes of single tags otherwise than written. Leaves no trace in the traced elements."""
     plugin = robot.plugin or ControlPlugin()
-    tags = {element.tag: element for element in reversed(list(walk(root)))}
+    tags = {element.tag: element for element in reversed(list(root.walk()))}
     if plugin.control_period is not None:
         steps = max(1, math.ceil(plugin.control_period / _TIMESTEP_S - 1e-6))
         if not math.isclose(steps * _TIMESTEP_S, plugin.control_period, rel_tol=1e-6):

@@ -65,7 +65,7 @@ class Element:
         while pending:
             element = pending.pop()
             yield element
-            pending.extend(reversed(element.children))
+            pending.extend(node for node in reversed(element.content) if isinstance(node, Element))
 
     @property
     def text(self) -> str:
