@@ -31,7 +31,6 @@ from slidectl.description.robot import (
     MOVING,
     ControlPlugin,
     Joint,
-    Link,
     Notice,
     Robot,
     TransmissionInfo,
@@ -310,8 +309,13 @@ def _say(robot: Robot, root: Element, report: Report) -> None:
         report.converted(tags["robotParam"], text)
     for transmission in robot.transmissions:
         _say_actuators(transmission, root, report)
-    for link in robot.links.values():
-        _say_friction(link, root, report)
+    for tag in _inside(root, "gazebo"):
+        link = robot.links.get(plain(tag).get("reference") or "")
+        if link is None or None in (link.surface.mu1, link.surface.mu2) or link.surface.mu1 == link.surface.mu2:
+            continue
+        for place in _inside(tag, "mu2"):
+            text = f"has no effect: friction is the same in all directions here, and mu1 counts, {link.surface.mu1:g}"
+            report.ignored(place, text, f"link {link.name!r}/<mu2>")
 
 
 def _say_actuators(transmission: TransmissionInfo, root: Element, report: Report) -> None:
@@ -338,17 +342,8 @@ def _is_of(tag: Element, transmission: TransmissionInfo) -> bool:
     )
 
 
-def _say_friction(link: Link, root: Element, report: Report) -> None:
-    first, second = link.surface.mu1, link.surface.mu2
-    if first is None or second is None or first == second:
-        return
-    tags = [tag for tag in _inside(root, "gazebo") if plain(tag).get("reference") == link.name]
-    for place in [tag for above in tags for tag in _inside(above, "mu2")]:
-        text = f"has no effect: friction is the same in all directions here, and mu1 counts, {first:g}"
-        report.ignored(place, text, f"link {link.name!r}/<mu2>")
-
-
 def _inside(element: Element, tag: str) -> list[Element]:
+    """The children called `tag`, which do not count as read for it."""
     return plain(element).find_all(tag)
 
 

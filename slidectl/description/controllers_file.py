@@ -98,9 +98,9 @@ def holds_controllers(tree: object) -> bool:
     return any(isinstance(child, Mapping) and isinstance(child.get("type"), str) for child in tree.values())
 
 
-def at(tree: Tree, path: str) -> object:
-    """What is at the names of `path`, or None."""
-    branch: object = tree
+def at(tree: object, path: str) -> object:
+    """What is at the names of `path` in a tree, or None."""
+    branch = tree
     for name in path.strip("/").split("/"):
-        branch = branch.get(name) if isinstance(branch, dict) else None
+        branch = branch.get(name) if isinstance(branch, Mapping) else None
     return branch

@@ -31,9 +31,9 @@ HARDWARE_ENTRY_POINTS = "slidectl.robot_hw"
 """The group in which an installed package names its simulated hardware: a type, and `module:Class`."""
 TRANSMISSIONS = "gazebo_ros_control/transmissions"
 """The parameter in a robot's namespace that says how transmissions count, where the model's plugin does not."""
-_PARAMETERS = {
+_PARAMETERS = (
     "robotNamespace", "robotParam", "robotSimType", "controlPeriod", "eStopTopic", "legacyModeNS", "transmissions",
-}  # fmt: skip
+)  # fmt: skip
 _OF_LINK = ("mu1", "mu2", "material", "selfCollide", "turnGravityOff")
 _YES = ("true", "yes", "1")
 _NO = ("false", "no", "0")

@@ -81,8 +81,9 @@ class SensorReader:
         text = plugin.find("pose") or sensor.find("pose")
         origin = _pose(text, place) if text is not None else Pose()
         rate = child_rate(sensor, "update_rate", 0.0, place)
+        common = Sensor(name, link, "", "", rate, origin, 0.0)
         if kind in ("ray", "gpu_ray"):
-            self.sensors.append(self._laser(name, link, sensor, plugin, origin, rate, place))
+            self.sensors.append(self._laser(sensor, plugin, common, place))
         elif kind == "imu":
             self.sensors.append(
                 Imu(
@@ -92,7 +93,7 @@ class SensorReader:
                 )
             )  # fmt: skip
         elif kind == "camera":
-            self.sensors.append(self._camera(sensor, plugin, Sensor(name, link, "", "", rate, origin, 0.0), place))
+            self.sensors.append(self._camera(sensor, plugin, common, place))
         else:
             topic = child_text(plugin, "bumperTopicName", "bumper_states")
             self.sensors.append(Bumper(name, link, topic, child_text(plugin, "frameName", "world"), rate, origin, 0.0))
@@ -103,9 +104,7 @@ class SensorReader:
             if child.tag not in _KNOWN_TAGS:
                 self.report.ignored(child, "has no effect in a sensor here", f"{place}/{child.title}")
 
-    def _laser(
-        self, name: str, link: str, sensor: Element, plugin: Element, origin: Pose, rate: float, place: str
-    ) -> Laser:
+    def _laser(self, sensor: Element, plugin: Element, common: Sensor, place: str) -> Laser:
         ray = sensor.find("ray")
         scan = below(ray, "scan", "horizontal")
         extent, noise = below(ray, "range"), below(ray, "noise")
@@ -122,7 +121,8 @@ class SensorReader:
                 "1 to 100000 samples, min_angle up to max_angle, min below max",
             )
         return Laser(
-            name, link, child_text(plugin, "topicName", "scan"), child_text(plugin, "frameName", link), rate, origin,
+            common.name, common.link, child_text(plugin, "topicName", "scan"),
+            child_text(plugin, "frameName", common.link), common.rate_hz, common.origin,
             child_number(noise, "stddev", child_number(plugin, "gaussianNoise", 0.0, place), place),
             child_number(noise, "mean", 0.0, place), samples, least, most, nearest, farthest,
         )  # fmt: skip
